@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from cellwise import load_dataset, replay, simulate
 from cellwise.cell.plausibility.far_off import FAR_OFF, times_stated
 from cellwise.cell.stock.catalogue import named_model
 from cellwise.cli import main
+from cellwise.logs.writing import write_columns
 
 OTHER = ("--model", "lfp-26650", "--capacity-ah", "5")
 
@@ -62,6 +65,52 @@ def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, r
     assert found["forecast"] is None
     assert "SIGN" in found["notices"][0]
     assert "SIGN" in first_line(capsys, *swapped)
+
+
+def test_nothing_is_foreseen_of_a_stream_that_is_far_off(model, tmp_path, run_json, capsys):
+    log = load_dataset("nmc_drive_b").part(0, 1500)
+    rows = zip(log.time_s.tolist(), log.current_A.tolist(), log.voltage_V.tolist(), strict=True)
+    names = ("time_s", "current_A", "voltage_V")
+    stream = tmp_path / "stream.jsonl"
+    stream.write_text("".join(json.dumps(dict(zip(names, r, strict=True))) + "\n" for r in rows))
+    source = ("--source", f"json:{stream}")
+    power = ("--power",)
+    found = run_json("live", *OTHER, *source, *power)
+    assert "FAR OFF" in found["far_off"]
+    capsys.readouterr()
+    main(["live", *OTHER, *source])
+    assert "withheld" in capsys.readouterr().err
+    foreseen = [k for k in found if k.startswith(("remaining", "median_load", "full"))]
+    powers = [k for k in found if k.endswith("_W")]
+    assert foreseen
+    assert powers
+    assert all(found[k] is None for k in foreseen + powers)
+    anyway = run_json("live", *OTHER, *source, *power, "--anyway")
+    assert any(anyway[k] is not None for k in foreseen)
+    own = run_json("live", "--model", model, *source, *power)
+    assert own["far_off"] is None
+    assert any(own[k] is not None for k in foreseen)
+
+
+def test_no_health_of_a_pack_that_is_far_off(tmp_path, run_json, capsys):
+    log = load_dataset("nmc_drive_b").part(0, 1200)
+    cells = {f"cell_{k:02d}_mV": 1e3 * log.voltage_V + 3.0 * k for k in range(1, 5)}
+    place, state = tmp_path / "pack.parquet", tmp_path / "state.json"
+    write_columns({"time_s": log.time_s, "current_A": log.current_A, **cells}, place)
+    page = tmp_path / "pack.html"
+    arguments = ("pack", *OTHER, str(place), "--state", str(state), "--report", str(page))
+    found = run_json(*arguments)
+    assert "FAR OFF" in found["notices"][0]
+    assert "withheld" in found["notices"][0]
+    assert found["usable_Ah"] is None
+    assert found["causes"] == []
+    assert {row["capacity_Ah"] for row in found["per_cell"]} == {None}
+    assert {row["resistance_scale"] for row in found["per_cell"]} == {None}
+    assert all(0.0 <= row["soc"] <= 1.0 for row in found["per_cell"])
+    assert not state.exists()
+    assert "Far off this model" in page.read_text(encoding="utf-8")
+    assert "FAR OFF" in first_line(capsys, "pack", *OTHER, str(place))
+    assert run_json("pack", *OTHER, str(place), "--anyway")["usable_Ah"] > 0.0
 
 
 def test_a_log_of_the_model_s_own_cell_is_not_far_off(model, drive, run_json, capsys):

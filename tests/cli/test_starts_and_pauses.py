@@ -79,3 +79,5 @@ def test_one_flight_begins_at_one_soc_everywhere(real_data, run_json, tmp_path):
     assert simulated["rmse_V"] < 0.02
     starts = [one["soc0"]["value"] for one in (simulated, replayed)]
     assert min(starts) > 0.95, starts
+    own = made["own_logs"][0]["soc0"]
+    assert own == replayed["soc0_whole_log"]["value"] == simulated["soc0"]["value"]

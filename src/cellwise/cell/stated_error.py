@@ -31,6 +31,18 @@ def stated_error_V(
     measured = log.temperature_C
     known = measured is not None and bool(np.any(np.isfinite(measured)))
     warm = float(np.nanmedian(measured)) if known else None  # type: ignore[arg-type]
+    return stated_error_at(model, soc, voltage_V, warm, other_resistance=other_resistance)
+
+
+def stated_error_at(
+    model: CellModel,
+    soc: FloatArray | float,
+    voltage_V: FloatArray | float,
+    warm: float | None,
+    *,
+    other_resistance: float = 0.0,
+) -> FloatArray:
+    """The same at one temperature, None where it is not known [degC]."""
     at, error = np.clip(soc, 0.0, 1.0), model.error
     ocv = model.ocv_at(float(model.temperature_C[0]) if warm is None else warm)
     drop = np.interp(at, model.soc, ocv) - voltage_V

@@ -141,6 +141,7 @@ def check_one_output(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
+    from cellwise.cell.initial_soc.initial_soc import initial_soc
     from cellwise.cell.plausibility.far_off import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
@@ -192,7 +193,9 @@ def run_replay(arguments: argparse.Namespace) -> None:
             if arguments.load is not None and not far:
                 at_load = forecast_at(model, found, arguments.load, **held)
                 flight = None if flight is None else dataclasses.replace(flight, given=at_load)
-            runs.append(Run(found, expected, flight, at_load, far, charge, plan, shown))
+            begun = found.start.how in ("given", "stated")
+            began = None if begun else initial_soc(model, found.log, whole_log=True)
+            runs.append(Run(found, expected, flight, at_load, far, charge, plan, shown, began))
     if arguments.output:
         write_rows(arguments, runs)
     with page_options.page_places(arguments) as pages:
@@ -220,7 +223,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         print_runs(runs)
     else:
         sure = arguments.soc0_std is not None
-        print_replay(last.found, last.expected, last.figures(), sure=sure)
+        print_replay(last.found, last.expected, last.figures(), last.began, sure=sure)
     print_forecasts(last.flight, last.at_load, held["cutoff_V"], arguments.hold)
     forecast_options.say(last.to_dict())
     if last.power is not None:
@@ -231,7 +234,10 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """A replay, when it was to converge, and what remains by it; ``far``: why none is said."""
+    """A replay, when it was to converge, and what remains by it; ``far``: why none is said.
+
+    ``began`` is the start that the whole log shows, as every other command finds it.
+    """
 
     found: Replay
     expected: ExpectedConvergence
@@ -241,6 +247,7 @@ class Run:
     charge: Charge | None
     plan: Outcome | None
     displayed_percent: FloatArray | None
+    began: InitialSoc | None
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -270,6 +277,7 @@ class Run:
         return {
             "log": self.found.log.name,
             **self.figures(),
+            "soc0_whole_log": None if self.began is None else self.began.to_dict(),
             "convergence_predicted_s": self.expected.convergence_s,
             "forecast": None if self.flight is None else self.flight.to_dict(),
             "forecast_charge": None if charge is None else charge.to_dict(),
@@ -393,10 +401,19 @@ def print_runs(runs: Sequence[Run]) -> None:
     )
 
 
+def _began(began: InitialSoc | None) -> list[tuple[str, str]]:
+    """The start by the whole log, where that says more than its beginning."""
+    if began is None or began.beginning is None:
+        return []
+    text = f"{began.soc:.4f} +- {2 * began.std:.4f} ({began.how})"
+    return [("began at, seen afterwards", text)]
+
+
 def print_replay(
     found: Replay,
     expected: ExpectedConvergence | None = None,
     figures: dict[str, Any] | None = None,
+    began: InitialSoc | None = None,
     *,
     sure: bool = True,
 ) -> None:
@@ -408,6 +425,7 @@ def print_replay(
         how += "; --soc0-std states how sure"
     rows = [
         ("initial SOC", f"{found.start.soc:.4f} +- {2 * found.start.std:.4f} ({how})"),
+        *_began(began),
         ("final SOC", f"{data['soc_final']:.4f} +- {2 * data['soc_final_std']:.4f}"),
         ("voltage RMSE, one step ahead", f"{printing.millivolt(data['voltage_rmse_V'])} mV"),
         ("NIS by time scale", _nis(found)),

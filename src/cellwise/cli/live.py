@@ -23,6 +23,7 @@ from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.cell.plausibility.far_off import FarOffStream
     from cellwise.estimate.power.along import PowerFollower
     from cellwise.forecast.display_kernels import Display
     from cellwise.forecast.outlook import Outlook
@@ -57,6 +58,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     forecast_options.add_charger(live)
     forecast_options.add_display(live)
     power_options.add_power_options(live)
+    options.flag(live, "--anyway", "forecasts, power and health of a stream far off the model, too")
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
     options.number(live, "--deadline-ms", "MS", "[the sample's interval]")
@@ -69,6 +71,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
+    from cellwise.cell.plausibility.far_off import FarOffStream
     from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
@@ -84,7 +87,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     name, stated = _stated(arguments.source)
     live = _filter(model, stated, arguments)
     how = forecast_options.how_displayed(arguments, model)
-    followed = Followed(live, outlook, power, None if how is None else Shown(how))
+    far = None if arguments.anyway else FarOffStream(model)
+    followed = Followed(live, outlook, power, None if how is None else Shown(how), far)
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
@@ -107,11 +111,13 @@ def run_live_command(arguments: argparse.Namespace) -> None:
         if viewed:
             from cellwise.cli.live_view import LiveView
 
-            look = stack.enter_context(LiveView(source, live, outlook, power=power)).look
+            look = stack.enter_context(LiveView(source, live, outlook, power=power, far=far)).look
         elif not (arguments.output or arguments.json):
             takers.append(LineWriter(sys.stdout, followed, arguments.every))
         if not viewed:  # the view shows it among its flags
             takers.append(OutsideNotice(live))
+            if far is not None:
+                takers.append(FarOffNotice(far))
         stack.enter_context(_stopped_by_signal())
         run_live(
             source,
@@ -140,12 +146,16 @@ class Followed(NamedTuple):
     outlook: Outlook
     power: PowerFollower | None = None
     shown: Shown | None = None
+    far: FarOffStream | None = None
 
     def take(self, update: Update) -> None:
         """Hand a sample on to what follows the filter."""
         from cellwise.estimate.sensing_kernels import Reading
 
         self.outlook.take(update)
+        if self.far is not None:
+            info, known_C = update.info, self.live.known_temperature_C(update.sample)
+            self.far.look(update.dt_s, info.innovation_V, info.soc, info.voltage_V, known_C)
         if self.shown is not None:
             self.shown.take(update, self)
         if self.power is None or self.live.state is None:
@@ -157,12 +167,21 @@ class Followed(NamedTuple):
     def columns(self, update: Update) -> dict[str, Any]:
         """Time and energy to empty, power if it is asked for, the cells of a pack: for JSON."""
         state, warm = self.live.state, self.temperature_C(update)
-        return {
-            **self.outlook.columns(state, warm),
-            **({} if self.shown is None else {"displayed_percent": self.shown.percent}),
-            **({} if self.power is None else self.power.columns(state, warm)),
-            **({} if self.live.pack is None else self.live.pack.columns()),
-        }
+        foreseen = self.outlook.columns(state, warm)
+        foreseen |= {} if self.power is None else self.power.columns(state, warm)
+        cells = {} if self.live.pack is None else self.live.pack.columns()
+        if self.far_off is not None:
+            foreseen = dict.fromkeys(foreseen)
+            cells = {k: {n: c[n] for n in ("soc", "soc_std")} for k, c in cells.items()}
+        shown = {} if self.shown is None else {"displayed_percent": self.shown.percent}
+        return foreseen | shown | cells
+
+    @property
+    def far_off(self) -> str | None:
+        """What is said of a stream that is far off its model; then nothing is foreseen."""
+        from cellwise.cell.plausibility.far_off import withheld
+
+        return None if self.far is None or self.far.text is None else withheld(self.far.text)
 
     def row(self, update: Update) -> dict[str, Any]:
         """All that is known after a sample, for whoever is sent it."""
@@ -247,6 +266,21 @@ class OutsideNotice:
                 "standard deviation grows",
                 file=sys.stderr,
             )
+
+
+class FarOffNotice:
+    """Says on standard error, once, that the stream is far off the model."""
+
+    def __init__(self, far: FarOffStream) -> None:
+        self._far, self._said = far, False
+
+    def __call__(self, update: Update) -> None:
+        """Look at what the last sample has made of it."""
+        from cellwise.cell.plausibility.far_off import withheld
+
+        if not self._said and self._far.text is not None:
+            self._said = True
+            printing.warn(f"cellwise live: {withheld(self._far.text)}")
 
 
 def state_row(update: Update) -> dict[str, Any]:
@@ -370,6 +404,7 @@ def _report_end(
     data = {
         **state_row(last),
         **followed.columns(last),
+        "far_off": followed.far_off,
         "estimator": live.filter.name,
         "soc0": live.start.to_dict(),
         **counts.to_dict(),
@@ -378,6 +413,8 @@ def _report_end(
         printing.print_json(data)
     elif viewed or arguments.output:
         slow = data["latency"]
+        if followed.far_off is not None:
+            printing.say(f"  ! {followed.far_off}")
         printing.say(
             f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {2 * last.info.soc_std:.4f} "
             f"(start {live.start.soc:.4f} +- {2 * live.start.std:.4f}, {live.start.how}); "

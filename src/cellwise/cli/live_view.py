@@ -13,6 +13,7 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
+from cellwise.cell.plausibility.far_off import FarOffStream, withheld
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.status import Status
 from cellwise.forecast.outlook import ForecastNow, Outlook
@@ -35,9 +36,10 @@ class LiveView:
         outlook: Outlook,
         console: Console | None = None,
         power: PowerFollower | None = None,
+        far: FarOffStream | None = None,
     ) -> None:
         self._source, self._filter, self._outlook = source, live, outlook
-        self._power = power
+        self._power, self._far = power, far
         self._live = Live(console=console or Console(), auto_refresh=False, transient=False)
         self._drawn_s = -math.inf
         self._seen = 0
@@ -85,6 +87,8 @@ class LiveView:
         bar = ProgressBar(total=1.0, completed=min(max(soc, 0.0), 1.0), width=40)
         grid.add_row("SOC", f"{100 * soc:.2f} % +- {200 * last.info.soc_std:.2f}")
         grid.add_row("", bar)
+        if self._far_off is not None:
+            grid.add_row("far off", withheld(self._far_off))
         for name, text in self._rows(last, counts):
             grid.add_row(name, text)
         return Panel(grid, title=title, width=72)
@@ -101,15 +105,7 @@ class LiveView:
                 f"{_number(sample.voltage_V, 4)} V measured, {_number(info.voltage_V, 4)} expected",
             ),
             ("temperature", f"{_number(warm, 1)} degC"),
-            (
-                "remaining",
-                _remaining(
-                    self._outlook.forecast(self._filter.state, warm if warm == warm else 25.0)
-                ),
-            ),
-            *self._charge_rows(warm if warm == warm else 25.0),
-            *self._power_rows(warm if warm == warm else 25.0),
-            *self._cell_rows(),
+            *self._foreseen_rows(warm if warm == warm else 25.0),
             ("flags", flags),
             (
                 "stream",
@@ -121,6 +117,21 @@ class LiveView:
                 f"{latency['p50_ms']:.2f} ms, 99 % {latency['p99_ms']:.2f} ms, "
                 f"{latency['missed_deadlines']} too late",
             ),
+        ]
+
+    @property
+    def _far_off(self) -> str | None:
+        return None if self._far is None else self._far.text
+
+    def _foreseen_rows(self, temperature_C: float) -> list[tuple[str, str]]:
+        if self._far_off is not None:
+            return []
+        now = self._outlook.forecast(self._filter.state, temperature_C)
+        return [
+            ("remaining", _remaining(now)),
+            *self._charge_rows(temperature_C),
+            *self._power_rows(temperature_C),
+            *self._cell_rows(),
         ]
 
     def _cell_rows(self) -> list[tuple[str, str]]:

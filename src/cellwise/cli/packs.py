@@ -26,6 +26,8 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
         help="one pack, in the order of time; a folder or a pattern",
     )
     pack.add_argument("-o", "--output", metavar="OUT", help="cells as .csv, .csv.gz or .parquet")
+    text = "capacity, resistance and odd cells of logs far off the model, too"
+    options.flag(pack, "--anyway", text)
     text = "go on from this file where it exists, and write it"
     pack.add_argument("--state", metavar="FILE", help=text)
     log_options.add_cells_options(pack)
@@ -48,10 +50,13 @@ def run_pack(arguments: argparse.Namespace) -> None:
     state = read_state(arguments.state) if known else None
     logs = read_packs(arguments)
     with printing.working(f"{logs[0].cells} cells in {len(logs)} log(s)"):
-        found = estimate_pack(model, logs, state)
+        whole = estimate_pack(model, logs, state)
+    found = whole if arguments.anyway else whole.without_health()
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))
-    if arguments.state:
+    if arguments.state and found.withheld is not None:
+        printing.warn(f"cellwise pack: '{arguments.state}' stays as it was: logs far off the model")
+    elif arguments.state:
         write_state(found.state, arguments.state)
     page_options.hand_over(arguments, found, pack_page, print_pack)
 
@@ -75,6 +80,8 @@ def read_packs(arguments: argparse.Namespace) -> list[PackLog]:
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
     data = found.to_dict()
+    first = data["notices"][:1] if found.far_off else []
+    printing.say_notices(first)
     soc = data["soc"]
     weakest = data["weakest"]
     printing.table(
@@ -110,7 +117,7 @@ def print_pack(found: PackEstimate) -> None:
         said = "; ".join(cause["evidence"])
         other = f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else ""
         printing.say(f"  {cause['name']}: {said}{other}")
-    printing.say_notices(data["notices"])
+    printing.say_notices(n for n in data["notices"] if n not in first)
 
 
 def _capacity_first(row: dict[str, Any]) -> float:

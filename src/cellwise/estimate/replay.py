@@ -280,8 +280,8 @@ def replay(
     soc0 : float or None              initial SOC; None: from a rest or a fit at the log's start
     soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
                                       what the search for it says
-    reference_soc0 : float or None    true SOC at the first row; None: as ``soc0`` is found when it
-                                      is not given
+    reference_soc0 : float or None    true SOC at the first row; None: as the whole log shows it,
+                                      which no estimator sees
     reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
                                       errors
     power : bool or PowerSettings     the state of power at every row, too: for 2, 10 and 30 s, or
@@ -312,7 +312,7 @@ def replay(
     if reference_capacity_Ah is not None:
         true0 = reference_soc0
         if true0 is None:
-            true0 = (start if soc0 is None else initial_soc(model, log)).soc
+            true0 = initial_soc(model, log, whole_log=True).soc
         reference = reference_soc(log, true0, reference_capacity_Ah)
     limits = power_along(asked, filter_, log, trace, start.soc, start.std) if asked else None
     return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)

@@ -160,7 +160,7 @@ class ReplayTask(LogTask):
         reference = None
         if self.reference_capacity_Ah is not None:
             given = self.reference_soc0
-            true0 = initial_soc(self.model, log).soc if given is None else given
+            true0 = initial_soc(self.model, log, whole_log=True).soc if given is None else given
             reference = reference_soc(log, true0, self.reference_capacity_Ah)
         found = Replay(log, filter_.name, start, trace, ns, reference, self.model.validity,
                        model=self.model)  # fmt: skip

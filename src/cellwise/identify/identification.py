@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
@@ -19,7 +20,6 @@ from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Panel, Plottable, Summarised
@@ -158,7 +158,7 @@ class PulseSet:
     """The pulses of one HPPC log and the fits of those that were healthy."""
 
     log: CellLog
-    anchor: SocAnchor
+    anchor: InitialSoc
     pulses: tuple[Pulse, ...]
     fitted: tuple[Pulse, ...]
     fits: tuple[PulseFit, ...]
@@ -226,7 +226,7 @@ Role = Literal["hppc", "ocv", "capacity", "drive"]
 
 @dataclass(frozen=True, eq=False)
 class OwnLog:
-    """A log of the identification simulated back from the SOC it was taken to begin at.
+    """A log of the identification simulated back from ``start``, where its model finds it to begin.
 
     ``used`` says whether it took part in the fit; ``compared`` are the rows that did (None: all);
     ``sides_V`` the RMSE of discharge and charge of a low-rate or capacity test; ``reason`` why it
@@ -236,6 +236,7 @@ class OwnLog:
     role: Role
     used: bool
     simulation: Simulation
+    start: InitialSoc
     compared: BoolArray | None
     sides_V: Mapping[str, float]
     reason: str
@@ -254,6 +255,8 @@ class OwnLog:
             "role": self.role,
             "used": self.used,
             "soc0": s.soc0,
+            "soc0_std": self.start.std,
+            "soc0_how": self.start.how,
             "rmse_V": s.metrics.rmse_V,
             "rmse_above_10pct_V": s.rmse_above_10pct_V,
             **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
@@ -26,7 +27,10 @@ BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
 
 def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
-    """Every log from where the fit found it to begin, in the order in which it was given."""
+    """Every log from where it begins by the finished model, in the order in which it was given.
+
+    The start is what every other command finds with this model; the fit's own served the fit.
+    """
     starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = []
     roles += [("hppc", log) for log, _ in tests.hppc]
@@ -37,15 +41,16 @@ def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[Ow
     for role, log in roles:
         start = starts[id(log)]
         of_log = own_model(model, start.capacity_scale)
-        simulation = simulate(of_log, log, min(max(start.soc0, 0.0), 1.0))
+        begins = initial_soc(of_log, log, whole_log=True)
+        simulation = simulate(of_log, log, begins.soc)
         if start.left_out:
-            found.append(OwnLog(role, False, simulation, None, {}, start.left_out))
+            found.append(OwnLog(role, False, simulation, begins, None, {}, start.left_out))
             continue
         sides = directions(log) if role in ("ocv", "capacity") else {}
         errors = {name: _known(simulation, rows) for name, rows in sides.items()}
         rmse = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items() if e.size}
         said = "; ".join(filter(None, (_own_capacity(start), _gaps(simulation, sides))))
-        found.append(OwnLog(role, True, simulation, start.rows, rmse, said))
+        found.append(OwnLog(role, True, simulation, begins, start.rows, rmse, said))
     return tuple(found)
 
 
@@ -88,6 +93,12 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     for s in (o.simulation for o in own if o.used):
         found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.error_V, s.soc)
     return found
+
+
+def start_notices(own: Sequence[OwnLog]) -> list[str]:
+    """Where logs of a model that comes from a prior begin: nobody measured their OCV."""
+    begun = ((o.simulation.log.name, o.start) for o in own)
+    return [f"'{n}' begins at SOC {s.soc:.3f} +- {s.std:.3f} ({s.how})" for n, s in begun]
 
 
 def other_capacities(starts: Sequence[Start]) -> list[Notice]:

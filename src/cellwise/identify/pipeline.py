@@ -39,6 +39,7 @@ from cellwise.identify.own_logs import (
     other_capacities,
     own_log_notices,
     simulate_back,
+    start_notices,
 )
 from cellwise.identify.prior.from_prior import fit_prior, needs_prior
 from cellwise.identify.refinement.effects import fit_with_effects
@@ -103,6 +104,8 @@ def identify_cell(
     check_serves(error.rmse_V, wrong)
     contradictory = in_order(wrong)
     said = (*checked.notices, *capacity.notices, *fitted.notices, *reading_notices(tests))
+    if "prior" in fitted.provenance:
+        said = (*said, *start_notices(own))
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
     seconds = time.perf_counter() - began
     choices = {**capacity.choices_Ah, **fitted.choices_Ah}

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
+from cellwise.cell.initial_soc.initial_soc import STATED_STD, InitialSoc
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
@@ -48,21 +47,12 @@ REST_SHARE = 0.01  # below C/100 a cell counts as resting
 LONG_REST_S, FIRST_S = 600.0, 60.0  # a rest that says something; what is looked at without one
 
 
-@dataclass(frozen=True)
-class SocAnchor:
-    """SOC at a log's first row, its standard deviation, and how it was found."""
-
-    soc: float
-    std: float
-    how: str
-
-
 def anchor_soc(
     log: CellLog,
     ocv: OcvCurve,
     capacity_Ah: float,
     resistance_ohm: float,
-) -> SocAnchor:
+) -> InitialSoc:
     """SOC at the first row: as stated of the log, else what fits the rests of the whole log best.
 
     Every rest says where the log stood on the OCV, the counter says how far that is from the
@@ -80,7 +70,7 @@ def anchor_soc(
     InputError        a log without a single voltage
     """
     if log.soc0 is not None:
-        return SocAnchor(log.soc0, STATED_STD, "stated")
+        return InitialSoc(log.soc0, STATED_STD, "stated")
     grid = np.linspace(0.0, 1.0, 1001)
     level = np.maximum.accumulate(ocv.function.evaluate(grid))
     half = _half_gap(ocv, grid)
@@ -106,26 +96,26 @@ def anchor_soc(
         # Nothing speaks against full, and that is how tests begin; a voltage that says nothing at
         # all is no reason to believe it.
         sure = FULL_TEST.std if std <= ERRORS.assumed else std
-        return SocAnchor(1.0, min(max(std, 0.005), sure), f"{how}: full")
+        return InitialSoc(1.0, min(max(std, 0.005), sure), f"{how}: full")
     if abs(mean - before - 1.0) <= ERRORS.plausible * max(std, 0.01):
-        return SocAnchor(max(1.0 + before, 0.0), max(std, 0.005), f"{how}: charged full later")
-    return SocAnchor(mean, max(std, 0.002), how)
+        return InitialSoc(max(1.0 + before, 0.0), max(std, 0.005), f"{how}: charged full later")
+    return InitialSoc(mean, max(std, 0.002), how)
 
 
 def full_before(
-    log: CellLog, discharge: BoolArray, capacity_Ah: float, anchor: SocAnchor
-) -> SocAnchor:
+    log: CellLog, discharge: BoolArray, capacity_Ah: float, anchor: InitialSoc
+) -> InitialSoc:
     """The start of a test that begins full: what SOC means is that its discharge begins at 1.
 
     Parameters
     ----------
     discharge : (n,) bool     rows of its discharge
-    anchor : SocAnchor        where it would begin by its voltages
+    anchor : InitialSoc        where it would begin by its voltages
     """
     before = float(log.counted_charge_Ah()[int(np.argmax(discharge))]) / capacity_Ah
     if anchor.soc < FULL_TEST.likely or abs(before) > FULL_TEST.moved:
         return anchor
-    return SocAnchor(1.0, min(anchor.std, FULL_TEST.std), "a test of the capacity: full")
+    return InitialSoc(1.0, min(anchor.std, FULL_TEST.std), "a test of the capacity: full")
 
 
 def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:

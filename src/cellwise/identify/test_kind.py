@@ -63,7 +63,7 @@ def kind_of(log: CellLog, capacity_Ah: float | None = None) -> TestKind:
     under = sum(p.duration_s for p in phases if p.kind != "rest")
     driven = sum(p.duration_s for p in phases if p.kind == "dynamic")
     if driven > LIMITS.driven * under:
-        return TestKind("drive", f"no level held for {driven / under:.0%} of the time")
+        return TestKind("drive", f"a load that changes during {driven / under:.0%} of its time")
     pulses = [
         p
         for p in pulses_to_fit(find_pulses(log, phases=phases))

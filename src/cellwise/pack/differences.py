@@ -92,7 +92,7 @@ def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> Mean
         ):
             continue
         one = log if stop - first == n else log.part(first, stop)
-        start = initial_soc(model, one, soc0 if first == 0 else None)
+        start = initial_soc(model, one, soc0 if first == 0 else None, whole_log=True)
         trace = ekf.run(one, start.soc, start.std)
         rows = slice(first, stop)
         soc[rows], std[rows], voltage[rows] = trace.soc, trace.soc_std, trace.voltage_V

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.far_off import far_off_text, withheld
 from cellwise.cell.plausibility.notice import in_order
 from cellwise.cell.plausibility.outside import outside_notices
 from cellwise.logs.packs.pack_log import PackLog
@@ -82,6 +83,7 @@ class PackEstimate:
     suspicions: tuple[tuple[int, Suspicion], ...]
     exchanged: tuple[str, ...]
     state: PackState
+    withheld: str | None = None
 
     def __repr__(self) -> str:
         odd = ", ".join(f"{c['cell']} {c['name']}" for c in self.causes) or "none is odd"
@@ -89,6 +91,33 @@ class PackEstimate:
         return (
             f"PackEstimate({len(self.names)} cells, {len(self.days)} log(s): "
             f"SOC {low:.3f} to {high:.3f}; {odd})"
+        )
+
+    @property
+    def far_off(self) -> str | None:
+        """What is said first where most of the rows are of logs that are far off the model."""
+        means = [day.mean for day in self.days]
+        each = ((m, m.log.voltage_V - m.voltage_V) for m in means)
+        texts = [far_off_text(self.model, m.log, error, m.soc) for m, error in each]
+        rows = sum(len(m.log) for m, text in zip(means, texts, strict=True) if text)
+        off = 2 * rows > sum(len(m.log) for m in means)
+        return next((text for text in texts if text), None) if off else None
+
+    def without_health(self) -> PackEstimate:
+        """The same where it is far off, without what would be made of it: SOC is left."""
+        text = self.far_off
+        if text is None:
+            return self
+        unknown = np.full(len(self.names), np.nan)
+        health = ("capacity", "resistance", "offset", "skew")
+        fields = {k: unknown for k in vars(self.cells) if k.startswith(health)}
+        nothing = Usable(np.nan, np.nan, np.nan, np.nan)
+        return replace(
+            self,
+            cells=replace(self.cells, **fields),
+            usable=nothing,
+            suspicions=(),
+            withheld=withheld(text),
         )
 
     @property
@@ -125,11 +154,13 @@ class PackEstimate:
     def weakest(self) -> dict[str, str]:
         """Names of the cells with the least SOC, the least capacity, the most resistance."""
         cells = self.cells
-        return {
-            "by_soc": self.names[int(np.nanargmin(cells.soc))],
-            "by_capacity": self.names[int(np.nanargmin(cells.capacity_Ah))],
-            "by_resistance": self.names[int(np.nanargmax(cells.resistance_scale))],
+        least = {
+            "by_soc": cells.soc,
+            "by_capacity": cells.capacity_Ah,
+            "by_resistance": -cells.resistance_scale,
         }
+        known = {k: v for k, v in least.items() if np.any(np.isfinite(v))}
+        return {k: self.names[int(np.nanargmin(known[k]))] if k in known else "-" for k in least}
 
     @property
     def weak(self) -> list[str]:
@@ -148,12 +179,15 @@ class PackEstimate:
         texts = [n for day in self.days for n in day.log.notices]
         if not any(np.any(day.mean.used) for day in self.days):
             texts.insert(0, "no stretch between pauses is long enough to be estimated")
-        return (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(texts))))
+        said = (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(texts))))
+        text = self.withheld or self.far_off
+        return said if text is None else (text, *said)
 
     @property
     def _drift(self) -> tuple[str, ...]:
         """What one period shows and only several can decide."""
-        drift = self.state.drifts[-1] if self.state.drifts and self.evidence.days > 0.0 else None
+        said = bool(self.state.drifts) and self.evidence.days > 0.0 and self.withheld is None
+        drift = self.state.drifts[-1] if said else None
         cell = None if drift is None else drifting(drift)
         if drift is None or cell is None or "self_discharge" in {c["name"] for c in self.causes}:
             return ()

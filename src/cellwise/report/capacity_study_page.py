@@ -85,8 +85,8 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
 @pictured(
     "capacity_study",
     "Every dot is a choice of the capacity, with the whole identification redone. First: the "
-    "voltage hardly depends on it until the scale ends before the cell Then: SOC does, "
-    "and a filter can only follow the scale that its OCV was given. The line is the reference.",
+    "voltage, which hardly depends on it until the scale ends before the cell does. Then: the SOC, "
+    "which does; a filter can only follow the scale of its OCV. The line is the reference.",
 )
 def study_picture(study: CellStudy) -> style.Figure:
     """Two axes over the capacity."""

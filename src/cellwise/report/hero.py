@@ -79,7 +79,7 @@ def hero_picture(
     draw_part_current(right[1], log, part, length_s)
     style.finding(right[1], "All the model is given", style.NARROW)
     _draw_start(right[2], replay)
-    figure.suptitle(_headline(identification), x=0.01, ha="left", fontsize=11.5, fontweight="bold")
+    style.heading(figure, _headline(identification))
     return figure
 
 

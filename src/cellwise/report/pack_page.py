@@ -50,10 +50,14 @@ def pack_page(
     sections = [
         Section("cells", "Cells over time", (cells_picture(found),), "Over time"),
         Section("load", "At rest and under load", (rest_and_load_picture(found),), "Rest and load"),
-        Section("estimates", "Capacity and resistance", (estimates_picture(found),), "Estimates"),
-        Section("sensors", "Sensors and polling", (sensors_picture(found),), "Sensors"),
-        Section("table", "Every cell", (details("the numbers", _table(found)),), "Table"),
     ]
+    if found.withheld is None:
+        health, sensors = (estimates_picture(found),), (sensors_picture(found),)
+        sections.append(Section("estimates", "Capacity and resistance", health, "Estimates"))
+        sections.append(Section("sensors", "Sensors and polling", sensors, "Sensors"))
+    sections.append(
+        Section("table", "Every cell", (details("the numbers", _table(found)),), "Table")
+    )
     return write_page(
         path,
         _first_line(found),
@@ -66,6 +70,8 @@ def pack_page(
 
 
 def _first_line(found: PackEstimate) -> str:
+    if found.withheld is not None:
+        return "Far off this model: no health of these cells is said"
     cells = list(dict.fromkeys(c["cell"] for c in found.causes))
     if not cells:
         return f"{len(found.names)} cells, and none is odd"

@@ -93,3 +93,18 @@ def a123(real_data):
         drive=((log("dyn_p35_s1"), None),),
     )
     return identify_cell(tests, IdentifySettings(nominal_Ah=2.3, chemistry="LFP")).model
+
+
+@pytest.mark.parametrize("row", [300, 307, 320])
+def test_a_rest_that_was_cut_out_of_a_load_is_not_taken_for_a_finished_one(row):
+    """A voltage that still rises says less of the OCV, and more than it reads."""
+    model = curved_cell().with_effect(SlowDiffusion(0.03, 1200.0))
+    current = np.r_[np.full(300, model.capacity_Ah), np.zeros(60)]
+    log = CellLog(np.arange(360.0), current, np.zeros(360))
+    whole = simulate(model, log, 0.9)
+    noise = model.error.white_V * np.random.default_rng(1).standard_normal(360)
+    part = replace(log, voltage_V=whole.voltage_V + noise).part(row, row + 12)
+    found = initial_soc(model, part)
+    assert abs(found.soc - whole.soc[row]) < 3.0 * found.std
+    read_as_ocv = float(np.interp(part.voltage_V[-1], model.ocv_V[0], model.soc))
+    assert found.soc > read_as_ocv + 0.01

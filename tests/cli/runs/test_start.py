@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from cellwise import load_dataset
+from cellwise.cli import main
+from cellwise.cli.start import command
 from cellwise.data import datasets_folder
 from cellwise.logs.writing import write_columns
 
@@ -60,7 +62,7 @@ def test_a_cell_s_tests_are_told_by_their_content(bench, run_json, tmp_path):
         "thursday.parquet": "drive", "friday.parquet": "drive",
         "notes.csv": "unread", "README.md": "other",
     }  # fmt: skip
-    assert all(f["why"] for f in found["files"])
+    assert all(0 < len(f["why"]) < 100 for f in found["files"])
     identify, replay = map(shlex.split, found["commands"])
     given = {o: Path(f).name for o, f in pairwise(identify)}
     assert given["--hppc"] == "monday.parquet"
@@ -123,14 +125,20 @@ def test_a_pack_and_a_flight_are_known(tmp_path, run_json):
     assert any("--nominal-ah X" in c for c in run_json("start", str(folder))["commands"])
 
 
-def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, run_json):
+def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, capfd, monkeypatch):
     folder = laid_out(tmp_path / "drives", {"drive.parquet": "drive_c"})
     out = tmp_path / "out"
     given = ("--run", "--nominal-ah", "5", "--prior", "nmc-18650", "-o", str(out))
-    found = run_json("start", str(folder), *given)
-    assert [Path(p).name for p in found["pages"]] == ["replay.html"]
-    assert all(Path(p).is_file() for p in found["pages"])
+    assert main(["start", str(folder), *given]) == 0
+    page = out / "replay.html"
+    lines = capfd.readouterr().out.splitlines()
+    assert [str(page) in line for line in lines if "page" in line].count(True) == 1
+    assert lines[-1] == f"page to open: {page}"
+    assert page.is_file()
     assert json.loads((out / "model.json").read_text())["schema_version"]
+    monkeypatch.setattr(command, "_run", lambda *_, **__: None)
+    assert main(["start", str(folder), *given, "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["pages"] == [str(page)]
 
 
 def test_a_folder_without_a_battery_log_is_refused(tmp_path, refused):

@@ -26,7 +26,6 @@ from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParamete
 from cellwise.identify.refinement.layout import Layout
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
-from cellwise.identify.soc_anchor import SocAnchor
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
@@ -170,7 +169,7 @@ def identification(
         source=f"mean of both branches of {name}",
         notes=("a note & more",),
     )
-    sets = (PulseSet(log, SocAnchor(1.0, 0.005, "full"), found, healthy, fits),)
+    sets = (PulseSet(log, InitialSoc(1.0, 0.005, "full"), found, healthy, fits),)
     results = tuple(
         TemperatureResult(t, sets if with_pulses else (), refinement() if refined else None)
         for t in temperatures
@@ -183,7 +182,9 @@ def identification(
         capacity_tests=(capacity_test(0.05, 3.0, 0.0), capacity_test(1.0, 2.9, 0.08)),
         ocv=ocv,
         temperatures=results,
-        own_logs=tuple(OwnLog("hppc", True, s, None, {}, "") for s in sims),
+        own_logs=tuple(
+            OwnLog("hppc", True, s, InitialSoc(s.soc0, 0.01, "given"), None, {}, "") for s in sims
+        ),
         decided=(),
         fit=error_metrics(sims[0].error_V),
         notices=("a notice with <angle> brackets",),

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from cellwise.cell.initial_soc.likeliest import COARSE, Past, likeliest_soc, past_voltage
+from cellwise.cell.initial_soc.likeliest import (
+    Past,
+    likeliest_soc,
+    ln_likelihood_of_starts,
+    past_voltage,
+)
 from cellwise.cell.initial_soc.rest import (
     RELAXED_S,
     REST_RATE,
     SHORT_REST_V,
     ln_likelihood_of_ocv,
     soc_of_ocv,
+    still_to_move_V,
 )
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import check_soc0, known_temperature_C, model_temperature_C
@@ -25,7 +32,7 @@ BEGINNING = 2048  # rows that are looked at before all of a log is
 STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
 # By how much a used cell's resistance differs from its model's: a minute cannot show it.
 UNKNOWN_RESISTANCE = 0.3
-SURE_STD = 0.02  # a start known better than this needs no more than the beginning
+SURE_STD = 0.02  # a rest that says more, and is likelier than full and empty, is enough
 MOST_ROWS = 400_000  # of a longer log the beginning is enough
 
 
@@ -85,16 +92,21 @@ def initial_soc(
     # One row without current is no rest: a car at a light has come from a load. A rest lasts.
     if measured.size and (rest_s > 0.0 or rest_end == len(log)):
         warm = float(known_temperature_C(model, log)[last])
-        unfinished = SHORT_REST_V * float(np.exp(-rest_s / RELAXED_S))
-        rested_V = float(log.voltage_V[last])
+        seen_V = log.voltage_V[measured]
+        # Between what the branches of the model let it still move, and nothing.
+        moves = 0.5 * still_to_move_V(model, log.time_s[measured], seen_V, warm)
+        unfinished = float(np.hypot(SHORT_REST_V * np.exp(-rest_s / RELAXED_S), moves))
+        rested_V = float(seen_V[-1]) + moves
         soc, std = soc_of_ocv(model, rested_V, unfinished, warm)
-        how = f"rest of {rest_s:.0f} s at the start, {rested_V:.4f} V"
+        how = f"rest of {rest_s:.0f} s at the start, {seen_V[-1]:.4f} V"
         found = InitialSoc(soc, max(std, 0.005), how)
-        if not whole_log or found.std <= SURE_STD:
+        if not whole_log:
             return found
-        coarse = np.linspace(0.0, 1.0, COARSE)
-        by_rest = ln_likelihood_of_ocv(model, coarse, rested_V, unfinished, warm)
-        return _from_whole_log(model, log, found, Past(0.0, unfinished), by_rest)
+
+        def by_rest(soc0: FloatArray) -> FloatArray:
+            return ln_likelihood_of_ocv(model, soc0, rested_V, unfinished, warm)
+
+        return _from_whole_log(model, log, found, Past(-moves, unfinished), by_rest)
     found = _from_first_minute(model, log, current)
     return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
 
@@ -141,12 +153,16 @@ def _from_whole_log(
     log: CellLog,
     beginning: InitialSoc,
     past: Past,
-    by_rest: FloatArray | None = None,
+    by_rest: Callable[[FloatArray], FloatArray] | None = None,
 ) -> InitialSoc:
     # After a pause that nobody counted another start may hold.
     log = log.part(0, min((len(log), MOST_ROWS, *uncounted_pauses(log))))
     if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
         return beginning
-    soc, std = likeliest_soc(model, log, past, by_rest)
+    if by_rest is not None and beginning.std <= SURE_STD:
+        ends = np.array([beginning.soc, 0.0, 1.0])
+        if np.argmax(ln_likelihood_of_starts(model, log, past, by_rest, ends)) == 0:
+            return beginning
+    soc, std = likeliest_soc(model, log, past, by_rest, candidates=(beginning.soc,))
     how = f"fit of the whole log, {log.duration_s / 3600.0:.2f} h"
     return InitialSoc(soc, max(std, STATED_STD), how, beginning)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -97,11 +99,39 @@ def likeliest_soc(
     model: CellModel,
     log: CellLog,
     past: Past,
-    before: FloatArray | None = None,
+    before: Callable[[FloatArray], FloatArray] | None = None,
     *,
     other_resistance: float = 0.0,
+    candidates: tuple[float, ...] = (),
 ) -> tuple[float, float]:
     """The likeliest initial SOC of a log with at least two voltages, and its standard deviation.
+
+    Parameters as of `ln_likelihood_of_starts`; ``candidates`` are tried besides full, empty and the
+    grid: what is found is at least as likely as each of them.
+    """
+    step = 1.0 / (COARSE - 1)
+    tried = np.union1d(np.linspace(0.0, 1.0, COARSE), candidates)
+    of_starts = partial(
+        ln_likelihood_of_starts, model, log, past, before, other_resistance=other_resistance
+    )
+    best = float(tried[np.argmax(of_starts(tried))])
+    soc = np.union1d(tried, np.linspace(max(0.0, best - step), min(1.0, best + step), FINE))
+    likely = of_starts(soc)
+    weight = np.exp(likely - likely.max()) * np.gradient(soc)
+    likeliest = float(soc[np.argmax(likely)])
+    return likeliest, math.sqrt(float(np.average((soc - likeliest) ** 2, weights=weight)))
+
+
+def ln_likelihood_of_starts(
+    model: CellModel,
+    log: CellLog,
+    past: Past,
+    before: Callable[[FloatArray], FloatArray] | None,
+    soc0: FloatArray,
+    *,
+    other_resistance: float = 0.0,
+) -> FloatArray:
+    """Ln likelihood of a log's voltages from every start, (m,); a constant is left out.
 
     A minute is one independent error, a log over the whole SOC range two, since one OCV and one
     resistance are wrong everywhere. Its size is what the model states of itself along the log, and
@@ -111,47 +141,12 @@ def likeliest_soc(
 
     Parameters
     ----------
-    before : (COARSE,) float or None      ln likelihood of an even grid of starts by what is known
-                                          besides: the OCV of a rest
-    other_resistance : float              share by which the cell's resistance may differ, where
-                                          the log is too short to show it
+    before : callable or None       ln likelihood of starts by what is known besides: a rest's OCV
+    soc0 : (m,) float               one of them is taken to be near the truth
+    other_resistance : float        share by which the cell's resistance may differ, where the log
+                                    is too short to show it
     """
-    coarse = np.linspace(0.0, 1.0, COARSE)
-    known = np.zeros(COARSE) if before is None else before
     rows_ = _weighed(model, log)
-
-    def ln_likelihood(soc0: FloatArray) -> FloatArray:
-        own = _ln_likelihood(model, log, rows_, soc0, past, other_resistance)
-        return own + np.interp(soc0, coarse, known)
-
-    best = float(coarse[np.argmax(ln_likelihood(coarse))])
-    step = 1.0 / (COARSE - 1)
-    soc = np.union1d(coarse, np.linspace(max(0.0, best - step), min(1.0, best + step), FINE))
-    likely = ln_likelihood(soc)
-    weight = np.exp(likely - likely.max()) * np.gradient(soc)
-    likeliest = float(soc[np.argmax(likely)])
-    return likeliest, math.sqrt(float(np.average((soc - likeliest) ** 2, weights=weight)))
-
-
-def _weighed(model: CellModel, log: CellLog) -> WeighedRows:
-    current = log.known_current_A()
-    voltage = for_kernel(log.voltage_V)
-    weight = (np.abs(current) / model.capacity_Ah + REST_RATE) * log.interval_s
-    # The first row has no interval, and is all that a log of one moment has.
-    weight = np.where(np.isfinite(voltage), weight + REST_RATE, 0.0)
-    past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
-    warm = known_temperature_C(model, log)
-    return WeighedRows(log.interval_s, current, warm, voltage, weight / weight.sum(), past)
-
-
-def _ln_likelihood(
-    model: CellModel,
-    log: CellLog,
-    rows_: WeighedRows,
-    soc0: FloatArray,
-    past: Past,
-    other_resistance: float,
-) -> FloatArray:
     squares, products, beyond = (np.zeros(soc0.size) for _ in range(3))
     announce(sum_errors, "the initial SOC")
     starts = Starts(soc0, np.array([start_hysteresis(s) for s in soc0]))
@@ -168,16 +163,34 @@ def _ln_likelihood(
     )
     variance = float(size_V2[least]) + float(np.sum(rows_.weight * stated_V**2))
     errors = (1.0 + min(float(np.ptp(nearest.soc)), 1.0)) * size_V2 / variance
-    return np.asarray(np.logaddexp.reduce(-0.5 * (errors + unlikely), axis=0))
+    own = np.asarray(np.logaddexp.reduce(-0.5 * (errors + unlikely), axis=0))
+    return own if before is None else own + before(soc0)
+
+
+def _weighed(model: CellModel, log: CellLog) -> WeighedRows:
+    current = log.known_current_A()
+    voltage = for_kernel(log.voltage_V)
+    weight = (np.abs(current) / model.capacity_Ah + REST_RATE) * log.interval_s
+    # The first row has no interval, and is all that a log of one moment has.
+    weight = np.where(np.isfinite(voltage), weight + REST_RATE, 0.0)
+    past = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
+    warm = known_temperature_C(model, log)
+    return WeighedRows(log.interval_s, current, warm, voltage, weight / weight.sum(), past)
 
 
 def past_voltage(model: CellModel, log: CellLog) -> Past:
     """What the slow states may hold of a past that was like the first minutes of the log.
 
-    Between nothing (the load has just begun) and all of it: the middle, and half of the range.
+    Between nothing (the load has just begun) and all of it: the middle, and half of the range. In
+    a log of moments the fast branches, too, are not known.
     """
     cell = model.at_temperature(float(known_temperature_C(model, log)[0]))
     slow_ohm = float(np.median(np.asarray(cell.effect(SlowDiffusion).r3_ohm)))
+    fast_ohm = sum(
+        float(np.median(ohm)) * math.exp(-log.duration_s / float(np.median(tau_s)))
+        for ohm, tau_s in ((cell.r1_ohm, cell.tau1_s), (cell.r2_ohm, cell.tau2_s))
+    )
     early = log.time_s <= log.time_s[0] + PAST_S
-    full_V = -slow_ohm * float(np.mean(log.known_current_A()[early]))
-    return Past(0.5 * full_V, math.hypot(SHORT_REST_V, 0.5 * full_V))
+    mean_A = float(np.mean(log.known_current_A()[early]))
+    full_V = -slow_ohm * mean_A
+    return Past(0.5 * full_V, math.hypot(SHORT_REST_V, 0.5 * full_V, 0.5 * fast_ohm * mean_A))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwise.cell.plausibility.notice import Notice
-from cellwise.cell.stated_error import stated_error_V
+from cellwise.cell.stated_error import stated_error_at, stated_error_V
 from cellwise.logs.checks.grave import is_grave
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 FAR_OFF = 3.0
 FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
 MOST_ROWS = 4000  # of more, every so manyth
+# Of a stream: an hour, a look a second; before half a minute a start that is off says nothing.
+LOOKS, FEWEST_LOOKS = 3600, 30
 OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
 WITHHELD = "remaining time and health would be made of it: withheld (`anyway=True` gives them)"
 
@@ -52,12 +55,40 @@ def far_off_text(
     if model is None:
         return None
     times, typical_V = times_stated(model, log, error_V, soc)
+    return _said(f"'{log.name or 'the log'}'", times, typical_V)
+
+
+def _said(what: str, times: float, typical_V: float) -> str | None:
     if times <= FAR_OFF or not math.isfinite(times):
         return None
     return (
-        f"'{log.name or 'the log'}' is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
+        f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
         f"{times:.3g} times what the model states of itself: {OTHER} than the model's?"
     )
+
+
+class FarOffStream:
+    """The same of a stream: of its last hour, by one look a second."""
+
+    def __init__(self, model: CellModel) -> None:
+        self._model = model
+        self._since_s = math.inf
+        self._seen: deque[tuple[float, float]] = deque(maxlen=LOOKS)
+        self.text: str | None = None
+
+    def look(
+        self, dt_s: float, error_V: float, soc: float, voltage_V: float, temperature_C: float
+    ) -> None:
+        """One sample: measured minus predicted, where the model is; then ``text`` is true of it."""
+        self._since_s += dt_s
+        if self._since_s < 1.0 or not math.isfinite(error_V):
+            return
+        self._since_s = 0.0
+        warm = temperature_C if math.isfinite(temperature_C) else None
+        stated_V = max(float(stated_error_at(self._model, soc, voltage_V, warm)), 1e-6)
+        self._seen.append((abs(error_V) / stated_V, abs(error_V)))
+        if len(self._seen) >= FEWEST_LOOKS:
+            self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
 
 
 def far_off_notices(
@@ -73,4 +104,9 @@ def ends_forecasts(far_off: str | None, log: MeasuredLog) -> str | None:
     grave = next((n for n in log.notices if is_grave(n)), None)
     if grave is not None:
         return f"{grave}; {WITHHELD}"
-    return None if far_off is None else f"{far_off} {WITHHELD[0].upper()}{WITHHELD[1:]}"
+    return None if far_off is None else withheld(far_off)
+
+
+def withheld(far_off: str) -> str:
+    """What is far off, and what is therefore not said."""
+    return f"{far_off} {WITHHELD[0].upper()}{WITHHELD[1:]}"

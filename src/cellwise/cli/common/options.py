@@ -77,7 +77,7 @@ def add_soc0_std(parser: argparse.ArgumentParser) -> None:
 
 def add_reference(parser: argparse.ArgumentParser) -> None:
     """Add what an SOC is judged by: the true start, and the capacity below the counter."""
-    number(parser, "--reference-soc0", "X", "true SOC at the start")
+    number(parser, "--reference-soc0", "X", "true SOC at the start [by the whole log]")
     number(parser, "--reference-capacity-ah", "X", "for the reference by the counter")
 
 

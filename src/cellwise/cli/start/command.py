@@ -59,8 +59,8 @@ def run_start(arguments: argparse.Namespace) -> None:
     if arguments.run_them:
         found["ran"] = _run_all(plans, places, quiet=arguments.json)
         found["pages"] = [r["page"] for r in found["ran"] if r["page"]]
-        for page in found["pages"] if not arguments.json else ():
-            printing.say(f"page to open: {page}")
+        if len(found["pages"]) > 1 and not arguments.json:  # of one, its command has said it
+            printing.say(f"pages to open: {', '.join(found['pages'])}")
     if arguments.json:
         printing.print_json(found)
 

@@ -22,6 +22,7 @@ FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
 STEADY = ("ocv", "capacity", "charge")
 CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
+MISSING = re.compile(r"; missing: (.+)$", re.DOTALL)  # columns that a refused table lacks
 # A temperature in a name: _p25, _n10, -10degC.
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
 
@@ -106,8 +107,16 @@ def _look_at_one(place: Path, arguments: argparse.Namespace, dbc: Path | None) -
     except MachineError:
         raise
     except InputError as error:
-        return FoundFile(place, "unread", f"{error.found}. {error.action}")
+        return FoundFile(place, "unread", _why_unread(error))
     return replace(_taken_for(log, series, arguments.nominal_ah), path=place)
+
+
+def _why_unread(error: InputError) -> str:
+    """What was found and what to do; of a table that lacks most columns only what it lacks."""
+    missing = MISSING.search(error.found)
+    if missing is None or "," not in missing[1]:
+        return f"{error.found}. {error.action}"
+    return f"a table without {missing[1]}: no log"
 
 
 def _read(place: Path, arguments: argparse.Namespace, dbc: Path | None) -> tuple[CellLog, int]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.simulate import start_hysteresis
@@ -29,7 +29,7 @@ from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
 from cellwise.identify.prior.update import PriorLog, update
 from cellwise.identify.refinement.model_error import POINTS
-from cellwise.identify.soc_anchor import SocAnchor, full_before
+from cellwise.identify.soc_anchor import full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -117,14 +117,10 @@ def fit_prior(
     seen = seen_by(items, found)
     error, ocv_std = error_of(items, found, corrections)
     notices += notices_of(seen, name, prior)
-    starts = []
-    for item, soc0, std in zip(items, found.soc0, found.soc0_std, strict=True):
-        how = "stated" if item.log.soc0 is not None else f"by the OCV of {name}"
-        notices.append(f"'{item.log.name}' begins at SOC {soc0:.3f} +- {std:.3f} ({how})")
-        starts.append(Start(item.log, float(soc0), item.compare))
+    pairs = zip(items, found.soc0, strict=True)
+    starts = [Start(item.log, float(soc0), item.compare) for item, soc0 in pairs]
     for log, why in silent:
-        soc0 = initial_soc(found.model, log, whole_log=True).soc
-        starts.append(Start(log, soc0, None, why))
+        starts.append(Start(log, initial_soc(found.model, log).soc, None, why))
         notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
     std_Ah = fitted * corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
@@ -219,7 +215,7 @@ def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
         if not rows.any():
             items.append(one)
             continue
-        anchor = SocAnchor(one.soc0, one.soc0_std, "")
+        anchor = InitialSoc(one.soc0, one.soc0_std, "")
         full = full_before(log, rows, prior.capacity_Ah, anchor)
         if log.soc0 is None and full is not anchor:
             one = replace(one, soc0=full.soc, soc0_std=full.std, h0=1.0)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Effect
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
@@ -24,7 +25,7 @@ from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
-from cellwise.identify.soc_anchor import SocAnchor, anchor_soc, full_before
+from cellwise.identify.soc_anchor import anchor_soc, full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -228,7 +229,7 @@ def _candidates(
         yield Candidate(log, False, part, warm, own_capacity=own_capacity)
 
 
-def _left_out(c: Candidate, anchor: SocAnchor, capacity_Ah: float) -> str:
+def _left_out(c: Candidate, anchor: InitialSoc, capacity_Ah: float) -> str:
     """Why a log cannot take part; empty if it can."""
     if anchor.std > LIMITS.soc_std:
         return f"its SOC at the start is known to +-{100 * anchor.std:.0f} % only"

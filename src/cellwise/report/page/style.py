@@ -42,6 +42,7 @@ WIDTH_IN = 10.0
 PHONE_IN, PHONE_HEIGHT = 4.0, 0.9
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
+HEADING_PT = 11.5
 RASTER_DPI = 150
 
 CLOSELY: Any = {"path.simplify_threshold": 0.02}
@@ -129,6 +130,14 @@ def finding(axes: Axes, text: str, share: float = 0.9) -> None:
     """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
     width_in = 0.72 * PHONE_IN if on_phone() else share * WIDTH_IN
     axes.set_title("\n".join(wrapped(text, 72.0 * width_in)))
+
+
+def heading(figure: Figure, text: str) -> None:
+    """Title of a whole figure; on a phone in lines no wider than it, in its axes' size."""
+    size: float = _rc()["axes.titlesize"] if on_phone() else HEADING_PT
+    width_pt = 72.0 * (PHONE_IN if on_phone() else WIDTH_IN)
+    title = "\n".join(wrapped(text, 0.95 * width_pt * _rc()["axes.titlesize"] / size))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold")
 
 
 def wrapped(text: str, width_pt: float) -> list[str]:

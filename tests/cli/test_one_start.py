@@ -1,0 +1,74 @@
+"""One finder of the start: every command says of one log and model where it began."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise import read_log
+from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.model_file import read_model
+from cellwise.live import LiveFilter
+from cellwise.live.samples import Sample
+from cellwise.logs import write_log
+
+FROM, ROWS = 6000, 5000
+
+
+@pytest.fixture(scope="module")
+def cut(drive, tmp_path_factory) -> str:
+    """A drive that was cut under load, without a counter: nobody states where it begins."""
+    log = read_log(drive)
+    first = FROM + int(np.argmax(log.current_A[FROM:] > 2.0))
+    part = replace(log.part(first, first + ROWS), charge_Ah=None, soc0=None)
+    return str(write_log(part, tmp_path_factory.mktemp("cut") / "cut.parquet"))
+
+
+def test_commands_that_see_the_whole_log_find_one_start(model, cut, run_json):
+    start = run_json("simulate", "--model", model, cut)["soc0"]
+    assert start["how"].startswith("fit of the whole log")
+    found = {
+        "replay": run_json("replay", "--model", model, cut)["soc0_whole_log"]["value"],
+        "diagnose": run_json("diagnose", "--model", model, cut)["logs"][0]["soc0"],
+    }
+    assert found == dict.fromkeys(found, start["value"])
+    life = run_json("history", "--model", model, cut)["logs"][0]
+    assert abs(life["soc_start"] - start["value"]) < 2.0 * start["std"]
+
+
+def test_identify_says_what_simulate_finds_with_its_model(model, cut, run_json, tmp_path):
+    out = str(tmp_path / "updated.json")
+    given = ("--drive", cut, "--prior", model, "--nominal-ah", "5", "-o", out)
+    identified = run_json("identify", *given)
+    own = identified["own_logs"][0]
+    simulated = run_json("simulate", "--model", out, cut)
+    assert own["soc0"] == simulated["soc0"]["value"]
+    assert own["soc0_std"] == simulated["soc0"]["std"]
+    assert own["rmse_V"] == pytest.approx(simulated["rmse_V"])
+    assert any(f"begins at SOC {own['soc0']:.3f}" in n for n in identified["notices"])
+
+
+def test_what_works_online_begins_as_the_log_s_beginning_shows(model, cut, run_json, tmp_path):
+    """Replay and fleet do not see what comes; live sees one sample, in which the rest is less."""
+    log, own = read_log(cut), read_model(model)
+    start = run_json("replay", "--model", model, cut)["soc0"]
+    beginning = initial_soc(own, log)
+    assert (start["value"], start["std"]) == (beginning.soc, beginning.std)
+    live = LiveFilter(own)
+    live.take(Sample(float(log.time_s[0]), float(log.current_A[0]), float(log.voltage_V[0])))
+    assert live.start is not None
+    both = np.hypot(live.start.std, beginning.std)
+    assert abs(live.start.soc - beginning.soc) < 2.0 * both
+    assert live.start.std > 0.5 * beginning.std
+
+
+def test_a_reference_that_nobody_states_begins_where_the_whole_log_does(model, drive, run_json):
+    given = ("--reference-capacity-ah", "5")
+    found = run_json("replay", "--model", model, drive, *given)
+    stated = run_json(
+        *("replay", "--model", model, drive, *given, "--reference-soc0"),
+        str(found["soc0_whole_log"]["value"]),
+    )
+    assert found["soc_rmse"] == pytest.approx(stated["soc_rmse"], rel=1e-6)
