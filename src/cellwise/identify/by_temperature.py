@@ -10,7 +10,6 @@ from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
-    IdentifySettings,
     TestLogs,
     log_temperature_C,
 )
@@ -54,26 +53,28 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
     )
 
 
-def without_offsets(tests: TestLogs, default_C: float) -> tuple[TestLogs, list[str]]:
-    """The tests without the current sensor's offset in the low-rate tests that show one."""
-    corrected: list[CellLog] = []
+def without_offsets(
+    tests: TestLogs, default_C: float
+) -> tuple[TestLogs, list[LowRateTest], list[str]]:
+    """The tests and the low-rate ones by test, a sensor's offset taken out; what was found."""
+    corrected: list[LowRateTest] = []
     notices: list[str] = []
     for test in low_rate_tests(tests.ocv, default_C):
         logs, found = without_current_offset(test)
-        corrected += logs
+        corrected.append(logs)
         notices += found
-    return replace(tests, ocv=tuple(corrected)), notices
+    return replace(tests, ocv=tuple(log for t in corrected for log in t)), corrected, notices
 
 
-def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
+def grouped_by_temperature(
+    tests: TestLogs, low_rate: Sequence[LowRateTest], default: float
+) -> dict[float, TestLogs]:
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
     capacity tests do, where a temperature has two of them.
     """
-    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
-
-    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, default)
+    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, low_rate, default)
     home = min(merged, key=lambda x: abs(x - REFERENCE_C))
 
     def nearest(at: float) -> float:
@@ -83,9 +84,7 @@ def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[
         # Beside pulses the low-rate and capacity tests are those of the reference temperature.
         return home if tests.hppc else nearest(log_temperature_C(log, None, default))
 
-    low_rate = {
-        id(log): steady(test[0]) for test in low_rate_tests(tests.ocv, default) for log in test
-    }
+    slow = {id(log): steady(test[0]) for test in low_rate for log in test}
     return {
         t: TestLogs(
             hppc=tuple(
@@ -99,7 +98,7 @@ def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[
                 if nearest(log_temperature_C(log, at, default)) == t
             ),
             capacity=tuple(log for log in tests.capacity if steady(log) == t),
-            ocv=tuple(log for log in tests.ocv if low_rate[id(log)] == t),
+            ocv=tuple(log for log in tests.ocv if slow[id(log)] == t),
         )
         for t in merged
     }
@@ -118,14 +117,14 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
     return merged
 
 
-def _of_all(tests: TestLogs, default_C: float) -> list[float]:
+def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
     """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
 
     Tables of its own has a temperature with several loads. Where fewer than two have, all logs
     share those of the first drive's, with an activation energy.
     """
     known: list[tuple[CellLog, float | None]] = [
-        *((test[0], None) for test in low_rate_tests(tests.ocv, default_C)),
+        *((test[0], None) for test in low_rate),
         *tests.drive,
         *((log, None) for log in tests.capacity),
     ]

@@ -56,9 +56,9 @@ def fit_all_pulses(
     ------
     InputError        HPPC logs of a temperature without a pulse to fit, and no drive of it
     """
+    parts = grouped_by_temperature(checked.tests, checked.low_rate, checked.default_C)
     groups = tuple(
-        _group(temperature, part, ocv, capacity_Ah, settings)
-        for temperature, part in grouped_by_temperature(checked.tests, settings).items()
+        _group(temperature, part, ocv, capacity_Ah, settings) for temperature, part in parts.items()
     )
     slow = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
     return FittedPulses(groups, _exchanged(groups), tuple(n for n in slow if n))

@@ -11,7 +11,6 @@ import numpy as np
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.plausibility.simulated import MUCH_CHARGE
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import low_rate_tests
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.capacity.half_cycles import join_logs
@@ -122,7 +121,7 @@ def _tests(
     tests = checked.tests
     # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
     sources: list[CellLog | tuple[CellLog, ...]] = [
-        *low_rate_tests(tests.ocv, checked.default_C),
+        *checked.low_rate,
         *tests.capacity,
     ]
     if not sources:
