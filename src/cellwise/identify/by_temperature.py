@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.current_offset import without_current_offset
@@ -15,11 +16,17 @@ from cellwise.identify.identification import (
 )
 from cellwise.logs.cell_log import CellLog
 
-SAME_TEMPERATURE_C = 3.0
-OWN_TABLES_C = 5.0  # without pulses: logs nearer than this share their tables
-LEAST_LOADS = 2  # that a temperature without pulses needs for tables of its own
-WHOLE = 0.5  # of the largest discharge: the last per cent of a test is not a test of its own
 
+class _Together(NamedTuple):
+    """Which logs are of one test, or of one temperature."""
+
+    same_C: float = 3.0  # what a chamber and a measured median differ by
+    own_tables_C: float = 5.0  # without pulses: logs nearer than this share their tables
+    loads: int = 2  # that a temperature without pulses needs for tables of its own
+    whole: float = 0.5  # of the largest discharge: a test's last per cent is no test of its own
+
+
+LIMITS = _Together()
 LowRateTest = tuple[CellLog, ...]
 
 
@@ -35,8 +42,8 @@ def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> l
     head_C = default_C
     for log, size in zip(logs, sizes, strict=True):
         at = log_temperature_C(log, None, default_C)
-        whole = most > 0.0 and size >= WHOLE * most
-        if not found or (whole and abs(at - head_C) > SAME_TEMPERATURE_C):
+        whole = most > 0.0 and size >= LIMITS.whole * most
+        if not found or (whole and abs(at - head_C) > LIMITS.same_C):
             found.append([log])
             head_C = at
         else:
@@ -112,7 +119,7 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
     }
     merged: list[float] = []
     for t in sorted(stated | measured):
-        if not merged or t - merged[-1] > SAME_TEMPERATURE_C or t in stated:
+        if not merged or t - merged[-1] > LIMITS.same_C or t in stated:
             merged.append(t)
     return merged
 
@@ -134,10 +141,10 @@ def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) 
             continue  # nothing is known of it
         at = log_temperature_C(log, stated, default_C)
         near = min(found, key=lambda t: abs(t - at), default=at)
-        if abs(at - near) > OWN_TABLES_C or not found:
+        if abs(at - near) > LIMITS.own_tables_C or not found:
             near = float(round(at))
         found[near] = found.get(near, 0) + 1
-    several = sorted(t for t, loads in found.items() if loads >= LEAST_LOADS)
+    several = sorted(t for t, loads in found.items() if loads >= LIMITS.loads)
     if len(several) > 1:
         return several
     first = [log_temperature_C(log, t, default_C) for log, t in tests.drive[:1]]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.papers.swarm import SLOWEST_S, SwarmOptions, costs_of, fit_swarm
+from cellwise.identify.papers.swarm import BOX, SwarmOptions, costs_of, fit_swarm
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
@@ -21,7 +21,7 @@ def test_defaults_are_the_papers():
     assert (options.particles, options.neighbours, options.iterations) == (64, 8, 180)
     assert options.cognition == 4.1
     assert options.free == 5
-    assert SLOWEST_S == 120.0
+    assert BOX.slowest_s == 120.0
 
 
 def test_comes_close_to_the_optimum_with_five_free_parameters():

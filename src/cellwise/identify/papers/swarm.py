@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -27,12 +27,20 @@ from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
-# The paper's search: tau1 a few seconds, tau2 up to two minutes [s].
-FASTEST_S, BETWEEN_S, SLOWEST_S = 0.5, 15.0, 120.0
-LEAST_RATIO = 1.5  # between the time constants, where a window leaves the paper's range little room
-OCV_REST_S = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
-WALL = -0.5  # a particle that leaves the search box is put on its wall and turned back at half pace
-OCV_ROOM = 0.1  # search range of a free OCV over the voltage swing of the window
+
+class _Box(NamedTuple):
+    """The box that is searched: tau1 a few seconds and tau2 up to two minutes, as in the paper."""
+
+    fastest_s: float = 0.5
+    between_s: float = 15.0
+    slowest_s: float = 120.0
+    ratio: float = 1.5  # between the time constants, where a window leaves little room
+    rest_s: float = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
+    ocv: float = 0.1  # room of a free OCV over the voltage swing of the window
+    wall: float = -0.5  # a particle that leaves is put on the wall and turned back at half pace
+
+
+BOX = _Box()
 
 
 @dataclass(frozen=True)
@@ -110,17 +118,17 @@ def _box(circuit: Circuit, free: int) -> tuple[FloatArray, FloatArray]:
     The paper's time constants, within what the window can show.
     """
     data, window = circuit.data, circuit.tau_bounds()
-    slowest, fastest = min(SLOWEST_S, window.slowest_s), max(FASTEST_S, window.fastest_s)
-    between = float(np.clip(BETWEEN_S, LEAST_RATIO * fastest, slowest / LEAST_RATIO))
+    slowest, fastest = min(BOX.slowest_s, window.slowest_s), max(BOX.fastest_s, window.fastest_s)
+    between = float(np.clip(BOX.between_s, BOX.ratio * fastest, slowest / BOX.ratio))
     swing = float(np.ptp(data.voltage_V))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]
-    rest = slice(int(np.searchsorted(data.time_s, before - OCV_REST_S)), max(data.start, 1))
+    rest = slice(int(np.searchsorted(data.time_s, before - BOX.rest_s)), max(data.start, 1))
     ocv = float(np.mean(circuit.known[rest]))
     low = np.array([0.0, 0.0, fastest, 0.0, between, ocv, 0.0])
     high = np.array([most, most, between, most, slowest, ocv, 0.0])
     if free == 7:
-        low[5], high[5] = ocv - OCV_ROOM * swing, ocv + OCV_ROOM * swing
+        low[5], high[5] = ocv - BOX.ocv * swing, ocv + BOX.ocv * swing
         moved = max(float(np.ptp(circuit.x)), 1e-9)
         high[6] = 0.0 if circuit.table_slope_V is not None else 2.0 * swing / moved
     return low, high
@@ -149,7 +157,7 @@ def _swarm(
         velocity *= chi
         position += velocity
         outside = (position < low) | (position > high)
-        velocity[outside] *= WALL
+        velocity[outside] *= BOX.wall
         np.clip(position, low, high, out=position)
         cost = costs_of(circuit, position)
         better = cost < best_cost

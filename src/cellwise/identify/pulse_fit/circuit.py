@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,11 +34,19 @@ from cellwise.typing import FloatArray
 # for days jitter in the last digits.
 SAME_INTERVAL = 1e-7
 FASTEST_TAU_S = 0.5  # a pulse is searched down to it, where sampling allows
-THIN_ABOVE = 800  # rows: fewer are searched as they are
-THIN_PART = 0.03  # of the time since the last step
-STEP_OF_PEAK = 0.01  # a change of the current that is a step
 DERIVATIVE_STEP = 1e-3  # of ln tau
 SMALLEST_EIGENVALUE = 1e-15  # of the scaled normal equations: below is rounding
+
+
+class _Thinned(NamedTuple):
+    """Rows for a search."""
+
+    above: int = 800  # rows: fewer are searched as they are
+    part: float = 0.03  # of the time since the last step: so long is a group of rows
+    step: float = 0.01  # of the largest current: so large a change is a step
+
+
+THINNED = _Thinned()
 
 
 @dataclass(frozen=True)
@@ -107,16 +116,16 @@ class Circuit:
     def thinned(self) -> Circuit:
         """Neighbouring rows averaged, finer after a step of the current: enough for a search.
 
-        A group of rows spans `THIN_PART` of the time since the last step, so against the rows that
+        A group of rows spans a small part of the time since the last step, so against the rows that
         it replaces it errs by the square of that; rows at a step stay alone.
         """
-        if self.dt_s.size <= THIN_ABOVE:
+        if self.dt_s.size <= THINNED.above:
             return self
         time = np.cumsum(self.dt_s)
         peak = np.max(np.abs(self.current_A))
-        steps = np.abs(np.diff(self.current_A, prepend=self.current_A[0])) > STEP_OF_PEAK * peak
+        steps = np.abs(np.diff(self.current_A, prepend=self.current_A[0])) > THINNED.step * peak
         last = np.maximum.accumulate(np.where(steps, time - self.dt_s, 0.0))
-        age = np.log(np.maximum(time - last, 1e-9)) / THIN_PART
+        age = np.log(np.maximum(time - last, 1e-9)) / THINNED.part
         begins = np.diff(np.floor(age), prepend=np.nan) != 0.0
         for shift in (-1, 0, 1):
             begins |= np.roll(steps, shift)
