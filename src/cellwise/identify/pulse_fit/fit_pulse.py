@@ -29,7 +29,9 @@ SEARCH = {"xatol": 1e-4, "fatol": 1e-10, "maxfev": 200}  # of the range of ln ta
 AT_BOUND = 1e-3  # of the range of ln tau
 
 
-def fit_pulse(data: PulseData, method: Method = "varpro") -> PulseFit:
+def fit_pulse(
+    data: PulseData, method: Method = "varpro", rng: np.random.Generator | None = None
+) -> PulseFit:
     """Parameters of one pulse.
 
     Parameters
@@ -37,6 +39,7 @@ def fit_pulse(data: PulseData, method: Method = "varpro") -> PulseFit:
     data : PulseData          see `cut_pulse`
     method : str              ``varpro``: least squares by variable projection (default);
                               ``segments``: closed formulas on three points; ``pso``: swarm
+    rng : numpy Generator     of the swarm; by default one seeded with 0
 
     Returns
     -------
@@ -51,7 +54,7 @@ def fit_pulse(data: PulseData, method: Method = "varpro") -> PulseFit:
     if method == "segments":
         return fit_segments(data)
     if method == "pso":
-        return fit_swarm(data)
+        return fit_swarm(data, rng=rng)
     raise InputError(
         f"method {method!r}", "'varpro', 'segments' or 'pso'", "Choose one of the three."
     )
@@ -59,7 +62,8 @@ def fit_pulse(data: PulseData, method: Method = "varpro") -> PulseFit:
 
 def fit_pulses(pulses: Sequence[PulseData], method: Method = "varpro") -> list[PulseFit]:
     """Parameters of all pulses of a test, in the order given; see `fit_pulse`."""
-    return [fit_pulse(data, method) for data in pulses]
+    rng = np.random.default_rng(0)  # one for all: alike draws would err alike
+    return [fit_pulse(data, method, rng) for data in pulses]
 
 
 def fit_varpro(data: PulseData, bounds: TauBounds | None = None) -> PulseFit:
@@ -87,7 +91,7 @@ def fit_varpro(data: PulseData, bounds: TauBounds | None = None) -> PulseFit:
 
 
 class _Point(NamedTuple):
-    """A point of the plane, and the mean square of what is left there [V^2]."""
+    """A point of the plane, and the mean square of the residual there [V^2]."""
 
     at: FloatArray
     left: float
@@ -219,7 +223,7 @@ def _solved(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    left : (...) float            what is left of the voltage's mean square [V^2]
+    left : (...) float            mean square of the residual [V^2]
     unknowns : (..., k) float
     """
     k = gram.shape[-1] - 1
