@@ -16,8 +16,7 @@ IDENTIFY = "cellwise.identify"
 PLATEAUS, PHASES = f"{IDENTIFY}.hppc.plateaus", f"{IDENTIFY}.hppc.phases"
 PULSES, QUALITY = f"{IDENTIFY}.hppc.pulses", f"{IDENTIFY}.hppc.pulse_quality"
 WINDOW = f"{IDENTIFY}.pulse_fit.pulse_window"
-DATA, FIT = f"{IDENTIFY}.pulse_fit.pulse_data", f"{IDENTIFY}.pulse_fit.fit_pulse"
-VARPRO = f"{IDENTIFY}.pulse_fit.varpro"
+DATA = f"{IDENTIFY}.pulse_fit.pulse_data"
 CURVE, RESTS, LOW = (f"{IDENTIFY}.ocv.{m}" for m in ("curve", "ocv_rests", "ocv_lowrate"))
 SPLINE, POINTS = f"{IDENTIFY}.ocv.ocv_spline", f"{IDENTIFY}.ocv.ocv_points"
 TESTED = f"{IDENTIFY}.capacity.capacity_test"
@@ -107,13 +106,9 @@ RULES = (
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
     Rule("edges of a misfit", _record(passive_misfit, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
+    Rule("what was before a pulse", _record(pulse_window, "LIMITS", before_s=0.0)),
     Rule("balanced rows", ((DATA, "BALANCE_LIMITS", (1.0, 1.0)),)),
     Rule("minutes of a move", _record(pulse_window, "LIMITS", step_s=1e9)),
-    Rule("trend", ((FIT, "local_trends", lambda fits: [None] * len(fits)),)),
-    Rule("bends", ((VARPRO, "_with_bends", lambda _, __, x, ___: x),)),
-    Rule("held at the start", ((VARPRO, "_with_initial", lambda _, __, x, ___, ____: x),)),
-    Rule("errors along the valley", ((VARPRO, "profile_errors", lambda *x: x[-1]),)),
-    Rule("rows thinned", ((VARPRO, "thinned", _first),)),
     Rule(
         "variable projection",
         ((FITTED_PULSES, "fit_pulses", _by_segments),),

@@ -21,7 +21,7 @@ from benchmarks.speed.synthetic_truth import (
     synthetic_hppc,
 )
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.papers.swarm import SwarmOptions
+from cellwise.identify.papers.swarm import SwarmOptions, fit_swarm
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_window import cut_pulses
@@ -90,7 +90,7 @@ def _one_per_level(pulses: Sequence[PulseData]) -> list[PulseData]:
 def _ours(pulse: PulseData, swarm: SwarmOptions | None) -> Fitted:
     if swarm is not None:
         began = time.perf_counter()
-        fit = fit_pulse(pulse, "pso", swarm, rng=np.random.default_rng(0))
+        fit = fit_swarm(pulse, swarm)
         seconds = time.perf_counter() - began
     else:
         fit = fit_pulse(pulse)
@@ -166,7 +166,7 @@ def _promises(
         for pulse in pulses[:: max(1, len(pulses) // OTHER_PULSES)]:
             best = fit_pulse(pulse).rmse_V
             for options in (SwarmOptions(), SwarmOptions(free=7)):
-                swarm = fit_pulse(pulse, "pso", options, rng=np.random.default_rng(0))
+                swarm = fit_swarm(pulse, options)
                 compared += 1
                 worse += best > (1.0 + WORSE_BY) * swarm.rmse_V
         sources.append(name)

@@ -11,7 +11,7 @@ from cellwise.identify.by_temperature import (
     nearest_test,
     without_offsets,
 )
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import TestLogs
 from cellwise.logs.cell_log import CellLog
 
 
@@ -64,7 +64,7 @@ def test_without_pulses_a_temperature_with_several_tests_has_tables():
         capacity=(*capacity(25.0), *capacity(-21.0), log("hot", 40.0, 1.4, hours=2.0)),
         drive=((log("drive", 11.0, 1.5, hours=0.2), None), stated),
     )
-    found = grouped_by_temperature(tests, IdentifySettings())
+    found = grouped_by_temperature(tests, low_rate_tests(tests.ocv), 25.0)
     assert list(found) == [-20.0, 25.0]
     assert names(found[-20.0].ocv) == ["cold"]
     assert names(found[-20.0].capacity) == ["0.5C", "1C"]
@@ -76,14 +76,16 @@ def test_without_pulses_a_temperature_with_several_tests_has_tables():
 
 def test_one_drive_a_temperature_shares_its_tables():
     drives = ((log("a", 35.0, 1.5, hours=0.2), None), (log("b", 5.0, 1.5, hours=0.2), None))
-    found = grouped_by_temperature(TestLogs(ocv=(WARM,), drive=drives), IdentifySettings())
+    found = grouped_by_temperature(TestLogs(ocv=(WARM,), drive=drives), [(WARM,)], 25.0)
     assert list(found) == [35.0]
     assert names(found[35.0].ocv) == ["warm"]
 
 
 def test_beside_pulses_steady_tests_are_those_of_the_reference():
     pulses = ((log("p25", 25.0, 1.5, hours=0.2), None), (log("p0", 0.0, 1.5, hours=0.2), None))
-    found = grouped_by_temperature(TestLogs(hppc=pulses, ocv=(WARM, COLD)), IdentifySettings())
+    found = grouped_by_temperature(
+        TestLogs(hppc=pulses, ocv=(WARM, COLD)), [(WARM,), (COLD,)], 25.0
+    )
     assert list(found) == [0.0, 25.0]
     assert names(found[25.0].ocv) == ["warm", "cold"]
     assert found[0.0].ocv == ()
@@ -92,6 +94,6 @@ def test_beside_pulses_steady_tests_are_those_of_the_reference():
 @pytest.mark.parametrize("given", [(WARM, COLD), (COLD, WARM)])
 def test_tests_of_two_temperatures_are_not_one_with_an_offset(given):
     # 3.0 Ah out at 25 degC and 2.4 Ah at -20 degC are no sensor's offset.
-    tests, notices = without_offsets(TestLogs(ocv=given), 25.0)
+    tests, _, notices = without_offsets(TestLogs(ocv=given), 25.0)
     assert names(tests.ocv) == names(given)
     assert notices == []

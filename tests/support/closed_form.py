@@ -77,15 +77,12 @@ def closed_pulse(
     pulse_s: float = 60.0,
     capacity: float = 40.0,
     noise: Array | float = 0.0,
-    rest_before_s: float | None = 1e4,
 ) -> PulseData:
     """The pulse as the package takes it."""
     flow, v = closed_form(circuit, t, current, pulse_s, capacity)
     start = int(np.argmax(flow != 0.0))
     stop = start + int(np.count_nonzero(flow))
-    return pulse_from_arrays(
-        t, flow, v + noise, start, stop, capacity, soc_start=0.5, rest_before_s=rest_before_s
-    )
+    return pulse_from_arrays(t, flow, v + noise, start, stop, capacity, soc_start=0.5)
 
 
 def random_circuit(rng: np.random.Generator) -> Circuit:

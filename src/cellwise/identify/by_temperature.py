@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
-    IdentifySettings,
     TestLogs,
     log_temperature_C,
 )
 from cellwise.logs.cell_log import CellLog
 
-SAME_TEMPERATURE_C = 3.0
-OWN_TABLES_C = 5.0  # without pulses: logs nearer than this share their tables
-LEAST_LOADS = 2  # that a temperature without pulses needs for tables of its own
-WHOLE = 0.5  # of the largest discharge: the last per cent of a test is not a test of its own
 
+class _Together(NamedTuple):
+    """Which logs are of one test, or of one temperature."""
+
+    same_C: float = 3.0  # what a chamber and a measured median differ by
+    own_tables_C: float = 5.0  # without pulses: logs nearer than this share their tables
+    loads: int = 2  # that a temperature without pulses needs for tables of its own
+    whole: float = 0.5  # of the largest discharge: a test's last per cent is no test of its own
+
+
+LIMITS = _Together()
 LowRateTest = tuple[CellLog, ...]
 
 
@@ -36,8 +42,8 @@ def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> l
     head_C = default_C
     for log, size in zip(logs, sizes, strict=True):
         at = log_temperature_C(log, None, default_C)
-        whole = most > 0.0 and size >= WHOLE * most
-        if not found or (whole and abs(at - head_C) > SAME_TEMPERATURE_C):
+        whole = most > 0.0 and size >= LIMITS.whole * most
+        if not found or (whole and abs(at - head_C) > LIMITS.same_C):
             found.append([log])
             head_C = at
         else:
@@ -54,26 +60,28 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
     )
 
 
-def without_offsets(tests: TestLogs, default_C: float) -> tuple[TestLogs, list[str]]:
-    """The tests without the current sensor's offset in the low-rate tests that show one."""
-    corrected: list[CellLog] = []
+def without_offsets(
+    tests: TestLogs, default_C: float
+) -> tuple[TestLogs, list[LowRateTest], list[str]]:
+    """The tests and the low-rate ones by test, a sensor's offset taken out; what was found."""
+    corrected: list[LowRateTest] = []
     notices: list[str] = []
     for test in low_rate_tests(tests.ocv, default_C):
         logs, found = without_current_offset(test)
-        corrected += logs
+        corrected.append(logs)
         notices += found
-    return replace(tests, ocv=tuple(corrected)), notices
+    return replace(tests, ocv=tuple(log for t in corrected for log in t)), corrected, notices
 
 
-def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[float, TestLogs]:
+def grouped_by_temperature(
+    tests: TestLogs, low_rate: Sequence[LowRateTest], default: float
+) -> dict[float, TestLogs]:
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
     capacity tests do, where a temperature has two of them.
     """
-    default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
-
-    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, default)
+    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, low_rate, default)
     home = min(merged, key=lambda x: abs(x - REFERENCE_C))
 
     def nearest(at: float) -> float:
@@ -83,9 +91,7 @@ def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[
         # Beside pulses the low-rate and capacity tests are those of the reference temperature.
         return home if tests.hppc else nearest(log_temperature_C(log, None, default))
 
-    low_rate = {
-        id(log): steady(test[0]) for test in low_rate_tests(tests.ocv, default) for log in test
-    }
+    slow = {id(log): steady(test[0]) for test in low_rate for log in test}
     return {
         t: TestLogs(
             hppc=tuple(
@@ -99,7 +105,7 @@ def grouped_by_temperature(tests: TestLogs, settings: IdentifySettings) -> dict[
                 if nearest(log_temperature_C(log, at, default)) == t
             ),
             capacity=tuple(log for log in tests.capacity if steady(log) == t),
-            ocv=tuple(log for log in tests.ocv if low_rate[id(log)] == t),
+            ocv=tuple(log for log in tests.ocv if slow[id(log)] == t),
         )
         for t in merged
     }
@@ -113,19 +119,19 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
     }
     merged: list[float] = []
     for t in sorted(stated | measured):
-        if not merged or t - merged[-1] > SAME_TEMPERATURE_C or t in stated:
+        if not merged or t - merged[-1] > LIMITS.same_C or t in stated:
             merged.append(t)
     return merged
 
 
-def _of_all(tests: TestLogs, default_C: float) -> list[float]:
+def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
     """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
 
     Tables of its own has a temperature with several loads. Where fewer than two have, all logs
     share those of the first drive's, with an activation energy.
     """
     known: list[tuple[CellLog, float | None]] = [
-        *((test[0], None) for test in low_rate_tests(tests.ocv, default_C)),
+        *((test[0], None) for test in low_rate),
         *tests.drive,
         *((log, None) for log in tests.capacity),
     ]
@@ -135,10 +141,10 @@ def _of_all(tests: TestLogs, default_C: float) -> list[float]:
             continue  # nothing is known of it
         at = log_temperature_C(log, stated, default_C)
         near = min(found, key=lambda t: abs(t - at), default=at)
-        if abs(at - near) > OWN_TABLES_C or not found:
+        if abs(at - near) > LIMITS.own_tables_C or not found:
             near = float(round(at))
         found[near] = found.get(near, 0) + 1
-    several = sorted(t for t, loads in found.items() if loads >= LEAST_LOADS)
+    several = sorted(t for t, loads in found.items() if loads >= LIMITS.loads)
     if len(several) > 1:
         return several
     first = [log_temperature_C(log, t, default_C) for log, t in tests.drive[:1]]

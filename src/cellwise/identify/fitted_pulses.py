@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,11 +18,8 @@ from cellwise.identify.identification import IdentifySettings, PulseSet, TestLog
 from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_window import (
-    cut_pulses,
-    has_enough_rows,
-    slow_rows_notice,
-)
+from cellwise.identify.pulse_fit.pulse_data import has_enough_rows
+from cellwise.identify.pulse_fit.pulse_window import cut_pulses, slow_rows_notice
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.tables import GRID_POINTS, PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
@@ -58,9 +56,9 @@ def fit_all_pulses(
     ------
     InputError        HPPC logs of a temperature without a pulse to fit, and no drive of it
     """
+    parts = grouped_by_temperature(checked.tests, checked.low_rate, checked.default_C)
     groups = tuple(
-        _group(temperature, part, ocv, capacity_Ah, settings)
-        for temperature, part in grouped_by_temperature(checked.tests, settings).items()
+        _group(temperature, part, ocv, capacity_Ah, settings) for temperature, part in parts.items()
     )
     slow = (slow_rows_notice(p.log, p.fitted) for g in groups for p in g.pulse_sets)
     return FittedPulses(groups, _exchanged(groups), tuple(n for n in slow if n))
@@ -91,17 +89,20 @@ def _pulse_set(
     pulses = find_pulses(log)
     anchor = anchor_soc(log, ocv, capacity_Ah, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
-    chosen = tuple(
-        p
-        for p in pulses_to_fit(pulses)
-        if -0.02 <= soc[p.start] <= 1.02
-        and abs(p.charge_Ah) <= LARGEST_PULSE * capacity_Ah
-        and has_enough_rows(log, p)
-    )
-    if not chosen:
-        return PulseSet(log, anchor, pulses, (), ())
-    cut = cut_pulses(log, chosen, capacity_Ah, soc, step_ocv=ocv.function.evaluate)
-    return PulseSet(log, anchor, pulses, chosen, tuple(fit_pulses(cut, settings.method)))
+    table = ocv.function.evaluate
+    cut = []
+    for p in pulses_to_fit(pulses):
+        inside = -0.02 <= soc[p.start] <= 1.02
+        if not inside or abs(p.charge_Ah) > LARGEST_PULSE * capacity_Ah:
+            continue
+        # A paper's method takes the OCV of a pulse from the rest before it.
+        own = table if settings.method == "varpro" or p.role == "move" else None
+        with suppress(InputError):  # too few rows
+            cut += [
+                (p, d) for d in cut_pulses(log, [p], capacity_Ah, soc, own) if has_enough_rows(d)
+            ]
+    fits = fit_pulses([d for _, d in cut], settings.method)
+    return PulseSet(log, anchor, pulses, tuple(p for p, _ in cut), tuple(fits))
 
 
 def _exchanged(groups: Sequence[Group]) -> tuple[Notice, ...]:

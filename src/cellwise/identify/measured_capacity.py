@@ -11,7 +11,6 @@ import numpy as np
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.plausibility.simulated import MUCH_CHARGE
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import low_rate_tests
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.capacity.half_cycles import join_logs
@@ -122,7 +121,7 @@ def _tests(
     tests = checked.tests
     # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
     sources: list[CellLog | tuple[CellLog, ...]] = [
-        *low_rate_tests(tests.ocv, checked.default_C),
+        *checked.low_rate,
         *tests.capacity,
     ]
     if not sources:
@@ -190,11 +189,17 @@ def _empty_before(tests: TestLogs, nominal_Ah: float) -> list[Notice]:
     return [Notice(RANGE_V * math.log(nominal_Ah / total), text)]
 
 
-CLIMBS = 2.0  # a log that brings back so many times what it takes climbs
-# At the lower limit the voltage falls this much faster than in the middle, in every chemistry.
-STEEP_END = 4.0
-WHOLE_CELL = 0.7  # of nominal: a test that moved less went through a part of the SOC range
-NEARLY_WHOLE = 0.97  # of nominal: a test that does not end empty and yet is the whole cell
+class _PulseTest(NamedTuple):
+    """When the charge of a pulse test is the capacity."""
+
+    climbs: float = 2.0  # a log that brings back so many times what it takes climbs
+    # At the lower limit the voltage falls this much faster than in the middle, in every chemistry.
+    steep_end: float = 4.0
+    ends_empty: float = 0.7  # of nominal: a test that moved less went through a part of the range
+    nearly: float = 0.97  # of nominal: a test that does not end empty and yet is the whole cell
+
+
+PULSE_TEST = _PulseTest()
 
 
 def whole_hppc_Ah(
@@ -220,7 +225,7 @@ def whole_hppc_Ah(
                 "for the capacity, for want of a nominal one"
             )
         return total
-    if total >= (WHOLE_CELL if whole else NEARLY_WHOLE) * nominal_Ah:
+    if total >= (PULSE_TEST.ends_empty if whole else PULSE_TEST.nearly) * nominal_Ah:
         return total
     notices.append(
         f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
@@ -238,7 +243,7 @@ def hppc_total_Ah(log: CellLog | Sequence[CellLog]) -> float:
     charge = join_logs(log).charge_Ah
     down = float(np.max(charge - np.minimum.accumulate(charge)))
     up = float(np.max(np.maximum.accumulate(charge) - charge))
-    return up if up > CLIMBS * down else down
+    return up if up > PULSE_TEST.climbs * down else down
 
 
 def hppc_reaches_empty(log: CellLog) -> bool:
@@ -250,7 +255,7 @@ def hppc_reaches_empty(log: CellLog) -> bool:
     most = max((p.charge_Ah for p in steps), default=0.0)
     ends = [_end_slope(log, p) for p in steps if p.charge_Ah >= 0.1 * most]
     ends = [slope for slope in ends if np.isfinite(slope)]
-    return len(ends) > 1 and ends[-1] >= STEEP_END * float(np.median(ends))
+    return len(ends) > 1 and ends[-1] >= PULSE_TEST.steep_end * float(np.median(ends))
 
 
 def _end_slope(log: CellLog, step: Phase) -> float:

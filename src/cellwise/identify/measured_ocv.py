@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import low_rate_tests, nearest_test
+from cellwise.identify.by_temperature import nearest_test
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
@@ -39,7 +39,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     """
     tests = checked.tests
     notices: list[str] = []
-    slow = nearest_test(low_rate_tests(tests.ocv, checked.default_C), checked.default_C)
+    slow = nearest_test(checked.low_rate, checked.default_C)
     low_rate = None
     if slow:
         low_rate = ocv_from_low_rate(slow if len(slow) > 1 else slow[0], capacity_Ah=capacity_Ah)

@@ -166,14 +166,6 @@ def test_missing_samples_are_bridged_by_the_last_known():
     assert kinds(find_phases(log)) == kinds(find_phases(made.log))
 
 
-def test_a_rest_current_may_be_given():
-    current = np.zeros(2000)
-    current[500:1000], current[1500:] = 0.05, 3.0
-    log = driven_log(nmc_cell(), current, 1.0)
-    assert kinds(find_phases(log)) == ["rest", "cc", "rest", "cc"]
-    assert kinds(find_phases(log, rest_current_A=0.1)) == ["rest", "cc"]
-
-
 def real(folder, name):
     import pandas as pd
 

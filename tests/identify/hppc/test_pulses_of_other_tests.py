@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.pulse_fit.pulse_window import cut_pulse, has_enough_rows
 from cellwise.logs import read_log
 from rich_cell import Logger, gitt, rich_nmc, run
 
@@ -62,13 +61,6 @@ def test_a_charger_may_be_noisier_than_the_load(seed):
     assert [p.kind for p in short] == ["discharge", "charge"] * 8
     charges = [p.duration_s for p in short if p.kind == "charge"]
     np.testing.assert_allclose(charges, 100.0, atol=2.0)
-
-
-def test_too_few_rows_leave_a_pulse_out_and_not_the_log():
-    log = run(CELL, gitt(CELL, step=0.05, rest_s=600.0), 1.0, Logger(120.0), seed=1).log
-    for pulse in find_pulses(log):
-        if has_enough_rows(log, pulse):
-            assert len(cut_pulse(log, pulse.start, pulse.stop, 3.0)) >= 12
 
 
 @pytest.mark.parametrize("name", ["1c_p20", "1c_p30", "1c_p40", "2c_p20", "2c_p30", "2c_p40"])

@@ -88,20 +88,6 @@ def test_one_log_or_several_that_follow_one_another():
     )
 
 
-def test_known_resistance_takes_the_polarisation_out_of_one_branch():
-    ohmic = ocv_from_low_rate(down(gap=2 * CURRENT_A * 0.1), resistance_ohm=0.1)
-    assert ohmic.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
-    assert ohmic.charge_V is None
-    assert ohmic.gap_V is None
-
-
-def test_branches_can_be_asked_for():
-    logs = [down(), up()]
-    for use, shift in (("discharge", -0.02), ("charge", 0.02), ("mean", 0.0)):
-        curve = ocv_from_low_rate(logs, use=use)
-        assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) + shift, abs=1e-3)
-
-
 def test_incomplete_charge_is_kept_but_not_averaged_in():
     curve = ocv_from_low_rate([down(), up(0.0, 0.85)])
     assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
@@ -148,12 +134,6 @@ def test_charge_alone():
 def test_discharge_that_stops_early_says_so():
     curve = ocv_from_low_rate(down(1.0, 0.47))
     assert any("give capacity_Ah" in note for note in curve.notes)
-
-
-@pytest.mark.parametrize("use", ["charge", "mean"])
-def test_missing_branch_is_refused(use):
-    with pytest.raises(InputError, match="branch"):
-        ocv_from_low_rate(down(), use=use)
 
 
 def test_fast_logs_and_rests_are_refused():

@@ -18,7 +18,7 @@ def test_r0_of_a_step_is_not_that_of_minutes(rate, period_s):
     log = run(CELL, gitt(CELL, rate=rate, rest_s=3600.0), 1.0, Logger(period_s), seed=3).log
     chosen = pulses_to_fit(find_pulses(log))
     soc = 1.0 - log.counted_charge_Ah() / 3.0
-    fits = fit_pulses(cut_pulses(log, chosen, 3.0, soc, step_ocv=CELL.ocv_V))
+    fits = fit_pulses(cut_pulses(log, chosen, 3.0, soc, CELL.ocv_V))
     at = np.array([f.soc for f in fits])
     after = CELL.r0_ohm(at)
     for r, tau in CELL.branches:

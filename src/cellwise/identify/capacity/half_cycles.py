@@ -108,15 +108,9 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
     )
 
 
-def find_half_cycles(trace: Trace, *, turn_of_range: float = LIMITS.turn) -> tuple[HalfCycle, ...]:
-    """Stretches between the turning points of the counted charge.
-
-    Parameters
-    ----------
-    trace : Trace
-    turn_of_range : float        share of the charge's range that a turn must come back by
-    """
-    turns = _turning_rows(trace.charge_Ah, turn_of_range * float(np.ptp(trace.charge_Ah)))
+def find_half_cycles(trace: Trace) -> tuple[HalfCycle, ...]:
+    """Stretches between the turning points of the counted charge."""
+    turns = _turning_rows(trace.charge_Ah, LIMITS.turn * float(np.ptp(trace.charge_Ah)))
     found = (_half_cycle(trace, a + 1, b + 1) for a, b in itertools.pairwise(turns))
     return tuple(h for h in found if h is not None)
 

@@ -93,14 +93,8 @@ class _Signals(NamedTuple):
         return bool(np.max(np.abs(v - at_V)) <= 2.0 * self.tolerance_V)
 
 
-def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[Phase, ...]:
+def find_phases(log: CellLog) -> tuple[Phase, ...]:
     """Cut a log into phases that follow one another without gap or overlap.
-
-    Parameters
-    ----------
-    log : CellLog
-    rest_current_A : float       current up to which the cell rests [A]; default: from the
-                                 noise, zero and range of the current
 
     Returns
     -------
@@ -108,8 +102,6 @@ def find_phases(log: CellLog, *, rest_current_A: float | None = None) -> tuple[P
     """
     current = log.known_current_A()
     scale = current_scale(current)
-    if rest_current_A is not None:
-        scale = scale._replace(rest_A=rest_current_A, zero_A=0.0)
     voltage = filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
     plateaus = without_ramps(find_plateaus(current, scale), log.time_s)

@@ -147,7 +147,7 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
 
 
-def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Plateaus:
+def without_ramps(p: Plateaus, time_s: FloatArray) -> Plateaus:
     """Drop the short pieces into which a slow rise breaks between two levels.
 
     They are a few rows long, lead from the one level towards the other without turning back, and
@@ -157,7 +157,6 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Pl
     ----------
     p : Plateaus
     time_s : (n,) float       [s]
-    ramp_s : float            longest rise [s]
     """
     short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
     short[:1] = short[-1:] = False
@@ -167,7 +166,7 @@ def without_ramps(p: Plateaus, time_s: FloatArray, ramp_s: float = RISE_S) -> Pl
         return p
     kept = np.ones(p.start.size, dtype=np.bool_)
     took = time_s[p.start[last + 1] - 1] - time_s[p.stop[first - 1] - 1]
-    for a, b in zip(first[took <= ramp_s], last[took <= ramp_s], strict=True):
+    for a, b in zip(first[took <= RISE_S], last[took <= RISE_S], strict=True):
         climb = np.diff(p.level_A[a - 1 : b + 2])
         kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
     return _chosen(p, kept)

@@ -106,7 +106,7 @@ def curve_from_points(
     )
 
 
-def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None) -> OcvCurve:
+def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
     r"""Shape of the low-rate curve, level and scale of the rests.
 
     A low-rate branch sees every bend of the OCV but carries polarisation, and half of the
@@ -121,7 +121,6 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None
     Parameters
     ----------
     rests, low_rate : OcvCurve        SOC of both over the same capacity
-    kind : str                        form of the result's function, default the spline
 
     Returns
     -------
@@ -154,7 +153,6 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve, kind: OcvKind | None = None
         grid,
         level,
         capacity_Ah=rests.capacity_Ah,
-        kind=kind,
         discharge_V=low_rate.discharge_V,
         charge_V=low_rate.charge_V,
         source=f"{low_rate.source}; {rests.source}",

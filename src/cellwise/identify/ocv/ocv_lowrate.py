@@ -8,7 +8,7 @@ whole. A charge that was cut short would tilt it: such a branch is kept, named, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,12 +23,9 @@ from cellwise.identify.capacity.half_cycles import (
     steady_rows,
 )
 from cellwise.identify.ocv.curve import GRID_INTERVALS, OcvCurve, curve_from_points
-from cellwise.identify.ocv.ocv_functions import OcvKind
 from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
-
-Use = Literal["auto", "mean", "discharge", "charge"]
 
 
 class _Limits(NamedTuple):
@@ -83,14 +80,11 @@ class _Moved(NamedTuple):
 
 
 def ocv_from_low_rate(
-    logs: CellLog | Sequence[CellLog],
-    *,
-    capacity_Ah: float | None = None,
-    resistance_ohm: float = 0.0,
-    use: Use = "auto",
-    kind: OcvKind | None = None,
+    logs: CellLog | Sequence[CellLog], *, capacity_Ah: float | None = None
 ) -> OcvCurve:
     """OCV curve from C/20 to C/30 (at most C/2) discharge, charge, or both.
+
+    The mean of the branches where both are whole, else the discharge branch, else the charge one.
 
     Parameters
     ----------
@@ -98,14 +92,10 @@ def ocv_from_low_rate(
                                temperature, charge, its last per cent: any of them may be missing
     capacity_Ah : float        that SOC refers to [Ah], counted from full; default what the
                                discharge took, so that 0 and 1 are its own ends
-    resistance_ohm : float     takes current times this out of each branch [ohm]
-    use : str                  ``auto``: the mean of the branches where both are whole, else the
-                               discharge branch, else the charge branch
-    kind : str                 form of the function, default the spline
 
     Raises
     ------
-    InputError                 no low-rate half cycle, or not the branch that was asked for
+    InputError                 no low-rate half cycle
     """
     trace = join_logs(logs)
     name = _names(logs)
@@ -114,10 +104,10 @@ def ocv_from_low_rate(
     capacity = capacity_Ah or next(m.charge_Ah for m in (taken, returned) if m is not None)
     discharge = charge = None
     if taken is not None:
-        discharge = _discharge_branch(trace, taken, capacity, resistance_ohm)
+        discharge = _discharge_branch(trace, taken, capacity)
     if returned is not None:
-        charge = _charge_branch(trace, returned, taken, discharge, capacity, resistance_ohm)
-    soc, level, chosen = _choose(discharge, charge, use, name)
+        charge = _charge_branch(trace, returned, taken, discharge, capacity)
+    soc, level, chosen = _choose(discharge, charge)
     cut_short: tuple[str, ...] = ()
     if taken is not None and capacity_Ah is None and not _ends(trace, taken.half):
         cut_short = ("the discharge does not look as if it reached its limit: give capacity_Ah",)
@@ -126,7 +116,6 @@ def ocv_from_low_rate(
         soc,
         level,
         capacity_Ah=capacity,
-        kind=kind,
         discharge_V=None if discharge is None else discharge.grid_V,
         charge_V=None if charge is None else charge.grid_V,
         source=f"{chosen} of {name}",
@@ -162,12 +151,10 @@ def _slowest_pair(
     return slowest(found[True]), slowest(found[False])
 
 
-def _discharge_branch(
-    trace: Trace, taken: _Moved, capacity_Ah: float, resistance_ohm: float
-) -> Branch:
+def _discharge_branch(trace: Trace, taken: _Moved, capacity_Ah: float) -> Branch:
     rows = _rows(trace, taken.half)
     soc = 1.0 - (trace.charge_Ah[rows] - trace.charge_Ah[_begin(taken.half)]) / capacity_Ah
-    return _branch(trace, taken, rows, soc, resistance_ohm)
+    return _branch(trace, taken, rows, soc)
 
 
 def _charge_branch(
@@ -176,7 +163,6 @@ def _charge_branch(
     taken: _Moved | None,
     discharge: Branch | None,
     capacity_Ah: float,
-    resistance_ohm: float,
 ) -> Branch:
     """The charge branch. A whole one is laid from empty to full by its own charge.
 
@@ -196,7 +182,7 @@ def _charge_branch(
         empty = 1.0 - taken.charge_Ah / capacity_Ah
         full = 1.0 - (1.0 - _filled_to(trace, returned, taken, discharge, ratio)) * (1.0 - empty)
     scale = (full - empty) / returned.charge_Ah if whole else 1.0 / capacity_Ah
-    branch = _branch(trace, returned, rows, empty + back * scale, resistance_ohm)
+    branch = _branch(trace, returned, rows, empty + back * scale)
     alike = (
         discharge is None
         or 1.0 / LIMITS.alike_rate <= branch.rate / discharge.rate <= LIMITS.alike_rate
@@ -238,10 +224,8 @@ def _begin(half: HalfCycle) -> int:
     return max(half.steady_start - 1, 0)
 
 
-def _branch(
-    trace: Trace, moved: _Moved, rows: BoolArray, soc: FloatArray, resistance_ohm: float
-) -> Branch:
-    level = trace.voltage_V[rows] + resistance_ohm * trace.current_A[rows]
+def _branch(trace: Trace, moved: _Moved, rows: BoolArray, soc: FloatArray) -> Branch:
+    level = trace.voltage_V[rows]
     inside = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
     order = np.argsort(soc[inside], kind="stable")
     s, v = soc[inside][order], level[inside][order]
@@ -274,29 +258,16 @@ def _rows(trace: Trace, half: HalfCycle) -> BoolArray:
     return rows
 
 
-def _choose(
-    discharge: Branch | None, charge: Branch | None, use: Use, name: str
-) -> tuple[FloatArray, FloatArray, str]:
-    if discharge is not None and charge is not None:
-        if use == "mean" or (use == "auto" and discharge.whole and charge.whole):
-            grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
-            return grid, _mean_of_branches(discharge.grid_V, charge.grid_V), "mean of both branches"
-    elif use == "mean":
-        raise InputError(
-            f"one low-rate branch only in {name}",
-            "a discharge and a charge branch for their mean",
-            "Add the other log, or use the branch that there is.",
-        )
-    wanted: list[tuple[str, Branch | None]] = [
-        ("discharge branch", discharge if use != "charge" else None),
-        ("charge branch", charge if use != "discharge" else None),
-    ]
-    for label, branch in wanted:
-        if branch is not None:
-            return branch.soc, branch.voltage_V, label
-    raise InputError(
-        f"no {use} branch in {name}", f"a low-rate {use}", "Add the log, or use the other branch."
-    )
+def _choose(discharge: Branch | None, charge: Branch | None) -> tuple[FloatArray, FloatArray, str]:
+    """SOC, voltage and name of what is taken for the OCV; one branch there is."""
+    if discharge is not None and charge is not None and discharge.whole and charge.whole:
+        grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
+        return grid, _mean_of_branches(discharge.grid_V, charge.grid_V), "mean of both branches"
+    if discharge is not None:
+        return discharge.soc, discharge.voltage_V, "discharge branch"
+    if charge is None:  # a half cycle was found, in one direction or the other
+        raise AssertionError
+    return charge.soc, charge.voltage_V, "charge branch"
 
 
 def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
-from cellwise.identify.ocv.ocv_functions import OcvKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -67,9 +66,7 @@ class OcvRest:
         return self.final_V - self.voltage_V
 
 
-def find_ocv_rests(
-    log: CellLog, *, min_rest_s: float | None = None, average_s: float = AVERAGE_S
-) -> tuple[OcvRest, ...]:
+def find_ocv_rests(log: CellLog, *, min_rest_s: float | None = None) -> tuple[OcvRest, ...]:
     """Rests of a log that are long enough to say something about OCV.
 
     Parameters
@@ -78,7 +75,6 @@ def find_ocv_rests(
     min_rest_s : float      shortest rest taken [s]; default 300, or half the longest rest where
                             fewer than four are that long. A rest at the log's start always counts:
                             files are cut where a test begins.
-    average_s : float       span at the end of each rest over which the voltage is averaged [s]
 
     Returns
     -------
@@ -104,7 +100,7 @@ def find_ocv_rests(
     charge = log.counted_charge_Ah()
     before: dict[int, Phase] = {b.start: a for a, b in pairwise(phases)}
     return tuple(
-        _rest(log, p, before.get(p.start), charge, average_s)
+        _rest(log, p, before.get(p.start), charge)
         for p in rests
         if p.duration_s >= min_rest_s or p.start == 0
     )
@@ -117,8 +113,6 @@ def ocv_from_rests(
     anchor: Anchor = "full",
     soc_start: float | None = None,
     extrapolate: bool = False,
-    kind: OcvKind | None = None,
-    min_rest_s: float | None = None,
 ) -> OcvCurve:
     """OCV curve through the rests of an HPPC or similar log.
 
@@ -137,14 +131,12 @@ def ocv_from_rests(
     soc_start : float       SOC at the first row, 0..1; overrides ``anchor``
     extrapolate : bool      take each rest's extrapolated voltage in place of its last ten
                             seconds. On measured rests cut to a third it about halves the error.
-    kind : str              form of the function, default the spline
-    min_rest_s : float      shortest rest taken [s], see :func:`find_ocv_rests`
 
     Raises
     ------
     InputError              no rest, too few rests, all at one SOC, soc_start outside 0..1
     """
-    rests = find_ocv_rests(log, min_rest_s=min_rest_s)
+    rests = find_ocv_rests(log)
     charge = np.array([r.charge_Ah for r in rests])
     q = log.counted_charge_Ah()
     if capacity_Ah is None:
@@ -167,7 +159,6 @@ def ocv_from_rests(
         voltage[inside],
         capacity_Ah=capacity_Ah,
         weight=1.0 / (1.0 + (remaining[inside] / LIMITS.unrelaxed_V) ** 2),
-        kind=kind,
         source=f"rests of {log.name or log.source or 'a log'}",
         notes=_notes(soc, remaining, inside),
         temperature_C=_median_temperature(log),
@@ -199,16 +190,14 @@ def _charge_when_full(
     return max(0.0, float(np.max(charge))) - capacity_Ah
 
 
-def _rest(
-    log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray, average_s: float
-) -> OcvRest:
+def _rest(log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray) -> OcvRest:
     rows = np.arange(phase.start, phase.stop)
     t, v = log.time_s[rows], log.voltage_V[rows]
     known = np.isfinite(v)
     if not known.any():
         known[-1:], v = True, np.full(v.size, phase.voltage_end_V)
     t, v = t[known], v[known]
-    last = t >= t[-1] - average_s
+    last = t >= t[-1] - AVERAGE_S
     return OcvRest(
         charge_Ah=float(charge[phase.stop - 1]),
         voltage_V=float(np.mean(v[last])),

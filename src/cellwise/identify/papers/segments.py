@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.identify.pulse_fit.circuit import Circuit
 from cellwise.identify.pulse_fit.pulse_data import PulseData, voltage_noise
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters, PulseTrend
-from cellwise.identify.pulse_fit.pulse_problem import build_problem, residual_V
-from cellwise.identify.pulse_fit.varpro_kernels import LINEAR
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 
 TAUS_PER_SEGMENT = 5.0
 
@@ -58,7 +57,7 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
     ------
     InputError        no row before the pulse, or no three settled rows in it
     """
-    options = options or SegmentOptions()
+    options, data = options or SegmentOptions(), data.alone()
     row0, row3 = data.start - 1, data.stop - 1
     settled = np.flatnonzero(~data.settling_rows[data.start : data.stop])
     row1 = data.start + int(settled[0]) if settled.size else row3
@@ -77,7 +76,10 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
     r2 = abs(voltage[row1] - voltage[row3]) / current  # (7) on the longer segment
     tau1 = (time[row2] - time[row1]) / TAUS_PER_SEGMENT  # (8)
     tau2 = (time[row3] - time[row1]) / TAUS_PER_SEGMENT
-    noise = voltage_noise(data)
+    value = PulseParameters(
+        float(r0), float(r1), float(tau1), float(r2), float(tau2), float(voltage[row0]), 0.0
+    )
+    circuit, noise = Circuit(data), voltage_noise(data)
     error = float(np.sqrt(2.0)) * noise / current
     nan = float("nan")
     return PulseFit(
@@ -86,24 +88,10 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
         current_A=data.pulse_current_A,
         duration_s=data.pulse_duration_s,
         window_s=float(time[-1] - time[0]),
-        value=PulseParameters(
-            float(r0), float(r1), float(tau1), float(r2), float(tau2), float(voltage[row0]), 0.0
-        ),
+        value=value,
         error=PulseParameters(error, error, nan, error, nan, noise, nan),
-        rmse_V=_rmse(data, float(voltage[row0]), (r0, r1, tau1, r2, tau2)),
+        rmse_V=circuit.rmse_V(value._replace(ocv_V=float(circuit.known[row0]))),
         noise_V=noise,
         rows=len(data),
         left_out=row1 - data.start,
     )
-
-
-def _rmse(data: PulseData, ocv: float, circuit: tuple[float, float, float, float, float]) -> float:
-    """Residual of the circuit that the formulas give [V], weighted as the other methods weigh."""
-    r0, r1, tau1, r2, tau2 = circuit
-    problem = build_problem(data, "balanced", PulseTrend())
-    coefficients = np.zeros(LINEAR)
-    coefficients[:5] = ocv - problem.reference_V, 0.0, r0, r1, r2
-    if data.ocv_change_V is not None:
-        coefficients[0] -= data.ocv_change_V[data.start - 1]
-    residual = residual_V(problem, np.log(np.array([tau1, tau2])), coefficients)
-    return float(np.sqrt(np.sum(problem.weight * residual**2) / np.sum(problem.weight)))

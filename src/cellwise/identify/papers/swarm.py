@@ -16,36 +16,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.compiled import cached
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.pulse_data import PulseData, Weighting
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseTrend, TauBounds
-from cellwise.identify.pulse_fit.pulse_problem import (
-    Problem,
-    Solution,
-    build_problem,
-    log_limits,
-    window_tau_bounds,
-)
-from cellwise.identify.pulse_fit.varpro import describe
-from cellwise.identify.pulse_fit.varpro_kernels import (
-    COLUMNS,
-    LINEAR,
-    SAME_INTERVAL,
-    TILE,
-    Window,
-    accumulate,
-)
+from cellwise.identify.pulse_fit.circuit import SAME_INTERVAL, Circuit
+from cellwise.identify.pulse_fit.pulse_data import PulseData
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
-PAPER_BOUNDS = TauBounds(0.5, 15.0, 15.0, 120.0)
-OCV_REST_S = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
-WALL = -0.5  # a particle that leaves the search box is put on its wall and turned back at half pace
-OCV_ROOM = 0.1  # search range of a free OCV over the voltage swing of the window
+
+class _Box(NamedTuple):
+    """The box that is searched: tau1 a few seconds and tau2 up to two minutes, as in the paper."""
+
+    fastest_s: float = 0.5
+    between_s: float = 15.0
+    slowest_s: float = 120.0
+    ratio: float = 1.5  # between the time constants, where a window leaves little room
+    rest_s: float = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
+    ocv: float = 0.1  # room of a free OCV over the voltage swing of the window
+    wall: float = -0.5  # a particle that leaves is put on the wall and turned back at half pace
+
+
+BOX = _Box()
 
 
 @dataclass(frozen=True)
@@ -58,8 +53,6 @@ class SwarmOptions:
     cognition : float         phi, above 4
     free : 5 or 7             R0, R1, tau1, R2, tau2 with the OCV from the rest before (the
                               paper's), or the OCV and its slope as well
-    tau : TauBounds           search range; "tau1 a few seconds", tau2 up to 120 s in the paper
-    weighting : str           see `row_weights`
     """
 
     particles: int = 64
@@ -67,8 +60,6 @@ class SwarmOptions:
     iterations: int = 180
     cognition: float = 4.1
     free: Literal[5, 7] = 5
-    tau: TauBounds | None = None
-    weighting: Weighting = "balanced"
 
     def __post_init__(self) -> None:
         if not (2 <= self.neighbours < self.particles and self.neighbours % 2 == 0):
@@ -106,50 +97,51 @@ def fit_swarm(
     """
     options = options or SwarmOptions()
     rng = rng or np.random.default_rng(0)
-    problem = build_problem(data, options.weighting, PulseTrend())
-    bounds = options.tau or _paper_bounds(data)
-    limits = log_limits(bounds)
-    low, high = _box(data, problem, bounds, options.free)
-    best, cost, passes = _swarm(problem, low, high, options, rng)
-    solution = _solution(problem, best, cost, passes, options, data)
-    return describe(data, problem, solution, limits, PulseTrend(), "pso")
+    circuit = Circuit(data.alone())
+    low, high = _box(circuit, options.free)
+    value = PulseParameters(*_swarm(circuit, low, high, options, rng).tolist())
+    slope = circuit.table_slope_V
+    searched = ("ocv_V",) if slope is not None else ("ocv_V", "ocv_slope_V")
+    free = [*value._fields[:5], *(searched if options.free == 7 else ())]
+    held = [
+        name
+        for name, x, least, most in zip(value._fields, value, low, high, strict=True)
+        if name in free and not least < x < (np.inf if name.endswith("ohm") else most)
+    ]
+    stated = value if slope is None else value._replace(ocv_slope_V=slope)
+    return circuit.described("pso", stated, free, held)
 
 
-def _paper_bounds(data: PulseData) -> TauBounds:
-    """The paper's search range, within what the window can show."""
-    window, paper = window_tau_bounds(data), PAPER_BOUNDS
-    slowest = min(paper.tau2_max_s, window.tau2_max_s)
-    fastest = max(paper.tau1_min_s, window.tau1_min_s)
-    between = float(np.clip(paper.tau1_max_s, 1.5 * fastest, slowest / 1.5))
-    return TauBounds(fastest, between, between, slowest)
+def _box(circuit: Circuit, free: int) -> tuple[FloatArray, FloatArray]:
+    """Search box of R0, R1, tau1, R2, tau2, OCV, OCV slope, shape (7,) each.
 
-
-def _box(
-    data: PulseData, problem: Problem, bounds: TauBounds, free: int
-) -> tuple[FloatArray, FloatArray]:
-    """Search box of R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope, shape (7,) each."""
+    The paper's time constants, within what the window can show.
+    """
+    data, window = circuit.data, circuit.tau_bounds()
+    slowest, fastest = min(BOX.slowest_s, window.slowest_s), max(BOX.fastest_s, window.fastest_s)
+    between = float(np.clip(BOX.between_s, BOX.ratio * fastest, slowest / BOX.ratio))
     swing = float(np.ptp(data.voltage_V))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]
-    rest = slice(int(np.searchsorted(data.time_s, before - OCV_REST_S)), max(data.start, 1))
-    ocv = float(np.mean(problem.known[rest]))
-    low = np.array([0.0, 0.0, bounds.tau1_min_s, 0.0, bounds.tau2_min_s, ocv, 0.0])
-    high = np.array([most, most, bounds.tau1_max_s, most, bounds.tau2_max_s, ocv, 0.0])
+    rest = slice(int(np.searchsorted(data.time_s, before - BOX.rest_s)), max(data.start, 1))
+    ocv = float(np.mean(circuit.known[rest]))
+    low = np.array([0.0, 0.0, fastest, 0.0, between, ocv, 0.0])
+    high = np.array([most, most, between, most, slowest, ocv, 0.0])
     if free == 7:
-        moved = max(float(np.ptp(problem.dq)), 1e-9)
-        low[5], high[5] = ocv - OCV_ROOM * swing, ocv + OCV_ROOM * swing
-        high[6] = 0.0 if data.ocv_change_V is not None else 2.0 * swing / moved
+        low[5], high[5] = ocv - BOX.ocv * swing, ocv + BOX.ocv * swing
+        moved = max(float(np.ptp(circuit.x)), 1e-9)
+        high[6] = 0.0 if circuit.table_slope_V is not None else 2.0 * swing / moved
     return low, high
 
 
 def _swarm(
-    problem: Problem,
+    circuit: Circuit,
     low: FloatArray,
     high: FloatArray,
     options: SwarmOptions,
     rng: np.random.Generator,
-) -> tuple[FloatArray, float, int]:
-    """Best position, its cost [V^2], and the number of passes over the samples."""
+) -> FloatArray:
+    """Best position, shape (7,)."""
     phi = options.cognition
     chi = 2.0 / (phi - 2.0 + np.sqrt(phi * phi - 4.0 * phi))
     count, half = options.particles, options.neighbours // 2
@@ -158,52 +150,37 @@ def _swarm(
     position = low + (high - low) * rng.random((count, low.size))
     velocity = np.zeros_like(position)
     best = position.copy()
-    best_cost = _costs(problem, position)
+    best_cost = costs_of(circuit, position)
     for _ in range(options.iterations):
         pull = phi / steps.size * rng.random((count, steps.size, low.size))
         velocity += np.sum(pull * (best[neighbours] - position[:, None, :]), axis=1)
         velocity *= chi
         position += velocity
         outside = (position < low) | (position > high)
-        velocity[outside] *= WALL
+        velocity[outside] *= BOX.wall
         np.clip(position, low, high, out=position)
-        cost = _costs(problem, position)
+        cost = costs_of(circuit, position)
         better = cost < best_cost
         best[better], best_cost[better] = position[better], cost[better]
-    winner = int(np.argmin(best_cost))
-    return best[winner], float(best_cost[winner]), count * (options.iterations + 1)
+    return np.asarray(best[int(np.argmin(best_cost))])
 
 
-def _costs(problem: Problem, position: FloatArray) -> FloatArray:
+def costs_of(circuit: Circuit, position: FloatArray) -> FloatArray:
+    """Weighted sum of squared residuals of every particle [V^2], shape (m, 7) -> (m,)."""
     costs = np.empty(len(position))
-    swarm_costs(problem.window, position, costs)
+    swarm_costs(
+        circuit.dt_s, circuit.current_A, circuit.known, circuit.x, circuit.weight, position, costs
+    )
     return costs
-
-
-def _solution(
-    problem: Problem,
-    best: FloatArray,
-    cost: float,
-    passes: int,
-    options: SwarmOptions,
-    data: PulseData,
-) -> Solution:
-    """The swarm's best place in the terms of the least-squares fit, for the same statistics."""
-    r0, r1, tau1, r2, tau2, ocv, slope = best
-    coefficients = np.zeros(LINEAR)
-    coefficients[:5] = ocv, slope, r0, r1, r2
-    include = np.zeros(LINEAR, dtype=np.bool_)
-    include[2:5] = True
-    include[0] = options.free == 7
-    include[1] = options.free == 7 and data.ocv_change_V is None
-    gram = np.empty((COLUMNS, COLUMNS))
-    accumulate(problem.window, tau1, tau2, COLUMNS, np.empty((COLUMNS, TILE)), np.empty(TILE), gram)
-    return Solution(cost, np.log([tau1, tau2]), coefficients, include, gram, passes, True)
 
 
 @cached()
 def swarm_costs(
-    window: Window,
+    dt: FloatArray,
+    current: FloatArray,
+    known: FloatArray,
+    x: FloatArray,
+    weight: FloatArray,
     positions: FloatArray,
     costs: FloatArray,
 ) -> None:
@@ -211,11 +188,10 @@ def swarm_costs(
 
     Parameters
     ----------
-    window : Window                   its trend is not used
-    positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV minus reference, OCV slope
+    dt, current, known, x, weight : (n,) float       of a `Circuit`
+    positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV, OCV slope
     costs : (m,) float                result; infinite where tau1 >= tau2
     """
-    dt, current, known, dq, weight, _, centre = window
     for p in range(positions.shape[0]):
         r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
         r2, tau2, ocv, slope = (
@@ -234,6 +210,6 @@ def swarm_costs(
                 a2 = math.exp(-dt[k] / tau2)
             v1 = r1 * current[k] + a1 * (v1 - r1 * current[k])
             v2 = r2 * current[k] + a2 * (v2 - r2 * current[k])
-            error = known[k] - (ocv + slope * (centre - dq[k]) - r0 * current[k] - v1 - v2)
+            error = known[k] - (ocv + slope * x[k] - r0 * current[k] - v1 - v2)
             total += weight[k] * error * error
         costs[p] = total

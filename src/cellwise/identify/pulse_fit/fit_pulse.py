@@ -1,68 +1,36 @@
-"""Parameters of pulses: one interface for three methods, and all pulses of a test together."""
+"""Parameters of pulses by variable projection, and one interface for it and the papers' methods.
+
+Only the two time constants enter a pulse's voltage nonlinearly. At given ones the rest is a small
+linear problem with R >= 0 (Golub and Pereyra, doi:10.1137/0710036), so the search runs over two
+numbers: a grid, then downhill from its minima.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.papers.segments import SegmentOptions, fit_segments
-from cellwise.identify.papers.swarm import SwarmOptions, fit_swarm
+from cellwise.identify.papers.segments import fit_segments
+from cellwise.identify.papers.swarm import fit_swarm
+from cellwise.identify.pulse_fit.circuit import Circuit, TauBounds
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_parameters import (
-    PulseFit,
-    PulseParameters,
-    PulseTrend,
-    TauBounds,
-)
-from cellwise.identify.pulse_fit.varpro import VarproOptions, fit_varpro
+from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
 Method = Literal["varpro", "segments", "pso"]
-Options = VarproOptions | SegmentOptions | SwarmOptions
-
-
-class _Trend(NamedTuple):
-    """How neighbouring pulses show the change of the parameters with SOC."""
-
-    level_gap: float = 0.03  # SOC: pulses closer than this belong to one level
-    reach: float = 1.3  # bandwidth over the distance to the second other level
-    error_floor: float = 0.02  # relative: scatter between pulses beyond their standard errors
-    steepest: float = 20.0  # d log / d SOC; no cell changes tenfold in 12 % of SOC
-    tolerance: float = 1e-3  # of the residual: a trend too small to be felt is still better
-
-
-TREND = _Trend()
-_NAMES = ("r0_ohm", "r1_ohm", "r2_ohm", "tau1_s", "tau2_s")
-
-__all__ = [
-    "PulseFit",
-    "PulseParameters",
-    "PulseTrend",
-    "SegmentOptions",
-    "SwarmOptions",
-    "TauBounds",
-    "VarproOptions",
-    "fit_pulse",
-    "fit_pulses",
-]
-
-_OPTIONS: dict[str, type[Options]] = {
-    "varpro": VarproOptions,
-    "segments": SegmentOptions,
-    "pso": SwarmOptions,
-}
+GRID = 10  # time constants from which the search begins, in every pair
+RIDGE = 1e-13  # of the scaled normal equations: two branches may be alike
+SEARCH = {"xatol": 1e-4, "fatol": 1e-10, "maxfev": 200}  # of the range of ln tau; of the variance
+AT_BOUND = 1e-3  # of the range of ln tau
 
 
 def fit_pulse(
-    data: PulseData,
-    method: Method = "varpro",
-    options: Options | None = None,
-    *,
-    trend: PulseTrend | None = None,
-    rng: np.random.Generator | None = None,
+    data: PulseData, method: Method = "varpro", rng: np.random.Generator | None = None
 ) -> PulseFit:
     """Parameters of one pulse.
 
@@ -71,9 +39,7 @@ def fit_pulse(
     data : PulseData          see `cut_pulse`
     method : str              ``varpro``: least squares by variable projection (default);
                               ``segments``: closed formulas on three points; ``pso``: swarm
-    options : VarproOptions, SegmentOptions or SwarmOptions       those of the method
-    trend : PulseTrend        change of the parameters with SOC, for ``varpro`` only
-    rng : numpy Generator     for ``pso``; by default one seeded with 0
+    rng : numpy Generator     of the swarm; by default one seeded with 0
 
     Returns
     -------
@@ -81,146 +47,197 @@ def fit_pulse(
 
     Raises
     ------
-    InputError        unknown method, options of another method
+    InputError        unknown method, too few rows
     """
-    if method not in _OPTIONS:
-        raise InputError(
-            f"method {method!r}", "'varpro', 'segments' or 'pso'", "Choose one of the three."
-        )
-    if options is not None and type(options) is not _OPTIONS[method]:
-        raise InputError(
-            f"{type(options).__name__} for method {method!r}",
-            _OPTIONS[method].__name__,
-            "Give the options of the method.",
-        )
-    if isinstance(options, SegmentOptions) or method == "segments":
-        return fit_segments(data, options if isinstance(options, SegmentOptions) else None)
-    if isinstance(options, SwarmOptions) or method == "pso":
-        chosen = options if isinstance(options, SwarmOptions) else None
-        return fit_swarm(data, chosen, rng or np.random.default_rng(0))
-    return fit_varpro(data, options, trend)
+    if method == "varpro":
+        return fit_varpro(data)
+    if method == "segments":
+        return fit_segments(data)
+    if method == "pso":
+        return fit_swarm(data, rng=rng)
+    raise InputError(
+        f"method {method!r}", "'varpro', 'segments' or 'pso'", "Choose one of the three."
+    )
 
 
-def fit_pulses(
-    pulses: Sequence[PulseData],
-    method: Method = "varpro",
-    options: Options | None = None,
-    *,
-    use_trend: bool = True,
-    rng: np.random.Generator | None = None,
-) -> list[PulseFit]:
-    """Parameters of all pulses of a test.
+def fit_pulses(pulses: Sequence[PulseData], method: Method = "varpro") -> list[PulseFit]:
+    """Parameters of all pulses of a test, in the order given; see `fit_pulse`."""
+    rng = np.random.default_rng(0)  # one for all: alike draws would err alike
+    return [fit_pulse(data, method, rng) for data in pulses]
 
-    With ``varpro`` in two passes: each pulse by itself; then again, with the
-    change of the parameters over SOC taken from its neighbours (see `local_trends`). A strong
-    pulse near empty moves every parameter by some percent, which is the error without the second
-    pass.
+
+def fit_varpro(data: PulseData, bounds: TauBounds | None = None) -> PulseFit:
+    """Fit one pulse and its relaxation by variable projection.
 
     Parameters
     ----------
-    pulses : sequence of PulseData        of one cell at one temperature
-    method, options, rng                  as in `fit_pulse`
-    use_trend : bool                      False: first pass only
+    data : PulseData
+    bounds : TauBounds        of the time constants; by default what the window can show
 
     Returns
     -------
-    list of PulseFit          in the order given
+    PulseFit
 
     Raises
     ------
-    InputError        as `fit_pulse`
+    InputError        too few settled rows
     """
-    rng = rng or np.random.default_rng(0)
-    fits = [fit_pulse(data, method, options, rng=rng) for data in pulses]
-    if method != "varpro" or not use_trend:
-        return fits
-    chosen = options if isinstance(options, VarproOptions) else None
-    trends = local_trends(fits)
-    return [
-        fit if trend is None else _with_trend(data, fit, chosen, trend)
-        for data, fit, trend in zip(pulses, fits, trends, strict=True)
-    ]
+    circuit = Circuit(data)
+    bounds = circuit.tau_bounds() if bounds is None else bounds
+    search = _Search(circuit.thinned(), bounds)
+    found = min((search.downhill(at) for at in search.starts()), key=search.cost)
+    fit = circuit.described("varpro", *_Search(circuit, bounds).result(found))
+    return replace(fit, error=search.along_valley(fit))
 
 
-def _with_trend(
-    data: PulseData, alone: PulseFit, options: VarproOptions | None, trend: PulseTrend
-) -> PulseFit:
-    """The pulse fitted with its neighbours' trend, unless it fits worse than alone.
+class _Point(NamedTuple):
+    """A point of the plane, and the mean square of the residual there [V^2]."""
 
-    On a real cell a trend between levels need not hold inside a pulse.
+    at: FloatArray
+    left: float
+
+
+class _Search:
+    """The plane of both time constants, as a unit square.
+
+    Its first coordinate is where ln tau2 lies in its range, the second where ln tau1 lies between
+    its least and the most that tau2 leaves it: every point of the square keeps the bounds.
     """
-    second = fit_varpro(data, options, trend, (alone.tau1_s, alone.tau2_s))
-    return second if second.rmse_V <= (1.0 + TREND.tolerance) * alone.rmse_V else alone
+
+    def __init__(self, circuit: Circuit, bounds: TauBounds) -> None:
+        self.circuit = circuit
+        self.low, self.apart = np.log(bounds.fastest_s), np.log(bounds.ratio)
+        self.room = np.log(bounds.slowest_s) - self.apart - self.low
+        slope = [circuit.x] if circuit.table_slope_V is None else []
+        self.plain = np.vstack((circuit.known, -circuit.current_A, *slope))
+        self.share = circuit.weight / np.sum(circuit.weight)
+
+    def tau_s(self, at: FloatArray) -> FloatArray:
+        """Time constants of a point, shape (2,)."""
+        fast = self.low + at[0] * at[1] * self.room
+        return np.asarray(np.exp([fast, self.low + at[0] * self.room + self.apart]))
+
+    def starts(self) -> list[FloatArray]:
+        """Where the grid has minima along tau2."""
+        best = np.pad([x.left for x in self.valley], 1, constant_values=np.inf)
+        lowest = np.flatnonzero((best[1:-1] <= best[:-2]) & (best[1:-1] < best[2:]))
+        return [self.valley[k].at for k in lowest]
+
+    @cached_property
+    def valley(self) -> list[_Point]:
+        """At each of `GRID` values of tau2 the best tau1, and all else fitted."""
+        ln_tau = np.linspace(self.low, self.low + self.room + self.apart, GRID)
+        gram, _ = self._normal(np.exp(ln_tau))
+        head = len(self.plain)
+        pairs = np.argwhere(ln_tau - ln_tau[:, None] >= self.apart)
+        at = np.column_stack((np.tile(np.arange(head), (len(pairs), 1)), head + pairs))
+        left, _ = _solved(gram[at[:, :, None], at[:, None, :]])
+        found = []
+        for j in np.unique(pairs[:, 1]):
+            best = min(np.flatnonzero(pairs[:, 1] == j), key=left.__getitem__)
+            far = (ln_tau[j] - self.apart - self.low) / self.room
+            near = (ln_tau[pairs[best, 0]] - self.low) / self.room / max(far, 1e-12)
+            found.append(_Point(np.clip([far, near], 0.0, 1.0), float(left[best])))
+        return found
+
+    def downhill(self, at: FloatArray) -> FloatArray:
+        """The minimum near a point."""
+        from scipy.optimize import minimize
+
+        simplex = [at, *(at + np.diag(np.where(at < 0.5, 0.5, -0.5) / GRID))]
+        found = minimize(
+            self.cost,
+            at,
+            method="Nelder-Mead",
+            bounds=[(0.0, 1.0), (0.0, 1.0)],
+            options=SEARCH | {"initial_simplex": simplex},
+        )
+        return np.asarray(found.x)
+
+    def cost(self, at: FloatArray) -> float:
+        """Share of the voltage's variance that is left."""
+        gram, _ = self._normal(self.tau_s(at))
+        return float(_solved(gram)[0]) / max(float(gram[0, 0]), 1e-300)
+
+    def along_valley(self, fit: PulseFit) -> PulseParameters:
+        """Standard errors that also hold along the valley of tau2.
+
+        A window that is short against tau2 fits almost as well with a tau2 twice as long, an OCV
+        slope a little lower and a larger R2: a long valley, or a second one. The curvature at its
+        lowest point says nothing of that. The deviations along it, weighted by the likelihood
+        there, give a second variance; the larger of it and the linear one counts.
+        """
+        linear = np.array(fit.error)
+        independent = (fit.rows - fit.left_out) / fit.rows_per_residual
+        least = min(fit.rmse_V**2, *(x.left for x in self.valley))
+        likelihood = np.exp([-0.5 * independent * (x.left / least - 1.0) for x in self.valley])
+        others = np.array([self.result(x.at)[0] for x in self.valley])
+        # What the optimum's own surroundings weigh against a step of the grid.
+        width = min(fit.error.tau2_s / fit.tau2_s, self.room)
+        own = np.sqrt(2.0 * np.pi) * width * (len(self.valley) - 1) / self.room
+        spread = likelihood @ (others - np.array(fit.value)) ** 2
+        finite = np.isfinite(linear)
+        wide = (own * np.where(finite, linear, 0.0) ** 2 + spread) / (own + np.sum(likelihood))
+        return PulseParameters(
+            *np.where(finite, np.maximum(linear, np.sqrt(wide)), linear).tolist()
+        )
+
+    def result(self, at: FloatArray) -> tuple[PulseParameters, list[str], list[str]]:
+        """Parameters at a point, which of them were free, and which a bound holds."""
+        tau = self.tau_s(at)
+        gram, mean = self._normal(tau)
+        x = _solved(gram)[1]
+        slope = self.circuit.table_slope_V
+        value = PulseParameters(
+            r0_ohm=float(x[0]),
+            r1_ohm=float(x[-2]),
+            tau1_s=float(tau[0]),
+            r2_ohm=float(x[-1]),
+            tau2_s=float(tau[1]),
+            ocv_V=float(mean[0] - mean[1:] @ x),
+            ocv_slope_V=float(x[1]) if slope is None else slope,
+        )
+        free = [n for n in value._fields if n != "ocv_slope_V" or slope is None]
+        held = [n for n in free if n not in ("tau1_s", "tau2_s") and getattr(value, n) <= 0.0]
+        low, high = np.asarray(at) < AT_BOUND, np.asarray(at) > 1.0 - AT_BOUND
+        held += ["tau1_s"] if low[1] or high[1] or low[0] else []
+        held += ["tau2_s"] if low[0] or high[0] or high[1] else []
+        return value, free, held
+
+    def _normal(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weighted products of voltage, linear columns and branches, means taken out; the means."""
+        rows = np.vstack((self.plain, -self.circuit.responses(tau_s)))
+        mean = rows @ self.share
+        rows -= mean[:, None]
+        return (rows * self.share) @ rows.T, mean
 
 
-def local_trends(fits: Sequence[PulseFit]) -> list[PulseTrend | None]:
-    """Relative slope of each parameter over SOC at each pulse.
+def _solved(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least squares with no unknown below zero: every choice of those that are zero is tried.
 
-    Weighted local regression of log(parameter) on SOC (Cleveland's loess, tricube weights,
-    doi:10.1080/01621459.1979.10481038), of second degree where three SOC levels are in reach, of
-    first degree with two. Pulses that do not identify a parameter have no say in it.
+    For a convex quadratic the best feasible choice is the bounded optimum.
+
+    Parameters
+    ----------
+    gram : (..., k + 1, k + 1) float      products of voltage and columns, the voltage first
 
     Returns
     -------
-    list of PulseTrend or None        None where SOC is unknown or there is only one level
+    left : (...) float            mean square of the residual [V^2]
+    unknowns : (..., k) float
     """
-    soc = np.array([fit.soc for fit in fits])
-    if len(fits) < 2 or not np.all(np.isfinite(soc)):
-        return [None] * len(fits)
-    levels = _levels(soc)
-    if len(levels) < 2:
-        return [None] * len(fits)
-    slopes = np.zeros((len(fits), len(_NAMES)))
-    for column, name in enumerate(_NAMES):
-        value = np.array([getattr(fit.value, name) for fit in fits])
-        error = np.array([getattr(fit.error, name) for fit in fits])
-        known = np.array([getattr(fit.identified, name) > 0.0 for fit in fits])
-        if np.count_nonzero(known) < 3:
-            continue
-        relative = error[known] / value[known]
-        weight = 1.0 / (relative**2 + TREND.error_floor**2)
-        for row, at in enumerate(soc):
-            reach = _reach(levels, at)
-            slopes[row, column] = _slope(soc[known], np.log(value[known]), weight, at, reach)
-    return [PulseTrend(*np.clip(row, -TREND.steepest, TREND.steepest).tolist()) for row in slopes]
-
-
-def _levels(soc: FloatArray) -> FloatArray:
-    """Mean SOC of each group of pulses that lie together."""
-    ordered = np.sort(soc)
-    groups = np.split(ordered, np.flatnonzero(np.diff(ordered) > TREND.level_gap) + 1)
-    return np.array([np.mean(group) for group in groups])
-
-
-def _reach(levels: FloatArray, at: float) -> float:
-    """Bandwidth that takes in the pulse's own level and two others, where there are two."""
-    distance = np.sort(np.abs(levels - at))
-    return TREND.reach * float(distance[min(2, distance.size - 1)])
-
-
-def _slope(
-    soc: FloatArray, log_value: FloatArray, weight: FloatArray, at: float, reach: float
-) -> float:
-    """Slope of the local polynomial at one SOC, shrunk as far as its scatter leaves it uncertain.
-
-    Shrunk by 1 - 1/t^2, with t the slope over its standard error: a slope below its error is none.
-    """
-    offset = (soc - at) / reach
-    near = np.abs(offset) < 1.0
-    if not near.any():
-        return 0.0
-    degree = min(2, _levels(soc[near]).size - 1)
-    freedom = np.count_nonzero(near) - degree - 1
-    if degree < 1 or freedom < 1:
-        return 0.0
-    x = offset[near]
-    weight = weight[near] * (1.0 - np.abs(x) ** 3) ** 3
-    columns = np.vander(x, degree + 1, increasing=True)
-    inverse = np.linalg.pinv(columns.T @ (columns * weight[:, None]))
-    solution = inverse @ (columns.T @ (weight * log_value[near]))
-    residual = log_value[near] - columns @ solution
-    variance = float(np.sum(weight * residual**2)) / freedom * inverse[1, 1]
-    slope = float(solution[1])
-    if slope * slope <= variance:
-        return 0.0
-    return float(slope * (1.0 - variance / (slope * slope)) / reach)
+    k = gram.shape[-1] - 1
+    free = (np.arange(1 << k)[:, None] >> np.arange(k) & 1).astype(np.float64)  # (2^k, k)
+    part = gram[..., 1:, 1:]
+    scale = np.sqrt(np.maximum(np.diagonal(part, axis1=-2, axis2=-1), 1e-300))[..., None, :]
+    products = gram[..., None, 0, 1:] / scale * free
+    scaled = (part / scale / np.swapaxes(scale, -1, -2))[..., None, :, :]
+    system = scaled * (free[:, :, None] * free[:, None, :]) + (1.0 + RIDGE - free)[
+        ..., None
+    ] * np.eye(k)
+    tried = np.linalg.solve(system, products[..., None])[..., 0]
+    explained = np.where(np.all(tried >= 0.0, axis=-1), np.sum(tried * products, axis=-1), -np.inf)
+    best = np.argmax(explained, axis=-1)[..., None]
+    left = gram[..., 0, 0] - np.take_along_axis(explained, best, axis=-1)[..., 0]
+    unknowns = np.take_along_axis(tried, best[..., None], axis=-2)[..., 0, :] / scale[..., 0, :]
+    return np.maximum(left, 0.0), unknowns

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,12 +35,11 @@ class _Settling(NamedTuple):
 
 
 SETTLING = _Settling()
-Weighting = Literal["balanced", "rows"]
 
 
 @dataclass(frozen=True, eq=False)
 class PulseData:
-    """Rows of one pulse: some rest, the pulse, its relaxation up to the next current.
+    """Rows of one pulse: what was before, some rest, the pulse, its relaxation up to a current.
 
     Parameters
     ----------
@@ -52,8 +51,8 @@ class PulseData:
     start, stop : int           first row of the pulse; first row after it
     capacity_Ah : float         turns charge into SOC [Ah]
     soc_start : float           SOC at the first row [0..1]; NaN if unknown
-    rest_before_s : float       how long the cell had rested before the pulse [s]; may be longer
-                                than the window shows
+    first : int                 first row that is compared; the rows before only say what the
+                                branches hold, as after a short rest
     ocv_change_V : (n,) float or None   what a tabulated OCV says the OCV changed by since the
                                 first row [V]; then no OCV slope is fitted
     name : str                  for people
@@ -76,7 +75,7 @@ class PulseData:
     stop: int
     capacity_Ah: float
     soc_start: float = float("nan")
-    rest_before_s: float = float("inf")
+    first: int = 0
     ocv_change_V: FloatArray | None = None
     name: str = ""
 
@@ -117,15 +116,15 @@ class PulseData:
                 "time that never decreases",
                 "Sort the rows, or split the log where its clock was reset.",
             )
-        if not 0 <= self.start < self.stop <= n:
+        if not 0 <= self.first <= self.start < self.stop <= n:
             raise InputError(
                 f"edges at rows {self.start} and {self.stop} of {n} in {self._where}",
-                "0 <= start < stop <= number of rows",
+                "0 <= first <= start < stop <= number of rows",
                 "Give the first row of the pulse and the first row after it.",
             )
-        if n < MINIMUM_ROWS:
+        if n - self.first < MINIMUM_ROWS:
             raise InputError(
-                f"{n} rows in {self._where}",
+                f"{n - self.first} rows in {self._where}",
                 f"at least {MINIMUM_ROWS}",
                 "Log the pulse faster, or leave it out.",
             )
@@ -172,10 +171,22 @@ class PulseData:
         fraction = self.charge_fraction
         return 0.5 * float(fraction[max(self.start - 1, 0)] + fraction[self.stop - 1])
 
-    @property
-    def rest_before_window_s(self) -> float:
-        """How long the cell had rested before the first row [s]."""
-        return self.rest_before_s - float(self.time_s[max(self.start - 1, 0)] - self.time_s[0])
+    def alone(self) -> PulseData:
+        """The compared rows, for a method that knows of nothing before them."""
+        rows = slice(self.first, None)
+        change = self.ocv_change_V
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            current_A=self.current_A[rows],
+            voltage_V=self.voltage_V[rows],
+            charge_Ah=self.charge_Ah[rows] - self.charge_Ah[self.first],
+            ocv_change_V=None if change is None else change[rows] - change[self.first],
+            start=self.start - self.first,
+            stop=self.stop - self.first,
+            first=0,
+            soc_start=self.soc_start - float(self.charge_fraction[self.first]),
+        )
 
     @property
     def soc(self) -> float:
@@ -192,7 +203,7 @@ class PulseData:
         """
         rows = np.zeros(len(self), dtype=np.bool_)
         change = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
-        peak = float(np.max(np.abs(self.current_A)))
+        peak = float(np.max(np.abs(self.current_A[self.start : self.stop])))
         noise = voltage_noise(self)
         moving = np.flatnonzero(change > SETTLING.still * peak)
         for group in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
@@ -224,39 +235,33 @@ def voltage_noise(data: PulseData) -> float:
 
     Robust (median of magnitudes), so edges and relaxation do not count.
     """
-    second = np.abs(np.diff(data.voltage_V, 2))
+    second = np.abs(np.diff(data.voltage_V[data.first :], 2))
     return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
 
 
-def row_weights(data: PulseData, weighting: Weighting = "balanced") -> FloatArray:
+def row_weights(data: PulseData) -> FloatArray:
     """How much each row counts in a fit, shape (n,), mean 1 over the rows that count.
 
-    ``rows``: every row is one measurement. Best when the noise is white and the model exact.
+    The relaxation as a whole counts as much as the pulse as a whole, within `BALANCE_LIMITS` per
+    row. A tester may log 100 rows in a 10 s pulse and 1,700 in the rest that follows, or 600 rows
+    of 0.1 s and then 20 of 60 s; as no cell is exactly a 2-RC circuit, the side with more rows
+    would decide alone, and the result would depend on the tester's settings.
 
-    ``balanced``: the relaxation as a whole counts as much as the pulse as a whole, within
-    `BALANCE_LIMITS` per row. A tester may log 100 rows in a 10 s pulse and 1,700 in the rest that
-    follows, or 600 rows of 0.1 s and then 20 of 60 s; as no cell is exactly a 2-RC circuit, the
-    side with more rows would decide alone, and the result would depend on the tester's settings.
-    Where both have about as many rows the two choices agree.
-
-    Rows at an edge that have not settled (`PulseData.settling_rows`) count zero in both.
-
-    Raises
-    ------
-    InputError        another name
+    Rows before `PulseData.first`, and rows at an edge that have not settled
+    (`PulseData.settling_rows`), count zero.
     """
     weight = np.ones(len(data))
-    if weighting == "balanced":
-        pulse, relaxation = data.stop - data.start, len(data) - data.stop
-        if relaxation > 0:
-            weight[data.stop :] = np.clip(pulse / relaxation, *BALANCE_LIMITS)
-    elif weighting != "rows":
-        raise InputError(
-            f"weighting = {weighting!r}", "'balanced' or 'rows'", "Choose one of the two."
-        )
-    settling = data.settling_rows
-    weight[settling] = 0.0
-    return weight * (np.count_nonzero(~settling) / max(float(np.sum(weight)), 1e-300))
+    pulse, relaxation = data.stop - data.start, len(data) - data.stop
+    if relaxation > 0:
+        weight[data.stop :] = np.clip(pulse / relaxation, *BALANCE_LIMITS)
+    weight[: data.first] = 0.0
+    weight[data.settling_rows] = 0.0
+    return weight * (np.count_nonzero(weight) / max(float(np.sum(weight)), 1e-300))
+
+
+def has_enough_rows(data: PulseData) -> bool:
+    """Whether a fit finds the rows that it needs."""
+    return int(np.count_nonzero(row_weights(data))) >= LEAST_SETTLED_ROWS
 
 
 def check_channel(array: FloatArray, rows: int, what: str) -> None:

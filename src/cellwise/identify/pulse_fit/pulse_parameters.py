@@ -29,37 +29,6 @@ class PulseParameters(NamedTuple):
     ocv_slope_V: float
 
 
-class PulseTrend(NamedTuple):
-    """Relative change of the parameters with SOC, d log(parameter) / d SOC [-].
-
-    A 60 s pulse at 3C moves a cell by 5 % of SOC, and near empty a resistance changes by a tenth
-    over that. Given from neighbouring pulses, it leaves the fit the values at the mean SOC.
-    """
-
-    r0: float = 0.0
-    r1: float = 0.0
-    r2: float = 0.0
-    tau1: float = 0.0
-    tau2: float = 0.0
-
-
-NO_TREND = PulseTrend()
-
-
-@dataclass(frozen=True)
-class TauBounds:
-    """Search range of the time constants [s].
-
-    ``ratio`` keeps the branches apart: tau2 >= ratio * tau1, so they can never be swapped.
-    """
-
-    tau1_min_s: float
-    tau1_max_s: float
-    tau2_min_s: float
-    tau2_max_s: float
-    ratio: float = 1.5
-
-
 @dataclass(frozen=True)
 class PulseFit:
     """Parameters of one pulse at its mean SOC, by whatever method.
@@ -77,13 +46,7 @@ class PulseFit:
     noise_V : float           root mean square of the residual over all rows that were used [V]
     rows, left_out : int      rows of the window; rows left out while the voltage settled
     rows_per_residual : float     rows that share one independent residual [-], 1 for white noise
-    condition : float         condition number of the scaled problem [-]
     at_bound : tuple of str   parameters that ended at a bound
-    ocv_bends_V : (3,) float  second to fourth power of the OCV inside the pulse [V]
-    v1_start_V, v2_start_V : float    branch voltages at the window's first row [V]
-    trend : PulseTrend        change with SOC that was assumed
-    passes : int              passes over the samples that the fit took
-    converged : bool
     """
 
     method: str
@@ -98,14 +61,7 @@ class PulseFit:
     rows: int
     left_out: int = 0
     rows_per_residual: float = 1.0
-    condition: float = float("nan")
     at_bound: tuple[str, ...] = ()
-    ocv_bends_V: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    v1_start_V: float = 0.0
-    v2_start_V: float = 0.0
-    trend: PulseTrend = NO_TREND
-    passes: int = 0
-    converged: bool = True
 
     @property
     def r0_ohm(self) -> float:
@@ -187,6 +143,4 @@ class PulseFit:
             )
         if self.left_out:
             lines.append(f"{self.left_out} rows left out while the voltage settled after an edge")
-        if not self.converged:
-            lines.append("the search for the time constants did not converge")
         return tuple(lines)

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.pulse_fit.pulse_data import (
-    LEAST_SETTLED_ROWS,
-    MINIMUM_ROWS,
-    PulseData,
-    check_channel,
-    row_weights,
-)
+from cellwise.identify.pulse_fit.pulse_data import PulseData, check_channel
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -24,8 +18,9 @@ from cellwise.typing import FloatArray
 class _Limits(NamedTuple):
     """How much of a log belongs to a pulse."""
 
-    rest_s: float = 60.0  # of rest before it that is shown, if there is as much
+    rest_s: float = 60.0  # of rest before it that is compared, if there is as much
     rest_rows: int = 3  # at least
+    before_s: float = 600.0  # shown before it: branches of minutes have forgotten the rest
     quiet: float = 0.02  # less than this part of the pulse's current is no current
     switch_rows: int = 2  # on either side that may hold part of a switch
     # Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and
@@ -47,8 +42,8 @@ def pulse_from_arrays(
     stop: int,
     capacity_Ah: float,
     *,
+    first: int = 0,
     soc_start: float = float("nan"),
-    rest_before_s: float | None = None,
     ocv: OcvTable | None = None,
     name: str = "",
 ) -> PulseData:
@@ -61,8 +56,8 @@ def pulse_from_arrays(
     time_s, current_A, voltage_V : (n,) float     as in `PulseData`; voltage may hold NaN
     start, stop : int         first row of the pulse; first row after it
     capacity_Ah : float       [Ah]
-    soc_start : float         SOC at the first row [0..1]; needed with ``ocv``
-    rest_before_s : float     rest before the pulse [s]; by default what the rows show
+    first : int               first row that is compared
+    soc_start : float         SOC at the first row of all [0..1]; needed with ``ocv``
     ocv : callable            tabulated OCV: SOC array -> voltage array [V]
     name : str                for people
 
@@ -82,11 +77,9 @@ def pulse_from_arrays(
     charge = np.cumsum(current * dt) / 3600.0
     if keep.size < time.size:
         current = _merged_current(time, current, charge, keep)
-        start, stop = (int(np.searchsorted(keep, row)) for row in (start, stop))
+        first, start, stop = (int(np.searchsorted(keep, row)) for row in (first, start, stop))
         time, voltage, charge = time[keep], voltage[keep], charge[keep]
         charge = charge - charge[0] if charge.size else charge
-    if rest_before_s is None:
-        rest_before_s = float(time[start - 1] - time[0]) if 0 < start < time.size else 0.0
     change = None
     if ocv is not None:
         if not np.isfinite(soc_start):
@@ -98,9 +91,8 @@ def pulse_from_arrays(
         table = np.asarray(ocv(soc_start - charge / capacity_Ah), dtype=np.float64)
         change = table - table[0]
     return PulseData(
-        time, current, voltage, charge, start, stop, capacity_Ah,
-        soc_start, rest_before_s, change, name,
-    )  # fmt: skip
+        time, current, voltage, charge, start, stop, capacity_Ah, soc_start, first, change, name
+    )
 
 
 def cut_pulse(
@@ -111,14 +103,11 @@ def cut_pulse(
     *,
     soc_start: float = float("nan"),
     ocv: OcvTable | None = None,
-    rest_shown_s: float = LIMITS.rest_s,
-    relaxation_s: float = float("inf"),
-    name: str = "",
 ) -> PulseData:
     """Cut the pulse in rows ``start`` to ``stop`` (not included) out of a log.
 
-    The window begins up to ``rest_shown_s`` before the pulse and ends before the next current, a
-    gap, or ``relaxation_s`` after the pulse.
+    What is compared begins a minute before the pulse and ends before the next current or a gap. Ten
+    minutes before the pulse are shown, too: what its branches hold comes from there.
 
     Parameters
     ----------
@@ -127,8 +116,6 @@ def cut_pulse(
     capacity_Ah : float       [Ah]
     soc_start : float         SOC right before the pulse [0..1]
     ocv : callable            tabulated OCV: SOC array -> voltage array [V]
-    rest_shown_s, relaxation_s : float    longest rest before, longest relaxation [s]
-    name : str                for people
 
     Raises
     ------
@@ -158,16 +145,20 @@ def cut_pulse(
         end -= 1  # the row before the next current may hold its switch
     if end == after:  # what looked like the tail of the switch was the next current
         end = stop
-    end = max(stop, min(end, int(np.searchsorted(time, time[stop - 1] + relaxation_s, "right"))))
-    shown = int(np.searchsorted(time, time[max(begin - 1, 0)] - rest_shown_s))
+    at_s = float(time[max(begin - 1, 0)])
+    shown = int(np.searchsorted(time, at_s - LIMITS.rest_s))
     first = max(rest, min(shown, begin - LIMITS.rest_rows), 0)
-    rows = slice(first, end)
+    before = int(np.searchsorted(time, at_s - LIMITS.before_s))
+    gap = np.flatnonzero(gaps[: first + 1])
+    before = min(max(before, int(gap[-1]) if gap.size else 0), first)
+    rows = slice(before, end)
+    moved_Ah = float(log.counted_charge_Ah()[max(begin - 1, 0)] - log.counted_charge_Ah()[before])
     return pulse_from_arrays(
-        time[rows], current[rows], voltage[rows], begin - first, stop - first, capacity_Ah,
-        soc_start=soc_start,
-        rest_before_s=float(time[max(begin - 1, 0)] - time[rest]),
+        time[rows], current[rows], voltage[rows], begin - before, stop - before, capacity_Ah,
+        first=first - before,
+        soc_start=soc_start + moved_Ah / capacity_Ah,
         ocv=ocv,
-        name=name or log.name,
+        name=f"{log.name} at {time[start]:.0f} s",
     )  # fmt: skip
 
 
@@ -176,11 +167,7 @@ def cut_pulses(
     pulses: Sequence[Pulse],
     capacity_Ah: float,
     soc: FloatArray | None = None,
-    *,
     ocv: OcvTable | None = None,
-    step_ocv: OcvTable | None = None,
-    rest_shown_s: float = LIMITS.rest_s,
-    relaxation_s: float = float("inf"),
 ) -> list[PulseData]:
     """Cut all pulses that `find_pulses` found out of their log; of a move, its first minutes.
 
@@ -190,7 +177,7 @@ def cut_pulses(
     pulses : sequence of Pulse        of this log
     capacity_Ah : float               [Ah]
     soc : (n,) float                  SOC of every row of the log [0..1]; None if unknown
-    ocv, rest_shown_s, relaxation_s   as in `cut_pulse`
+    ocv : callable                    tabulated OCV: SOC array -> voltage array [V]
 
     Returns
     -------
@@ -210,10 +197,7 @@ def cut_pulses(
         cut_pulse(
             log, p.start, fitted_stop(log, p), capacity_Ah,
             soc_start=float("nan") if soc is None else float(soc[max(p.start - 1, 0)]),
-            ocv=step_ocv if p.role == "move" and ocv is None else ocv,
-            rest_shown_s=rest_shown_s,
-            relaxation_s=relaxation_s,
-            name=f"{log.name} at {log.time_s[p.start]:.0f} s",
+            ocv=ocv,
         )
         for p in pulses
     ]  # fmt: skip
@@ -239,18 +223,6 @@ def slow_rows_notice(log: CellLog, pulses: Sequence[Pulse]) -> str | None:
         f"'{log.name}' has its first row {first_s:.3g} s after a switch: what its R0 says is the "
         "resistance after that time; for a drive log pulses every second or faster"
     )
-
-
-def has_enough_rows(log: CellLog, pulse: Pulse) -> bool:
-    """Whether a fit finds the rows that it needs in the window that `cut_pulse` would cut."""
-    rows = slice(pulse.rest_before_start, max(pulse.relax_stop, pulse.stop))
-    if np.count_nonzero(np.isfinite(log.voltage_V[rows])) < MINIMUM_ROWS:
-        return False
-    try:
-        data = cut_pulse(log, pulse.start, fitted_stop(log, pulse), 1.0)
-    except InputError:
-        return False
-    return bool(np.count_nonzero(row_weights(data)) >= LEAST_SETTLED_ROWS)
 
 
 def _merged_current(
