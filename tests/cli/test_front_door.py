@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.writing import write_columns

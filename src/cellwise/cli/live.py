@@ -15,8 +15,6 @@ from cellwise.cli.common import (
     forecast_options,
     log_options,
     options,
-    places,
-    power_options,
     printing,
 )
 from cellwise.errors import InputError
@@ -56,7 +54,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
     forecast_options.add_charger(live)
     forecast_options.add_display(live)
-    power_options.add_power_options(live)
+    forecast_options.add_power_options(live)
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
     options.number(live, "--deadline-ms", "MS", "[the sample's interval]")
@@ -232,7 +230,7 @@ class OutsideNotice:
 
     def __call__(self, update: Update) -> None:
         """Look at one sample."""
-        from cellwise.cell.plausibility.outside import outside_moment
+        from cellwise.cell.plausibility.notice import outside_moment
         from cellwise.estimate.status import OUTSIDE
 
         if self._said or not update.info.status & OUTSIDE:
@@ -270,7 +268,7 @@ def state_row(update: Update) -> dict[str, Any]:
 
 def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:
     """What follows the power, and on standard error what limits nobody stated."""
-    settings = power_options.power_of(arguments, model)
+    settings = forecast_options.power_of(arguments, model)
     if settings is None:
         return None
     from cellwise.estimate.power.along import PowerFollower
@@ -281,7 +279,7 @@ def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | N
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    places.check_places(arguments.output, arguments.state)
+    options.check_places(arguments.output, arguments.state)
     for option in ("save_every", "every", "send_every", "deadline_ms", "samples", "idle"):
         value = getattr(arguments, option)
         if value is not None and not 0.0 <= value < 1e9:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.counter import compare_counter
 from cellwise.logs.checks.faults import (
     Saturation,
     Stretch,
@@ -21,6 +20,7 @@ from cellwise.logs.checks.faults import (
 from cellwise.logs.checks.grave import grave_notices, is_grave
 from cellwise.logs.checks.rests import Rest, find_rests, is_quiet, resolution
 from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
+from cellwise.logs.checks.units import compare_counter
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 

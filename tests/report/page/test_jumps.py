@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cellwise.report import replay_page
-from cellwise.report.page.jumps import linked, linked_among
+from cellwise.report.page.markup import linked, linked_among
 from report_cases import Page, drive, replay
 
 

@@ -12,7 +12,7 @@ import pytest
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration
-from cellwise.report.replay.forecast_section import flight_finding, flight_picture, present_picture
+from cellwise.report.replay.page import flight_finding, flight_picture, present_picture
 from cellwise.report.replay.replay_section import soc_picture
 from report_cases import drive, model, replay
 
