@@ -24,8 +24,17 @@ from cellwise.identify.pipeline import Progress
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
-from cellwise.studies.lfp_paper import CHOICES, LFP_EMBEDDED, QUALITIES, LfpTables, lfp_tables
-from cellwise.studies.ncr_paper import METHODS, NMC_EMBEDDED, RateResult, ncr_tables
+from cellwise.studies.paper_tables import (
+    CHOICES,
+    LFP_EMBEDDED,
+    METHODS,
+    NMC_EMBEDDED,
+    QUALITIES,
+    LfpTables,
+    RateResult,
+    lfp_tables,
+    ncr_tables,
+)
 from cellwise.studies.published import (
     LFP_CAPACITIES,
     LFP_CELL,
