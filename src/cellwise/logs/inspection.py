@@ -209,8 +209,6 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
         notices.append(f"{len(gaps) - MOST_NOTICES} more gaps")
     if log.repeated_stamps:
         notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
-    if np.ptp(log.time_s) == 0.0:
-        notices.append("all rows have the same time")
     if sampling.late:
         notices.append(
             f"{sampling.late} row(s) come after more than ten times the usual interval of "
