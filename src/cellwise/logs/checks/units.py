@@ -12,10 +12,32 @@ from cellwise.logs.files.columns import KELVIN_OFFSET
 from cellwise.logs.measured_log import MeasuredLog, typical
 from cellwise.typing import BoolArray, FloatArray
 
-RESTART_SHARE = 0.1
-RESTART_STEPS = 5.0
-RESTART_OF_RANGE = 1e-3
-JOINED_RESIDUAL = 0.5
+
+class CounterRule(NamedTuple):
+    """From where on a counter has restarted, is in another unit, or is another quantity.
+
+    It has restarted where it reads less than the share ``restart`` of its jump, which is above
+    ``steps`` of its steps and ``of_range`` of its range; joined up it must leave at most ``joined``
+    of its deviation from the summed current. From the correlation ``unit`` on a ratio to that sum
+    within ``same`` of a factor is a slip of a unit; below ``another`` it may count something else,
+    and beyond ``opposite`` against the current it counts the other way. A mismatch of the net
+    charges is noted from ``noted_percent`` of the charge moved on, by an inspection from
+    ``inspected_percent``.
+    """
+
+    restart: float = 0.1
+    steps: float = 5.0
+    of_range: float = 1e-3
+    joined: float = 0.5
+    unit: float = 0.95
+    same: float = 0.1
+    another: float = 0.9
+    opposite: float = 0.5
+    noted_percent: float = 2.0
+    inspected_percent: float = 0.5
+
+
+COUNTER = CounterRule()
 
 
 class CounterCheck(NamedTuple):
@@ -105,13 +127,13 @@ def joined_counter(
     step = float(np.min(moves[moves > 1e-9], initial=np.inf))
     if not np.isfinite(step):
         return None
-    least = max(RESTART_STEPS * step, RESTART_OF_RANGE * float(np.ptp(counter)))
-    restarts = (np.abs(jump) > least) & (fresh < RESTART_SHARE * np.abs(jump)) & ~gap_rows[1:]
+    least = max(COUNTER.steps * step, COUNTER.of_range * float(np.ptp(counter)))
+    restarts = (np.abs(jump) > least) & (fresh < COUNTER.restart * np.abs(jump)) & ~gap_rows[1:]
     if not restarts.any():
         return None
     joined = counter - np.concatenate(([0.0], np.cumsum(np.where(restarts, jump, 0.0))))
     summed = np.cumsum(drawn)
-    if np.std(joined - summed) > JOINED_RESIDUAL * np.std(counter - summed):
+    if np.std(joined - summed) > COUNTER.joined * np.std(counter - summed):
         return None  # a counter and a current that merely differ
     return joined, int(np.count_nonzero(restarts))
 
@@ -152,7 +174,6 @@ CELL = Cell()
 EPOCH_S = 1e8  # a time that begins later than three years is counted from 1970 or so
 LOWEST_KELVIN = 200.0
 EDGE = 0.2  # of the largest current: a step that shows the resistance
-SAME = 0.1  # of a factor between two units
 FAST_S = 0.02  # no tester logs so fast: the time is in hours
 # A counter over the summed current: what it counts, or in which unit something else is.
 COUNTERS = {1e3: "milliampere hours", 3600.0: "ampere seconds"}
@@ -162,7 +183,6 @@ SLIPS = {
     60.0: "time in minutes: name its column time_min",
     3600.0: "time in hours: name its column time_h",
 }
-LEAST_AGREEMENT = 0.95  # of counter and current, to speak of a factor between them
 
 
 def check_voltage(log: MeasuredLog, where: str) -> list[str]:
@@ -255,7 +275,7 @@ def counter_factor(log: MeasuredLog, check: CounterCheck, where: str) -> tuple[f
     InputError        the ratio says that current or time are in another unit
     """
     ratio = abs(check.factor)
-    if abs(check.agreement) < LEAST_AGREEMENT:
+    if abs(check.agreement) < COUNTER.unit:
         return 1.0, []
     fast = float(np.median(log.interval_s[1:])) < FAST_S
     for times, unit in COUNTERS.items():
@@ -315,4 +335,4 @@ def _edge_resistance(log: MeasuredLog) -> float | None:
 
 
 def _near(ratio: float, target: float) -> bool:
-    return abs(ratio / target - 1.0) < SAME
+    return abs(ratio / target - 1.0) < COUNTER.same

@@ -12,7 +12,7 @@ A reader may give, beside the fields of `CellLog`, what testers write in pieces:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar, get_args
+from typing import Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from cellwise.logs.checks.grave import (
 )
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.units import (
+    COUNTER,
     CounterCheck,
     charge_steps,
     check_current_and_time,
@@ -48,10 +49,23 @@ from cellwise.logs.files.source import RawLog
 from cellwise.logs.measured_log import CurrentMeaning, MeasuredLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
-SIGNED_SHARE = 1e-3  # of the rows under load; fewer negative ones are a sensor's zero
-LOAD_OF_LARGEST = 0.01
-LEAST_AGREEING = 0.9  # of the rows whose sign and state can be compared
-RESTART_BELOW = 0.5  # of what a counter read before: less is a restart, more is its last digit
+
+class StateRule(NamedTuple):
+    """When a tester's state gives a current its sign, as shares.
+
+    Rows of more than ``load`` of the largest current are under load. Where more than ``signed`` of
+    these are negative, the current has a sign: fewer are a sensor's zero. Its meaning is the
+    state's where ``agreeing`` of the rows agree, or disagree. A counter that reads less than
+    ``restart`` of what it read before has restarted: more is its last digit.
+    """
+
+    load: float = 0.01
+    signed: float = 1e-3
+    agreeing: float = 0.9
+    restart: float = 0.5
+
+
+STATE = StateRule()
 
 
 def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
@@ -103,7 +117,7 @@ def accumulated(counter: FloatArray) -> FloatArray:
         last = np.maximum.accumulate(np.where(known, np.arange(counter.size), -1))
         held = np.where(last >= 0, counter[last], counter[known][0])
     steps = np.diff(held, prepend=0.0)
-    restarts = np.flatnonzero((steps[1:] < 0) & (held[1:] < RESTART_BELOW * held[:-1])) + 1
+    restarts = np.flatnonzero((steps[1:] < 0) & (held[1:] < STATE.restart * held[:-1])) + 1
     if restarts.size == 0:
         return held
     steps[restarts] = held[restarts]
@@ -116,9 +130,9 @@ def _signed(
     """Current in the format's sign, by the tester's state where the file has none."""
     size = np.abs(current)
     largest = float(np.nanmax(size, initial=0.0))
-    load = size > LOAD_OF_LARGEST * largest
+    load = size > STATE.load * largest
     negative = load & (current < 0)
-    if np.count_nonzero(negative) > SIGNED_SHARE * np.count_nonzero(load):
+    if np.count_nonzero(negative) > STATE.signed * np.count_nonzero(load):
         return _sign_by_state(current, direction, load, sign, where)
     unknown = load & np.isnan(direction)
     if unknown.any():
@@ -146,7 +160,7 @@ def _sign_by_state(
         return current, []
     agreeing = np.count_nonzero(np.sign(current[stated]) == direction[stated]) / count
     discharge_positive = agreeing >= 0.5
-    if LEAST_AGREEING > agreeing > 1.0 - LEAST_AGREEING:
+    if STATE.agreeing > agreeing > 1.0 - STATE.agreeing:
         raise InputError(
             f"a current of {where} whose sign agrees with the tester's state in "
             f"{100 * agreeing:.0f} % of the rows under load",
@@ -173,7 +187,7 @@ def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
     difference = steps[1] - steps[0]
     direction = np.where(np.abs(difference) >= 0.5 * flowed, np.sign(difference), 0.0)
     # A counter's last digit does not move in every row of a load, and not in its first.
-    known = (direction != 0.0) | (current <= LOAD_OF_LARGEST * np.nanmax(current))
+    known = (direction != 0.0) | (current <= STATE.load * np.nanmax(current))
     rows = np.arange(current.size)
     following = np.minimum.accumulate(np.where(known, rows, rows[-1])[::-1])[::-1]
     before = np.maximum.accumulate(np.where(known, rows, 0))
@@ -204,9 +218,6 @@ Log = TypeVar("Log", bound=MeasuredLog)
 
 
 MOST_ROWS_WITHOUT_TIME = 0.01
-LEAST_AGREEMENT = 0.9  # below this correlation a counter may count something else
-SAME_QUANTITY = 0.5
-NOTED_MISMATCH_PERCENT = 2.0
 NO_STEP = -1
 
 
@@ -281,7 +292,7 @@ def assemble(
     log, counter, noted = _with_checked_counter(log, origin.where)
     notices += noted
     notices += check_current_and_time(possible_part(log), origin.where)
-    opposite = counter is not None and counter.agreement < -SAME_QUANTITY
+    opposite = counter is not None and counter.agreement < -COUNTER.opposite
     if not (check_sign or opposite):
         return log.with_notices(graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
@@ -333,7 +344,7 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     check = compare_steps(drawn, counted)
     if check is None:
         return log, None, []
-    if abs(check.agreement) < LEAST_AGREEMENT and counts_throughput(drawn, counted):
+    if abs(check.agreement) < COUNTER.another and counts_throughput(drawn, counted):
         noted = "the counter ampere_hours adds up charge and discharge alike and was left out"
         return replace(log, charge_Ah=None), None, [noted]
     factor, more = counter_factor(log, check, where)
@@ -348,7 +359,7 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     if counter is not log.charge_Ah:
         log = replace(log, charge_Ah=counter)
         check = compare_counter(log) or check
-    if check.mismatch_percent > NOTED_MISMATCH_PERCENT and check.agreement > 0:
+    if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
         notices.append(
             f"the counter ampere_hours differs from the summed current by "
             f"{check.mismatch_percent:.1f} % of the charge moved"
