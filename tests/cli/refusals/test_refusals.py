@@ -42,7 +42,7 @@ def written(folder: Path) -> set[str]:
 
 def test_a_bad_log_is_refused_by_every_command(refused, tmp_path, bad_log, model):
     before, out = written(tmp_path), str(tmp_path / "out.csv")
-    assert Path(bad_log).name in refused("inspect", bad_log)
+    assert Path(bad_log).name.partition(".")[0] in refused("inspect", bad_log)
     refused("convert", bad_log, "-o", out)
     refused("identify", "--hppc", bad_log, "--nominal-ah", "5", "-o", str(tmp_path / "m.json"))
     refused("identify", "--drive", bad_log, "--nominal-ah", "5", "-o", str(tmp_path / "m.json"))
@@ -195,8 +195,8 @@ def test_a_write_that_breaks_off_leaves_no_half_file(capsys, tmp_path, model, dr
     out = tmp_path / "rows.csv"
     out.write_text("precious")
 
-    def breaks(_table, target, **_kwargs):
-        Path(target).write_text("time_s,so")
+    def breaks(_table, stream, *_args):
+        stream.write(b"time_s,so")
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("pyarrow.csv.write_csv", breaks)
