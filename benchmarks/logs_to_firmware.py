@@ -30,7 +30,7 @@ from cellwise.benchmark.certify.exported import Exported
 from cellwise.benchmark.certify.lives import counted_soc
 from cellwise.benchmark.certify.run import NEAR, ends_of_discharges
 from cellwise.cell.model_file import write_model
-from cellwise.cell.stock.catalogue import named_model
+from cellwise.cell.stock import named_model
 from cellwise.cli import main as cellwise
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.replay import reference_soc

@@ -26,7 +26,7 @@ from benchmarks.judged_run import judged_run
 from benchmarks.measured_data import HOW, data_folder, measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.model import CAPACITY_STD, CellModel
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.estimate.replay import replay
 from cellwise.forecast.charging import forecast_charge
 from cellwise.forecast.plan import BAND, Outcome, Plan, forecast_plan, mean_powers, plan_of_log

@@ -34,7 +34,7 @@ from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.fit.rests import NO_READING
 from cellwise.diagnose.log_runs import apply
 from cellwise.logs import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 
 DIAGNOSE = "cellwise.diagnose"
 PHYSICS = Path(__file__).resolve().parents[2] / "tests/diagnose/physics_cases"

@@ -29,7 +29,7 @@ from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.identify import Identification
 from cellwise.identify.prior.corrections import UsualDifference
 from cellwise.identify.prior.update import Evidence

@@ -20,7 +20,7 @@ from cellwise import IdentifySettings, InputError, TestLogs, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
 from cellwise.logs import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 from cellwise.typing import FloatArray
 
 FITTED, JUDGED = ("cycle_2", "cycle_4"), ("us06", "nn", "hwfta")

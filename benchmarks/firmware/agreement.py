@@ -15,7 +15,7 @@ from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.logs import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 
 STEPS_S = (0.1, 1.0)
 TARGET_POINTS = 0.05

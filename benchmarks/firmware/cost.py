@@ -15,8 +15,8 @@ from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
+from cellwise.export.accuracy import WorstCase, worst_case
 from cellwise.export.cross import Cost, cores_here, run_on_target
-from cellwise.export.stress import WorstCase, worst_case
 from cellwise.logs import CellLog
 
 DT_S = 1.0

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cellwise.forecast import forecast
     from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
     from cellwise.logs import CellLog, Stated, inspect_log, read_log, write_log
-    from cellwise.logs.resample import resample
+    from cellwise.logs.cell_log import resample
     from cellwise.progress import progress_bar
 
 # Loaded on first use: importing cellwise must not wait for compilers.
@@ -56,7 +56,7 @@ _HOMES = {
     "Adaptive": "cellwise.estimate.adaptive.adaptive",
     "forecast": "cellwise.forecast",
     "progress_bar": "cellwise.progress",
-    "resample": "cellwise.logs.resample",
+    "resample": "cellwise.logs.cell_log",
     "tune_noise": "cellwise.estimate.tune_noise",
     "Coulomb": "cellwise.estimate.filters.coulomb",
     "Ekf": "cellwise.estimate.filters.kalman",

@@ -44,7 +44,7 @@ def begin() -> bool:
 
 def main() -> None:
     """Call each kernel once, those first that are wanted first and take longest."""
-    from cellwise.cell.stock.catalogue import named_model
+    from cellwise.cell.stock import named_model
     from cellwise.data import load_dataset
     from cellwise.diagnose import diagnose
     from cellwise.estimate.filters.kalman import Ekf

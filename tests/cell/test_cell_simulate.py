@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import model_temperature_C, simulate
-from cellwise.cell.stock.catalogue import named_model, stock_names
+from cellwise.cell.stock import named_model, stock_names
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model

@@ -68,11 +68,6 @@ def test_data_generate(run_json, generator, tmp_path):
     assert generator == [(out, ["nmc_hppc", "lfp"])]
 
 
-def test_data_generate_for_people(capsys, generator, tmp_path):
-    assert main(["data", "generate", "-o", str(tmp_path)]) == 0
-    assert str(tmp_path / "hppc.parquet") in capsys.readouterr().out
-
-
 def test_data_generate_refuses_an_unknown_name(refused, generator, tmp_path):
     message = refused("data", "generate", "-o", str(tmp_path / "out"), "--only", "unknown")
     assert "unknown" in message
@@ -128,14 +123,6 @@ def test_demo_where_no_folder_can_be_made(refused, tmp_path):
     refused("demo", "-o", str(tmp_path / "file"))
 
 
-def test_pages_of_commands(tmp_path, capsys, model, drive):
-    page = tmp_path / "replay.html"
-    assert main(["replay", "--model", model, drive, "--reference-capacity-ah", "5.1532",
-                 "--report", str(page)]) == 0  # fmt: skip
-    assert f"page to open: {page}" in capsys.readouterr().out
-    assert page.read_text(encoding="utf-8").lstrip().casefold().startswith("<!doctype html")
-
-
 def test_the_installed_program():
     program = Path(sys.executable).with_name("cellwise")
     if not program.exists():
@@ -168,16 +155,3 @@ def test_help_loads_no_compiler():
         "print([m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
     )
     assert run_python(code) == "[]"
-
-
-@pytest.mark.parametrize(
-    "command", ["inspect", "convert", "identify", "simulate", "replay", "papers", "demo", "data"]
-)
-def test_every_command_has_help(capsys, command):
-    with pytest.raises(SystemExit) as stop:
-        main([command, "--help"])
-    assert stop.value.code == 0
-    text = capsys.readouterr().out
-    assert text.startswith(f"usage: cellwise {command}")
-    if command != "data":
-        assert "--json" in text

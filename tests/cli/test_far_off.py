@@ -7,8 +7,8 @@ import json
 import pytest
 
 from cellwise import load_dataset, replay, simulate
-from cellwise.cell.plausibility.far_off import FAR_OFF, times_stated
-from cellwise.cell.stock.catalogue import named_model
+from cellwise.cell.plausibility.notice import FAR_OFF, times_stated
+from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs.writing import write_columns
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.writing import write_columns
@@ -87,9 +87,10 @@ def test_folders_and_patterns_are_logs_in_the_order_of_time(month, run_json, cap
     life = run_json("history", "--model", STOCK, str(month))
     days = list(dict.fromkeys(one["log"][:14] for one in life["logs"]))
     assert days == [f"car_2024-06-0{k}" for k in (1, 2, 3)]
-    assert run_json("pack", "--model", STOCK, str(month))["cells"] == CELLS
-    main(["pack", "--model", STOCK, str(month)])
-    said = capsys.readouterr().err
+    capsys.readouterr()
+    assert main(["pack", "--model", STOCK, str(month), "--json"]) == 0
+    packed, said = capsys.readouterr()
+    assert json.loads(packed)["cells"] == CELLS
     assert "index.csv" in said
     assert "README" not in said
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise import load_dataset, read_model, write_log
-from cellwise.cell.stock.catalogue import stock_names
+from cellwise.cell.stock import stock_names
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
-from cellwise.cell.plausibility.outside import outside_moment, outside_notices
+from cellwise.cell.plausibility.notice import outside_moment, outside_notices
 from cellwise.cell.plausibility.validity import TOLERANCE_K, UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator

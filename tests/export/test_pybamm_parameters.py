@@ -19,7 +19,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import named_model
+from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.logs.cell_log import CellLog

@@ -13,9 +13,9 @@ from cellwise.data import load_dataset
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import CELL, state_type
 from cellwise.estimate.fixed.stepper import numba_stepper
+from cellwise.export.accuracy import worst_case
 from cellwise.export.cross import CORES, has_tools, run_on_target
-from cellwise.export.stress import worst_case
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
 

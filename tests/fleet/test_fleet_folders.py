@@ -11,15 +11,15 @@ import pytest
 
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError, MachineError
 from cellwise.fleet import HistoryTask, PackTask, run_fleet
+from cellwise.fleet.store import read_prepared
 from cellwise.history.life import life_of
 from cellwise.history.window_fit import changed_model
 from cellwise.logs import CellLog, read_log, write_log
 from cellwise.logs.packs.pack_reading import read_pack
-from cellwise.logs.prepared import read_prepared
 from cellwise.logs.writing import read_rows, write_columns
 from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack

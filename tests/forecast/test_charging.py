@@ -10,7 +10,7 @@ import pytest
 from known_flights import known_replay
 
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay

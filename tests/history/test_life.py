@@ -10,7 +10,7 @@ import pytest
 
 from cellwise.cell.model_file import read_model
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.history.life import life_of

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.history.life import life_of
 from cellwise.logs import read_log
 

@@ -42,11 +42,31 @@ def test_gzip_is_detected_by_content(tmp_path, name):
     check(read_log(path))
 
 
-def test_gzip_of_several_members(tmp_path):
-    text = csv_text(CHANNELS).encode()
-    path = tmp_path / "log.csv.gz"
-    path.write_bytes(gzip.compress(text[:1000]) + gzip.compress(text[1000:]))
-    check(read_log(path))
+TEXT = csv_text(CHANNELS)
+GERMAN = csv_text({**CHANNELS, "Kanal": CHANNELS["time_s"]}, sep=";").replace(".", ",")
+HEADS = ("# made by a tester\n# 25 degC\n\n", "\ufeff", "\ufeff# x\n", "\n")
+FORMS = {
+    "gzip of several members": gzip.compress(TEXT.encode()[:999])
+    + gzip.compress(TEXT.encode()[999:]),
+    **{f"head {k}": (head + TEXT).encode() for k, head in enumerate(HEADS)},
+    **{f"head {k}, CR": (h + TEXT).replace("\n", "\r\n").encode() for k, h in enumerate(HEADS)},
+    **{f"cells between {sep!r}": csv_text(CHANNELS, sep).encode() for sep in ";\t|"},
+    "rows that end with a delimiter": TEXT.replace("\n", ",\n").replace(",\n", "\n", 1).encode(),
+    "names in capitals": TEXT.replace("current_A", "CURRENT_A")
+    .replace("time_s", "Time_S")
+    .encode(),
+    # Byte order mark, CR LF, semicolons, decimal commas, Latin-1 in a column not used.
+    "German": GERMAN.replace("\n", "\r\n").encode("utf-8-sig").replace(b"Kanal", b"Gr\xf6\xdfe"),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_same_text_in_another_form(form, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(FORMS[form])
+    log = read_log(path)
+    check(log)
+    assert ("decimal commas were read as such" in log.notices) == (form == "German")
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv"])
@@ -90,17 +110,6 @@ def test_text_in_a_column_that_is_not_used(tmp_path):
     assert len(read_log(path)) == 3
 
 
-@pytest.mark.parametrize(
-    "head", ["# made by a tester\n# 25 degC\n\n", "\ufeff", "\ufeff# x\n", "\n"]
-)
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_comments_byte_order_mark_and_line_ends(tmp_path, head, end):
-    path = tmp_path / "log.csv"
-    text = (head + csv_text(CHANNELS)).replace("\n", end)
-    path.write_bytes(text.encode())
-    check(read_log(path))
-
-
 def test_header_in_a_comment_as_numpy_writes_it(tmp_path):
     path = tmp_path / "log.csv"
     np.savetxt(
@@ -113,46 +122,12 @@ def test_header_in_a_comment_as_numpy_writes_it(tmp_path):
     check(read_log(path))
 
 
-def test_german_cycler_export(tmp_path):
-    """Byte order mark, CR LF, semicolons, decimal commas, Latin-1 in a column not used."""
-    text = csv_text({**CHANNELS, "Kanal": CHANNELS["time_s"]}, sep=";").replace(".", ",")
-    path = tmp_path / "log.csv"
-    path.write_bytes(
-        text.replace("\n", "\r\n").encode("utf-8-sig").replace(b"Kanal", b"Gr\xf6\xdfe")
-    )
-    log = read_log(path)
-    check(log)
-    assert "decimal commas were read as such" in log.notices
-
-
-@pytest.mark.parametrize("sep", [";", "\t", "|"])
-def test_other_delimiters_with_decimal_points(tmp_path, sep):
-    path = tmp_path / "log.csv"
-    path.write_text(csv_text(CHANNELS, sep))
-    check(read_log(path))
-
-
-def test_rows_that_end_with_a_delimiter(tmp_path):
-    path = tmp_path / "log.csv"
-    lines = csv_text(CHANNELS).splitlines()
-    path.write_text("\n".join([lines[0], *(line + "," for line in lines[1:])]) + "\n")
-    check(read_log(path))
-
-
 def test_quoted_cells_and_blanks(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text('"time_s" , "current_A",voltage_V\n"0", 1.5 ,4.1\n 1 ,"1.5","4.0"\n')
     log = read_log(path)
     np.testing.assert_array_equal(log.current_A, [1.5, 1.5])
     np.testing.assert_array_equal(log.voltage_V, [4.1, 4.0])
-
-
-def test_names_without_regard_to_case(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(
-        csv_text(CHANNELS).replace("current_A", "CURRENT_A").replace("time_s", "Time_S")
-    )
-    check(read_log(path))
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "NaN", "NA", "null", "inf", "-inf", "--", "#DIV/0!"])

@@ -10,8 +10,8 @@ import pytest
 
 from cellwise.cell.compiled import for_kernel
 from cellwise.errors import InputError
+from cellwise.fleet.store import CHANNELS, read_prepared
 from cellwise.logs import CellLog, read_log, write_log
-from cellwise.logs.prepared import CHANNELS, read_prepared
 from example_cells import random_log
 
 
@@ -43,7 +43,7 @@ def test_it_is_the_log_that_was_read_the_first_time_and_after(path, tmp_path):
 
 def test_the_second_time_the_file_is_not_parsed(path, tmp_path, monkeypatch):
     read_prepared(path, tmp_path / "cache")
-    monkeypatch.setattr("cellwise.logs.prepared.read_log", None)
+    monkeypatch.setattr("cellwise.fleet.store.read_log", None)
     assert len(read_prepared(path, tmp_path / "cache")) == 400
 
 

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import CellLog, resample
 
 
 def uneven_log(seed=0, rows=500, **changes) -> CellLog:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise import CellLog, InputError, Stated, read_log, write_log
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from cellwise.cell.stock.catalogue import named_model
+from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs import CellLog
 from cellwise.logs.packs.pack_reading import read_pack

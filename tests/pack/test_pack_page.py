@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.history.life import life_of
 from cellwise.logs import CellLog
 from cellwise.pack.pack_estimate import estimate_pack

@@ -13,8 +13,7 @@ import pytest
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
 from cellwise.report import replay_page
-from cellwise.report.page.interactive import trace_section
-from cellwise.report.page.section import write_page
+from cellwise.report.page.section import trace_section, write_page
 from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page
 from report_cases import drive, replay, simulation

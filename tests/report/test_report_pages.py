@@ -15,10 +15,12 @@ from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
 from cellwise.report.identification.page import identify_sections, notices
+from cellwise.report.identification.pulse_section import pulse_picture
 from cellwise.report.page.markup import MOST, finite, page, table
+from cellwise.report.page.picture import inline
 from cellwise.report.page.section import pictures_of, rendered, script
 from cellwise.report.replay.page import replay_data, replay_sections
-from cellwise.report.replay.replay_section import replay_figures
+from cellwise.report.replay.replay_section import replay_figures, soc_picture
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
@@ -41,15 +43,17 @@ def road():
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory, laboratory, road):
-    """Every kind of page: name -> (text, parsed, the figures it should hold)."""
+def pages(tmp_path_factory, laboratory, road, without_pictures):
+    """Every kind of page: name -> (text, parsed, the figures it should hold).
+
+    The demo's page has all pictures of an identification's, which has them as captions here.
+    """
     folder = tmp_path_factory.mktemp("pages")
     simulations, replays = road
+    with without_pictures():
+        identified = identify_page(laboratory, folder / "identify.html")
     done = {
-        "identify": (
-            identify_page(laboratory, folder / "identify.html"),
-            laboratory.to_dict(),
-        ),
+        "identify": (identified, laboratory.to_dict()),
         "replay": (
             replay_page(replays, folder / "replay.html", simulations),
             replay_data(replays, simulations),
@@ -179,15 +183,16 @@ def test_many_replays_are_rows_and_few_pictures():
     assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST.replays
 
 
-def test_names_of_logs_are_escaped_everywhere(tmp_path):
+def test_names_of_logs_are_escaped_everywhere(tmp_path, without_pictures):
     laboratory = identification(name=NASTY)
     model = replace(laboratory.model, name=NASTY, chemistry=NASTY)
     laboratory = replace(laboratory, model=model)
     log = replace(drive(), name=NASTY)
-    assert "<script>alert" not in "".join(rendered(s) for s in identify_sections(laboratory))
-    text, parsed = written(
-        lambda r, path: replay_page(r, path, [simulation(log)]), tmp_path, [replay(log)] * 2
-    )
+    with without_pictures():
+        said = "".join(rendered(s) for s in identify_sections(laboratory))
+    drawn = inline(pulse_picture(laboratory))
+    assert "<script>alert" not in said + drawn
+    text, parsed = written(replay_page, tmp_path, [replay(log)])
     assert "<script>alert" not in text
     assert len(parsed.scripts) == 1
     assert not any(NASTY in program for _, program in parsed.programs)
@@ -217,11 +222,12 @@ def test_page_of_a_million_rows_is_small(tmp_path):
     ],
     ids=["three temperatures", "pulses alone", "segments", "drives alone", "many temperatures"],
 )
-def test_every_kind_of_identification_has_its_sections(case):
+def test_every_kind_of_identification_has_its_sections(case, without_pictures):
     sections = {s.key: s for s in identify_sections(identification(**case))}
     assert ("pulses" in sections) == case.get("with_pulses", True)
     assert {"ocv", "capacity", "parameters", "fit", "provenance"} <= set(sections)
-    Page(rendered(sections["parameters"]))
+    with without_pictures():
+        Page(rendered(sections["parameters"]))
 
 
 def test_identification_without_capacity_tests_or_branches():
@@ -239,6 +245,7 @@ def test_identification_without_capacity_tests_or_branches():
     assert notices(bare) == ""
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_replay_without_reference_and_without_variance(tmp_path):
     log = drive()
     _, parsed = written(
@@ -262,6 +269,7 @@ def test_log_with_missing_values_and_gaps(tmp_path):
     assert parsed.ids
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_very_short_logs(tmp_path):
     log = hppc().part(0, 5)
     written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, [simulation(log)])
@@ -272,11 +280,9 @@ def test_no_replay_is_refused(tmp_path):
         replay_page([], tmp_path / "page.html")
 
 
-def test_equal_data_give_equal_pages(tmp_path):
-    log = drive()
-    first, second = (
-        written(lambda r, path: replay_page(r, path), tmp_path, [replay(log)])[0] for _ in range(2)
-    )
+def test_equal_data_give_equal_pictures():
+    run = replay(drive())
+    first, second = (inline(soc_picture(run)) for _ in range(2))
     assert first == second
 
 
@@ -287,14 +293,15 @@ def test_missing_matplotlib_says_what_to_install(tmp_path, monkeypatch, laborato
     assert not list(tmp_path.iterdir())
 
 
-def test_settings_of_others_are_left_alone(tmp_path):
+def test_settings_of_others_are_left_alone():
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         before = dict(matplotlib.rcParams)
-        replay_page([replay(drive(60))], tmp_path / "page.html")
+        inline(soc_picture(replay(drive(60))))
         assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_pictures_are_saved_beside_the_page(tmp_path):
     folder = tmp_path / "figures"
     replay_page([replay(drive())], tmp_path / "page.html", figures=folder)
@@ -304,6 +311,7 @@ def test_pictures_are_saved_beside_the_page(tmp_path):
     }
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_unwritable_page_is_refused(tmp_path):
     with pytest.raises(InputError, match="no folder"):
         replay_page([replay(drive(60))], tmp_path / "no such folder" / "page.html")

@@ -12,7 +12,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.logs.cell_log import CellLog
-from cellwise.studies.lfp_paper import cycle_error, polynomials, split_tests
+from cellwise.studies.paper_tables import cycle_error, polynomials, split_tests
 
 
 def flat_cell():

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.studies.lfp_paper import CHOICES
-from cellwise.studies.papers import paper_tables
-from cellwise.studies.papers_text import papers_text, print_papers
+from cellwise.studies.paper_tables import CHOICES
+from cellwise.studies.papers import paper_tables, papers_text, print_papers
 
 pytestmark = pytest.mark.slow
 

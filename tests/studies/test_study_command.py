@@ -7,18 +7,30 @@ import json
 import pytest
 
 from cellwise.cli.command_line import main
+from cellwise.studies import capacity_study
+
+CELL = ["capacity-study", "--cell", "embedded-nmc-rates"]
 
 
-@pytest.fixture(scope="module")
-def told(tmp_path_factory):
-    page = tmp_path_factory.mktemp("study") / "study.html"
-    return page, ["capacity-study", "--cell", "embedded-nmc-rates", "--estimator", "coulomb",
-                  "--estimator", "ekf", "--report", str(page), "--json"]  # fmt: skip
+@pytest.fixture(scope="module", autouse=True)
+def once():
+    """A cell is studied once for all commands of this file."""
+    kept, study = {}, capacity_study.study_cell
+
+    def remembered(cell, *arguments):
+        if cell.name not in kept:
+            kept[cell.name] = study(cell, *arguments)
+        return kept[cell.name]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(capacity_study, "study_cell", remembered)
+        yield
 
 
-def test_one_object_with_winners_and_the_papers_orders(told, capsys):
-    page, arguments = told
-    assert main(arguments) == 0
+def test_one_object_with_winners_and_the_papers_orders(tmp_path, capsys):
+    page = tmp_path / "study.html"
+    both = ["--estimator", "coulomb", "--estimator", "ekf"]
+    assert main([*CELL, *both, "--report", str(page), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     (study,) = data["studies"]
     assert [c["choice"] for c in study["choices"]] == ["rate:C/20", "rate:C/5", "rate:C/3"]
@@ -36,8 +48,7 @@ def test_one_object_with_winners_and_the_papers_orders(told, capsys):
 
 
 def test_tables_and_reasons_for_people(capsys):
-    arguments = ["capacity-study", "--cell", "embedded-nmc-rates", "--estimator", "coulomb"]
-    assert main(arguments) == 0
+    assert main([*CELL, "--estimator", "coulomb"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "coulomb counting: rate:C/20 wins" in text
     assert "counting divides by it" in text

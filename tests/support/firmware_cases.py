@@ -22,8 +22,8 @@ from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
+from cellwise.export.accuracy import stress_samples as stress_samples
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS, write_sources
-from cellwise.export.stress import stress_samples as stress_samples
 from example_cells import curved_cell, random_model
 
 VALID = Validity(soc=(0.3, 0.8), temperature_C=(0.0, 30.0), current_A=(-3.0, 6.0))

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pyarrow.parquet as pq
 
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import CellLog, read_log
 

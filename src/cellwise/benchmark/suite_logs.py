@@ -12,7 +12,7 @@ from cellwise.benchmark.known_logs import file_digest, find_known
 from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
-from cellwise.cell.stock.catalogue import stock_model, stock_names
+from cellwise.cell.stock import stock_model, stock_names
 from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
@@ -20,9 +20,8 @@ from cellwise.estimate.replay import reference_soc
 from cellwise.estimate.tune_noise import tune_noise
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.pipeline import identify_cell
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, resample
 from cellwise.logs.reading import read_log
-from cellwise.logs.resample import resample
 from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
 

@@ -180,26 +180,6 @@ class ModelError:
         """The same with every deviation so many times as large; shares as they are."""
         return replace(self, std_V=_times(self.std_V, times))
 
-    def on_scales(self, scales_s: tuple[float, ...]) -> ModelError:
-        """The same by other scales: every process counts to the nearest of them."""
-        own, others = (np.log(np.maximum(s, 1e-3)) for s in (self.scales_s, scales_s))
-        to = [int(np.argmin(np.abs(others - s))) for s in own]
-
-        def gathered(values: FloatArray) -> Any:
-            square = np.zeros((len(scales_s), *values.shape[1:]))
-            for k, place in enumerate(to):
-                square[place] += values[k] ** 2
-            return _tuples(np.sqrt(square).tolist())
-
-        charge = self.charge_share
-        return replace(
-            self,
-            scales_s=scales_s,
-            std_V=gathered(np.array(self.std_V)),
-            share=gathered(np.array(self.share)),
-            charge_share=None if charge is None else gathered(np.array(charge)),
-        )
-
     def with_slow(self, std_V: FloatArray, share: float) -> ModelError:
         """With as much more in the slowest process: over an even SOC grid [V], and a share."""
         points = max(len(std_V), len(self.std_V[-1][0]))

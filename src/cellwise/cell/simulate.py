@@ -26,10 +26,15 @@ from cellwise.cell.metrics import (
     metrics_to_dict,
 )
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
-from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.plausibility.outside import assumed_temperature_notices, outside_notices
-from cellwise.cell.plausibility.simulated import error_notices, soc_notices
+from cellwise.cell.plausibility.notice import (
+    assumed_temperature_notices,
+    error_notices,
+    far_off_notices,
+    far_off_text,
+    in_order,
+    outside_notices,
+    soc_notices,
+)
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog, check_is_log

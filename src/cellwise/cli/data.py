@@ -39,7 +39,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the stock models, the embedded data sets and the registry."""
-    from cellwise.cell.stock.catalogue import list_stock
+    from cellwise.cell.stock import list_stock
     from cellwise.data import datasets_folder, list_datasets, list_originals
 
     embedded, originals, stock = list_datasets(), list_originals(), list_stock()

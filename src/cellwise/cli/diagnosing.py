@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, options, page_options, places, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 
@@ -88,7 +88,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuse what could only fail after the work is done."""
-    places.check_places(arguments.output)
+    options.check_places(arguments.output)
     page_options.check_page_options(arguments)
     if arguments.corrected and Path(arguments.corrected).is_file():
         raise InputError(
@@ -106,7 +106,7 @@ def _check_places(arguments: argparse.Namespace) -> None:
 
 def _files(paths: list[str]) -> list[Path]:
     """The files that paths mean, whatever is stated of them."""
-    from cellwise.logs.places import logs_of
+    from cellwise.logs.stated import logs_of
 
     return [Path(one.path).resolve() for path in paths for one in logs_of(path).logs]
 

@@ -13,8 +13,6 @@ from cellwise.cli.common import (
     log_options,
     options,
     page_options,
-    places,
-    power_options,
     printing,
 )
 from cellwise.errors import InputError
@@ -65,7 +63,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     forecast_options.add_display(replay)
     text = "layout of PlotJuggler for the rows of -o OUT.csv"
     replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
-    power_options.add_power_options(replay)
+    forecast_options.add_power_options(replay)
     options.flag(replay, "--anyway", "forecasts, power and health of a log far off the model, too")
     page_options.add_page_options(replay)
     replay.set_defaults(run=run_replay)
@@ -99,7 +97,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     from cellwise.cell.simulate import simulate
     from cellwise.logs.writing import write_columns
 
-    places.check_places(arguments.output)
+    options.check_places(arguments.output)
     model = options.read_model(arguments)
     check_one_output(arguments)
     logs = read_logs_of(model, arguments)
@@ -128,7 +126,7 @@ def check_one_output(arguments: argparse.Namespace) -> None:
     ------
     InputError        there are several
     """
-    from cellwise.logs.places import logs_of
+    from cellwise.logs.stated import logs_of
 
     logs = logs_of(arguments.log).logs
     if arguments.output and len(logs) > 1:
@@ -142,16 +140,16 @@ def check_one_output(arguments: argparse.Namespace) -> None:
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
     from cellwise.cell.initial_soc.initial_soc import initial_soc
-    from cellwise.cell.plausibility.far_off import ends_forecasts
+    from cellwise.cell.plausibility.notice import ends_forecasts
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.charging import forecast_charge
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
+    from cellwise.logs.cell_log import resample
     from cellwise.logs.measured_log import cut_at_pauses
-    from cellwise.logs.resample import resample
 
-    places.check_places(arguments.output, arguments.plotjuggler)
+    options.check_places(arguments.output, arguments.plotjuggler)
     check_layout(arguments)
     page_options.check_page_options(arguments)
     true0 = arguments.reference_soc0
@@ -159,7 +157,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     model = options.read_model(arguments)
     make_estimator(arguments.estimator, model)
     held = {"cutoff_V": cutoff_of(model, arguments.cutoff_v), "hold": arguments.hold}
-    power = power_options.power_of(arguments, model, arguments.hold)
+    power = forecast_options.power_of(arguments, model, arguments.hold)
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
     check_one_output(arguments)
@@ -301,7 +299,7 @@ def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
     if Path(arguments.output).suffix == ".mcap":
         from cellwise.logs.files.source import open_source
         from cellwise.logs.formats.ros_bag import start_of
-        from cellwise.report.mcap import write_foxglove, write_mcap
+        from cellwise.report.viewer_files import write_foxglove, write_mcap
 
         start_s = 0.0
         if found.log.format == "ros-bag":
@@ -312,7 +310,7 @@ def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
         return
     write_columns(columns, Path(arguments.output))
     if arguments.plotjuggler:
-        from cellwise.report.plotjuggler import write_layout
+        from cellwise.report.viewer_files import write_layout
 
         write_layout(arguments.plotjuggler, arguments.output, columns)
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, options, page_options, power_options, printing
+from cellwise.cli.common import forecast_options, log_options, options, page_options, printing
 from cellwise.cli.common import socket_options as sockets
 from cellwise.errors import InputError
 
@@ -37,7 +37,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     text = "of every file and name, for several models"
     export.add_argument("--prefix", default="", metavar="NAME", help=text)
     options.number(export, "--power", "S", "state of power: held for S seconds, 10 say")
-    power_options.add_limit_options(export)
+    forecast_options.add_limit_options(export)
     text = "time and energy left down to V volts per cell"
     options.number(export, "--remaining", "V", text)
     text = "follow N cells in series, on one table"
@@ -84,7 +84,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         offset_std_A=arguments.offset_std_a,
         wide=not arguments.lean,
         watch=not arguments.lean,
-        power=power_options.exported_power(arguments, model),
+        power=forecast_options.exported_power(arguments, model),
         health=arguments.health,
         cells=CellSettings() if arguments.cells else None,
     )
@@ -207,8 +207,8 @@ def target_costs(
 
     from cellwise.data import load_dataset
     from cellwise.estimate.fixed.fixed_step import samples_of
+    from cellwise.export.accuracy import worst_case
     from cellwise.export.cross import cores_here, run_on_target
-    from cellwise.export.stress import worst_case
 
     here = cores_here()
     if not here:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cellwise.cli.common import log_options, options, page_options, places, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.identify import Identification
@@ -46,11 +46,11 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
     from cellwise.cell.model_file import write_model
-    from cellwise.cell.stock.catalogue import named_model
+    from cellwise.cell.stock import named_model
     from cellwise.identify import IdentifySettings, identify_cell
     from cellwise.logs.stated import check_temperature
 
-    places.check_places(arguments.output)
+    options.check_places(arguments.output)
     page_options.check_page_options(arguments)
     check_temperature(arguments.temperature_c)
 

@@ -15,15 +15,13 @@ from cellwise.cli.common import (
     forecast_options,
     log_options,
     options,
-    places,
-    power_options,
     printing,
 )
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
-    from cellwise.cell.plausibility.far_off import FarOffStream
+    from cellwise.cell.plausibility.notice import FarOffStream
     from cellwise.estimate.power.along import PowerFollower
     from cellwise.forecast.display_kernels import Display
     from cellwise.forecast.outlook import Outlook
@@ -57,7 +55,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
     forecast_options.add_charger(live)
     forecast_options.add_display(live)
-    power_options.add_power_options(live)
+    forecast_options.add_power_options(live)
     options.flag(live, "--anyway", "forecasts, power and health of a stream far off the model, too")
     text = "follow N cells in series, each by itself"
     options.count(live, "--cells", "N", text, default=0)
@@ -71,7 +69,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
-    from cellwise.cell.plausibility.far_off import FarOffStream
+    from cellwise.cell.plausibility.notice import FarOffStream
     from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
     from cellwise.forecast.outlook import Outlook
     from cellwise.forecast.remaining import cutoff_of
@@ -179,7 +177,7 @@ class Followed(NamedTuple):
     @property
     def far_off(self) -> str | None:
         """What is said of a stream that is far off its model; then nothing is foreseen."""
-        from cellwise.cell.plausibility.far_off import withheld
+        from cellwise.cell.plausibility.notice import withheld
 
         return None if self.far is None or self.far.text is None else withheld(self.far.text)
 
@@ -251,7 +249,7 @@ class OutsideNotice:
 
     def __call__(self, update: Update) -> None:
         """Look at one sample."""
-        from cellwise.cell.plausibility.outside import outside_moment
+        from cellwise.cell.plausibility.notice import outside_moment
         from cellwise.estimate.status import OUTSIDE
 
         if self._said or not update.info.status & OUTSIDE:
@@ -276,7 +274,7 @@ class FarOffNotice:
 
     def __call__(self, update: Update) -> None:
         """Look at what the last sample has made of it."""
-        from cellwise.cell.plausibility.far_off import withheld
+        from cellwise.cell.plausibility.notice import withheld
 
         if not self._said and self._far.text is not None:
             self._said = True
@@ -304,7 +302,7 @@ def state_row(update: Update) -> dict[str, Any]:
 
 def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | None:
     """What follows the power, and on standard error what limits nobody stated."""
-    settings = power_options.power_of(arguments, model)
+    settings = forecast_options.power_of(arguments, model)
     if settings is None:
         return None
     from cellwise.estimate.power.along import PowerFollower
@@ -315,7 +313,7 @@ def _power(model: CellModel, arguments: argparse.Namespace) -> PowerFollower | N
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    places.check_places(arguments.output, arguments.state)
+    options.check_places(arguments.output, arguments.state)
     for option in ("save_every", "every", "send_every", "deadline_ms", "samples", "idle"):
         value = getattr(arguments, option)
         if value is not None and not 0.0 <= value < 1e9:

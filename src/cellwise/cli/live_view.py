@@ -13,7 +13,7 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from cellwise.cell.plausibility.far_off import FarOffStream, withheld
+from cellwise.cell.plausibility.notice import FarOffStream, withheld
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.status import Status
 from cellwise.forecast.outlook import ForecastNow, Outlook

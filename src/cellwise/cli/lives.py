@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellwise.cli.common import log_options, options, page_options, places, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.history.life import Life
@@ -39,7 +39,7 @@ def run_history(arguments: argparse.Namespace) -> None:
     from cellwise.logs.writing import write_columns
     from cellwise.report import history_page
 
-    places.check_places(arguments.output, arguments.save_model)
+    options.check_places(arguments.output, arguments.save_model)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)
     logs = log_options.read_cut(arguments.logs, arguments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from cellwise.cli.common import log_options, options, places, printing
+from cellwise.cli.common import log_options, options, printing
 
 
 def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
@@ -34,7 +34,7 @@ def run_convert(arguments: argparse.Namespace) -> None:
     """Write a log in the tidy form."""
     from cellwise.logs import write_log
 
-    places.check_places(arguments.output)
+    options.check_places(arguments.output)
     log = log_options.read(arguments.log, arguments)
     if log.soc0 is not None:
         said = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"

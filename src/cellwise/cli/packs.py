@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common import log_options, options, page_options, places, printing
+from cellwise.cli.common import log_options, options, page_options, printing
 
 if TYPE_CHECKING:
     from cellwise.logs.packs.pack_log import PackLog
@@ -43,7 +43,7 @@ def run_pack(arguments: argparse.Namespace) -> None:
     from cellwise.pack.pack_state import read_state, write_state
     from cellwise.report import pack_page
 
-    places.check_places(arguments.output, arguments.state)
+    options.check_places(arguments.output, arguments.state)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)
     known = arguments.state is not None and Path(arguments.state).exists()

@@ -52,8 +52,7 @@ def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> 
 def run_papers(arguments: argparse.Namespace) -> None:
     """Print the tables of both papers."""
     from cellwise.data import datasets_folder
-    from cellwise.studies.papers import paper_tables
-    from cellwise.studies.papers_text import print_papers
+    from cellwise.studies.papers import paper_tables, print_papers
 
     with printing.working("papers") as follow:
         found = paper_tables(datasets_folder(), follow)
@@ -166,7 +165,7 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
 def print_studies(studies: list[CellStudy]) -> None:
     """Tables and verdicts for people."""
-    from cellwise.studies.capacity_study_text import (
+    from cellwise.report.capacity_study_page import (
         choice_head,
         choice_row,
         papers_beside,

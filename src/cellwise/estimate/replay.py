@@ -12,10 +12,15 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.plausibility.far_off import far_off_notices, far_off_text
-from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.plausibility.outside import assumed_temperature_notices, outside_notices
-from cellwise.cell.plausibility.simulated import prediction_notices, soc_notices
+from cellwise.cell.plausibility.notice import (
+    assumed_temperature_notices,
+    far_off_notices,
+    far_off_text,
+    in_order,
+    outside_notices,
+    prediction_notices,
+    soc_notices,
+)
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError

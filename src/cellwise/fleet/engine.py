@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
@@ -70,33 +70,11 @@ class Threads:
 
     def submit(self, work: Callable[..., Rows], *arguments: Any, pure: bool = False) -> Any:
         """Do the work in a thread."""
-        return _Future(self._pool.submit(work, *arguments))
+        return self._pool.submit(work, *arguments)
 
     def scheduler_info(self) -> dict[str, Any]:
         """One worker of so many threads."""
         return {"workers": {"threads": {"nthreads": self._count}}}
-
-
-class _Future:
-    """A future of a thread, with the names of one of Dask."""
-
-    def __init__(self, future: Future[Rows]) -> None:
-        self._future = future
-
-    def done(self) -> bool:
-        """It has ended."""
-        return self._future.done()
-
-    def result(self) -> Rows:
-        """The rows."""
-        return self._future.result()
-
-    def release(self) -> None:
-        """Forget it: nothing to do in this process."""
-
-    def add_done_callback(self, call: Callable[[Any], object]) -> None:
-        """Call when it has ended."""
-        self._future.add_done_callback(call)
 
 
 @contextmanager
@@ -196,7 +174,8 @@ def rows_of(
             else:
                 suspected.update(logs)
                 suspects.extend(logs)
-        future.release()
+        if not isinstance(client, Threads):
+            future.release()
         send()
 
 

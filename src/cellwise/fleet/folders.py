@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from cellwise.errors import InputError, MachineError
-from cellwise.fleet import columns
+from cellwise.fleet.store import HISTORY, PACK
 from cellwise.fleet.tasks import LogTask
 from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.packs.pack_reading import read_pack
-from cellwise.logs.places import in_order
+from cellwise.logs.stated import in_order
 from cellwise.pack.pack_estimate import estimate_pack
 
 
@@ -109,7 +109,7 @@ class PackTask(FolderTask):
     """Every cell of each pack after all its logs; ``read`` holds arguments of `read_pack`."""
 
     kind: ClassVar[str] = "pack"
-    columns: ClassVar[Mapping[str, type]] = columns.PACK
+    columns: ClassVar[Mapping[str, type]] = PACK
 
     read: Mapping[str, Any] = field(default_factory=dict)
 
@@ -150,7 +150,7 @@ class HistoryTask(FolderTask):
     """Capacity and resistance of each cell over all its logs; the model is that of the new cell."""
 
     kind: ClassVar[str] = "history"
-    columns: ClassVar[Mapping[str, type]] = columns.HISTORY
+    columns: ClassVar[Mapping[str, type]] = HISTORY
 
     def begin(self) -> Callable[[Files], dict[str, Any]]:
         """The life of one cell."""

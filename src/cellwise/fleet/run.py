@@ -11,9 +11,8 @@ from typing import Any
 
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
-from cellwise.fleet.columns import BY_LOG, BY_MACHINE
 from cellwise.fleet.engine import LOCAL, WORKER_DIED, connected, rows_of
-from cellwise.fleet.store import ResultFolder
+from cellwise.fleet.store import BY_LOG, BY_MACHINE, ResultFolder
 from cellwise.fleet.tasks import LogTask
 from cellwise.threads import usable_cores
 

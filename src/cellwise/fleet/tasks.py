@@ -21,11 +21,16 @@ from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
-from cellwise.fleet import columns
-from cellwise.fleet.columns import BY_LOG, BY_MACHINE, BY_US
+from cellwise.fleet.store import (
+    BY_LOG,
+    BY_MACHINE,
+    BY_US,
+    DIAGNOSE,
+    REPLAY,
+    read_prepared,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.prepared import read_prepared
 from cellwise.logs.stated import Stated
 
 # From here on the model does not know the log, and its sign is worth a look.
@@ -133,7 +138,7 @@ class ReplayTask(LogTask):
     """
 
     kind: ClassVar[str] = "replay"
-    columns: ClassVar[Mapping[str, type]] = columns.REPLAY
+    columns: ClassVar[Mapping[str, type]] = REPLAY
 
     estimator: str = "ekf"
     soc0_std: float | None = None
@@ -215,7 +220,7 @@ class DiagnoseTask(LogTask):
     """
 
     kind: ClassVar[str] = "diagnose"
-    columns: ClassVar[Mapping[str, type]] = columns.DIAGNOSE
+    columns: ClassVar[Mapping[str, type]] = DIAGNOSE
 
     causes: Sequence[str] | None = None
     baseline: Sequence[CellLog] = ()

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import RANGE_V, Notice
-from cellwise.cell.plausibility.simulated import MUCH_CHARGE
+from cellwise.cell.plausibility.notice import MUCH_CHARGE, RANGE_V, Notice
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities

@@ -9,8 +9,14 @@ import numpy as np
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
-from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
-from cellwise.cell.plausibility.simulated import NO_MODEL_V, error_notices, soc_notices
+from cellwise.cell.plausibility.notice import (
+    NO_MODEL_V,
+    RANGE_V,
+    Notice,
+    error_notices,
+    in_order,
+    soc_notices,
+)
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model

@@ -12,8 +12,7 @@ from cellwise.live.samples import CellReadings, CellScale, Sample, Stray, cell_n
 from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.vehicle.can_signals import can_database
-from cellwise.logs.vehicle.signal_choice import UNITS, Signal, choose_signals
+from cellwise.logs.formats.vehicle_signals import UNITS, Signal, can_database, choose_signals
 
 POLL_S = 0.2
 # A voltage that has not come for so long is missing: charge is counted without it.

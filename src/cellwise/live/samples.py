@@ -11,7 +11,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.packs.cell_columns import known_cell
+from cellwise.logs.packs.cells import known_cell
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from cellwise.live.pieces import Pieces
 from cellwise.live.samples import CellScale, Sample, Stray
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.formats.ulog import MAGIC, TOPIC, UNKNOWN
+from cellwise.logs.formats.vehicle_logs import MAGIC, TOPIC, UNKNOWN
 
 HEADER_BYTES = 16
 HEAD = struct.Struct("<HB")

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.counter import compare_counter
 from cellwise.logs.checks.faults import (
     Saturation,
     Stretch,
@@ -21,12 +20,12 @@ from cellwise.logs.checks.faults import (
 from cellwise.logs.checks.grave import grave_notices, is_grave
 from cellwise.logs.checks.rests import Rest, find_rests, is_quiet, resolution
 from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
+from cellwise.logs.checks.units import COUNTER, compare_counter
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 
 JITTER = 0.25
 NOTED_JITTER = 0.2
-NOTED_MISMATCH_PERCENT = 0.5
 MOST_NOTICES = 5
 
 
@@ -209,8 +208,6 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
         notices.append(f"{len(gaps) - MOST_NOTICES} more gaps")
     if log.repeated_stamps:
         notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
-    if np.ptp(log.time_s) == 0.0:
-        notices.append("all rows have the same time")
     if sampling.late:
         notices.append(
             f"{sampling.late} row(s) come after more than ten times the usual interval of "
@@ -244,7 +241,7 @@ def _channel_notices(
     noted = any("differs from the summed current" in notice for notice in log.notices)
     if spikes:
         notices.append(f"{spikes} row(s) whose voltage jumps away and back without the current")
-    if mismatch is not None and mismatch > NOTED_MISMATCH_PERCENT and not noted:
+    if mismatch is not None and mismatch > COUNTER.inspected_percent and not noted:
         notices.append(
             f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "
             "charge moved"

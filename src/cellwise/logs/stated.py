@@ -1,14 +1,15 @@
-"""What is known of a log that does not stand in it: ``LOG@-20,soc0=1``, the day in its name."""
+"""What a path means and what is known of its logs: ``LOG@-20,soc0=1``, a folder, a pattern."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from glob import glob, has_magic
 from itertools import pairwise
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class Stated:
         InputError        an unknown or repeated key, what is no number or out of range
         """
         path, at, tail = text.rpartition("@")
-        if not at or "/" in tail or "\\" in tail or _is_there(text):
+        if not at or "/" in tail or "\\" in tail or _is(Path(text).exists):
             return cls(text)
         if not path:
             raise InputError(f"'{text}' without a log", FORM, "Put the log before the @.")
@@ -103,13 +104,6 @@ class Stated:
             return replace(log, temperature_C=np.full(len(log), self.temperature_C))
         found = other_temperature(log, self.temperature_C)
         return log if found is None else log.with_notices((found[1], *log.notices))
-
-
-def _is_there(path: str) -> bool:
-    try:
-        return Path(path).exists()
-    except (OSError, ValueError):  # a name that the system refuses
-        return False
 
 
 def other_temperature(log: CellLog, stated_C: float) -> tuple[float, str] | None:
@@ -163,3 +157,70 @@ def day_of_name(name: str) -> date | None:
         except ValueError:  # digits that are no day
             continue
     return None
+
+
+# What files of logs end in; `read_log` looks at the content, whatever the name.
+SUFFIXES = (
+    *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
+    *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls", ".mcap"),
+    *(".db3", ".bag"),
+)
+
+
+class Places(NamedTuple):
+    """The files that a path means, with what is stated of them; whether it named one file."""
+
+    logs: tuple[Stated, ...]
+    named: bool
+
+
+def logs_of(text: str) -> Places:
+    """The logs that a path means, in the order of time.
+
+    A folder means the files in it that end as logs do, a pattern (``drives/*.csv``) whatever it
+    matches; what is stated behind an ``@`` holds for each. A file of the very name goes first.
+
+    Raises
+    ------
+    InputError        no log in the folder, no file that the pattern matches
+    """
+    stated = Stated.parse(text)
+    place = Path(stated.path)
+    if _is(place.is_file):
+        return Places((stated,), named=True)
+    if _is(place.is_dir):
+        found = [p for p in place.iterdir() if p.is_file() and p.name.lower().endswith(SUFFIXES)]
+        what = f"no log in the folder '{place}'"
+    elif has_magic(stated.path):
+        found = [Path(p) for p in glob(stated.path, recursive=True) if Path(p).is_file()]
+        what = f"no file that matches '{stated.path}'"
+    else:
+        return Places((stated,), named=True)
+    found = sorted((p for p in found if p.name[0] not in "._"), key=in_order)
+    if not found:
+        raise InputError(what, "logs of one cell", "Check the path.")
+    return Places(tuple(replace(stated, path=str(p)) for p in found), named=False)
+
+
+def in_order(path: Path) -> tuple[int, list[tuple[int, int | str]]]:
+    """By the day in the name; without one, numbers in names count as numbers."""
+    day = day_of_name(path.name)
+    parts = re.split(r"(\d+)", path.name)
+    number: list[tuple[int, int | str]] = [(0, int(p)) if p.isdigit() else (1, p) for p in parts]
+    return (0 if day is None else day.toordinal()), number
+
+
+def plain_name(path: Path) -> str:
+    """A file's name without what it ends in, for people."""
+    name = path.name
+    for suffix in SUFFIXES:
+        if name.casefold().endswith(suffix):
+            name = name[: -len(suffix)]
+    return name or path.name
+
+
+def _is(look: Callable[[], bool]) -> bool:
+    try:
+        return look()
+    except (OSError, ValueError):  # a name that the system refuses
+        return False

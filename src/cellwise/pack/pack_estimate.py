@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.far_off import far_off_text, withheld
-from cellwise.cell.plausibility.notice import in_order
-from cellwise.cell.plausibility.outside import outside_notices
+from cellwise.cell.plausibility.notice import (
+    far_off_text,
+    in_order,
+    outside_notices,
+    withheld,
+)
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack.differences import (
     CAPACITY,

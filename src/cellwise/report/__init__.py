@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from cellwise.report.demo_page import demo_page
+from cellwise.report.demo_page import demo_page, hero_figure
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.report.export_page import export_page
-from cellwise.report.hero import hero_figure
 from cellwise.report.history_page import history_page
 from cellwise.report.identification.page import identify_page
 from cellwise.report.pack_page import pack_page

@@ -1,4 +1,4 @@
-"""The page of a capacity study: what every choice of the capacity costs, over the capacity."""
+"""The capacity study as text and page: which choice wins, by how much, and why."""
 
 from __future__ import annotations
 
@@ -12,15 +12,160 @@ from cellwise.report.page import style
 from cellwise.report.page.markup import bullets, paragraph, table
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
-from cellwise.studies.capacity_study import CellStudy
-from cellwise.studies.capacity_study_text import (
-    choice_head,
-    choice_row,
-    named,
-    papers_beside,
-    study_finding,
-    verdicts,
-)
+from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Winner
+from cellwise.studies.capacity_study_cells import published_orders
+from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
+
+MOSTLY = 0.5
+ITSELF = 1e-3
+SAME_SCALE = 0.02
+MUCH = 1.2
+COUNTED = "counting divides by it."
+LED = "the filter is led by an OCV over that scale and cannot know of another."
+NAMES = {
+    VOLTAGE: "simulated voltage",
+    "coulomb": "coulomb counting",
+    "ekf": "EKF",
+    "ukf": "UKF",
+    "adaptive": "adaptive",
+}
+
+SHORT = {"coulomb": "count", "ekf": "EKF", "ukf": "UKF", "adaptive": "adapt"}
+
+
+def named(kind: str) -> str:
+    """A figure's name in text."""
+    return NAMES.get(kind, kind)
+
+
+def amount(kind: str, value: float) -> str:
+    """An RMSE or a difference of two, with its unit."""
+    return f"{1e3 * value:.1f} mV" if kind == VOLTAGE else f"{100 * value:.2f} points"
+
+
+def choice_head(study: CellStudy) -> tuple[str, ...]:
+    """Head of the table of choices."""
+    filters = tuple(study.choices[0].soc)
+    return (
+        "choice", "Ah", "own fit mV", "voltage mV", "above 10 %",
+        *(f"{SHORT.get(e, e)} %" for e in filters),
+        *(f"{SHORT.get(e, e)} end" for e in filters),
+    )  # fmt: skip
+
+
+def choice_row(result: ChoiceResult) -> tuple[str, ...]:
+    """One choice: RMSE of voltage and SOC, signed SOC errors at the end of discharge."""
+    return (
+        result.choice,
+        f"{result.capacity_Ah:.3f}",
+        f"{1e3 * result.fit_rmse_V:.1f}",
+        f"{1e3 * result.voltage_rmse_V:.1f}",
+        f"{1e3 * result.voltage_above_10pct_V:.1f}",
+        *(f"{100 * s.rmse:.2f}" for s in result.soc.values()),
+        *(f"{100 * s.end:+.2f}" for s in result.soc.values()),
+    )
+
+
+def verdicts(study: CellStudy) -> list[str]:
+    """One line per figure: the winner, the next one that is truly behind, and why."""
+    return [_verdict(study, study.winner(kind)) for kind in study.kinds]
+
+
+def papers_beside() -> list[str]:
+    """What the two papers print, on their own cells, from best to worst."""
+    orders = published_orders()
+    lfp = ", ".join(
+        f"{LFP_ERRORS[c].capacity_Ah:g} Ah ({c}) {LFP_ERRORS[c].rms_mV:g} mV" for c in orders["lfp"]
+    )
+    nca = ", ".join(
+        f"{c.removeprefix('rate:')} {NCA_RESIDUALS[c.removeprefix('rate:')].rmse_mV:g} mV"
+        for c in orders["ncr18650b"]
+    )
+    return [
+        f"LFP paper ({LFP_CELL}), voltage RMS on a charge-depleting cycle: {lfp}.",
+        f"NCR18650B paper ({NCA_CELL}), voltage RMSE on each rate's own HPPC: {nca}.",
+    ]
+
+
+def _verdict(study: CellStudy, winner: Winner) -> str:
+    others = [name for name in study.order(winner.kind) if name != winner.choice]
+    text = f"{named(winner.kind)}: {winner.choice} wins with {amount(winner.kind, winner.value)}"
+    alike = [name for name in others if name in winner.alike]
+    if alike:
+        text += f"; not separable from it: {', '.join(alike)}"
+    worse = [name for name in others if name not in winner.alike]
+    if worse:
+        next_one = worse[0]
+        d = winner.behind[next_one]
+        text += (
+            f"; {next_one} is {amount(winner.kind, d.value)} worse "
+            f"(95 % {amount(winner.kind, d.low)} to {amount(winner.kind, d.high)})"
+        )
+    return f"{text}. {_why(study, winner)}"
+
+
+def _why(study: CellStudy, winner: Winner) -> str:
+    best = _result(study, winner.choice)
+    worst = _result(study, study.order(winner.kind)[-1])
+    off = 100 * (worst.capacity_Ah / study.reference_Ah - 1.0)
+    near = 100 * (best.capacity_Ah / study.reference_Ah - 1.0)
+    if winner.kind == VOLTAGE:
+        if (
+            worst.capacity_Ah < study.reference_Ah
+            and worst.voltage_rmse_V > 2 * best.voltage_rmse_V
+        ):
+            return (
+                f"{worst.choice} ({off:+.1f} % of the reference) comes to its own zero while the "
+                "cell still gives charge, and no table says what the voltage does there"
+                f": {1e3 * worst.voltage_rmse_V:.0f} mV."
+            )
+        if abs(worst.capacity_Ah / best.capacity_Ah - 1.0) < SAME_SCALE and (
+            worst.voltage_rmse_V > MUCH * best.voltage_rmse_V
+        ):
+            return (
+                "The capacities hardly differ: it is what each choice's tests excite that does, "
+                "or a scale that ends just before the cell does."
+            )
+        return (
+            "OCV and tables are fitted over the choice's own SOC, so a scale that is off hardly "
+            "shows in the voltage as long as it ends where the cell ends."
+        )
+    share = worst.axis_share[winner.kind]
+    if share > MOSTLY:
+        return (
+            f"{100 * share:.0f} % of the squared error of {worst.choice} is its SOC scale, "
+            f"{off:+.1f} % off the reference ({winner.choice}: {near:+.1f} %): "
+            + (COUNTED if winner.kind == "coulomb" else LED)
+            + _itself(study, best)
+        )
+    return "The SOC scale is not what the choices differ by here; the fit of the tables is."
+
+
+def _itself(study: CellStudy, best: ChoiceResult) -> str:
+    """A warning where the winner is the reference by another name."""
+    if abs(best.capacity_Ah / study.reference_Ah - 1.0) > ITSELF:
+        return ""
+    return (
+        f" {best.choice} is the reference here, so that it wins says that SOC follows the "
+        "capacity that is called whole, not that this one is."
+    )
+
+
+def _result(study: CellStudy, choice: str) -> ChoiceResult:
+    return next(c for c in study.choices if c.choice == choice)
+
+
+def study_finding(study: CellStudy) -> str:
+    """One line: what the choice of the capacity does to SOC."""
+    kind = study.kinds[1] if len(study.kinds) > 1 else VOLTAGE
+    winner, last = study.winner(kind), study.order(kind)[-1]
+    if kind == VOLTAGE:
+        return f"{study.name}: {winner.choice} fits the voltage best"
+    return (
+        f"{study.name}: {winner.choice} as the capacity leaves {100 * winner.value:.2f} points of "
+        f"SOC error in {named(kind)}, {last} {100 * _result(study, last).figure(kind):.2f}"
+    )
+
 
 # Colour and marker of an estimator's line.
 LOOKS = {

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from cellwise.report.page import style
-from cellwise.report.page.interactive import HasPanels, trace_section
 from cellwise.report.page.markup import Markup, bullets, paragraph, record_table, table, tiles
 from cellwise.report.page.numerals import counted, listed, plural, significant
 from cellwise.report.page.picture import FigureFiles, pictured
-from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
 
 Row = Mapping[str, Any]
 COSTS = {

@@ -11,6 +11,7 @@ from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.page.numerals import (
     ampere_hours,
+    capitalised,
     celsius,
     duration,
     listed,
@@ -57,9 +58,9 @@ def replay_finding(replay: Replay) -> str:
     who = ESTIMATORS.get(replay.estimator, replay.estimator)
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
-        return _capitalised(
+        return capitalised(
             f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} ± "
-            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference"
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference."
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
     begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
@@ -123,7 +124,3 @@ def replay_name(replay: Replay) -> str:
 def _own(identification: Identification) -> str:
     logs = len(identification.simulations)
     return "log" if logs == 1 else plural(logs, "log")
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:] + "."

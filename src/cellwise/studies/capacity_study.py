@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.cell.metrics import drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -308,7 +309,6 @@ def _figures(errors: Sequence[FloatArray], lowest: Sequence[int]) -> SocFigures:
 
 
 BLOCKS_PER_LOG = 20
-DRAWS = 2000
 SEED = 1
 
 
@@ -337,14 +337,18 @@ def difference(
     ----------
     other, best : of (rows,) float     errors, one array per log
     """
-    rng = np.random.default_rng(SEED) if rng is None else rng
-    a, b, n = _blocks(other), _blocks(best), _counts(other)
-    drawn = rng.integers(0, n.size, (DRAWS, n.size))
-    rows = n[drawn].sum(axis=1)
-    differences = np.sqrt(a[drawn].sum(axis=1) / rows) - np.sqrt(b[drawn].sum(axis=1) / rows)
-    low, high = np.quantile(differences, (0.025, 0.975))
-    value = np.sqrt(a.sum() / n.sum()) - np.sqrt(b.sum() / n.sum())
-    return Difference(float(value), float(low), float(high))
+    errors = np.column_stack((np.concatenate(other), np.concatenate(best)))
+    sums = np.column_stack((np.nan_to_num(errors) ** 2, np.isfinite(errors[:, 0])))
+    cuts = [np.arange(e.size) * BLOCKS_PER_LOG // max(e.size, 1) for e in other]
+    block = np.concatenate([BLOCKS_PER_LOG * k + cut for k, cut in enumerate(cuts)])
+
+    def between(total: FloatArray) -> FloatArray:
+        a, b = np.sqrt(total[..., :2] / total[..., 2:]).T
+        return np.asarray(a - b)
+
+    drawn = between(drawn_sums(block, sums, SEED if rng is None else rng))
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return Difference(float(between(sums.sum(axis=0))), float(low), float(high))
 
 
 def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> float:
@@ -359,16 +363,3 @@ def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> floa
     whole = float(np.sum(e[known] ** 2))
     rest = float(np.sum((e[known] - a[known]) ** 2))
     return 1.0 - rest / whole if whole > 0.0 else 0.0
-
-
-def _cuts(error: FloatArray) -> list[FloatArray]:
-    return list(np.array_split(error, min(BLOCKS_PER_LOG, max(error.size, 1))))
-
-
-def _blocks(errors: Sequence[FloatArray]) -> FloatArray:
-    """Sum of squares of every block."""
-    return np.array([np.nansum(part * part) for error in errors for part in _cuts(error)])
-
-
-def _counts(errors: Sequence[FloatArray]) -> FloatArray:
-    return np.array([float(np.isfinite(part).sum()) for error in errors for part in _cuts(error)])

@@ -13,7 +13,7 @@ from cellwise.benchmark.certify import Limits, certify, measured_log, read_expor
 from cellwise.benchmark.certify.physics_cells import physics_cell
 from cellwise.cell.protocol import run_protocol
 from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest
-from cellwise.cell.stock.catalogue import stock_model
+from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.errors import InputError

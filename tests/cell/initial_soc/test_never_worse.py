@@ -11,7 +11,7 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.initial_soc.likeliest import ln_likelihood_of_starts, past_voltage
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import scaled_model, stock_model
+from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell

@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.effects import SelfDischarge, SelfHeating
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import named_model, scaled_model, stock_model, stock_names
+from cellwise.cell.stock import named_model, scaled_model, stock_model, stock_names
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
 

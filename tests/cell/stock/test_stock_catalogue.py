@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model_file import read_model, write_model
-from cellwise.cell.stock.catalogue import (
+from cellwise.cell.stock import (
     list_stock,
     named_model,
     stock_folder,

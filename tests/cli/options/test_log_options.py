@@ -10,7 +10,8 @@ import pytest
 from cellwise.cli import main
 from cellwise.cli.command_line import build_parser
 from cellwise.data import datasets_folder, load_dataset
-from cellwise.logs import isolated, read_log, write_log
+from cellwise.logs import read_log, write_log
+from cellwise.logs import reading as isolated
 from log_files import pulse_channels
 from vehicle_files import write_can, write_dbc, write_ulog
 

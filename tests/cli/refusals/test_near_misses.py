@@ -33,6 +33,7 @@ def test_a_diagnosis_of_what_is_no_log_says_so(model, logs):
         diagnose(read_model(model), logs)
 
 
+@pytest.mark.slow
 def test_remaining_time_in_c_compiles_without_a_warning(model, tmp_path):
     gcc = shutil.which("gcc")
     if gcc is None:

@@ -18,8 +18,7 @@ from cellwise.estimate.fixed.stepper import compiled, numba_stepper, start_state
 from cellwise.estimate.fixed.stepper import rows as step_rows
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import Status
-from cellwise.logs.cell_log import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import CellLog, resample
 from example_cells import curved_cell
 from firmware_cases import stress_samples, tables_of
 

@@ -31,7 +31,7 @@ from cellwise.estimate.fixed.stepper import start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources
 from cellwise.export.firmware import Firmware
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 from example_cells import curved_cell
 
 pytest.importorskip("cffi")

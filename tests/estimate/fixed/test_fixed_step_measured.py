@@ -13,7 +13,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 
 pytest.importorskip("cffi")
 pytestmark = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import named_model
+from cellwise.cell.stock import named_model
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 5.0

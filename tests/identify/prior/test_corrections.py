@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.stock.catalogue import stock_model, stock_names
+from cellwise.cell.stock import stock_model, stock_names
 from cellwise.identify.prior.corrections import Corrections
 
 WINDOW = np.array([1.5, 4.5])

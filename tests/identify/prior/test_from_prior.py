@@ -10,7 +10,7 @@ from prior_cells import CAPACITY_AH, drive_of, other_cell
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import named_model, stock_model
+from cellwise.cell.stock import named_model, stock_model
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell

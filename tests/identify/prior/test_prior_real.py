@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock.catalogue import named_model, stock_model
+from cellwise.cell.stock import named_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log

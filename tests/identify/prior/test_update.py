@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from prior_cells import CAPACITY_AH, drive_of, other_cell
 
-from cellwise.cell.stock.catalogue import named_model, stock_model
+from cellwise.cell.stock import named_model, stock_model
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, update
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs import isolated, read_log
+from cellwise.logs import read_log
+from cellwise.logs import reading as isolated
 from log_files import pulse_channels
 from tester_files import far_cell_workbook, write_mat5, write_mpr
 from vehicle_files import write_mdf

@@ -86,7 +86,7 @@ def test_of_several_batteries_the_measured_one_or_the_one_asked_for(tmp_path):
     assert_is_the_cell(read_log(path, series=12, parallel=2, instance=2))
     error = refused(path, instance=7)
     assert "no battery 7" in error.found
-    assert "0, 1, 2" in error.found
+    assert "0: 16.4 V, 1: 24.5 V, 2: 49.1 V" in error.found
 
 
 def test_a_ulog_without_a_battery_lists_its_topics(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs.vehicle.alignment import Series, aligned
+from cellwise.logs.formats.vehicle_signals import Series, aligned
 
 
 def at(step, until=100.0, start=0.0):

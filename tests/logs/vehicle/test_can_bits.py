@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellwise.logs.vehicle.can_signals import physical_values
+from cellwise.logs.formats.vehicle_signals import physical_values
 
 cantools = pytest.importorskip("cantools")
 

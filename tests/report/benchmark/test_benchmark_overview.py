@@ -13,7 +13,7 @@ from cellwise.report.benchmark.overview import (
     start_matrix,
     suite_coverage,
 )
-from cellwise.report.benchmark.pictures import log_picture, start_picture
+from cellwise.report.benchmark.page import log_picture, start_picture
 from cellwise.report.page.numerals import SPACE, percent
 from page_cases import benchmark_table, row
 

@@ -141,6 +141,7 @@ def test_every_part_is_there(written):
         assert phrase in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_to_measure_and_what_is_unsure_come_before_all_else(tmp_path):
     """Whatever a sensor did; one probability in the text, the table and the card."""
     weighed = (Weighed(("hysteresis",), 0.88), Weighed(("hysteresis", "ocv_shift"), 0.1166))
@@ -184,6 +185,7 @@ def test_without_causes_nothing_is_drawn_twice():
     assert title == "Measured and simulated"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
     why = "the log is too quiet: its current never leaves C/50"
     record = diagnosis(verdict="undetermined", candidates=(), soc0=(), reasons=(why,))
@@ -192,6 +194,7 @@ def test_a_search_that_ended_before_it_began_has_a_page(tmp_path):
     assert "anatomy" in page.ids
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_soc_before_and_after_is_reported(tmp_path):
     gain = {"log": "held", "soc_rmse_before": 0.031, "soc_rmse_after": 0.004}
     gain |= {"reference_capacity_Ah": 2.997, "reference": "stated"}
@@ -231,6 +234,7 @@ def test_the_first_line_says_whether_to_adopt_and_every_loss():
         assert said in head
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_a_referee_no_gain_in_soc_is_claimed_and_the_page_says_why(tmp_path):
     record = diagnosis("capacity", no_soc_gain="the capacity is one of the causes")
     page = Page(diagnose_page(record, tmp_path / "p.html").read_text("utf-8"))
@@ -238,6 +242,7 @@ def test_without_a_referee_no_gain_in_soc_is_claimed_and_the_page_says_why(tmp_p
     assert "No gain in SOC is claimed: the capacity is one of the causes." in said
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("tried", [0, 1])
 def test_few_candidates_are_enough(tried, tmp_path):
     record = diagnosis("current_offset")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.report.benchmark.overview import Matrix, start_matrix
-from cellwise.report.benchmark.pictures import fault_picture, start_picture
+from cellwise.report.benchmark.page import fault_picture, start_picture
 from cellwise.report.page.markup import page_file
 from cellwise.report.page.picture import VARIABLES, inline
 from cellwise.report.page.style import TINTS

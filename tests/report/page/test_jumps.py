@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cellwise.report import replay_page
-from cellwise.report.page.jumps import linked, linked_among
+from cellwise.report.page.markup import linked, linked_among
 from report_cases import Page, drive, replay
 
 
@@ -59,6 +59,7 @@ def test_among_several_logs_the_named_one_is_meant():
     assert "<a " not in linked_among("a gap at 40 s", logs)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_alert_of_a_page_leads_to_its_row(tmp_path):
     log = replace(drive(name='<odd> "name"'), notices=("the current LOOKS WRONG in row 300",))
     text = replay_page([replay(log)], tmp_path / "p.html").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.report import Picture, figure_png, hero_figure, save_figure, save_figures
 from cellwise.report.demo_page import demo_sections
-from cellwise.report.identification.capacity_section import capacity_picture
+from cellwise.report.identification.capacity_and_ocv import capacity_picture
 from cellwise.report.identification.page import identify_sections
 from cellwise.report.identification.parameter_section import pulse_values, table_error
 from cellwise.report.identification.pulse_section import find_example

@@ -12,7 +12,7 @@ import pytest
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration
-from cellwise.report.replay.forecast_section import flight_finding, flight_picture, present_picture
+from cellwise.report.replay.page import flight_finding, flight_picture, present_picture
 from cellwise.report.replay.replay_section import soc_picture
 from report_cases import drive, model, replay
 
@@ -34,6 +34,7 @@ def test_the_picture_shows_both_with_their_bands(flight):
         assert "min" in above.get_ylabel()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_holds_the_figures(flight, tmp_path):
     run, left = flight
     page = replay_page([run], tmp_path / "page.html", flights=[left]).read_text(encoding="utf-8")
@@ -52,6 +53,7 @@ def test_the_finding_names_time_and_band_at_the_usual_load(flight):
     assert duration(left.typical.last.remaining_s) in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_far_off_its_model_is_the_first_line(flight, tmp_path):
     run, left = flight
     shifted = replace(run, log=replace(run.log, voltage_V=run.log.voltage_V + 0.5), model=model())

@@ -8,7 +8,7 @@ import pytest
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.estimate.replay import replay
-from cellwise.report.replay.forecast_section import power_content, power_picture, usual
+from cellwise.report.replay.page import power_content, power_picture, usual
 from report_cases import drive, model
 
 

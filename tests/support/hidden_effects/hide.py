@@ -17,7 +17,7 @@ import numpy as np
 from cellwise import CellModel, IdentifySettings, TestLogs, identify_cell, read_log, simulate
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.logs import CellLog
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import resample
 from emulator import Cell, Sensor, Table, emulate, flat
 from emulator_drives import Load
 from emulator_effects import EFFECTS, World, amplitude, draw_effect, size_of

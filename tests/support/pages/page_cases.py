@@ -12,7 +12,7 @@ from cellwise.report import export_page, identify_page, replay_page
 from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
-from cellwise.report.page.interactive import simulation_traces
+from cellwise.report.page.section import simulation_traces
 from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures
 from report_cases import drive, identification, replay, simulation
 

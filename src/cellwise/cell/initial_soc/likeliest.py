@@ -21,8 +21,8 @@ from cellwise.cell.equations import (
 )
 from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import stated_error_V
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
-from cellwise.cell.stated_error import stated_error_V
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 

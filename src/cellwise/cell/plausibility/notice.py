@@ -1,11 +1,24 @@
-"""A notice with its size, so that the first one is that which does most to the result."""
+"""What a person should know of a log and a model, with its size, the most harmful first.
+
+A log far off the model, one that leaves the model's data, what a simulated or filtered log shows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from cellwise.cell.effects import Entropy, TemperatureDependence
+from cellwise.cell.metrics import band_metrics, error_metrics
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.logs.checks.grave import is_grave
+from cellwise.logs.measured_log import MeasuredLog
+from cellwise.typing import FloatArray
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
 RANGE_V = 1.0
@@ -27,3 +40,345 @@ def in_order(found: Iterable[Notice], of_reading: Sequence[str] = ()) -> tuple[s
     grave = [n for n in of_reading if is_grave(n)]
     texts = [n.text for n in sorted(found, key=lambda n: -n.size_V)]
     return tuple(dict.fromkeys((*grave, *texts, *of_reading)))
+
+
+# Half of a log's rows beyond so many of the model's own standard deviations: the model's statement
+# of its error does not hold for this log. Of one that is right, half are within 0.7.
+FAR_OFF = 3.0
+FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
+MOST_ROWS = 4000  # of more, every so manyth
+# Of a stream: an hour, a look a second; before half a minute a start that is off says nothing.
+LOOKS, FEWEST_LOOKS = 3600, 30
+OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
+WITHHELD = "remaining time and health would be made of it: withheld (`anyway=True` gives them)"
+
+
+def times_stated(
+    model: CellModel, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+) -> tuple[float, float]:
+    """Median error of the rows, in standard deviations that the model states there, and in volts.
+
+    Parameters
+    ----------
+    error_V : (n,) float      measured minus model, NaN where nothing was measured
+    soc : (n,) float          where the model was
+    """
+    rows = np.flatnonzero(np.isfinite(error_V) & np.isfinite(soc))
+    rows = rows[:: max(rows.size // MOST_ROWS, 1)]
+    if rows.size == 0:
+        return 0.0, 0.0
+    stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)[rows]
+    error = np.abs(error_V[rows])
+    times = float(np.median(error / np.maximum(stated_V, 1e-6)))
+    return times, float(np.median(error))
+
+
+def far_off_text(
+    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+) -> str | None:
+    """What is said first of a log that is far off; None of one that is not, or without a model."""
+    if model is None:
+        return None
+    times, typical_V = times_stated(model, log, error_V, soc)
+    return _said(f"'{log.name or 'the log'}'", times, typical_V)
+
+
+def _said(what: str, times: float, typical_V: float) -> str | None:
+    if times <= FAR_OFF or not math.isfinite(times):
+        return None
+    return (
+        f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
+        f"{times:.3g} times what the model states of itself: {OTHER} than the model's?"
+    )
+
+
+class FarOffStream:
+    """The same of a stream: of its last hour, by one look a second."""
+
+    def __init__(self, model: CellModel) -> None:
+        self._model = model
+        self._since_s = math.inf
+        self._seen: deque[tuple[float, float]] = deque(maxlen=LOOKS)
+        self.text: str | None = None
+
+    def look(
+        self, dt_s: float, error_V: float, soc: float, voltage_V: float, temperature_C: float
+    ) -> None:
+        """One sample: measured minus predicted, where the model is; then ``text`` is true of it."""
+        self._since_s += dt_s
+        if self._since_s < 1.0 or not math.isfinite(error_V):
+            return
+        self._since_s = 0.0
+        warm = temperature_C if math.isfinite(temperature_C) else None
+        stated_V = max(float(stated_error_at(self._model, soc, voltage_V, warm)), 1e-6)
+        self._seen.append((abs(error_V) / stated_V, abs(error_V)))
+        if len(self._seen) >= FEWEST_LOOKS:
+            self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
+
+
+def far_off_notices(
+    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+) -> list[Notice]:
+    """The same as a notice: after one that names the unit or the temperature, before all others."""
+    text = far_off_text(model, log, error_V, soc)
+    return [] if text is None else [Notice(FIRST_V, text)]
+
+
+def ends_forecasts(far_off: str | None, log: MeasuredLog) -> str | None:
+    """Why nothing is foreseen from a log: a channel is not what it is taken for, or far off."""
+    grave = next((n for n in log.notices if is_grave(n)), None)
+    if grave is not None:
+        return f"{grave}; {WITHHELD}"
+    return None if far_off is None else withheld(far_off)
+
+
+def withheld(far_off: str) -> str:
+    """What is far off, and what is therefore not said."""
+    return f"{far_off} {WITHHELD[0].upper()}{WITHHELD[1:]}"
+
+
+WARMED = (TemperatureDependence, Entropy)  # effects that follow the temperature
+LEAST_ROWS = 3  # fewer are a sensor's spikes
+LEAST_SHARE = 1e-3
+ASSUMED_V = 0.01  # about what ten kelvin do at 1C: only the order of notices
+OUTSIDE_V = 100.0  # above every voltage of a cell, below what makes all figures meaningless
+
+
+def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> list[Notice]:
+    """Which rows of a log lie outside what the model's data covered, and how far.
+
+    A hair outside is inside (see :mod:`cellwise.cell.plausibility.validity`); what is not known,
+    of the model or of the log, gives no notice.
+
+    Parameters
+    ----------
+    soc : (n,) float      simulated, or estimated
+    """
+    found = list(_parts(validity, log, soc))
+    if not found:
+        return []
+    text = (
+        f"'{log.name or 'the log'}' leaves what the model's data covered: {'; '.join(found)}. "
+        "There the error is not validated and grows with the distance"
+    )
+    # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
+    # and current out of their ranges, and is then the cause: only a temperature stands by itself.
+    by_itself = "degC" in text
+    return [Notice(math.inf if by_itself else OUTSIDE_V, text)]
+
+
+def assumed_temperature_notices(
+    model: CellModel, log: MeasuredLog, assumed_C: float
+) -> list[Notice]:
+    """That nobody measured the temperature on which the model depends, and what is assumed."""
+    measured = log.temperature_C
+    if measured is not None and bool(np.any(np.isfinite(measured))):
+        return []
+    if model.temperature_C.size == 1 and not any(isinstance(e, WARMED) for e in model.effects):
+        return []
+    text = (
+        f"no temperature was measured in '{log.name or 'the log'}': {assumed_C:.0f} degC is "
+        "assumed (LOG@10 states another)"
+    )
+    return [Notice(ASSUMED_V, text)]
+
+
+def outside_moment(
+    validity: Validity, soc: float, temperature_C: float, current_A: float
+) -> str | None:
+    """Which quantity of one moment lies outside, and where the data end; None inside."""
+    bounds = validity.bounds()
+    found = [
+        f"{name} {value:.{digits}f}{unit} (the model's data: {low:.{digits}f} to {high:.{digits}f})"
+        for name, value, bound, ends, digits, unit in (
+            ("SOC", soc, bounds[:2], validity.soc, 2, ""),
+            ("temperature", temperature_C, bounds[2:4], validity.temperature_C, 1, " degC"),
+            ("current", current_A, bounds[4:], validity.current_A, 2, " A"),
+        )
+        if ends is not None and (value < bound[0] or value > bound[1])
+        for low, high in (ends,)
+    ]
+    return ", ".join(found) or None
+
+
+def _parts(validity: Validity, log: MeasuredLog, soc: FloatArray) -> Iterator[str]:
+    """The text for each side of a range that is left."""
+    bounds = validity.bounds()
+    if validity.temperature_C is not None and log.temperature_C is not None:
+        cold, warm = validity.temperature_C
+        at = log.temperature_C
+        yield from _left(at, bounds.cold_C, "below {:.3g} degC", cold, lower=True)
+        yield from _left(at, bounds.warm_C, "above {:.3g} degC", warm)
+    if validity.soc is not None:
+        low, high = validity.soc
+        yield from _left(soc, bounds.soc_low, "below SOC {:.2f}", low, lower=True)
+        yield from _left(soc, bounds.soc_high, "above SOC {:.2f}", high)
+    if validity.current_A is not None:
+        charge, discharge = validity.current_A
+        at = log.current_A
+        yield from _left(at, bounds.charge_A, "below {:.3g} A (charge)", charge, lower=True)
+        yield from _left(at, bounds.discharge_A, "above {:.3g} A", discharge)
+
+
+def _left(
+    values: FloatArray, bound: float, side: str, end: float, *, lower: bool = False
+) -> Iterator[str]:
+    """The share of the rows beyond a bound, where the data end, and how far the rows go."""
+    beyond = values < bound if lower else values > bound
+    if np.count_nonzero(beyond) < LEAST_ROWS:  # the usual case, in one pass
+        return
+    known = values[np.isfinite(values)]
+    rows = int(np.count_nonzero(known < bound if lower else known > bound))
+    if rows < max(LEAST_ROWS, LEAST_SHARE * known.size):
+        return
+    furthest = float(known.min() if lower else known.max())
+    share = 100.0 * rows / known.size
+    yield (
+        f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side.format(end)}, where its "
+        f"data end, to {furthest:.3g}"
+    )
+
+
+# No cell holds this much more than another of its kind.
+MUCH_CHARGE = 1.15
+SHOWN_SOC = 5e-4  # what shows in three digits
+NEAR_EMPTY = 0.1
+LEAST_V = 1e-4  # no voltage is known better
+NO_MODEL_V = 0.2  # a voltage this far off says no SOC: a cell's goes over 0.5 to 1.5 V
+MANY_REJECTED = 0.1
+
+
+def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
+    """A SOC outside 0..1, and more charge than such a cell holds.
+
+    Parameters
+    ----------
+    soc : (n,) float      simulated, or counted
+    """
+    low, high = float(np.min(soc)), float(np.max(soc))
+    if not math.isfinite(low + high):
+        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    outside = max(-low, high - 1.0)
+    if outside <= SHOWN_SOC:
+        return []
+    name = f"'{log.name or 'the log'}'"
+    ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
+    moved = float(np.ptp(log.counted_charge_Ah()))
+    if high - low > MUCH_CHARGE:
+        return [
+            Notice(
+                math.inf,  # every other figure follows from it
+                f"{name} moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}):"
+                " the unit of the current (mA?), the cells in parallel (`parallel=N`), or a log of "
+                "another cell?",
+            )
+        ]
+    return [
+        Notice(
+            RANGE_V * outside,
+            f"{name} runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC "
+            "(`soc0=X` states it) and the capacity",
+        )
+    ]
+
+
+def error_notices(
+    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+) -> list[Notice]:
+    """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
+
+    A model of logs that contradict each other states a large error, so one of `NO_MODEL_V` is said
+    whatever is stated.
+
+    Parameters
+    ----------
+    error_V : (n,) float      measured minus model, NaN where nothing was measured
+    soc : (n,) float
+    """
+    all_rows = error_metrics(error_V)
+    if model is None or all_rows.samples == 0:
+        return []
+    stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
+    of_stated = error_V / np.maximum(stated_V, LEAST_V)
+    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF
+    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF
+    if not (everywhere or somewhere or all_rows.max_error_V >= NO_MODEL_V):
+        return []
+    row = int(np.nanargmax(np.abs(error_V)))
+    at = round(float(soc[row]), 3) + 0.0  # no minus before zero
+    text = (
+        f"'{log.name or 'the log'}' is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
+        f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "
+        f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
+    )
+    if everywhere:
+        text += f": {OTHER} than the model's, or another initial SOC?"
+    elif at < NEAR_EMPTY:
+        text += ": near empty, where the OCV is steep and the resistance high"
+    return [Notice(all_rows.rmse_V, text)]
+
+
+def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list[Notice]:
+    """A filter that used no voltage, or refuses many.
+
+    Parameters
+    ----------
+    rmse_V : float        of the voltages predicted one step ahead; NaN: none was used
+    rejected : float      share of the rows whose voltage was rejected
+    """
+    name = f"'{log.name or 'the log'}'"
+    if math.isnan(rmse_V):
+        if not np.any(np.isfinite(log.voltage_V)):
+            return []
+        text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
+        return [Notice(RANGE_V, f"{text} (another pack count?)")]
+    if rejected < MANY_REJECTED:
+        return []
+    text = (
+        f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "
+        f"rejected in {100.0 * rejected:.0f} % of the rows"
+    )
+    return [Notice(max(rmse_V, RANGE_V * rejected), f"{text}: {OTHER} than the model's?")]
+
+
+def stated_error_V(
+    model: CellModel,
+    log: MeasuredLog,
+    soc: FloatArray,
+    voltage_V: FloatArray,
+    *,
+    other_resistance: float = 0.0,
+) -> FloatArray:
+    """Standard deviation of the voltage that the model states at every row, all time scales [V].
+
+    Parameters
+    ----------
+    soc, voltage_V : (n,) float      the model's, simulated or predicted
+    other_resistance : float         share by which the cell's resistance may differ besides
+
+    Returns
+    -------
+    (n,) float      at the log's median temperature
+    """
+    measured = log.temperature_C
+    known = measured is not None and bool(np.any(np.isfinite(measured)))
+    warm = float(np.nanmedian(measured)) if known else None  # type: ignore[arg-type]
+    return stated_error_at(model, soc, voltage_V, warm, other_resistance=other_resistance)
+
+
+def stated_error_at(
+    model: CellModel,
+    soc: FloatArray | float,
+    voltage_V: FloatArray | float,
+    warm: float | None,
+    *,
+    other_resistance: float = 0.0,
+) -> FloatArray:
+    """The same at one temperature, None where it is not known [degC]."""
+    at, error = np.clip(soc, 0.0, 1.0), model.error
+    ocv = model.ocv_at(float(model.temperature_C[0]) if warm is None else warm)
+    drop = np.interp(at, model.soc, ocv) - voltage_V
+    share = np.where(drop >= 0.0, error.whole_share(1.0), error.whole_share(-1.0))
+    share = np.hypot(share, other_resistance)
+    slow = model.slow_error_V(at, warm)
+    return np.asarray(np.sqrt(slow**2 + error.white_V**2 + (share * drop) ** 2))

@@ -15,7 +15,7 @@ from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.measured_log import cut_at_pauses
-from cellwise.logs.places import logs_of
+from cellwise.logs.stated import logs_of
 
 if TYPE_CHECKING:
     from cellwise.identify import TestLogs

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cellwise.cli.common import options, printing
-from cellwise.cli.common.places import check_places
+from cellwise.cli.common.options import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from cellwise.cli.common.places import check_places
+from cellwise.cli.common.options import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from cellwise.cell.plausibility.cells_in_series import ONE_CELL, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
-from cellwise.logs.places import SUFFIXES, in_order
 from cellwise.logs.reading import AS_MEAN_CELL
+from cellwise.logs.stated import SUFFIXES, in_order
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")

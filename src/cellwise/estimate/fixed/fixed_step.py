@@ -28,8 +28,7 @@ from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.logs.resample import resample
+from cellwise.logs.cell_log import CellLog, check_is_log, resample
 from cellwise.typing import IntArray
 
 if TYPE_CHECKING:

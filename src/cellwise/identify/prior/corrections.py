@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwise.cell.effects import Effect, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.model import CellModel
-from cellwise.cell.stock.catalogue import scaled_model
+from cellwise.cell.stock import scaled_model
 from cellwise.identify.assemble import monotone
 from cellwise.identify.identification import REFERENCE_C
 from cellwise.identify.refinement.refine_data import inverse_K

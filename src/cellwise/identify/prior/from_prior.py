@@ -12,7 +12,7 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.simulate import start_hysteresis
-from cellwise.cell.stock.catalogue import stock_model, stock_names
+from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.checked_logs import CheckedLogs

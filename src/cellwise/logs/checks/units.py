@@ -1,16 +1,153 @@
-"""Are the units what the column names say? Checked on the data; definite mistakes are refused."""
+"""Are the units what the names say? By the voltage's answer and the tester's counter."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.checks.counter import CounterCheck
 from cellwise.logs.files.columns import KELVIN_OFFSET
 from cellwise.logs.measured_log import MeasuredLog, typical
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
+
+
+class CounterRule(NamedTuple):
+    """From where on a counter has restarted, is in another unit, or is another quantity.
+
+    It has restarted where it reads less than the share ``restart`` of its jump, which is above
+    ``steps`` of its steps and ``of_range`` of its range; joined up it must leave at most ``joined``
+    of its deviation from the summed current. From the correlation ``unit`` on a ratio to that sum
+    within ``same`` of a factor is a slip of a unit; below ``another`` it may count something else,
+    and beyond ``opposite`` against the current it counts the other way. A mismatch of the net
+    charges is noted from ``noted_percent`` of the charge moved on, by an inspection from
+    ``inspected_percent``.
+    """
+
+    restart: float = 0.1
+    steps: float = 5.0
+    of_range: float = 1e-3
+    joined: float = 0.5
+    unit: float = 0.95
+    same: float = 0.1
+    another: float = 0.9
+    opposite: float = 0.5
+    noted_percent: float = 2.0
+    inspected_percent: float = 0.5
+
+
+COUNTER = CounterRule()
+
+
+class CounterCheck(NamedTuple):
+    """Counter and summed current compared, gaps left out.
+
+    ``factor`` is the counter per ampere hour of summed current (least squares), ``agreement``
+    their correlation over the log, ``mismatch_percent`` the difference of the net charges in
+    percent of the charge moved, ``throughput_Ah`` the charge moved according to the current.
+    """
+
+    factor: float
+    agreement: float
+    mismatch_percent: float
+    throughput_Ah: float
+
+
+def compare_counter(log: MeasuredLog) -> CounterCheck | None:
+    """Compare the tester's counter with the sum of the current.
+
+    The current of a row is held over the interval it belongs to; the trapezoid would be wrong
+    wherever a tester logs a step late.
+
+    Returns
+    -------
+    CounterCheck, or None without a counter, without current or with a counter that stands still
+    """
+    if log.charge_Ah is None or np.count_nonzero(np.isfinite(log.charge_Ah)) < 2:
+        return None
+    return compare_steps(*charge_steps(log))
+
+
+def compare_steps(drawn: FloatArray, counted: FloatArray) -> CounterCheck | None:
+    """`compare_counter` for the charges of `charge_steps`."""
+    summed, counter = np.cumsum(drawn), np.cumsum(counted)
+    difference = float(summed[-1] - counter[-1])
+    summed -= summed.mean()
+    counter -= counter.mean()
+    moved = float(summed @ summed)
+    read = float(counter @ counter)
+    if moved == 0.0 or read == 0.0:
+        return None
+    throughput = float(np.sum(np.abs(drawn)))
+    return CounterCheck(
+        factor=float(summed @ counter) / moved,
+        agreement=float(summed @ counter) / np.sqrt(moved * read),
+        mismatch_percent=100.0 * abs(difference) / throughput,
+        throughput_Ah=throughput,
+    )
+
+
+def charge_steps(log: MeasuredLog) -> tuple[FloatArray, FloatArray]:
+    """Charge of every interval [Ah] by the current and by the counter, shape (n,), zero over gaps.
+
+    Where the counter is missing its steps are gathered in the next row that has one.
+    """
+    drawn = replace(log, charge_Ah=None).known_current_A() * log.interval_s / 3600.0
+    counter = log.charge_Ah if log.charge_Ah is not None else np.zeros(len(log))
+    read = np.isfinite(counter)
+    last = np.maximum.accumulate(np.where(read, np.arange(counter.size), 0))
+    held = counter[last]
+    held[np.isnan(held)] = counter[read][0]
+    counted = np.diff(held, prepend=held[0])
+    gaps = log.gap_rows
+    drawn[gaps] = 0.0
+    counted[gaps] = 0.0
+    return drawn, counted
+
+
+def joined_counter(
+    counter: FloatArray, drawn: FloatArray, gap_rows: BoolArray
+) -> tuple[FloatArray, int] | None:
+    """The counter with its restarts joined up, and how many there were; None where none was seen.
+
+    A counter has restarted at a row where it reads what flowed during this one interval, and not
+    that plus what it read before. The current carries it over that interval.
+
+    Parameters
+    ----------
+    counter : (n,) float        [Ah], finite
+    drawn : (n,) float          charge of each interval by the current [Ah], see `charge_steps`
+    gap_rows : (n,) bool        intervals of which the current knows nothing
+    """
+    moves = np.diff(counter)
+    jump = moves - drawn[1:]
+    fresh = np.abs(counter[1:] - drawn[1:])
+    np.abs(moves, out=moves)
+    step = float(np.min(moves[moves > 1e-9], initial=np.inf))
+    if not np.isfinite(step):
+        return None
+    least = max(COUNTER.steps * step, COUNTER.of_range * float(np.ptp(counter)))
+    restarts = (np.abs(jump) > least) & (fresh < COUNTER.restart * np.abs(jump)) & ~gap_rows[1:]
+    if not restarts.any():
+        return None
+    joined = counter - np.concatenate(([0.0], np.cumsum(np.where(restarts, jump, 0.0))))
+    summed = np.cumsum(drawn)
+    if np.std(joined - summed) > COUNTER.joined * np.std(counter - summed):
+        return None  # a counter and a current that merely differ
+    return joined, int(np.count_nonzero(restarts))
+
+
+def counts_throughput(drawn: FloatArray, counted: FloatArray) -> bool:
+    """The counter adds charge and discharge alike, so it does not contain the net charge."""
+    summed, moved, counter = np.cumsum(drawn), np.cumsum(np.abs(drawn)), np.cumsum(counted)
+    return _correlation(moved, counter) > 0.999 > 1.02 * abs(_correlation(summed, counter))
+
+
+def _correlation(x: FloatArray, y: FloatArray) -> float:
+    a, b = x - x.mean(), y - y.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0 else 0.0
 
 
 class Cell(NamedTuple):
@@ -37,8 +174,15 @@ CELL = Cell()
 EPOCH_S = 1e8  # a time that begins later than three years is counted from 1970 or so
 LOWEST_KELVIN = 200.0
 EDGE = 0.2  # of the largest current: a step that shows the resistance
-SAME = 0.1  # of a factor between two units
-LEAST_AGREEMENT = 0.95  # of counter and current, to speak of a factor between them
+FAST_S = 0.02  # no tester logs so fast: the time is in hours
+# A counter over the summed current: what it counts, or in which unit something else is.
+COUNTERS = {1e3: "milliampere hours", 3600.0: "ampere seconds"}
+SLIPS = {
+    1e-3: "current in milliampere: name it current_mA; or time in milliseconds: name it time_ms",
+    1e-6: "time in microseconds: name its column time_us",
+    60.0: "time in minutes: name its column time_min",
+    3600.0: "time in hours: name its column time_h",
+}
 
 
 def check_voltage(log: MeasuredLog, where: str) -> list[str]:
@@ -63,8 +207,6 @@ def check_voltage(log: MeasuredLog, where: str) -> list[str]:
         ]
     if np.nanmin(log.voltage_V) < 0:
         return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
-    if usual < 0.5:
-        return [f"the voltage is typically {usual:.3f} V: too low for a lithium-ion cell"]
     return []
 
 
@@ -133,36 +275,19 @@ def counter_factor(log: MeasuredLog, check: CounterCheck, where: str) -> tuple[f
     InputError        the ratio says that current or time are in another unit
     """
     ratio = abs(check.factor)
-    if abs(check.agreement) < LEAST_AGREEMENT:
+    if abs(check.agreement) < COUNTER.unit:
         return 1.0, []
-    interval = float(np.median(log.interval_s[1:]))
-    if _near(ratio, 1e-3):
-        mA = float(np.nanmax(np.abs(log.current_A))) > 200.0 or interval < 20.0
+    fast = float(np.median(log.interval_s[1:])) < FAST_S
+    for times, unit in COUNTERS.items():
+        if _near(ratio, times) and not (fast and times in SLIPS):
+            return 1.0 / times, [f"the counter ampere_hours is in {unit} and was converted"]
+    slip = next((text for times, text in SLIPS.items() if _near(ratio, times)), None)
+    if slip is not None:
         raise InputError(
-            f"a current that sums up to {1 / ratio:.0f} times the counter ampere_hours in {where}",
+            f"a counter ampere_hours that is {ratio:.3g} times the summed current in {where}",
             "amperes and seconds",
-            "The current looks like milliampere: name its column current_mA."
-            if mA
-            else "Either the current is in milliampere or the time in milliseconds: name the "
-            "column current_mA or time_ms.",
+            f"It looks like {slip}.",
         )
-    if _near(ratio, 1e-6):
-        raise InputError(
-            f"a current that sums up to a million times the counter ampere_hours in {where}",
-            "amperes and seconds",
-            "If the time is in microseconds, name its column time_us.",
-        )
-    if _near(ratio, 1e3):
-        return 1e-3, ["the counter ampere_hours is in milliampere hours and was divided by 1000"]
-    if _near(ratio, 60.0) or (_near(ratio, 3600.0) and interval < 0.02):
-        unit = "minutes" if ratio < 100 else "hours"
-        raise InputError(
-            f"a counter ampere_hours that counts {ratio:.0f} times the summed current in {where}",
-            "time in seconds",
-            f"The time looks like {unit}: name its column time_{'min' if ratio < 100 else 'h'}.",
-        )
-    if _near(ratio, 3600.0):
-        return 1.0 / 3600.0, ["the counter ampere_hours is in ampere seconds and was converted"]
     return 1.0, []
 
 
@@ -210,4 +335,4 @@ def _edge_resistance(log: MeasuredLog) -> float | None:
 
 
 def _near(ratio: float, target: float) -> bool:
-    return abs(ratio / target - 1.0) < SAME
+    return abs(ratio / target - 1.0) < COUNTER.same

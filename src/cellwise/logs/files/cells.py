@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellwise.errors import InputError
 from cellwise.logs.files.columns import Unit
 from cellwise.typing import FloatArray, IntArray
 
@@ -65,6 +66,15 @@ def arrow_values(
     if unit.kind == "label":
         return _word_values(unit, column), ""
     return to_numpy(column), ""
+
+
+def no_clock(text: str, name: str, where: str) -> InputError:
+    """The refusal of a cell that holds no time."""
+    return InputError(
+        f"'{text[:40]}' in column '{name}' of {where}",
+        "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
+        "Correct the cell, or export the time in seconds.",
+    )
 
 
 def label_value(unit: Unit, label: str) -> float:

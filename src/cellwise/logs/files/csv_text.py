@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.cells import DayFirstError, arrow_type, arrow_values
+from cellwise.logs.files.cells import DayFirstError, arrow_type, arrow_values, no_clock
 from cellwise.logs.files.columns import CLOCK, Column, choose_columns
 from cellwise.logs.files.csv_layout import (
     DECIMAL_COMMA,
@@ -190,7 +190,7 @@ def _read_batches(
                         column.unit, batch.column(name), day_first=day_first
                     )
                     if unread:
-                        refusal = _no_clock(unread, column, source)
+                        refusal = no_clock(unread, column.name, source.where)
                         raise _TextForNumberError(column.index, unread, refusal)
                     into.frombytes(values.tobytes())
                 limits.check_rows(len(grown[0]), source.where)
@@ -204,14 +204,6 @@ def _read_batches(
             raise
         raise damaged_gzip(source, str(error)) from None
     return [np.frombuffer(values, np.float64) for values in grown]
-
-
-def _no_clock(text: str, column: Column, source: LogSource) -> InputError:
-    return InputError(
-        f"'{text[:40]}' in column '{column.name}' of {source.where}",
-        "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
-        "Correct the cell, or export the time in seconds.",
-    )
 
 
 def _refused(

@@ -7,7 +7,7 @@ import io
 import logging
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib import import_module
@@ -103,6 +103,33 @@ def _check_options(source: LogSource, known: Format) -> None:
             "a log of CAN frames",
             "Omit `dbc=...`.",
         )
+
+
+def chosen_battery(
+    batteries: Mapping[int, str], live: Sequence[int], source: LogSource
+) -> tuple[int, list[str]]:
+    """Which battery of a file that holds several is read, and a notice of the others.
+
+    Parameters
+    ----------
+    batteries : mapping     number to how it is called or what it shows, for messages
+    live : sequence         numbers of those that were measured; the first is read unless stated
+
+    Raises
+    ------
+    InputError        no battery of the number that the user stated
+    """
+    stated = source.options.instance
+    named = ", ".join(f"{k}: {text}" if text else f"{k}" for k, text in batteries.items())
+    if stated is not None and stated not in batteries:
+        raise InputError(
+            f"no battery {stated} in {source.where}, which has {named}",
+            "the number of a battery that is there",
+            "Choose one of them with `instance=K`.",
+        )
+    chosen = next(iter(live or batteries)) if stated is None else stated
+    said = f"{len(batteries)} batteries ({named}); read number {chosen}; `instance=K` reads another"
+    return chosen, [said] if len(batteries) > 1 else []
 
 
 def damaged(source: LogSource, kind: str, reason: object) -> InputError:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.cells import DayFirstError, arrow_values, to_numpy
+from cellwise.logs.files.cells import DayFirstError, arrow_values, no_clock, to_numpy
 from cellwise.logs.files.columns import Channel, Column, Unit, choose_columns, folded
 from cellwise.logs.files.format import Format, damaged
 from cellwise.logs.files.limits import Limits
@@ -116,11 +116,7 @@ def _texts(array: Any, unit: Unit, name: str, where: str) -> FloatArray:
     except DayFirstError:
         values, unread = arrow_values(unit, texts, day_first=True)
     if unread:
-        raise InputError(
-            f"'{unread[:40]}' in column '{name}' of {where}",
-            "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
-            "Correct the cell, or choose another column with `channels={...}`.",
-        )
+        raise no_clock(unread, name, where)
     return values
 
 

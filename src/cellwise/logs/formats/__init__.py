@@ -9,23 +9,18 @@ from cellwise.logs.files.named_columns import is_parquet, parquet_has, read_parq
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.formats.can import CAN_LOG, CAN_TEXT
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
-from cellwise.logs.formats.dataflash import ARDUPILOT_DATAFLASH
-from cellwise.logs.formats.mdf import ASAM_MDF
 from cellwise.logs.formats.ros_bag import ROS_BAG
 from cellwise.logs.formats.tester_files import (
     ARBIN_EXCEL,
     ARBIN_RES,
+    BASYTEC_TEXT,
     BIOLOGIC_MPR,
+    BIOLOGIC_MPT,
     DIGATRON_MAT,
+    NEWARE_LEVELS,
     NEWARE_STORED,
 )
-from cellwise.logs.formats.text_layouts import (
-    BASYTEC_TEXT,
-    BIOLOGIC_MPT,
-    LEAFSPY_CSV,
-    NEWARE_LEVELS,
-)
-from cellwise.logs.formats.ulog import PX4_ULOG
+from cellwise.logs.formats.vehicle_logs import ARDUPILOT_DATAFLASH, ASAM_MDF, LEAFSPY_CSV, PX4_ULOG
 
 
 def _is_bdf_parquet(source: LogSource) -> bool:

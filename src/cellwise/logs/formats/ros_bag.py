@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.format import Format, cut_off, library_at_work, need
+from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
 from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.column_maps import mapped
@@ -80,20 +80,10 @@ def is_bag(source: LogSource) -> bool:
 
 def _choose(topics: dict[str, Any], source: LogSource) -> tuple[str, list[str]]:
     """The battery that was asked for, else the first that was measured."""
-    names = list(topics)
-    stated = source.options.instance
-    if stated is not None and stated >= len(names):
-        raise InputError(
-            f"no battery {stated} in {source.where}, which has {len(names)} ({', '.join(names)})",
-            "the number of a battery that is there",
-            "Choose one of them with `instance=K`.",
-        )
-    measured = [n for n in names if all(_known(topics[n][0][f]) for f in ("voltage", "current"))]
-    chosen = (measured or names)[0] if stated is None else names[stated]
-    if len(names) == 1:
-        return chosen, []
-    said = f"{len(names)} batteries ({', '.join(names)}); read {chosen}; `instance=K` reads another"
-    return chosen, [said]
+    names = dict(enumerate(topics))
+    live = [k for k, n in names.items() if all(map(_known, map(topics[n][0].get, FIELDS[:2])))]
+    chosen, notices = chosen_battery(names, live, source)
+    return names[chosen], notices
 
 
 def _known(values: FloatArray) -> bool:

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.packs.cell_columns import cell_name
-from cellwise.logs.packs.pack_checks import CellFlag, checked_cells, mean_voltage_V
+from cellwise.logs.packs.cells import CellFlag, cell_name, checked_cells, mean_voltage_V
 from cellwise.typing import BoolArray, FloatArray
 
 

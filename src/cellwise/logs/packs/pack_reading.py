@@ -10,21 +10,21 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.files.assembly import Origin, assemble
+from cellwise.logs.files.assembly import Origin, assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, Channel
-from cellwise.logs.files.completion import complete
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
 from cellwise.logs.files.named_columns import is_parquet, parquet_names
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
 from cellwise.logs.formats import FORMATS
-from cellwise.logs.packs.cell_columns import (
+from cellwise.logs.packs.cells import (
     CellColumn,
     cell_columns,
     cell_name,
     cells_named,
+    checked_cells,
+    mean_voltage_V,
 )
-from cellwise.logs.packs.pack_checks import checked_cells, mean_voltage_V
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import Stated
 from cellwise.typing import BoolArray, FloatArray

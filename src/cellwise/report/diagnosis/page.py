@@ -30,16 +30,16 @@ from cellwise.report.diagnosis.statements import (
     weights,
     within,
 )
-from cellwise.report.page.interactive import Traces, trace_section
-from cellwise.report.page.jumps import clock_of, linked_among
 from cellwise.report.page.markup import (
     EMPTY,
     MOST,
     Markup,
     bullets,
+    clock_of,
     details,
     escape,
     lead_of,
+    linked_among,
     paragraph,
     record_table,
     table,
@@ -56,7 +56,7 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.section import Section, Traces, trace_section, write_page
 
 
 def diagnose_page(

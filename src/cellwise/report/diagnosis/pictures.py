@@ -11,7 +11,6 @@ from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, TriedCause
 from cellwise.report.diagnosis.statements import cause_name, change, named_log
 from cellwise.report.page import style
-from cellwise.report.page.log_figures import Shown, draw_close_up, draw_log
 from cellwise.report.page.markup import EMPTY, Markup, details, paragraph, record_table
 from cellwise.report.page.numerals import (
     capitalised,
@@ -26,7 +25,14 @@ from cellwise.report.page.numerals import (
 )
 from cellwise.report.page.picture import pictured
 from cellwise.report.page.section import Section
-from cellwise.report.page.traces import close_up_s, symmetric_limits, worst_window
+from cellwise.report.page.traces import (
+    Shown,
+    close_up_s,
+    draw_close_up,
+    draw_log,
+    symmetric_limits,
+    worst_window,
+)
 
 BEFORE_AFTER_CAPTION = (
     "Measured voltage (grey), the model as it was (vermillion), and with the causes known (blue). "

@@ -8,12 +8,18 @@ import numpy as np
 
 from cellwise.cell.simulate import Simulation
 from cellwise.report.page import style
-from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.log_figures import Shown, draw_close_up, draw_log, draw_part_current
-from cellwise.report.page.markup import MOST, Markup, details, record_table, table
+from cellwise.report.page.markup import MOST, Markup, clock_of, details, record_table, table
 from cellwise.report.page.numerals import counted, duration, millivolt, percent, points
 from cellwise.report.page.picture import Picture, pictured
-from cellwise.report.page.traces import close_up_s, symmetric_limits, worst_window
+from cellwise.report.page.traces import (
+    Shown,
+    close_up_s,
+    draw_close_up,
+    draw_log,
+    draw_part_current,
+    symmetric_limits,
+    worst_window,
+)
 
 LOW_SOC = 0.1
 

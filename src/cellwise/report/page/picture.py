@@ -17,8 +17,7 @@ from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CellLog
 from cellwise.report.page import style
-from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.markup import Markup, details, escape
+from cellwise.report.page.markup import Markup, clock_of, details, escape
 
 P = ParamSpec("P")
 

@@ -10,9 +10,7 @@ import numpy as np
 from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
 from cellwise.report.findings import replay_name
 from cellwise.report.page import style
-from cellwise.report.page.jumps import clock_of
-from cellwise.report.page.log_figures import time_axis
-from cellwise.report.page.markup import MOST, Markup, paragraph, table
+from cellwise.report.page.markup import MOST, Markup, clock_of, paragraph, table
 from cellwise.report.page.numerals import (
     NONE,
     counted,
@@ -24,7 +22,7 @@ from cellwise.report.page.numerals import (
     time_unit,
 )
 from cellwise.report.page.picture import Picture, pictured, safe_key
-from cellwise.report.page.traces import robust_limit, symmetric_limits, thin, thin_band
+from cellwise.report.page.traces import robust_limit, symmetric_limits, thin, thin_band, time_axis
 from cellwise.typing import FloatArray
 
 ASIDE = 0.3  # of a standard deviation: more is worth a word

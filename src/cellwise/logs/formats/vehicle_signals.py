@@ -1,0 +1,380 @@
+"""Signals of a vehicle's recording: which is the battery's, their values, one clock for all.
+
+The database library decodes frame by frame; a log has millions. The bits are laid out as a DBC file
+says: Intel signals begin at their least significant bit and run upwards, Motorola signals begin at
+their most significant bit and run downwards through each byte and on to the next. Names of signals
+differ by maker, so they are only taken when units and names leave one choice.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellwise.errors import InputError
+from cellwise.logs.files.columns import (
+    KELVIN_OFFSET,
+    MILLI,
+    OWN,
+    TIDY_CHANNELS,
+    Channel,
+    Unit,
+    folded,
+    listed,
+    no_such_name,
+)
+from cellwise.logs.files.format import need
+from cellwise.logs.gaps import find_gaps
+from cellwise.typing import BoolArray, FloatArray
+
+# What has been chosen has the tidy names and units.
+CHOSEN = tuple(
+    Channel(name, {name: OWN}, required=True) for name in ("time_s", "current_A", "voltage_V")
+)
+UNITS: Mapping[str, Mapping[str, Unit]] = {
+    "current_A": {"a": OWN, "amp": OWN, "amps": OWN, "ampere": OWN, "ma": MILLI},
+    "voltage_V": {"v": OWN, "volt": OWN, "volts": OWN, "mv": MILLI},
+    "temperature_C": {
+        **dict.fromkeys(("°c", "degc", "deg c", "c", "celsius", "grad c", "℃"), OWN),
+        "k": Unit(1.0, KELVIN_OFFSET),
+    },
+    "charge_Ah": {"ah": OWN, "mah": MILLI, "as": Unit(1.0 / 3600.0)},
+}
+_REQUIRED = ("current_A", "voltage_V")
+_OWN_WORDS = {
+    "current_A": ("current", "curr", "amps", "strom", "ibat", "i"),
+    "voltage_V": ("voltage", "volt", "spannung", "ubat", "vbat", "u", "v"),
+    "temperature_C": ("temperature", "temp", "tbat"),
+    "charge_Ah": ("charge", "ah", "discharged", "consumed"),
+}
+_OF_PACK = ("battery", "batt", "bat", "pack", "hv", "bms", "traction", "string", "total")
+_OTHERWISE = (
+    *("max", "min", "limit", "lim", "target", "setpoint", "set", "request", "req", "cmd", "avail"),
+    *("motor", "phase", "aux", "lv", "12v", "dcdc", "charger", "inverter", "allowed", "nominal"),
+    *("offset", "error", "fault", "status", "ref", "reference", "ambient", "coolant", "inlet"),
+)
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+[a-z]*")
+
+
+class Signal(NamedTuple):
+    """A signal of a recording: its full name, its unit as written, what the reader finds it by."""
+
+    name: str
+    unit: str
+    key: tuple[object, ...]
+
+    @property
+    def short(self) -> str:
+        """The name without its message or group."""
+        return self.name.rpartition(".")[2]
+
+
+class Chosen(NamedTuple):
+    """A signal for a channel, and its conversion."""
+
+    field: str
+    signal: Signal
+    unit: Unit
+
+
+def choose_signals(
+    signals: Sequence[Signal], stated: Mapping[str, str], where: str
+) -> tuple[list[Chosen], list[str]]:
+    """Find current, voltage and, where they are clear, temperature and counter.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+    stated : mapping          tidy name, which gives the unit, to the signal's name
+    where : str             for messages
+
+    Returns
+    -------
+    chosen : list of Chosen
+    notices : list of str
+
+    Raises
+    ------
+    InputError              no such signal, none of that unit, or several that it could be
+    """
+    chosen = [_stated(tidy, name, signals, where) for tidy, name in stated.items()]
+    notices: list[str] = []
+    fields = {c.field for c in chosen}
+    for field, units in UNITS.items():
+        if field in fields:
+            continue
+        found = _best(field, signals)
+        if len(found) == 1:
+            signal = found[0]
+            chosen.append(Chosen(field, signal, units[_unit(signal, field)]))
+            unit = signal.unit or "no unit"
+            notices.append(f"signal '{signal.name}' ({unit}) was taken for {field}")
+        elif field in _REQUIRED:
+            raise _unclear(field, found, signals, where)
+    return chosen, notices
+
+
+def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen:
+    fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
+    if not fields or fields[0][0] not in UNITS:
+        known = [n for c in TIDY_CHANNELS if c.field in UNITS for n in c.names]
+        raise InputError(f"a channel '{tidy}'", f"one of {', '.join(known)}", "Correct the name.")
+    found = [s for s in signals if s.name == name] or [
+        s for s in signals if folded(name) in (folded(s.name), folded(s.short))
+    ]
+    if not found:
+        raise no_such_name(name, [s.name for s in signals], where, "signal")
+    if len(found) > 1:
+        raise InputError(
+            f"{len(found)} signals '{name}' in {where}: {listed([s.name for s in found])}",
+            "one signal",
+            "Name it with its message or group.",
+        )
+    return Chosen(fields[0][0], found[0], fields[0][1])
+
+
+def _best(field: str, signals: Sequence[Signal]) -> list[Signal]:
+    """The signals of a channel's unit whose names speak most for it."""
+    scores = [(_score(field, s.name), s) for s in signals if _unit(s, field) in UNITS[field]]
+    required = field in _REQUIRED
+    scores = [(score, s) for score, s in scores if score > (-2 if required else 1)]
+    best = max((score for score, _ in scores), default=0)
+    return [s for score, s in scores if score == best]
+
+
+def _score(field: str, name: str) -> int:
+    words = {word.casefold() for word in _WORD.findall(name)}
+    own = 1 if words.intersection(_OWN_WORDS[field]) else 0
+    pack = 2 if words.intersection(_OF_PACK) else 0
+    other = -3 if words.intersection(_OTHERWISE) else 0
+    return own + pack + other
+
+
+def _unit(signal: Signal, field: str) -> str:
+    """The unit, folded; of a signal without one, what its name says (``current_mA``, ``PackVolt``).
+
+    Without a unit the name must have the quantity's own name.
+    """
+    unit = signal.unit.strip().strip("[]()").casefold()
+    if unit and unit != "-":
+        return unit
+    words = {word.casefold() for word in _WORD.findall(signal.short)}
+    if not words.intersection(_OWN_WORDS[field]):
+        return ""
+    last = signal.short.rpartition("_")[2].casefold()
+    return last if last in UNITS[field] else next(iter(UNITS[field]))
+
+
+def _unclear(
+    field: str, found: Sequence[Signal], signals: Sequence[Signal], where: str
+) -> InputError:
+    tidy = next(c.usual_name for c in TIDY_CHANNELS if c.field == field)
+    if found:
+        names = [f"{s.name}" for s in found]
+        return InputError(
+            f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
+            "one",
+            f"Choose it: `channels={{{tidy!r}: {names[0]!r}}}`.",
+        )
+    names = [s.name + (f" [{s.unit}]" if s.unit else "") for s in signals]
+    return InputError(
+        f"no signal with a unit of {field} in {where}, which has {listed(names) or 'none at all'}",
+        f"the battery's {field.partition('_')[0]}",
+        f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
+    )
+
+
+def can_database(path: Path | None, of: str) -> Any:
+    """A database of cantools.
+
+    Parameters
+    ----------
+    path : Path or None     what the user gave
+    of : str                whose frames it describes, for the message
+
+    Raises
+    ------
+    InputError              none was given, or the file is no such database
+    """
+    cantools = need("cantools", "a CAN log")
+    if path is None:
+        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
+    try:
+        return cantools.database.load_file(str(path), strict=False)
+    except Exception as error:  # parsers of four formats raise what they like
+        text = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"a file that is no CAN database, '{path}' ({text})",
+            "a DBC, ARXML, KCD or SYM file",
+            "Choose the database of this log.",
+        ) from error
+
+
+def physical_values(
+    message: Any, name: str, payloads: Sequence[bytes]
+) -> tuple[FloatArray, BoolArray]:
+    """Decode one signal of a message of cantools.
+
+    Parameters
+    ----------
+    message : cantools message
+    name : str                  of the signal
+    payloads : sequence         data of its frames
+
+    Returns
+    -------
+    values : (m,) float         in the signal's unit, of the frames that hold the signal; NaN
+                                outside the range that the database gives ("not available")
+    whole : (n,) bool           frames that are long enough and, of a multiplexed message, hold it
+    """
+    signal = message.get_signal_by_name(name)
+    length: int = message.length
+    whole = np.array([len(data) >= length for data in payloads], dtype=np.bool_)
+    kept = b"".join(data[:length] for data in payloads if len(data) >= length)
+    frames = np.frombuffer(kept, np.uint8).reshape(-1, max(length, 1))
+    holds = np.ones(frames.shape[0], dtype=np.bool_)
+    if signal.multiplexer_ids:
+        selector = message.get_signal_by_name(signal.multiplexer_signal)
+        holds = np.isin(_raw(frames, selector), signal.multiplexer_ids)
+    whole[whole] = holds
+    raw = _raw(frames[holds], signal)
+    values: FloatArray = raw.astype(np.float64) * float(signal.scale) + float(signal.offset)
+    low, high = signal.minimum, signal.maximum
+    if low is not None and high is not None and low < high:
+        slack = 0.5 * abs(float(signal.scale))
+        values[(values < float(low) - slack) | (values > float(high) + slack)] = np.nan
+    return values, whole
+
+
+def _raw(frames: NDArray[np.uint8], signal: Any) -> NDArray[Any]:
+    """The number in the signal's bits, before scale and offset."""
+    if signal.byte_order == "little_endian":
+        first = signal.start
+        bits = np.unpackbits(frames, axis=1, bitorder="little")[:, first : first + signal.length]
+        bits = bits[:, ::-1]
+    else:
+        first = 8 * (signal.start // 8) + 7 - signal.start % 8
+        bits = np.unpackbits(frames, axis=1, bitorder="big")[:, first : first + signal.length]
+    if signal.is_float:
+        packed = np.packbits(bits, axis=1)
+        real: NDArray[Any] = packed.view(f">f{signal.length // 8}").ravel()
+        return real
+    weights = np.uint64(1) << np.arange(signal.length, dtype=np.uint64)[::-1]
+    number = (bits.astype(np.uint64) * weights).sum(axis=1, dtype=np.uint64)
+    if signal.is_signed:
+        shift = np.uint64(64 - signal.length)
+        signed: NDArray[Any] = (number << shift).view(np.int64) >> np.int64(64 - signal.length)
+        return signed
+    unsigned: NDArray[Any] = number
+    return unsigned
+
+
+FASTER = 1.5  # samples of current per sample of voltage, from which on the current is averaged
+
+
+class Series(NamedTuple):
+    """A channel with stamps of its own [s]."""
+
+    time_s: FloatArray
+    values: FloatArray
+
+
+def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatArray], list[str]]:
+    """Rows at the stamps of the voltage, with what the other channels were then.
+
+    A current that is sampled faster than the voltage becomes its mean over the interval that ends
+    at the row, so that no charge is lost; a slower one, or one sampled at other moments, is
+    interpolated. Where the current pauses for long it is missing (NaN), never bridged. Temperature
+    and counter are interpolated.
+
+    Parameters
+    ----------
+    series : mapping        field of `CellLog` to samples, with ``current_A`` and ``voltage_V``
+    where : str             for messages
+
+    Raises
+    ------
+    InputError              current and voltage have no time in common
+    """
+    clean = {field: _in_order(samples) for field, samples in series.items()}
+    voltage, current = clean["voltage_V"], clean["current_A"]
+    channels: dict[str, FloatArray] = {}
+    if all(np.array_equal(voltage.time_s, s.time_s) for s in clean.values()):
+        return {"time_s": voltage.time_s, **{f: s.values for f, s in clean.items()}}, []
+    if voltage.time_s.size == 0 or current.time_s.size == 0:
+        raise InputError(f"no samples in {where}", "voltage and current", "Check the recording.")
+    inside = (voltage.time_s >= current.time_s[0]) & (voltage.time_s <= current.time_s[-1])
+    if np.count_nonzero(inside) < 2:
+        raise InputError(
+            f"current from {current.time_s[0]:.3f} to {current.time_s[-1]:.3f} s and voltage from "
+            f"{voltage.time_s[0]:.3f} to {voltage.time_s[-1]:.3f} s in {where}",
+            "channels that were recorded at the same time",
+            "Choose channels of one recording with `channels={...}`.",
+        )
+    time = voltage.time_s[inside]
+    channels = {"time_s": time, "voltage_V": voltage.values[inside]}
+    per_row = current.time_s.size / voltage.time_s.size
+    at_rows = _mean_between(current, time) if per_row > FASTER else _between(current, time)
+    channels["current_A"] = np.where(_paused(current, time), np.nan, at_rows)
+    for field, samples in clean.items():
+        if field not in channels and samples.time_s.size:
+            channels[field] = _between(samples, time)
+    notices = []
+    if not np.array_equal(voltage.time_s, current.time_s):
+        how = "averaged" if per_row > FASTER else "interpolated"
+        notices.append(
+            f"voltage and current are sampled apart: the current was {how} to the voltage's rows"
+        )
+    lost = voltage.time_s.size - time.size
+    if lost:
+        notices.append(f"{lost} row(s) before the first or after the last current left out")
+    return channels, notices
+
+
+def _in_order(samples: Series) -> Series:
+    """Samples with a value, in the order of their stamps, the last of several at one stamp."""
+    known = np.isfinite(samples.time_s) & np.isfinite(samples.values)
+    time, values = samples.time_s[known], samples.values[known]
+    if time.size > 1 and np.any(np.diff(time) <= 0):
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], values[order]
+        last = np.append(np.diff(time) > 0, True)
+        time, values = time[last], values[last]
+    return Series(time, values)
+
+
+def _between(samples: Series, time: FloatArray) -> FloatArray:
+    return np.interp(time, samples.time_s, samples.values)
+
+
+def _mean_between(samples: Series, time: FloatArray) -> FloatArray:
+    """Mean over the interval that ends at each row, by the trapezoids of the samples."""
+    step = np.diff(samples.time_s)
+    area = np.concatenate(
+        ([0.0], np.cumsum(0.5 * (samples.values[1:] + samples.values[:-1]) * step))
+    )
+    # The integral within a trapezoid is a parabola; at the rows it is taken exactly.
+    k = np.clip(np.searchsorted(samples.time_s, time, side="right") - 1, 0, step.size - 1)
+    into = time - samples.time_s[k]
+    slope = (samples.values[k + 1] - samples.values[k]) / step[k]
+    at = area[k] + into * (samples.values[k] + 0.5 * slope * into)
+    interval = np.diff(time)
+    mean = np.empty_like(time)
+    mean[0] = np.interp(time[0], samples.time_s, samples.values)
+    mean[1:] = np.diff(at) / interval
+    return mean
+
+
+def _paused(samples: Series, time: FloatArray) -> BoolArray:
+    """Rows inside a pause of the channel, shape (n,) bool."""
+    gaps = find_gaps(samples.time_s)
+    after = np.searchsorted(samples.time_s, time, side="left")
+    after = np.minimum(after, samples.time_s.size - 1)
+    exact = samples.time_s[after] == time
+    paused: BoolArray = gaps[after] & ~exact
+    return paused
