@@ -12,6 +12,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
+from cellwise.benchmark.foreign_rows import ForeignRow, NotRun
 from cellwise.benchmark.known_logs import KnownLog, file_digest
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
@@ -125,6 +126,9 @@ class SuiteLog:
     soc0 : float or None             true SOC at the first row; None: the catalogue's
     reference_Ah : float or None     charge between SOC 1 and 0 for the reference; None: as above
     from_soc : float or None         only the rest from where the reference passes this SOC
+    hours : float or None            no more than so much of it [h]
+    summed : bool                    a tester without a counter: its current, summed, is the truth
+    quick : bool                     in the quick cut as well
     name : str                       in tables; empty: the log's own
     """
 
@@ -133,6 +137,9 @@ class SuiteLog:
     soc0: float | None = None
     reference_Ah: float | None = None
     from_soc: float | None = None
+    hours: float | None = None
+    summed: bool = False
+    quick: bool = False
     name: str = ""
 
     @property
@@ -152,6 +159,19 @@ class Slow:
     dt_s: float | None = None
     start_errors: tuple[float, ...] | None = None
     faults: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Quick:
+    """What of the suite is in its quick cut, beside the logs that are marked."""
+
+    start_errors: tuple[float, ...] = ()
+    faults: tuple[str, ...] = ()
+
+    def has(self, log: SuiteLog, fault: str, start_error: float) -> bool:
+        """Whether a run is in it."""
+        told = start_error in self.start_errors if fault == NONE else fault in self.faults
+        return log.quick and told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +210,8 @@ class Suite(SuiteKeys):
     ----------
     faults : of Fault                 beside the run without any
     cells, logs, slow
+    rows, not_run                     other people's estimators; those that cannot be had
+    quick, only_quick                 the quick cut, and whether nothing else is run
     folder : Path                     where paths begin
     data : of KnownLog                what every log of a frozen suite holds
     sha256 : str                      of the suite's file
@@ -199,6 +221,10 @@ class Suite(SuiteKeys):
     cells: tuple[SuiteCell, ...]
     logs: tuple[SuiteLog, ...]
     slow: Slow = field(default_factory=Slow)
+    rows: tuple[ForeignRow, ...] = ()
+    not_run: tuple[NotRun, ...] = ()
+    quick: Quick = field(default_factory=Quick)
+    only_quick: bool = False
     folder: Path = Path()
     data: tuple[KnownLog, ...] = ()
     sha256: str = ""
@@ -238,16 +264,19 @@ def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
     """A suite from what a TOML file holds; raises InputError as :func:`read_suite`."""
     own = records(Fault, table.pop("fault", []), "[[fault]]")
     (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
+    (quick,) = records(Quick, [table.pop("quick", {})], "[quick]")
     faults = (*_named_faults(table.pop("faults", [])), *own)
     tables: dict[str, Any] = {
         "cells": records(SuiteCell, table.pop("cell", []), "[[cell]]"),
         "logs": records(SuiteLog, table.pop("log", []), "[[log]]"),
         "data": records(KnownLog, table.pop("data", []), "[[data]]"),
+        "rows": records(ForeignRow, table.pop("row", []), "[[row]]"),
+        "not_run": records(NotRun, table.pop("not_run", []), "[[not_run]]"),
     }
     keys = checked(SuiteKeys, table, "the suite")
     keys["name"] = keys["name"] or name
     keys["estimators"] = _with_baselines(keys["estimators"])
-    suite = Suite(**keys, **tables, faults=faults, slow=slow, folder=folder)
+    suite = Suite(**keys, **tables, faults=faults, slow=slow, quick=quick, folder=folder)
     _check(suite)
     return suite
 
@@ -320,6 +349,7 @@ def _check(suite: Suite) -> None:
         ("cell", [c.name for c in suite.cells]),
         ("fault", [f.name for f in suite.faults]),
         ("log", [f"{g.cell}: {g.shown}" for g in suite.logs]),
+        ("estimator", [*map(short_name, suite.estimators), *(r.name for r in suite.rows)]),
     ):
         twice = next((n for n in names if names.count(n) > 1), None)
         _need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
@@ -342,6 +372,7 @@ def _check(suite: Suite) -> None:
 
 
 def _check_frozen(suite: Suite) -> None:
+    """Every log is known, and none that is judged is a test of any cell, whatever its name."""
     known = {one.log for one in suite.data}
     locations = [*(p for c in suite.cells for p in c.tests), *(g.log for g in suite.logs)]
     missing = [p for p in (Stated.parse(one).path for one in locations) if p not in known]
@@ -351,6 +382,17 @@ def _check_frozen(suite: Suite) -> None:
         "what every log holds",
         "Add it: python -m benchmarks.leaderboard freeze prints it.",
     )
+    held = {one.log: one.held for one in suite.data}
+    tests = {held[Stated.parse(p).path]: p for c in suite.cells for p in c.tests}
+    for log in suite.logs:
+        same = tests.get(held[Stated.parse(log.log).path], "")
+        _need(
+            not same,
+            f"log '{log.log}' of the frozen suite '{suite.name}', which is a test of a cell too "
+            f"(as '{same}')",
+            "training and test logs apart",
+            "Judge on another.",
+        )
 
 
 def _check_cell(cell: SuiteCell) -> None:
@@ -387,7 +429,8 @@ def _check_log(log: SuiteLog, cells: set[str]) -> None:
         "the true SOC at its first row and the charge between full and empty",
         "Add both: nothing can be judged without.",
     )
-    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0)}
+    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0),
+              "hours": (1e-3, 1e6)}  # fmt: skip
     for name, (low, high) in limits.items():
         value = getattr(log, name)
         there = value is None or low <= value <= high

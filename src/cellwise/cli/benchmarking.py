@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,10 @@ def _add_benchmark(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.count(p, "--processes", "N", "at once [2]", default=2)
     options.flag(p, "--fresh", "forget what an earlier run left in DIR")
     options.flag(p, "--no-page", "no index.html (it needs matplotlib)")
+    options.flag(p, "--quick", "the suite's quick cut alone")
+    options.flag(p, "--own", "no rows of other packages: cellwise's, and --estimator")
+    text = "of adapters of other packages [benchmarks/rows of the repository]"
+    p.add_argument("--rows", metavar="DIR", help=text)
     options.flag(p, "--list", "suites that come with cellwise")
     page_options.add_figure_options(p)
     options.add_json(p)
@@ -102,6 +107,15 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
     suite = read_suite(arguments.suite)
     if arguments.estimator:
         suite = with_estimators(suite, tuple(arguments.estimator))
+    if arguments.own:
+        suite = replace(suite, rows=(), not_run=())
+    if arguments.quick and not any(log.quick for log in suite.logs):
+        raise InputError(
+            f"--quick of suite '{suite.name}', which has no quick cut",
+            "a suite with [quick] and logs marked quick",
+            "Leave --quick away.",
+        )
+    suite = replace(suite, only_quick=arguments.quick)
     data = options.data_folder(arguments)
     with printing.working(suite.name) as follow:
         found = run_suite(
@@ -112,6 +126,7 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
             fresh=arguments.fresh,
             page=not arguments.no_page,
             figures=page_options.figure_files(arguments),
+            adapters=None if arguments.rows is None else Path(arguments.rows),
             progress=lambda what, done, all_: follow(f"{what} ({done} of {all_})", done, all_),
         )
     if arguments.json:
