@@ -1,9 +1,9 @@
 """progpy's BatteryElectroChemEOD (Daigle and Kulkarni 2013) in its own UKF or particle filter.
 
-Identified in their order: the charge, the positive electrode's equilibrium potential on the OCV (its
-Redlich-Kister coefficients are linear in the model's own output), then ohmic resistance, kinetics and
-diffusion by the model's own `estimate_params` on a drive. SOC is the charge of the electrode that
-their `EOD` event looks at. Noise of both filters as in their particle filter
+Identified in their order: the charge, the positive electrode's equilibrium potential on the OCV
+(its Redlich-Kister coefficients are linear in the model's own output), then ohmic resistance,
+kinetics and diffusion by the model's own `estimate_params` on a drive. SOC is the charge of the
+electrode that their `EOD` event looks at. Noise of both filters as in their particle filter
 example, the voltage's no less than what the fit leaves.
 """
 
@@ -105,9 +105,13 @@ class Row:
         spread = np.diag([where[k] ** 2 for k in keys]) + std**2 * np.outer(along, along)
         start = MultivariateNormalDist(keys, [x0[k] for k in keys], spread)
         if self.kind == "pf":
-            np.random.seed(1)
+            np.random.seed(1)  # noqa: NPY002 (theirs draws from it)
             self.filter = ParticleFilter(
-                self.model, start, num_particles=PARTICLES, measurement_noise=self.measured, dt=STABLE_S
+                self.model,
+                start,
+                num_particles=PARTICLES,
+                measurement_noise=self.measured,
+                dt=STABLE_S,
             )
         else:
             q = np.diag([(PROCESS[k] * 0.1) ** 2 for k in keys])

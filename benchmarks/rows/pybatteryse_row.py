@@ -26,9 +26,7 @@ class Row:
 
     def __init__(self, cell, fitted, kind="extended_kalman_filter"):
         self.space = load_statespace_representation(fitted, ["s", "overpotentials"])
-        self.filter = load_filter(
-            self.space, kind, variance_eta_u=INPUT, variance_eta_y_e=OUTPUT
-        )
+        self.filter = load_filter(self.space, kind, variance_eta_u=INPUT, variance_eta_y_e=OUTPUT)
         self.state_bytes = 8 * ((1 + ORDER) + (1 + ORDER) ** 2)
 
     @staticmethod
@@ -50,7 +48,7 @@ class Row:
                     "voltage_values": rows["voltage_V"][:n],
                 }
             )
-        np.random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002 (theirs draws from it)
         return identify_model(sets, structure, ORDER, 2, OPTIMIZERS)
 
     def start(self, soc0, soc0_std):

@@ -89,7 +89,7 @@ def fit(row, ask, _options):
 
 
 def run(row, ask, options, kept={}):  # noqa: B006
-    """Step through a log, each row after the other; between steps of a period the SOC is counted."""
+    """Step through a log, row after row; between the steps of a period the SOC is counted."""
     if ask["fitted"] not in kept:
         kept.clear()
         with open(ask["fitted"], "rb") as file:

@@ -2,9 +2,9 @@
 
 Models that have no fit of their own get cellwise's tables of OCV, R0 and two RC pairs, whose three
 resistances and slower time constant are scaled by least squares on the cell's drives, since what
-else cellwise found (diffusion, hysteresis) is not in their models. The model's own voltage error over
-the drives, simulated open loop, is the measurement noise; process noise: a current that is off by 1 %
-of 1C, overpotentials by 1 mV a step.
+else cellwise found (diffusion, hysteresis) is not in their models. The model's own voltage error
+over the drives, simulated open loop, is the measurement noise; process noise: a current that is off
+by 1 % of 1C, overpotentials by 1 mV a step.
 """
 
 import math

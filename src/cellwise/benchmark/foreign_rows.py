@@ -110,7 +110,7 @@ def environment(row: ForeignRow, folder: Path) -> Path:
         install = [str(python), "-m", "pip", "install", "--quiet", *row.requires]
         for command in ([sys.executable, "-m", "venv", "--clear", str(place)], install):
             try:
-                done = subprocess.run(  # noqa: S603
+                done = subprocess.run(
                     command, capture_output=True, text=True, timeout=INSTALL_S, check=False
                 )
             except (OSError, subprocess.TimeoutExpired) as error:
@@ -162,7 +162,7 @@ class RowProcess:
     def __init__(self, python: Path, adapters: Path, row: ForeignRow) -> None:
         self.row = row
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
-        self.process = subprocess.Popen(  # noqa: S603
+        self.process = subprocess.Popen(
             [str(python), str(adapters / SERVE), str(adapters / row.file), *row.options],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -179,8 +179,8 @@ class RowProcess:
         RowError         it failed, or ended
         """
         stdin, stdout = self.process.stdin, self.process.stdout
-        assert stdin is not None  # noqa: S101
-        assert stdout is not None  # noqa: S101
+        assert stdin is not None
+        assert stdout is not None
         try:
             stdin.write(json.dumps(what) + "\n")
             stdin.flush()
@@ -230,9 +230,7 @@ class ForeignEstimator:
     training, fitted : Path     what it was fitted on, and what came of it
     """
 
-    def __init__(
-        self, process: RowProcess, model: CellModel, training: Path, fitted: Path
-    ) -> None:
+    def __init__(self, process: RowProcess, model: CellModel, training: Path, fitted: Path) -> None:
         self.name = process.row.name
         self._process, self._model = process, model
         self._files = {"training": str(training), "fitted": str(fitted)}

@@ -51,7 +51,7 @@ class KnownLog:
 
     @property
     def held(self) -> tuple[float, ...]:
-        """What another copy of the log holds as well: rows, duration, charge moved, mean voltage."""
+        """What a copy of the log holds as well: rows, duration, charge moved, mean voltage."""
         parts = (self.duration_s, self.throughput_Ah, self.mean_V)
         return (self.rows, *(round(value, 3) for value in parts))
 

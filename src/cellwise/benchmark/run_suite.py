@@ -28,6 +28,7 @@ from cellwise.benchmark.foreign_rows import (
 from cellwise.benchmark.known_logs import file_digest
 from cellwise.benchmark.leaderboard import leaderboard
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
+from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_text
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
 from cellwise.benchmark.work import SEED, Place, Run, make_model, run_all, runs_of
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
 KEPT = "rows.jsonl"
-LEADERBOARD = "leaderboard.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,25 +188,33 @@ def _finish(
     plain = [row for row in rows if row["fault"] in ("", "none")]
     table_text = latex_text(place.suite.name, plain, differences(plain))
     write_atomically(place.folder / "results.tex", table_text)
-    suite = place.suite
+    suite, entries = place.suite, []
     if suite.frozen:
-        row = leaderboard(
+        found = leaderboard(
             suite.name,
             suite.sha256,
             rows,
             seed=SEED,
             data="the suite's own files" if has_own_files(suite, place.data) else "same content",
             adapters=_adapter_digests(suite),
+            not_run={one.name: one.why for one in suite.not_run},
+            about={row.name: row.about for row in suite.rows},
         )
-        write_atomically(place.folder / LEADERBOARD, json.dumps(row, indent=1) + "\n")
+        write_atomically(place.folder / LEADERBOARD, json.dumps(found, indent=1) + "\n")
+        entries = [{**found, "row": row} for row in found["rows"]]
+        write_atomically(place.folder / TABLE, standings_text(entries))
     written = None
     if page:
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(place.suite.name, about, rows, curves)
+        table = BenchmarkTable(suite.name, about, rows, curves, entries, _missing(suite))
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
+
+
+def _missing(suite: Suite) -> list[tuple[str, str]]:
+    return [(one.name, one.why) for one in suite.not_run]
 
 
 def _adapter_digests(suite: Suite) -> dict[str, str]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
+from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
 from cellwise.benchmark.foreign_rows import (
     ForeignEstimator,
     ForeignRow,
@@ -21,7 +22,6 @@ from cellwise.benchmark.foreign_rows import (
     fitted_row,
     training_arrays,
 )
-from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
 from cellwise.benchmark.suite import Suite, SuiteCell
 from cellwise.benchmark.suite_logs import (
     JudgedLog,
