@@ -21,8 +21,8 @@ STEP_S, POINTS, PARTICLES = 10.0, 60, 100
 STABLE_S = 5.0  # their Euler steps swing beyond: the ohmic lag is 6 s
 SIGMAS = 3.3  # how far their sigma points reach, and a little: none may leave the electrode
 TERMS, RIDGE = 13, 1e-4  # of the Redlich-Kister expansion; of its least squares
-KINETIC = {"Ro": (1e-3, 1.0), "tDiffusion": (1e6, 1e8), "kn": (10.0, 1e7), "kp": (10.0, 1e7)}
-DRIVE_ROWS, TRIES = 240, 60  # 40 min of a drive; simulations of their search
+KINETIC = {"Ro": (1e-3, 1.0), "tDiffusion": (1e6, 2e7), "kn": (10.0, 1e7), "kp": (10.0, 1e7)}
+DRIVE_ROWS, TRIES = 240, 100  # 40 min of a drive; simulations of their search
 PROCESS = {"tb": 1.0, "Vo": 0.01, "Vsn": 0.01, "Vsp": 0.01, "qnB": 1.0, "qnS": 1.0, "qpB": 1.0,
            "qpS": 1.0}  # fmt: skip
 MEASURED = {"t": 2.0, "v": 0.02}  # both from their particle filter example
