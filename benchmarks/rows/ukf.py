@@ -17,8 +17,7 @@ from serve import TABLES, at_period
 PERIOD_S = 10.0
 LONGEST = 1000  # steps of each drive that are simulated
 SLOWER = (1.0, 2.0, 4.0, 8.0, 16.0)  # factors that are tried on the second time constant
-LEAST_SCALE = 0.1
-LEAST_V, CURRENT_RATE, OVERPOTENTIAL_V = 0.005, 0.01, 0.001
+LEAST_SCALE, LEAST_V, CURRENT_RATE, OVERPOTENTIAL_V = 0.1, 0.005, 0.01, 0.001
 
 
 def branches(cell, rows, slower):
