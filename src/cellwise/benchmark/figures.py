@@ -84,7 +84,7 @@ def state_bytes(estimator: object) -> int:
 
     0 where its state cannot be looked into.
     """
-    if hasattr(estimator, "state_bytes"):  # a foreign row's process says it
+    if hasattr(estimator, "state_bytes"):  # the process of a row says it
         return int(estimator.state_bytes)
     inner = getattr(estimator, "filter", None)
     if inner is not None:  # an adapter may say it itself

@@ -122,7 +122,7 @@ def _row(name: str, own: Runs, against: Difference | None) -> dict[str, Any]:
 def standings(rows: Mapping[str, Runs], *, quick: bool = False) -> list[Standing]:
     """How estimators stand by their runs, the best first; those that lack runs are left out.
 
-    Ranks are those of the means over logs; their interval is of the same logs, drawn anew with
+    Ranks are those of the means over logs; their interval is of the same logs, drawn with
     replacement (cluster bootstrap, as :func:`~cellwise.benchmark.paper_tables.differences`).
 
     Parameters

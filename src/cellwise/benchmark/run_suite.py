@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
-from cellwise.benchmark.foreign_rows import (
+from cellwise.benchmark.known_logs import file_digest
+from cellwise.benchmark.leaderboard import leaderboard
+from cellwise.benchmark.package_rows import (
     NotRun,
     RowError,
     adapters_folder,
@@ -25,8 +27,6 @@ from cellwise.benchmark.foreign_rows import (
     environment,
     row_digest,
 )
-from cellwise.benchmark.known_logs import file_digest
-from cellwise.benchmark.leaderboard import leaderboard
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
 from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_text
 from cellwise.benchmark.suite import Suite
@@ -96,7 +96,7 @@ def run_suite(
     page : bool            write the page as well (needs matplotlib)
     figures : FigureFiles  where the page's pictures go as files
     progress : callable    called with (what, done, total)
-    adapters : Path        folder of foreign rows' adapters; None: this repository's
+    adapters : Path        folder of the rows' adapters; None: this repository's
 
     Raises
     ------
@@ -113,13 +113,13 @@ def run_suite(
     place = _with_rows(place, adapters, say)
     suite = place.suite
     keys = {c.name: _cell_key(place, k) for k, c in enumerate(suite.cells)}
-    foreign = {row.name: row_digest(row, place.adapters) for row in suite.rows}
+    digests = {row.name: row_digest(row, place.adapters) for row in suite.rows}
     used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
     runs = _every_run(suite, data)
     kept = _kept_rows(place.folder / KEPT)
     logs = [file_digest(locate(g.log, suite, data)) for g in suite.logs]
     names = {
-        r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log], foreign) for r in runs
+        r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log], digests) for r in runs
     }
     todo = [run for run in runs if names[run] not in kept]
     resumed = len(runs) - len(todo)
@@ -148,15 +148,15 @@ def run_suite(
     return _finish(place, [kept[names[run]] for run in runs], resumed, page, figures)
 
 
-def _task(run: Run, foreign: dict[str, int]) -> tuple[Any, ...]:
-    """Runs that are one task: of a log and a fault, of a foreign row all of a log."""
-    if run.estimator in foreign:
+def _task(run: Run, order: dict[str, int]) -> tuple[Any, ...]:
+    """Runs that are one task: of a log and a fault, of a row of another package all of a log."""
+    if run.estimator in order:
         return run.estimator, run.log
     return "", run.log, run.fault, run.dt_s
 
 
 def _with_rows(place: Place, adapters: Path | None, say: Progress) -> Place:
-    """The place with a Python for every foreign row; what cannot be had is not run."""
+    """The place with a Python for every row of another package; what cannot be had is not run."""
     suite, where = place.suite, adapters_folder(adapters)
     ready, pythons, missing = [], [], list(suite.not_run)
     for k, row in enumerate(suite.rows):
@@ -265,9 +265,9 @@ def _cell_key(place: Place, number: int) -> str:
     return _hash([asdict(cell), files, version("cellwise")])
 
 
-def _run_key(place: Place, run: Run, cell_key: str, log: str, foreign: dict[str, str]) -> str:
+def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str, str]) -> str:
     one = place.suite.logs[run.log]
-    adapter = foreign.get(run.estimator, "")
+    adapter = digests.get(run.estimator, "")
     file = place.suite.folder / run.estimator.rpartition(":")[0]
     if is_adapter(run.estimator) and file.is_file():
         adapter = file_digest(file)

@@ -59,7 +59,7 @@ def submit(path: Path, folder: Path) -> list[str]:
     """Check the rows of a file and draw them in beside those of a run; their names.
 
     A row of a name that is there takes its place. ``leaderboard.json`` and ``leaderboard.md`` of
-    the folder are written anew.
+    the folder are written again.
 
     Raises
     ------

@@ -9,8 +9,8 @@ from typing import Any
 
 from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
-from cellwise.benchmark.foreign_rows import ForeignRow, NotRun
 from cellwise.benchmark.known_logs import KnownLog, file_digest
+from cellwise.benchmark.package_rows import NotRun, PackageRow
 from cellwise.benchmark.records import checked, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
@@ -115,8 +115,8 @@ class Quick:
 
     def has(self, log: SuiteLog, fault: str, start_error: float) -> bool:
         """Whether a run is in it."""
-        told = start_error in self.start_errors if fault == NONE else fault in self.faults
-        return log.quick and told
+        named = start_error in self.start_errors if fault == NONE else fault in self.faults
+        return log.quick and named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +166,7 @@ class Suite(SuiteKeys):
     cells: tuple[SuiteCell, ...]
     logs: tuple[SuiteLog, ...]
     slow: Slow = field(default_factory=Slow)
-    rows: tuple[ForeignRow, ...] = ()
+    rows: tuple[PackageRow, ...] = ()
     not_run: tuple[NotRun, ...] = ()
     quick: Quick = field(default_factory=Quick)
     only_quick: bool = False
@@ -215,7 +215,7 @@ def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
         "cells": records(SuiteCell, table.pop("cell", []), "[[cell]]"),
         "logs": records(SuiteLog, table.pop("log", []), "[[log]]"),
         "data": records(KnownLog, table.pop("data", []), "[[data]]"),
-        "rows": records(ForeignRow, table.pop("row", []), "[[row]]"),
+        "rows": records(PackageRow, table.pop("row", []), "[[row]]"),
         "not_run": records(NotRun, table.pop("not_run", []), "[[not_run]]"),
     }
     keys = checked(SuiteKeys, table, "the suite")

@@ -15,10 +15,10 @@ import numpy as np
 from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
 from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
-from cellwise.benchmark.foreign_rows import (
-    ForeignEstimator,
-    ForeignRow,
+from cellwise.benchmark.package_rows import (
+    PackageRow,
     RowError,
+    RowEstimator,
     fitted_row,
     training_arrays,
 )
@@ -110,7 +110,7 @@ CLOCKED = 3
 
 
 class Place(NamedTuple):
-    """A suite, where its data and results are; where foreign rows are, and the Python of each."""
+    """A suite, its data and results; the folder of other packages' rows, and a Python for each."""
 
     suite: Suite
     data: Path | None
@@ -127,7 +127,7 @@ class Place(NamedTuple):
         return self.folder / "models" / f"{key}.noise.json"
 
     def training_file(self, key: str) -> Path:
-        """What a foreign row is fitted on."""
+        """What a row of another package is fitted on."""
         return self.folder / "models" / f"{key}.training.npz"
 
 
@@ -226,7 +226,7 @@ def _judge(
     if row is None:
         estimator = _estimator(suite, run.estimator, model, noise)
     else:
-        estimator = _foreign(place, row, model, key)
+        estimator = _row_estimator(place, row, model, key)
     found = replay(
         model,
         log,
@@ -240,7 +240,7 @@ def _judge(
     if lost:
         return {"problem": f"no SOC in {lost} of {len(log)} rows"}, error_curve(found, judged.truth)
     figures = figures_of(found, judged.truth)
-    if isinstance(estimator, ForeignEstimator):
+    if isinstance(estimator, RowEstimator):
         figures["ns_per_step"] = estimator.ns_per_step
         figures["process_MB"] = estimator.process_MB
     elif run.fault.name == NONE:
@@ -266,8 +266,8 @@ def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -
     return make_estimator(name, model, noise)
 
 
-def _foreign(place: Place, row: ForeignRow, model: CellModel, key: str) -> ForeignEstimator:
-    """A foreign row in its process, fitted to the cell's tests the first time.
+def _row_estimator(place: Place, row: PackageRow, model: CellModel, key: str) -> RowEstimator:
+    """A row in its process, fitted to the cell's tests the first time.
 
     Raises
     ------
@@ -275,7 +275,7 @@ def _foreign(place: Place, row: ForeignRow, model: CellModel, key: str) -> Forei
     """
     training, python = place.training_file(key), dict(place.pythons)[row.name]
     process, fitted = fitted_row(python, place.adapters, row, training, SEED)
-    return ForeignEstimator(process, model, training, fitted)
+    return RowEstimator(process, model, training, fitted)
 
 
 def _or_nan(value: float | None) -> float:

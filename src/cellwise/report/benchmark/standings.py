@@ -24,8 +24,8 @@ from cellwise.report.page.section import Section, write_page
 MEANS = (
     "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
     "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
-    "column of their own and no part in a rank. In brackets what holds 95 % when logs are drawn "
-    "anew. Ended within 3 points: share of runs whose last error is. Interval score: width of the "
+    "column of their own and no part in a rank. In brackets what holds 95 % over resampled logs. "
+    "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
     "band of two deviations and 40 times what lies outside, smaller is better."
 )
 Runs = Mapping[str, Sequence[Mapping[str, Any]]]

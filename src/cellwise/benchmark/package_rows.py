@@ -35,7 +35,7 @@ HERE = Path(__file__).resolve().parents[3] / "benchmarks" / "rows"
 
 
 @dataclass(frozen=True)
-class ForeignRow:
+class PackageRow:
     """An estimator that is not ours, as a suite names it.
 
     Parameters
@@ -67,7 +67,7 @@ class NotRun:
 
 
 class RowError(Exception):
-    """Why a foreign row could not be made ready, fitted or run."""
+    """Why a row could not be made ready, fitted or run."""
 
 
 def adapters_folder(given: Path | None) -> Path | None:
@@ -78,7 +78,7 @@ def adapters_folder(given: Path | None) -> Path | None:
     return None
 
 
-def row_digest(row: ForeignRow, adapters: Path) -> str:
+def row_digest(row: PackageRow, adapters: Path) -> str:
     """What a row's runs depend on beside the log: its adapter, what that imports, its pins."""
     return _digest(adapters, row.file, SERVE, parts=(repr(row),))
 
@@ -92,7 +92,7 @@ def _digest(adapters: Path, *files: str, parts: Iterable[str]) -> str:
     return hashlib.sha256("\0".join((*texts, *parts)).encode()).hexdigest()[:16]
 
 
-def environment(row: ForeignRow, folder: Path) -> Path:
+def environment(row: PackageRow, folder: Path) -> Path:
     """A Python that has what the row requires, made below ``folder`` where there is none yet.
 
     Raises
@@ -159,7 +159,7 @@ def training_arrays(
 class RowProcess:
     """One row in its own process: asked by a line of JSON, arrays in files between."""
 
-    def __init__(self, python: Path, adapters: Path, row: ForeignRow) -> None:
+    def __init__(self, python: Path, adapters: Path, row: PackageRow) -> None:
         self.row = row
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         self.process = subprocess.Popen(
@@ -202,10 +202,10 @@ class RowProcess:
         self.errors.close()
 
 
-_running: dict[tuple[Path, Path, ForeignRow], RowProcess] = {}
+_running: dict[tuple[Path, Path, PackageRow], RowProcess] = {}
 
 
-def row_process(python: Path, adapters: Path, row: ForeignRow) -> RowProcess:
+def row_process(python: Path, adapters: Path, row: PackageRow) -> RowProcess:
     """The row's process; the one of another row is ended, so that few are in memory."""
     key = (python, adapters, row)
     there = _running.get(key)
@@ -222,8 +222,8 @@ def close_rows() -> None:
     _running.clear()
 
 
-class ForeignEstimator:
-    """A fitted foreign row as an estimator that replays logs.
+class RowEstimator:
+    """A fitted row as an estimator that replays logs.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ class ForeignEstimator:
             rows, answer = Path(folder) / "rows.npz", Path(folder) / "answer.npy"
             temperature = known_temperature_C(self._model, log)
             np.savez(rows, data=np.vstack((current, log.voltage_V, temperature, log.interval_s)))
-            told = self._process.ask(
+            found = self._process.ask(
                 do="run",
                 rows=str(rows),
                 answer=str(answer),
@@ -255,9 +255,9 @@ class ForeignEstimator:
                 **self._files,
             )
             soc, std, voltage = np.load(answer)
-        self.ns_per_step = float(told["ns_per_step"])
-        self.process_MB = float(told["process_MB"])
-        self.state_bytes = int(told["state_bytes"])
+        self.ns_per_step = float(found["ns_per_step"])
+        self.process_MB = float(found["process_MB"])
+        self.state_bytes = int(found["state_bytes"])
         missing = np.full(len(log), np.nan)
         status = np.zeros(len(log), dtype=np.int32)
         left = log.voltage_V - voltage
@@ -268,7 +268,7 @@ _failed: dict[Path, str] = {}
 
 
 def fitted_row(
-    python: Path, adapters: Path, row: ForeignRow, training: Path, seed: int
+    python: Path, adapters: Path, row: PackageRow, training: Path, seed: int
 ) -> tuple[RowProcess, Path]:
     """The row's process, and what its fit on a cell's tests made, kept beside them.
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.benchmark.foreign_rows import HERE, ForeignRow, RowError, environment
+from cellwise.benchmark.package_rows import HERE, PackageRow, RowError, environment
 from cellwise.benchmark.run_suite import run_suite
 from cellwise.benchmark.suite import read_suite, with_estimators
 from cellwise.cell.model_file import write_model
@@ -84,7 +84,7 @@ class Row:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("foreign")
+    place = tmp_path_factory.mktemp("packages")
     cell = curved_cell()
     write_model(cell, place / "cell.json")
     time_s = np.arange(ROWS, dtype=np.float64)
@@ -148,7 +148,7 @@ def test_runs_are_taken_over_until_the_adapter_changes(folder, found):
     assert changed.resumed == len(changed.rows) - 6
 
 
-def test_without_the_adapters_foreign_rows_are_not_run(folder, tmp_path):
+def test_without_the_adapters_package_rows_are_not_run(folder, tmp_path):
     suite = read_suite(folder / "suite.toml")
     left = run_suite(suite, tmp_path / "out", page=False, adapters=tmp_path)
     assert {r["estimator"] for r in left.rows} == {"ekf", "coulomb", "rest-ocv"}
@@ -165,6 +165,6 @@ def test_a_name_belongs_to_one_estimator(folder):
 
 @pytest.mark.slow
 def test_what_does_not_install_is_said(tmp_path):
-    row = ForeignRow("x", "x.py", "", requires=("./no-such-folder",))
+    row = PackageRow("x", "x.py", "", requires=("./no-such-folder",))
     with pytest.raises(RowError, match="did not install"):
         environment(row, tmp_path)
