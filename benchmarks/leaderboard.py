@@ -16,13 +16,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from cellwise.benchmark.known_logs import known_log
-from cellwise.benchmark.leaderboard import HEAD, table_row
+from cellwise.benchmark.submission import read_entries, standings_text
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 
@@ -35,40 +34,37 @@ BEGIN, END = (
 
 def add(result: Path, by: str, about: str, only: str | None, kept: Path) -> list[Path]:
     """Keep every estimator of a run, each in a file of its own."""
-    found = json.loads(result.read_text(encoding="utf-8"))
-    suite = read_suite(found["suite"])
-    if suite.sha256 != found["suite_sha256"]:
+    entries = read_entries(result)
+    suite = read_suite(entries[0]["suite"])
+    if suite.sha256 != entries[0]["suite_sha256"]:
         raise SystemExit(f"'{result}' is of another version of suite '{suite.name}': run it again")
     written = []
-    for row in found.pop("rows"):
-        if only is not None and row["estimator"] != only:
+    for entry in entries:
+        name = entry["row"]["estimator"]
+        if only is not None and name != only:
             continue
-        place = kept / suite.name / f"{row['estimator']}.json"
+        place = kept / suite.name / f"{name.replace(' ', '-')}.json"
         place.parent.mkdir(parents=True, exist_ok=True)
-        one = {**found, "by": by, "about": about, "row": row}
-        place.write_text(json.dumps(one, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        abouts = entry.pop("about", {})
+        said = about or abouts.get(name, "") if isinstance(abouts, dict) else about
+        one = {**entry, "by": by, "about": said}
+        text = json.dumps(one, sort_keys=True).replace('{"band_width"', '\n{"band_width"')
+        place.write_text(text + "\n", encoding="utf-8")
         written.append(place)
     return written
 
 
 def tables(kept: Path) -> Iterator[str]:
-    """A table for each suite, the best row over all runs first."""
+    """The standings of each suite."""
     for folder in sorted(path for path in kept.iterdir() if path.is_dir()):
-        found = [json.loads(p.read_text(encoding="utf-8")) for p in sorted(folder.glob("*.json"))]
-        mark = read_suite(folder.name).sha256
-        ranked = sorted(found, key=_place)
-        yield f"### {folder.name}\n\nSuite's file: SHA-256 `{mark[:16]}`. {len(found)} rows.\n"
-        yield "| " + " | ".join((*HEAD, "by")) + " |"
-        yield "|---" + "|---:" * (len(HEAD) - 2) + "|---|---|"
-        for one in ranked:
-            cells = (*table_row(one, one["row"]), str(one["by"]))
-            yield "| " + " | ".join(cells) + " |"
+        entries = [e for path in sorted(folder.glob("*.json")) for e in read_entries(path)]
+        suite = read_suite(folder.name)
+        yield f"### {folder.name}\n\nSuite's file: SHA-256 `{suite.sha256[:16]}`.\n"
+        yield standings_text(entries)
+        about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
+        yield from (f"- **{name}**: {what}." for name, what in about.items())
+        yield from (f"- **{one.name}**, not run: {one.why}." for one in suite.not_run)
         yield ""
-
-
-def _place(one: dict[str, Any]) -> tuple[bool, float]:
-    figure = one["row"]["all_runs"]
-    return figure is None, 0.0 if figure is None else figure
 
 
 def printed(page: str, kept: Path) -> str:

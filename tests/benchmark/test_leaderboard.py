@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,11 @@ from benchmarks import leaderboard as tool
 
 from cellwise import list_datasets, load_dataset
 from cellwise.benchmark.known_logs import differs, find_known, known_log
-from cellwise.benchmark.leaderboard import leaderboard, table_row
+from cellwise.benchmark.leaderboard import HEAD, leaderboard, standing_cells, standings
 from cellwise.benchmark.run_suite import run_suite
 from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
 from cellwise.cell.model_file import write_model
+from cellwise.cli import main
 from cellwise.data import datasets_folder, list_originals
 from cellwise.errors import InputError
 from cellwise.logs import read_log, write_log
@@ -107,7 +109,8 @@ def test_the_table_of_every_run_says_seed_and_versions(result):
 
 
 def test_a_row_is_added_and_printed_in_order(result, tmp_path, monkeypatch):
-    monkeypatch.setattr(tool, "read_suite", lambda name: read_suite(suite_of(result)))
+    small = replace(read_suite(suite_of(result)), name="small")
+    monkeypatch.setattr(tool, "read_suite", lambda name: small)
     kept = tmp_path / "leaderboard"
     for only in ("Net", "ekf"):
         (path,) = tool.add(result / "leaderboard.json", "a person", "counts", only, kept)
@@ -116,8 +119,9 @@ def test_a_row_is_added_and_printed_in_order(result, tmp_path, monkeypatch):
     assert page.startswith("before")
     assert page.endswith("after")
     assert " old " not in page
-    places = [page.index(f"| {name} |") for name in ranking(kept)]
-    assert places == sorted(places)
+    # Counting from a wrong start comes last.
+    assert page.index("| ekf |") < page.index("| Net |")
+    assert "a person" in page
     assert tool.printed(page, kept) == page
 
 
@@ -126,21 +130,88 @@ def suite_of(result):
     return next(p for p in result.parent.glob("suite*/small.toml") if read_suite(p).sha256 == sha)
 
 
-def ranking(kept):
-    rows = [json.loads(p.read_text())["row"] for p in kept.glob("*/*.json")]
-    return [r["estimator"] for r in sorted(rows, key=lambda r: r["all_runs"])]
+def run_of(log, figure, **more):
+    return {
+        "fault": "none", "start_error": -0.3, "soc0_true": 0.6, "dt_s": 1.0, "problem": "",
+        "log": log, "settled_rmse": figure, "settled_max": figure, "soc_final_error": figure,
+        "convergence_s": 60.0, "coverage_2sigma": 1.0, "interval_score": 0.1, "band_width": 0.1,
+        "ns_per_step": 1.0, "easy": False, "quick": False, **more,
+    }  # fmt: skip
 
 
 def test_an_estimator_that_fails_somewhere_has_no_figure_over_all():
-    row = {"fault": "none", "start_error": 0.0, "soc0_true": 1.0, "dt_s": 1.0, "problem": "",
-           "settled_rmse": 0.01, "coverage_2sigma": 1.0, "ns_per_step": 1.0}  # fmt: skip
-    rows = [row | {"estimator": "ekf", "log": log} for log in "ab"]
-    rows += [row | {"estimator": "mine", "log": "a"}]
-    rows += [row | {"estimator": "mine", "log": "b", "problem": "out of ideas"}]
+    rows = [run_of(log, 0.01, estimator="ekf") for log in "ab"]
+    rows += [run_of("a", 0.01, estimator="mine")]
+    rows += [run_of("b", float("nan"), estimator="mine", problem="out of ideas")]
     found = leaderboard("suite", "0" * 64, rows)
     mine = next(r for r in found["rows"] if r["estimator"] == "mine")
     assert (mine["problems"], mine["all_runs"]) == (1, None)
-    assert table_row(found, mine)[1] == "-"
+    stand = {s.estimator: s for s in standings({r["estimator"]: r["runs"] for r in found["rows"]})}
+    assert (stand["ekf"].rank, stand["mine"].rank) == (1, None)
+    assert standing_cells(stand["mine"])[HEAD.index("hard runs")] == "-"
+
+
+def test_ranks_are_as_sure_as_the_logs_make_them():
+    """Better on every log is better in every draw; better on one of two halves is neither."""
+    logs = "abcdefgh"
+    rows = {
+        "best": [run_of(g, 0.01) for g in logs],
+        "even": [run_of(g, 0.02 if k % 2 else 0.04) for k, g in enumerate(logs)],
+        "odd": [run_of(g, 0.0401 if k % 2 else 0.02) for k, g in enumerate(logs)],
+        "fails late": [run_of(g, 0.001) for g in logs[:-1]],
+    }
+    # Easy runs have no part in it.
+    for name, figure in (("best", 0.5), ("even", 0.0), ("odd", 0.0), ("fails late", 0.0)):
+        rows[name].append(run_of("a", figure, start_error=0.0, easy=True))
+    found = standings(rows)
+    assert [(s.estimator, s.rank) for s in found] == [("best", 1), ("even", 2), ("odd", 3)]
+    assert (found[0].low, found[0].high) == (1, 1)
+    assert [(s.low, s.high) for s in found[1:]] == [(2, 3), (2, 3)]
+    assert found[0].hard == pytest.approx(0.01)
+    assert found[0].easy == pytest.approx(0.5)
+
+
+def test_logs_count_once_however_many_runs_they_have():
+    few = [run_of("a", 0.02), *(run_of("b", 0.0, fault=f"{k}") for k in range(9))]
+    (only,) = standings({"mine": few})
+    assert only.hard == pytest.approx(0.01)
+
+
+def test_a_row_from_elsewhere_is_checked_and_drawn_in(result, tmp_path, capsys):
+    for name in ("leaderboard.json", "results.csv"):
+        shutil.copy(result / name, tmp_path / name)
+    found = json.loads((tmp_path / "leaderboard.json").read_text())
+    row = next(r for r in found.pop("rows") if r["estimator"] == "Net")
+    row["estimator"], place = "Theirs", tmp_path / "row.json"
+    submit = ["benchmark", "submit", str(place), "-o", str(tmp_path), "--no-page"]
+    place.write_text(json.dumps({**found, "by": "somebody", "row": row}))
+    assert main([*submit, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["submitted"] == ["Theirs"]
+    table = (tmp_path / "leaderboard.md").read_text()
+    assert "| Theirs |" in table
+    assert "somebody" in table
+    wrong = {
+        "suite_sha256": {**found, "suite_sha256": "0" * 64, "row": row},
+        "not the suite's": {**found, "row": {**row, "runs": row["runs"][1:]}},
+        "no 'made_with'": {k: v for k, v in {**found, "row": row}.items() if k != "made_with"},
+        "a fraction": {**found, "row": {**row, "runs": [{**row["runs"][0], "settled_rmse": 3.0}]}},
+    }
+    before = (tmp_path / "leaderboard.json").read_bytes()
+    for said, text in wrong.items():
+        place.write_text(json.dumps(text))
+        assert main(submit) == 2
+        assert said in capsys.readouterr().err
+    assert (tmp_path / "leaderboard.json").read_bytes() == before
+
+
+def test_training_and_test_logs_cannot_be_mixed_up(suite_file, tmp_path):
+    """A judged log among the tests of any cell is refused, whatever either is called."""
+    text = suite_file.read_text()
+    known = text[text.index("[[data]]") :].replace("embedded:nmc_drive_b", "copied.csv", 1)
+    cell = '[[cell]]\nname = "another"\ndrive = ["copied.csv"]\n'
+    (tmp_path / "mixed.toml").write_text(f"{text}\n{cell}\n{known}")
+    with pytest.raises(InputError, match="test of a cell too"):
+        read_suite(tmp_path / "mixed.toml")
 
 
 def test_a_log_is_known_by_what_it_holds(tmp_path):

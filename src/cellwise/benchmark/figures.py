@@ -13,6 +13,7 @@ from cellwise.typing import FloatArray
 LOW_SOC = 0.1
 CURVE_POINTS = 200
 MISSING = float("nan")
+OUTSIDE = 0.05  # share of the rows that a band of two deviations may leave outside
 
 # Name and kind of every column of the results, in order.
 COLUMNS: dict[str, type] = {
@@ -22,7 +23,8 @@ COLUMNS: dict[str, type] = {
     "soc_rmse": float, "soc_mae": float, "soc_max_error": float, "convergence_s": float,
     "settled_rmse": float, "settled_mae": float, "settled_max": float, "low_soc_rmse": float,
     "soc_final_error": float, "voltage_rmse_V": float, "nis_mean": float,
-    "coverage_2sigma": float, "ns_per_step": float, "state_bytes": int,
+    "coverage_2sigma": float, "interval_score": float, "band_width": float,
+    "ns_per_step": float, "state_bytes": int, "process_MB": float, "easy": bool, "quick": bool,
     "offset_A": float, "capacity_Ah": float, "resistance_scale": float, "problem": str,
 }  # fmt: skip
 
@@ -47,6 +49,7 @@ def figures_of(found: Replay, truth: FloatArray) -> dict[str, Any]:
         "voltage_rmse_V": found.voltage_rmse_V,
         "nis_mean": _number(found.nis_mean),
         "coverage_2sigma": _coverage(error, found.trace.soc_std),
+        **_band(error, found.trace.soc_std),
         "ns_per_step": found.ns_per_step,
     }
     if isinstance(found.trace, AdaptiveTrace):
@@ -59,7 +62,7 @@ def figures_of(found: Replay, truth: FloatArray) -> dict[str, Any]:
 
 def whole_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row with every column."""
-    empty = {str: "", float: MISSING, int: 0}
+    empty = {str: "", float: MISSING, int: 0, bool: False}
     return {name: row.get(name, empty[kind]) for name, kind in COLUMNS.items()}
 
 
@@ -81,6 +84,8 @@ def state_bytes(estimator: object) -> int:
 
     0 where its state cannot be looked into.
     """
+    if hasattr(estimator, "state_bytes"):  # the process of a row says it
+        return int(estimator.state_bytes)
     inner = getattr(estimator, "filter", None)
     if inner is not None:  # an adapter may say it itself
         return int(getattr(inner, "state_bytes", 0))
@@ -104,6 +109,22 @@ def _coverage(error: FloatArray, std: FloatArray) -> float:
     """Share of rows within two standard deviations; NaN where the filter gives none."""
     known = np.isfinite(error) & np.isfinite(std)
     return float(np.mean(np.abs(error[known]) <= 2.0 * std[known])) if known.any() else MISSING
+
+
+def _band(error: FloatArray, std: FloatArray) -> dict[str, float]:
+    """Sharpness and interval score of the band of two deviations, taken as one of 95 %.
+
+    The width, plus what lies outside over half the share that may: the smaller the better, and
+    least for the band that is as wide as it has to be (Gneiting and Raftery 2007, eq. 43,
+    doi:10.1198/016214506000001437).
+    """
+    known = np.isfinite(error) & np.isfinite(std)
+    if not known.any():
+        return {"band_width": MISSING, "interval_score": MISSING}
+    half = 2.0 * std[known]
+    outside = np.maximum(np.abs(error[known]) - half, 0.0)
+    score = 2.0 * half + 2.0 / OUTSIDE * outside
+    return {"band_width": float(np.mean(2.0 * half)), "interval_score": float(np.mean(score))}
 
 
 def _number(value: float | None) -> float:

@@ -49,6 +49,12 @@ class KnownLog:
     highest_V: float
     original: str = ""
 
+    @property
+    def held(self) -> tuple[float, ...]:
+        """What a copy of the log holds as well: rows, duration, charge moved, mean voltage."""
+        parts = (self.duration_s, self.throughput_Ah, self.mean_V)
+        return (self.rows, *(round(value, 3) for value in parts))
+
 
 def known_log(location: str, path: Path, original: str = "") -> KnownLog:
     """What a suite that is frozen now says of a log."""

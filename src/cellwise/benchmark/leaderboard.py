@@ -1,16 +1,18 @@
-"""Rows of a leaderboard: every estimator of a frozen suite in few figures, with what made them."""
+"""A row of a leaderboard, and how the rows of a suite stand: ranks with their uncertainty."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.benchmark.faults import NONE
 from cellwise.benchmark.paper_tables import (
     FIGURE,
+    RESAMPLES,
+    SEED,
+    SHARES,
     Difference,
     differences,
     interval_text,
@@ -19,16 +21,58 @@ from cellwise.benchmark.paper_tables import (
 
 AGAINST = "ekf"  # what every estimator is compared with
 FULL = 0.95  # a log that begins below this SOC begins in the middle
+ENDED = 0.03  # of SOC: gauge vendors count the discharges that end within three points
 HEAD = (
-    "estimator", "all runs", "right start", "wrong start", "from the middle", "with a fault",
-    "largest", "inside 2σ", "against ekf [95 %]", "ns per step", "made with",
+    "rank [95 %]", "estimator", "hard runs", "wrong start", "with a fault", "worst",
+    "ended within 3 points", "within 2 points, after", "against ekf [95 %]", "failed", "easy runs",
 )  # fmt: skip
+BAND_HEAD = (
+    "estimator", "inside 2σ", "band ±", "interval score", "per row", "state", "process",
+    "made with", "by",
+)  # fmt: skip
+# What a row keeps of each of its runs.
+RUN_FIGURES: dict[str, type] = {
+    "log": str, "fault": str, "start_error": float, "dt_s": float, "soc0_true": float,
+    "easy": bool, "quick": bool, "settled_rmse": float, "settled_max": float,
+    "soc_final_error": float, "convergence_s": float, "coverage_2sigma": float,
+    "interval_score": float, "band_width": float, "ns_per_step": float, "state_bytes": int,
+    "process_MB": float, "problem": str,
+}  # fmt: skip
+Runs = Sequence[Mapping[str, Any]]
 
 
-def leaderboard(
-    suite: str, suite_sha256: str, rows: Sequence[Mapping[str, Any]], **made_with: Any
-) -> dict[str, Any]:
-    """What a frozen suite's run says of every estimator that did all of its runs.
+class Standing(NamedTuple):
+    """One estimator among those of a suite, over hard runs unless said; None: not known.
+
+    ``rank`` by ``hard`` (mean settled RMSE, every log with equal weight); ``low`` and ``high`` hold
+    95 % of its ranks over resampled logs. ``ended``, ``converged``: shares of runs; ``failed``:
+    runs that could not be judged, which leave an estimator without a rank.
+    """
+
+    estimator: str
+    rank: int | None
+    low: int | None
+    high: int | None
+    hard: float | None
+    wrong_start: float | None
+    with_a_fault: float | None
+    worst: float | None
+    ended: float | None
+    converged: float | None
+    convergence_s: float | None
+    against: Difference | None
+    failed: int
+    easy: float | None
+    coverage: float | None
+    band: float | None
+    interval_score: float | None
+    ns_per_row: float | None
+    state_bytes: int
+    process_MB: float | None
+
+
+def leaderboard(suite: str, suite_sha256: str, rows: Runs, **made_with: Any) -> dict[str, Any]:
+    """What a frozen suite's run says of every estimator that did all of its runs, or its quick cut.
 
     An estimator that could not be judged in one run has no figure over all runs: what fails where
     it is hard must not be the better for it.
@@ -36,7 +80,8 @@ def leaderboard(
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_name.setdefault(str(row["estimator"]), []).append(row)
-    most = max(len(own) for own in by_name.values())
+    whole = max((frozenset(map(_run, own)) for own in by_name.values()), key=len)
+    quick = frozenset(_run(row) for row in rows if row.get("quick"))
     compared = {d.estimator: d for d in differences(rows, against=AGAINST)}
     return {
         "suite": suite,
@@ -44,17 +89,22 @@ def leaderboard(
         "made_with": provenance(),
         **made_with,
         "rows": [
-            _row(name, own, compared.get(name)) for name, own in by_name.items() if len(own) == most
+            _row(name, own, compared.get(name))
+            for name, own in by_name.items()
+            if (found := set(map(_run, own))) == whole or (quick and found == quick)
         ],
     }
 
 
-def _row(name: str, own: Sequence[Mapping[str, Any]], against: Difference | None) -> dict[str, Any]:
+def _run(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return row["log"], row["fault"], row["start_error"], row["dt_s"]
+
+
+def _row(name: str, own: Runs, against: Difference | None) -> dict[str, Any]:
     healthy = [r for r in own if r["fault"] == NONE]
     full = [r for r in healthy if r["soc0_true"] >= FULL]
     return {
         "estimator": name,
-        "runs": len(own),
         "problems": sum(bool(r["problem"]) for r in own),
         "all_runs": _mean(own),
         "right_start": _mean([r for r in full if not r["start_error"]]),
@@ -65,34 +115,144 @@ def _row(name: str, own: Sequence[Mapping[str, Any]], against: Difference | None
         "coverage_2sigma": _mean(own, "coverage_2sigma"),
         "ns_per_step": _mean(healthy, "ns_per_step"),
         "against": None if against is None else against._asdict(),
+        "runs": [{key: _plain(r.get(key)) for key in RUN_FIGURES} for r in own],
     }
 
 
-def table_row(found: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]:
+def standings(rows: Mapping[str, Runs], *, quick: bool = False) -> list[Standing]:
+    """How estimators stand by their runs, the best first; those that lack runs are left out.
+
+    Ranks are those of the means over logs; their interval is of the same logs, drawn with
+    replacement (cluster bootstrap, as :func:`~cellwise.benchmark.paper_tables.differences`).
+
+    Parameters
+    ----------
+    rows : mapping     runs by estimator, each as :data:`RUN_FIGURES` names its figures
+    quick : bool       over the quick cut alone
+    """
+    taken = {n: [r for r in own if r.get("quick") or not quick] for n, own in rows.items()}
+    most = max((frozenset(map(_run, own)) for own in taken.values()), key=len, default=frozenset())
+    taken = {n: own for n, own in taken.items() if own and frozenset(map(_run, own)) == most}
+    hard = {n: [r for r in own if not r.get("easy")] for n, own in taken.items()}
+    judged = [n for n, own in hard.items() if own and not any(r["problem"] for r in taken[n])]
+    flat = [{**r, "estimator": n} for n in judged for r in _filled(hard[n])]
+    compared = {d.estimator: d for d in differences(flat, against=AGAINST)}
+    logs = sorted({str(r["log"]) for own in hard.values() for r in own})
+    means = np.array(
+        [[np.mean([r[FIGURE] for r in hard[n] if r["log"] == g]) for g in logs] for n in judged]
+    ).reshape(len(judged), len(logs))
+    places = dict(zip(judged, _ranks(means), strict=True))
+    found = [_standing(n, taken[n], hard[n], places.get(n), compared.get(n)) for n in taken]
+    return sorted(found, key=lambda s: (s.rank is None, s.rank or 0, s.estimator))
+
+
+def _ranks(means: np.ndarray[Any, Any]) -> list[tuple[int, int, int]]:
+    """Rank and the interval of the rank of every estimator; means of shape (estimators, logs)."""
+    if not means.size:
+        return []
+    rng = np.random.default_rng(SEED)
+    logs = means.shape[1]
+    drawn = means[:, rng.integers(0, logs, (RESAMPLES, logs))].mean(axis=2)
+    order = 1 + np.argsort(np.argsort(drawn, axis=0), axis=0)
+    low, high = np.percentile(order, SHARES, axis=1, method="nearest")
+    rank = 1 + np.argsort(np.argsort(means.mean(axis=1)))
+    return [(int(r), int(a), int(b)) for r, a, b in zip(rank, low, high, strict=True)]
+
+
+def _standing(
+    name: str,
+    every: Runs,
+    hard: Runs,
+    place: tuple[int, int, int] | None,
+    against: Difference | None,
+) -> Standing:
+    rank, low, high = place or (None, None, None)
+    times = [r["convergence_s"] for r in hard if r["convergence_s"] is not None]
+    times = [t for t in times if np.isfinite(t)]
+    ends = [r["soc_final_error"] for r in hard if not r["problem"]]
+    memory = [r["process_MB"] for r in every if r.get("process_MB")]
+    return Standing(
+        name, rank, low, high,
+        _by_log(hard),
+        _by_log([r for r in hard if r["fault"] == NONE]),
+        _by_log([r for r in hard if r["fault"] != NONE]),
+        _known(max((r["settled_max"] for r in hard if not r["problem"]), default=None)),
+        _known(np.mean(np.abs(ends) <= ENDED)) if ends else None,
+        len(times) / len(hard) if hard else None,
+        _known(np.median(times)) if times else None,
+        against,
+        sum(bool(r["problem"]) for r in every),
+        _by_log([r for r in every if r.get("easy")]),
+        _by_log(hard, "coverage_2sigma"),
+        _by_log(hard, "band_width"),
+        _by_log(hard, "interval_score"),
+        _by_log([r for r in every if r["fault"] == NONE], "ns_per_step"),
+        max((int(r.get("state_bytes") or 0) for r in every), default=0),
+        _known(max(memory)) if memory else None,
+    )  # fmt: skip
+
+
+def _filled(runs: Runs) -> list[dict[str, Any]]:
+    """Runs whose unknown figures are NaN again."""
+    return [{k: np.nan if v is None else v for k, v in r.items()} for r in runs]
+
+
+def standing_cells(one: Standing) -> tuple[str, ...]:
     """One estimator for people, as :data:`HEAD` names the columns; figures in points of SOC."""
-    names = ("all_runs", "right_start", "wrong_start", "from_the_middle", "with_a_fault", "largest")
-    against = row["against"]
-    compared = "-"
-    if against is not None:
-        ends = {end: math.nan if against[end] is None else against[end] for end in ("low", "high")}
-        compared = interval_text(Difference(**{**against, **ends}))
-    cost = row["ns_per_step"]
+    place = "-" if one.rank is None else f"{one.rank} [{one.low}, {one.high}]"
+    after = "" if one.convergence_s is None else f", {one.convergence_s / 60.0:.0f} min"
     return (
-        str(row["estimator"]),
-        *("-" if row[n] is None else f"{100 * row[n]:.2f}" for n in names),
-        "-" if row["coverage_2sigma"] is None else f"{100 * row['coverage_2sigma']:.0f} %",
-        compared,
-        "-" if cost is None else f"{cost:.0f}",
-        str(found["made_with"]).partition(",")[0],
+        place, one.estimator,
+        *map(_points, (one.hard, one.wrong_start, one.with_a_fault, one.worst)),
+        _share(one.ended), _share(one.converged) + after,
+        "-" if one.against is None else interval_text(one.against),
+        str(one.failed), _points(one.easy),
+    )  # fmt: skip
+
+
+def band_cells(one: Standing, made_with: str = "", by: str = "") -> tuple[str, ...]:
+    """Its band and its cost, as :data:`BAND_HEAD` names the columns."""
+    cost, memory = one.ns_per_row, one.process_MB
+    return (
+        one.estimator, _share(one.coverage),
+        "-" if one.band is None else _points(one.band / 2.0), _points(one.interval_score),
+        "-" if cost is None else f"{cost:.0f} ns" if cost < 1e4 else f"{cost / 1e3:.0f} µs",
+        f"{one.state_bytes} B" if one.state_bytes else "-",
+        "-" if memory is None else f"{memory:.0f} MB",
+        made_with.partition(",")[0] or "-", by or "-",
+    )  # fmt: skip
+
+
+def _points(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.2f}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.0f} %"
+
+
+def _by_log(runs: Runs, figure: str = FIGURE) -> float | None:
+    """Mean over logs of the means over their runs; None as :func:`_mean`."""
+    logs = {r["log"] for r in runs}
+    means = [_mean([r for r in runs if r["log"] == g], figure) for g in logs]
+    return (
+        None if not means or None in means else float(np.mean([m for m in means if m is not None]))
     )
 
 
-def _mean(rows: Sequence[Mapping[str, Any]], figure: str = FIGURE) -> float | None:
+def _mean(rows: Runs, figure: str = FIGURE) -> float | None:
     """None where a run could not be judged, or has no such figure."""
-    if not rows or any(r["problem"] for r in rows):
+    if not rows or any(r["problem"] or r[figure] is None for r in rows):
         return None
     return _known(np.mean([float(r[figure]) for r in rows]))
 
 
 def _known(value: Any) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: a figure that is not known is null."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if np.isfinite(value) else None
+    return value

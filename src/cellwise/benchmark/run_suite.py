@@ -19,7 +19,16 @@ from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.benchmark.known_logs import file_digest
 from cellwise.benchmark.leaderboard import leaderboard
+from cellwise.benchmark.package_rows import (
+    NotRun,
+    RowError,
+    adapters_folder,
+    close_rows,
+    environment,
+    row_digest,
+)
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
+from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_text
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
 from cellwise.benchmark.work import SEED, Place, Run, make_model, run_all, runs_of
@@ -33,7 +42,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
 KEPT = "rows.jsonl"
-LEADERBOARD = "leaderboard.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +80,7 @@ def run_suite(
     page: bool = True,
     figures: FigureFiles | None = None,
     progress: Progress | None = None,
+    adapters: Path | None = None,
 ) -> BenchmarkResult:
     """Run a suite and write ``results.parquet`` and ``index.html``.
 
@@ -87,6 +96,7 @@ def run_suite(
     page : bool            write the page as well (needs matplotlib)
     figures : FigureFiles  where the page's pictures go as files
     progress : callable    called with (what, done, total)
+    adapters : Path        folder of the rows' adapters; None: this repository's
 
     Raises
     ------
@@ -94,18 +104,23 @@ def run_suite(
                       nothing to run; a folder that cannot be written to
     """
     say = progress or (lambda what, done, total: None)
-    place = Place(suite, data, Path(folder))
     _check_adapters(suite)
     check_files(suite, data)
     if processes < 1:
         raise InputError(f"{processes} processes", "at least one", "Give e.g. 2.")
+    place = Place(suite, data, Path(folder))
     _make_folders(place, fresh)
+    place = _with_rows(place, adapters, say)
+    suite = place.suite
     keys = {c.name: _cell_key(place, k) for k, c in enumerate(suite.cells)}
+    digests = {row.name: row_digest(row, place.adapters) for row in suite.rows}
     used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
     runs = _every_run(suite, data)
     kept = _kept_rows(place.folder / KEPT)
     logs = [file_digest(locate(g.log, suite, data)) for g in suite.logs]
-    names = {r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log]) for r in runs}
+    names = {
+        r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log], digests) for r in runs
+    }
     todo = [run for run in runs if names[run] not in kept]
     resumed = len(runs) - len(todo)
     with _pool(processes) as pool, (place.folder / KEPT).open("a", encoding="utf-8") as file:
@@ -118,7 +133,9 @@ def run_suite(
             say(f"model of {name}", done + 1, len(models))
         done = resumed
         say("runs", done, len(runs))
-        groups = [tuple(g) for _, g in groupby(todo, key=lambda r: (r.log, r.fault, r.dt_s))]
+        order = {row.name: k + 1 for k, row in enumerate(suite.rows)}
+        todo.sort(key=lambda r: order.get(r.estimator, 0))  # a row's process is kept for its runs
+        groups = [tuple(g) for _, g in groupby(todo, key=lambda r: _task(r, order))]
         tasks = [(place, group, keys[suite.logs[group[0].log].cell]) for group in groups]
         for group, rows in _each_with(pool, run_all, tasks):
             for run, row in zip(group[1], rows, strict=True):
@@ -127,7 +144,32 @@ def run_suite(
             file.flush()
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
+    close_rows()
     return _finish(place, [kept[names[run]] for run in runs], resumed, page, figures)
+
+
+def _task(run: Run, order: dict[str, int]) -> tuple[Any, ...]:
+    """Runs that are one task: of a log and a fault, of a row of another package all of a log."""
+    if run.estimator in order:
+        return run.estimator, run.log
+    return "", run.log, run.fault, run.dt_s
+
+
+def _with_rows(place: Place, adapters: Path | None, say: Progress) -> Place:
+    """The place with a Python for every row of another package; what cannot be had is not run."""
+    suite, where = place.suite, adapters_folder(adapters)
+    ready, pythons, missing = [], [], list(suite.not_run)
+    for k, row in enumerate(suite.rows):
+        try:
+            if where is None:
+                raise RowError("no folder of adapters (benchmarks/rows of the repository)")
+            say(f"environment of {row.name}", k, len(suite.rows))
+            pythons.append((row.name, environment(row, (place.folder / "environments").resolve())))
+            ready.append(row)
+        except RowError as error:
+            missing.append(NotRun(row.name, str(error)))
+    suite = replace(suite, rows=tuple(ready), not_run=tuple(missing))
+    return place._replace(suite=suite, adapters=where or Path(), pythons=tuple(pythons))
 
 
 def _finish(
@@ -146,25 +188,33 @@ def _finish(
     plain = [row for row in rows if row["fault"] in ("", "none")]
     table_text = latex_text(place.suite.name, plain, differences(plain))
     write_atomically(place.folder / "results.tex", table_text)
-    suite = place.suite
+    suite, entries = place.suite, []
     if suite.frozen:
-        row = leaderboard(
+        found = leaderboard(
             suite.name,
             suite.sha256,
             rows,
             seed=SEED,
             data="the suite's own files" if has_own_files(suite, place.data) else "same content",
             adapters=_adapter_digests(suite),
+            not_run={one.name: one.why for one in suite.not_run},
+            about={row.name: row.about for row in suite.rows},
         )
-        write_atomically(place.folder / LEADERBOARD, json.dumps(row, indent=1) + "\n")
+        write_atomically(place.folder / LEADERBOARD, json.dumps(found, indent=1) + "\n")
+        entries = [{**found, "row": row} for row in found["rows"]]
+        write_atomically(place.folder / TABLE, standings_text(entries))
     written = None
     if page:
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(place.suite.name, about, rows, curves)
+        table = BenchmarkTable(suite.name, about, rows, curves, entries, _missing(suite))
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
+
+
+def _missing(suite: Suite) -> list[tuple[str, str]]:
+    return [(one.name, one.why) for one in suite.not_run]
 
 
 def _adapter_digests(suite: Suite) -> dict[str, str]:
@@ -215,9 +265,9 @@ def _cell_key(place: Place, number: int) -> str:
     return _hash([asdict(cell), files, version("cellwise")])
 
 
-def _run_key(place: Place, run: Run, cell_key: str, log: str) -> str:
+def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str, str]) -> str:
     one = place.suite.logs[run.log]
-    adapter = ""
+    adapter = digests.get(run.estimator, "")
     file = place.suite.folder / run.estimator.rpartition(":")[0]
     if is_adapter(run.estimator) and file.is_file():
         adapter = file_digest(file)

@@ -2,73 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 import tomllib
-import types
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.known_logs import KnownLog, file_digest
+from cellwise.benchmark.package_rows import NotRun, PackageRow
+from cellwise.benchmark.records import checked, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
-
-R = TypeVar("R")
-KINDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
-
-
-def records(kind: type[R], tables: Any, where: str) -> tuple[R, ...]:
-    """One record per table.
-
-    Raises
-    ------
-    InputError       no list of tables; a key that the record lacks, one that is missing, a value of
-                     another kind
-    """
-    if not isinstance(tables, list) or not all(isinstance(t, Mapping) for t in tables):
-        raise InputError(f"{where} as {type(tables).__name__}", f"tables {where}", "Correct it.")
-    return tuple(kind(**checked(kind, table, f"{where} {k + 1}")) for k, table in enumerate(tables))
-
-
-def checked(kind: type[Any], table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The table's values as the record's fields want them, defaults filled in."""
-    hints = get_type_hints(kind)
-    fields = {f.name: f for f in dataclasses.fields(kind)}
-    unknown = [key for key in table if key not in fields]
-    if unknown:
-        raise InputError(
-            f"key '{unknown[0]}' in {where}", f"some of {', '.join(fields)}", "Correct its name."
-        )
-    found: dict[str, Any] = {}
-    for name, one in fields.items():
-        if name in table:
-            found[name] = _value(hints[name], table[name], f"{name} in {where}")
-        elif one.default is not dataclasses.MISSING:
-            found[name] = one.default
-        else:
-            raise InputError(f"{where} without '{name}'", f"a value for '{name}'", "Add it.")
-    return found
-
-
-def _value(hint: Any, value: Any, where: str) -> Any:
-    """A TOML value as a field's type wants it: lists as tuples, whole numbers as numbers."""
-    if get_origin(hint) in (Union, types.UnionType):
-        inner = next(a for a in get_args(hint) if a is not type(None))
-        return _value(inner, value, where)
-    if get_origin(hint) is tuple:
-        if not isinstance(value, list):
-            raise InputError(f"{where} = {value!r}", "a list", "Put it in brackets.")
-        return tuple(_value(get_args(hint)[0], item, where) for item in value)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise InputError(f"{where} = {value!r}", KINDS.get(hint, str(hint)), "Correct it.")
-    return value
-
 
 BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")
@@ -125,6 +71,9 @@ class SuiteLog:
     soc0 : float or None             true SOC at the first row; None: the catalogue's
     reference_Ah : float or None     charge between SOC 1 and 0 for the reference; None: as above
     from_soc : float or None         only the rest from where the reference passes this SOC
+    hours : float or None            no more than so much of it [h]
+    summed : bool                    a tester without a counter: its current, summed, is the truth
+    quick : bool                     in the quick cut as well
     name : str                       in tables; empty: the log's own
     """
 
@@ -133,6 +82,9 @@ class SuiteLog:
     soc0: float | None = None
     reference_Ah: float | None = None
     from_soc: float | None = None
+    hours: float | None = None
+    summed: bool = False
+    quick: bool = False
     name: str = ""
 
     @property
@@ -152,6 +104,19 @@ class Slow:
     dt_s: float | None = None
     start_errors: tuple[float, ...] | None = None
     faults: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Quick:
+    """What of the suite is in its quick cut, beside the logs that are marked."""
+
+    start_errors: tuple[float, ...] = ()
+    faults: tuple[str, ...] = ()
+
+    def has(self, log: SuiteLog, fault: str, start_error: float) -> bool:
+        """Whether a run is in it."""
+        named = start_error in self.start_errors if fault == NONE else fault in self.faults
+        return log.quick and named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +155,8 @@ class Suite(SuiteKeys):
     ----------
     faults : of Fault                 beside the run without any
     cells, logs, slow
+    rows, not_run                     other people's estimators; those that cannot be had
+    quick, only_quick                 the quick cut, and whether nothing else is run
     folder : Path                     where paths begin
     data : of KnownLog                what every log of a frozen suite holds
     sha256 : str                      of the suite's file
@@ -199,6 +166,10 @@ class Suite(SuiteKeys):
     cells: tuple[SuiteCell, ...]
     logs: tuple[SuiteLog, ...]
     slow: Slow = field(default_factory=Slow)
+    rows: tuple[PackageRow, ...] = ()
+    not_run: tuple[NotRun, ...] = ()
+    quick: Quick = field(default_factory=Quick)
+    only_quick: bool = False
     folder: Path = Path()
     data: tuple[KnownLog, ...] = ()
     sha256: str = ""
@@ -238,16 +209,19 @@ def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
     """A suite from what a TOML file holds; raises InputError as :func:`read_suite`."""
     own = records(Fault, table.pop("fault", []), "[[fault]]")
     (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
+    (quick,) = records(Quick, [table.pop("quick", {})], "[quick]")
     faults = (*_named_faults(table.pop("faults", [])), *own)
     tables: dict[str, Any] = {
         "cells": records(SuiteCell, table.pop("cell", []), "[[cell]]"),
         "logs": records(SuiteLog, table.pop("log", []), "[[log]]"),
         "data": records(KnownLog, table.pop("data", []), "[[data]]"),
+        "rows": records(PackageRow, table.pop("row", []), "[[row]]"),
+        "not_run": records(NotRun, table.pop("not_run", []), "[[not_run]]"),
     }
     keys = checked(SuiteKeys, table, "the suite")
     keys["name"] = keys["name"] or name
     keys["estimators"] = _with_baselines(keys["estimators"])
-    suite = Suite(**keys, **tables, faults=faults, slow=slow, folder=folder)
+    suite = Suite(**keys, **tables, faults=faults, slow=slow, quick=quick, folder=folder)
     _check(suite)
     return suite
 
@@ -320,6 +294,7 @@ def _check(suite: Suite) -> None:
         ("cell", [c.name for c in suite.cells]),
         ("fault", [f.name for f in suite.faults]),
         ("log", [f"{g.cell}: {g.shown}" for g in suite.logs]),
+        ("estimator", [*map(short_name, suite.estimators), *(r.name for r in suite.rows)]),
     ):
         twice = next((n for n in names if names.count(n) > 1), None)
         _need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
@@ -342,6 +317,7 @@ def _check(suite: Suite) -> None:
 
 
 def _check_frozen(suite: Suite) -> None:
+    """Every log is known, and none that is judged is a test of any cell, whatever its name."""
     known = {one.log for one in suite.data}
     locations = [*(p for c in suite.cells for p in c.tests), *(g.log for g in suite.logs)]
     missing = [p for p in (Stated.parse(one).path for one in locations) if p not in known]
@@ -351,6 +327,17 @@ def _check_frozen(suite: Suite) -> None:
         "what every log holds",
         "Add it: python -m benchmarks.leaderboard freeze prints it.",
     )
+    held = {one.log: one.held for one in suite.data}
+    tests = {held[Stated.parse(p).path]: p for c in suite.cells for p in c.tests}
+    for log in suite.logs:
+        same = tests.get(held[Stated.parse(log.log).path], "")
+        _need(
+            not same,
+            f"log '{log.log}' of the frozen suite '{suite.name}', which is a test of a cell too "
+            f"(as '{same}')",
+            "training and test logs apart",
+            "Judge on another.",
+        )
 
 
 def _check_cell(cell: SuiteCell) -> None:
@@ -387,7 +374,8 @@ def _check_log(log: SuiteLog, cells: set[str]) -> None:
         "the true SOC at its first row and the charge between full and empty",
         "Add both: nothing can be judged without.",
     )
-    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0)}
+    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0),
+              "hours": (1e-3, 1e6)}  # fmt: skip
     for name, (low, high) in limits.items():
         value = getattr(log, name)
         there = value is None or low <= value <= high

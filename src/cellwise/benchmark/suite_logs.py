@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.benchmark.known_logs import file_digest, find_known
 from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.cell.stock import stock_model, stock_names
@@ -131,6 +132,8 @@ def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
         entry = _entry(Stated.parse(one.log).path.removeprefix(EMBEDDED))
         soc0 = float(str(entry["initial_soc"])) if soc0 is None else soc0
         capacity = float(str(entry["true_capacity_Ah"])) if capacity is None else capacity
+    if one.summed and log.charge_Ah is None:
+        log = replace(log, charge_Ah=np.cumsum(log.interval_current_A * log.interval_s) / 3600.0)
     truth = reference_soc(log, soc0, capacity)
     if truth is None:
         raise InputError(
@@ -147,6 +150,9 @@ def judged_log(one: SuiteLog, suite: Suite, data: Path | None) -> JudgedLog:
                 "Correct from_soc.",
             )
         log, truth = log.part(int(rows[0]), len(log)), truth[rows[0] :]
+    if one.hours is not None:
+        rows_kept = int(np.searchsorted(log.time_s - log.time_s[0], 3600.0 * one.hours, "right"))
+        log, truth = log.part(0, rows_kept), truth[:rows_kept]
     return JudgedLog(replace(log, name=one.shown), truth, capacity)
 
 
@@ -154,17 +160,41 @@ def at_step(judged: JudgedLog, dt_s: float | None) -> JudgedLog:
     """The same on an even time step, gaps left as gaps; None: as it is."""
     if dt_s is None:
         return judged
-    log = resample(judged.log, dt_s)
-    kept = np.ones(len(log), dtype=np.bool_)
-    for gap in judged.log.gaps:  # a week's pause is no reason to step through it
-        kept &= (log.time_s <= gap.start_s) | (log.time_s >= gap.start_s + gap.duration_s)
-    log = log.rows(kept)
+    log = _even(judged.log, dt_s)
     if log.charge_Ah is None:
         raise InputError("no counter", "the tester's counter", "Judge on another log.")
     first = judged.log.charge_Ah
     start = 0.0 if first is None else float(first[np.isfinite(first)][0])
     truth = judged.soc0 - (log.charge_Ah - start) / judged.reference_Ah
     return JudgedLog(log, np.asarray(truth), judged.reference_Ah)
+
+
+def _even(log: CellLog, dt_s: float) -> CellLog:
+    even = resample(log, dt_s)
+    kept = np.ones(len(even), dtype=np.bool_)
+    for gap in log.gaps:  # a week's pause is no reason to step through it
+        kept &= (even.time_s <= gap.start_s) | (even.time_s >= gap.start_s + gap.duration_s)
+    return even.rows(kept)
+
+
+def training_logs(
+    cell: SuiteCell, model: CellModel, suite: Suite, data: Path | None
+) -> list[tuple[str, CellLog, float]]:
+    """A cell's tests by role, no finer than the suite's step, each with the SOC that it begins at.
+
+    Pulses, capacities and drives begin full, as the tests of a cell do unless one states its SOC;
+    a low-rate test where its rest is.
+    """
+    found = []
+    for role in ("hppc", "ocv", "capacity", "drive"):
+        for location in getattr(cell, role):
+            log = read_at(location, suite, data)
+            began = log.soc0 if log.soc0 is not None else 1.0
+            if role == "ocv":
+                began = initial_soc(model, log).soc
+            step = max(suite.dt_s or 1.0, float(np.median(np.diff(log.time_s))))
+            found.append((role, _even(log, step), began))
+    return found
 
 
 def cell_model(cell: SuiteCell, suite: Suite, data: Path | None) -> tuple[CellModel, Noise | None]:

@@ -15,8 +15,21 @@ import numpy as np
 from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
 from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
-from cellwise.benchmark.suite import Suite
-from cellwise.benchmark.suite_logs import JudgedLog, at_step, cell_model, judged_log
+from cellwise.benchmark.package_rows import (
+    PackageRow,
+    RowError,
+    RowEstimator,
+    fitted_row,
+    training_arrays,
+)
+from cellwise.benchmark.suite import Suite, SuiteCell
+from cellwise.benchmark.suite_logs import (
+    JudgedLog,
+    at_step,
+    cell_model,
+    judged_log,
+    training_logs,
+)
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.errors import InputError
@@ -25,6 +38,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.stated import Stated
 
 
 class Run(NamedTuple):
@@ -55,9 +69,15 @@ def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[Run]:
         for error in starts:
             if not 0.0 <= soc0 + error <= 1.0:
                 continue
+            in_quick = suite.quick.has(suite.logs[log], fault.name, error)
+            if suite.only_quick and not in_quick:
+                continue
             for name in suite.estimators:
                 if _wanted(suite, name, fault, error):
                     yield Run(log, fault, error, name, _step(suite, name))
+            for row in suite.rows:  # the fault of a model that they do not use is none
+                if (in_quick or row.cut != "quick") and fault.capacity == 1.0:
+                    yield Run(log, fault, error, row.name, suite.dt_s)
 
 
 def possible(error: float, soc0: float) -> float:
@@ -83,17 +103,20 @@ def _step(suite: Suite, name: str) -> float | None:
 
 SEED = 20240725
 KEPT_LOGS = 4
+ROOM_C = 25.0
 # A replay that takes less is clocked again: its first touch of the memory is not its step.
 SHORT_S = 0.1
 CLOCKED = 3
 
 
 class Place(NamedTuple):
-    """A suite, where its data and results are."""
+    """A suite, its data and results; the folder of other packages' rows, and a Python for each."""
 
     suite: Suite
     data: Path | None
     folder: Path
+    adapters: Path = Path()
+    pythons: tuple[tuple[str, Path], ...] = ()
 
     def model_file(self, key: str) -> Path:
         """Where a cell's model is kept between runs."""
@@ -102,6 +125,10 @@ class Place(NamedTuple):
     def noise_file(self, key: str) -> Path:
         """Where its tuned noise is kept."""
         return self.folder / "models" / f"{key}.noise.json"
+
+    def training_file(self, key: str) -> Path:
+        """What a row of another package is fitted on."""
+        return self.folder / "models" / f"{key}.training.npz"
 
 
 def make_model(place: Place, number: int, key: str) -> str:
@@ -119,7 +146,21 @@ def make_model(place: Place, number: int, key: str) -> str:
         if noise is not None:
             write_atomically(place.noise_file(key), json.dumps(vars(noise)))
         write_model(model, place.model_file(key))
+    if place.suite.rows and not place.training_file(key).is_file():
+        model = read_model(place.model_file(key))
+        logs = training_logs(cell, model, place.suite, place.data)
+        arrays = training_arrays(model, _temperature_C(cell), logs)
+        whole = place.training_file(key)
+        np.savez(whole.with_suffix(".part.npz"), **arrays)
+        whole.with_suffix(".part.npz").replace(whole)
     return cell.name
+
+
+def _temperature_C(cell: SuiteCell) -> float:
+    """At which a cell was tested, as it is stated; a room's where it is not."""
+    stated = (Stated.parse(p).temperature_C for p in (*cell.hppc, *cell.drive))
+    known = (t for t in (cell.temperature_C, *stated) if t is not None)
+    return next(known, ROOM_C)
 
 
 def run_all(place: Place, runs: tuple[Run, ...], key: str) -> list[dict[str, Any]]:
@@ -160,23 +201,32 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
         "reference_Ah": judged.reference_Ah,
         "model_Ah": true_model.capacity_Ah,
         "noise": "model" if noise is None else "tuned",
+        "easy": run.fault.name == NONE and run.start_error == 0.0,
+        "quick": suite.quick.has(one, run.fault.name, run.start_error),
     }
     curve: dict[str, list[float]] | None = None
     try:
-        figures, curve = _judge(suite, run, judged, true_model, noise)
+        figures, curve = _judge(place, run, judged, (true_model, noise), key)
         row |= figures
+    except RowError as error:
+        row["problem"] = str(error)
     except Exception as error:  # whatever somebody's filter does, the others go on
         row["problem"] = described(error)
     return {**whole_row(row), "curve": curve if run.fault.name == NONE else None}
 
 
 def _judge(
-    suite: Suite, run: Run, judged: JudgedLog, true_model: CellModel, noise: Noise | None
+    place: Place, run: Run, judged: JudgedLog, identified: tuple[CellModel, Noise | None], key: str
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    suite, (true_model, noise) = place.suite, identified
     rng = np.random.default_rng([SEED, zlib.crc32(f"{judged.log.name}{run.fault.name}".encode())])
     log = faulty_log(run.fault, judged.log, judged.reference_Ah, rng)
     model = faulty_model(run.fault, true_model)
-    estimator = _estimator(suite, run.estimator, model, noise)
+    row = next((r for r in suite.rows if r.name == run.estimator), None)
+    if row is None:
+        estimator = _estimator(suite, run.estimator, model, noise)
+    else:
+        estimator = _row_estimator(place, row, model, key)
     found = replay(
         model,
         log,
@@ -190,7 +240,10 @@ def _judge(
     if lost:
         return {"problem": f"no SOC in {lost} of {len(log)} rows"}, error_curve(found, judged.truth)
     figures = figures_of(found, judged.truth)
-    if run.fault.name == NONE:
+    if isinstance(estimator, RowEstimator):
+        figures["ns_per_step"] = estimator.ns_per_step
+        figures["process_MB"] = estimator.process_MB
+    elif run.fault.name == NONE:
         figures["ns_per_step"] = _best_ns(found, log, estimator, suite.soc0_std)
     return {**figures, "state_bytes": state_bytes(estimator)}, error_curve(found, judged.truth)
 
@@ -211,6 +264,18 @@ def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -
     if is_adapter(name):
         return Adapted(short_name(name), model, load_adapter(name, suite.folder))
     return make_estimator(name, model, noise)
+
+
+def _row_estimator(place: Place, row: PackageRow, model: CellModel, key: str) -> RowEstimator:
+    """A row in its process, fitted to the cell's tests the first time.
+
+    Raises
+    ------
+    RowError
+    """
+    training, python = place.training_file(key), dict(place.pythons)[row.name]
+    process, fitted = fitted_row(python, place.adapters, row, training, SEED)
+    return RowEstimator(process, model, training, fitted)
 
 
 def _or_nan(value: float | None) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from cellwise.benchmark.run_suite import BenchmarkResult
 
 MOST_PROCESSES = 64
+SUBMIT = "submit"
 JSON_FILE, PAGE_FILE = "certificate.json", "index.html"
 BEYOND = 1  # exit code where a limit of a certificate is not kept
 
@@ -35,8 +37,11 @@ def _add_benchmark(commands: options.Commands[argparse.ArgumentParser]) -> None:
         nargs="?",
         default="embedded",
         metavar="SUITE",
-        help="a TOML file, or embedded, leo, flight, panasonic, a123, public-1 [embedded]",
+        help="a TOML file, or embedded, leo, flight, panasonic, a123, public-1 [embedded]; or "
+        "submit, for a row of another run",
     )
+    text = "with submit: the row's JSON, drawn in beside the rows of the run in DIR"
+    p.add_argument("row", nargs="?", metavar="ROW.json", help=text)
     p.add_argument("-o", "--output", default="benchmark", metavar="DIR", help="[benchmark]")
     options.add_data(p)
     text = "instead of the suite's: a name, or file.py:Name of your own; baselines always run"
@@ -44,6 +49,10 @@ def _add_benchmark(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.count(p, "--processes", "N", "at once [2]", default=2)
     options.flag(p, "--fresh", "forget what an earlier run left in DIR")
     options.flag(p, "--no-page", "no index.html (it needs matplotlib)")
+    options.flag(p, "--quick", "the suite's quick cut alone")
+    options.flag(p, "--own", "no rows of other packages: cellwise's, and --estimator")
+    text = "of adapters of other packages [benchmarks/rows of the repository]"
+    p.add_argument("--rows", metavar="DIR", help=text)
     options.flag(p, "--list", "suites that come with cellwise")
     page_options.add_figure_options(p)
     options.add_json(p)
@@ -92,6 +101,15 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
     if arguments.list:
         list_suites(arguments.json)
         return
+    if arguments.suite == SUBMIT:
+        run_submit(arguments)
+        return
+    if arguments.row is not None:
+        raise InputError(
+            f"'{arguments.row}' behind suite '{arguments.suite}'",
+            f"a row only with {SUBMIT}",
+            f"Write cellwise benchmark {SUBMIT} ROW.json -o DIR.",
+        )
     if not 1 <= arguments.processes <= MOST_PROCESSES:
         raise InputError(
             f"--processes {arguments.processes}", f"1 to {MOST_PROCESSES}", "Give e.g. 2."
@@ -102,6 +120,15 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
     suite = read_suite(arguments.suite)
     if arguments.estimator:
         suite = with_estimators(suite, tuple(arguments.estimator))
+    if arguments.own:
+        suite = replace(suite, rows=(), not_run=())
+    if arguments.quick and not any(log.quick for log in suite.logs):
+        raise InputError(
+            f"--quick of suite '{suite.name}', which has no quick cut",
+            "a suite with [quick] and logs marked quick",
+            "Leave --quick away.",
+        )
+    suite = replace(suite, only_quick=arguments.quick)
     data = options.data_folder(arguments)
     with printing.working(suite.name) as follow:
         found = run_suite(
@@ -112,12 +139,40 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
             fresh=arguments.fresh,
             page=not arguments.no_page,
             figures=page_options.figure_files(arguments),
+            adapters=None if arguments.rows is None else Path(arguments.rows),
             progress=lambda what, done, all_: follow(f"{what} ({done} of {all_})", done, all_),
         )
     if arguments.json:
         printing.print_json(found.to_dict())
         return
     print_benchmark(found)
+
+
+def run_submit(arguments: argparse.Namespace) -> None:
+    """Check a row from elsewhere and draw it in."""
+    from cellwise.benchmark.submission import LEADERBOARD, TABLE, read_entries, submit
+
+    folder = Path(arguments.output)
+    if arguments.row is None:
+        raise InputError(
+            f"{SUBMIT} without a row",
+            "the JSON of a row",
+            f"Write cellwise benchmark {SUBMIT} ROW.json -o DIR.",
+        )
+    names = submit(Path(arguments.row), folder)
+    page = None
+    if not arguments.no_page:
+        from cellwise.report.benchmark.standings import standings_page
+
+        page = standings_page(read_entries(folder / LEADERBOARD), folder / "leaderboard.html")
+    if arguments.json:
+        printing.print_json(
+            {"submitted": names, "table": str(folder / TABLE), "page": page and str(page)}
+        )
+        return
+    printing.say(f"{', '.join(names)}: checked, and drawn in: {folder / TABLE}")
+    if page is not None:
+        printing.say(f"page to open: {page}")
 
 
 def list_suites(as_json: bool) -> None:

@@ -24,6 +24,7 @@ from cellwise.report.benchmark.overview import (
     start_name,
     step_time,
 )
+from cellwise.report.benchmark.standings import standings_sections
 from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
@@ -262,12 +263,17 @@ MEANS = (
 
 
 class BenchmarkTable(NamedTuple):
-    """Rows of a benchmark with their columns by name, and SOC errors over time of some rows."""
+    """Rows of a benchmark with their columns by name, and SOC errors over time of some rows.
+
+    ``entries`` are the leaderboard's of a frozen suite, ``not_run`` names and reasons.
+    """
 
     name: str
     about: str
     rows: Sequence[Mapping[str, Any]]
     curves: Mapping[int, Mapping[str, Sequence[float]]]
+    entries: Sequence[Mapping[str, Any]] = ()
+    not_run: Sequence[tuple[str, str]] = ()
 
 
 def benchmark_page(
@@ -320,6 +326,7 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
     blocks = (best, log_picture(log_matrix(rows)))
     sections = [
+        *standings_sections(found.entries, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
         Section("starts", "From a wrong start", (start_picture(rows, starts),), "Starts"),
     ]

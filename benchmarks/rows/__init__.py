@@ -1,0 +1,1 @@
+"""Other people's estimators behind the protocol of `serve.py`, each by an adapter of its own."""
