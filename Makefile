@@ -43,7 +43,7 @@ oracles: $(STAMP)
 	$(BIN)/pytest tests/cell/test_thevenin_oracle.py tests/benchmark/test_thevenin_observer.py \
 	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py \
 	  tests/export/test_pybamm_parameters.py tests/export/test_fmu.py \
-	  tests/export/test_layouts.py tests/logs/test_log_writing.py
+	  tests/export/test_layouts.py tests/logs/test_log_writing.py tests/benchmark/certify/test_lives.py
 
 papers: $(STAMP)
 	$(BIN)/cellwise papers
