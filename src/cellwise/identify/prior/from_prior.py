@@ -25,7 +25,7 @@ from cellwise.identify.identification import (
 )
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.identify.ocv.curve import curve_from_points
-from cellwise.identify.prior.corrections import Corrections
+from cellwise.identify.prior.corrections import USUAL, Corrections
 from cellwise.identify.prior.seen import error_of, notices_of, seen_by
 from cellwise.identify.prior.update import PriorLog, update
 from cellwise.identify.refinement.model_error import POINTS
@@ -123,7 +123,9 @@ def fit_prior(
         starts.append(Start(log, initial_soc(found.model, log).soc, None, why))
         notices.append(f"'{log.name}' is left out: {why}")
     fitted = found.model.capacity_Ah
-    std_Ah = fitted * corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
+    ln_std = corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
+    stock = "stock" in prior.provenance  # a model of somebody else's cell
+    std_Ah = fitted * float(np.hypot(ln_std, USUAL.ln_capacity if stock else 0.0))
     if alternatives:
         apart_Ah, apart_V = _apart(found.model, alternatives)
         std_Ah, error = float(np.hypot(std_Ah, apart_Ah)), error.with_slow(apart_V, 0.0)
