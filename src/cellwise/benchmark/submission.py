@@ -104,8 +104,8 @@ def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         found = standings({n: e["row"]["runs"] for n, e in made.items()}, quick=quick)
         if not found:
             continue
-        runs = {s.estimator: [r for r in made[s.estimator]["row"]["runs"] if r["quick"] or not quick]
-                for s in found}  # fmt: skip
+        every = {s.estimator: made[s.estimator]["row"]["runs"] for s in found}
+        runs = {n: [r for r in own if r["quick"] or not quick] for n, own in every.items()}
         parts.append({
             "title": f"{title}: {len(found)} estimators, {len(runs[found[0].estimator])} runs each",
             "head": HEAD, "cells": [standing_cells(s) for s in found], "band_head": BAND_HEAD,
