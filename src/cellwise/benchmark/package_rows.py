@@ -143,6 +143,7 @@ def training_arrays(
         found[name] = np.array([getattr(one, name)[0] for one in warm])
     for k, (_, log, soc0) in enumerate(logs):
         current = np.nan_to_num(log.interval_current_A)
+        current[log.gap_rows] = 0.0  # a pause, whatever flowed before it
         moved = np.cumsum(current * log.interval_s) / 3600.0
         seen = np.maximum.accumulate(np.where(np.isfinite(log.voltage_V), np.arange(len(log)), 0))
         rows = {

@@ -28,10 +28,10 @@ from cellwise.benchmark.package_rows import (
     row_digest,
 )
 from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
-from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_text
+from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_parts, standings_text
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
-from cellwise.benchmark.work import SEED, Place, Run, make_model, run_all, runs_of
+from cellwise.benchmark.work import SEED, Place, Run, make_model, marks, run_all, runs_of
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs.writing import write_columns
@@ -145,7 +145,8 @@ def run_suite(
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
     close_rows()
-    return _finish(place, [kept[names[run]] for run in runs], resumed, page, figures)
+    found = [kept[names[run]] | marks(suite, run) for run in runs]
+    return _finish(place, found, resumed, page, figures)
 
 
 def _task(run: Run, order: dict[str, int]) -> tuple[Any, ...]:
@@ -208,7 +209,9 @@ def _finish(
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(suite.name, about, rows, curves, entries, _missing(suite))
+        table = BenchmarkTable(
+            suite.name, about, rows, curves, standings_parts(entries), _missing(suite)
+        )
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
 

@@ -96,22 +96,45 @@ def submit(path: Path, folder: Path) -> list[str]:
     return names
 
 
-def standings_text(entries: Sequence[Entry]) -> str:
-    """Two tables for people (Markdown): the whole suite, then its quick cut with slow rows too."""
+def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """The whole suite, then its quick cut with slow rows too: tables, and figures by log."""
     made = {e["row"]["estimator"]: e for e in entries}
-    lines: list[str] = []
+    parts = []
     for title, quick in (("Whole suite", False), ("Quick cut", True)):
         found = standings({n: e["row"]["runs"] for n, e in made.items()}, quick=quick)
         if not found:
             continue
-        runs = len([r for r in made[found[0].estimator]["row"]["runs"] if r["quick"] or not quick])
-        lines += [f"#### {title}: {len(found)} estimators, {runs} runs each", ""]
-        lines += _table(HEAD, [standing_cells(one) for one in found], text=(1,))
-        cells = [
-            band_cells(one, made[one.estimator]["made_with"], made[one.estimator].get("by", ""))
-            for one in found
-        ]
-        lines += _table(BAND_HEAD, cells, text=(0, 7, 8))
+        every = {s.estimator: made[s.estimator]["row"]["runs"] for s in found}
+        runs = {n: [r for r in own if r["quick"] or not quick] for n, own in every.items()}
+        parts.append({
+            "title": f"{title}: {len(found)} estimators, {len(runs[found[0].estimator])} runs each",
+            "head": HEAD, "cells": [standing_cells(s) for s in found], "band_head": BAND_HEAD,
+            "bands": [
+                band_cells(s, made[s.estimator]["made_with"], made[s.estimator].get("by", ""))
+                for s in found
+            ],
+            "names": [s.estimator for s in found], "hard": [s.hard for s in found],
+            "by_log": [hard_by_log(runs[s.estimator]) for s in found],
+        })  # fmt: skip
+    return parts
+
+
+def hard_by_log(runs: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Mean settled RMSE of the hard runs of each log; those that were judged."""
+    by: dict[str, list[float]] = {}
+    for run in runs:
+        if not run["easy"] and run["settled_rmse"] is not None:
+            by.setdefault(run["log"], []).append(float(run["settled_rmse"]))
+    return [float(np.mean(values)) for values in by.values()]
+
+
+def standings_text(entries: Sequence[Entry]) -> str:
+    """The same as tables in Markdown."""
+    lines: list[str] = []
+    for part in standings_parts(entries):
+        lines += [f"#### {part['title']}", ""]
+        lines += _table(part["head"], part["cells"], text=(1,))
+        lines += _table(part["band_head"], part["bands"], text=(0, 7, 8))
     return "\n".join(lines)
 
 

@@ -80,6 +80,12 @@ def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[Run]:
                     yield Run(log, fault, error, row.name, suite.dt_s)
 
 
+def marks(suite: Suite, run: Run) -> dict[str, bool]:
+    """Whether a run is easy, and whether it is in the quick cut, as the suite now has it."""
+    in_quick = suite.quick.has(suite.logs[run.log], run.fault.name, run.start_error)
+    return {"easy": run.fault.name == NONE and run.start_error == 0.0, "quick": in_quick}
+
+
 def possible(error: float, soc0: float) -> float:
     """A start error, to the other side where the SOC has no room for it, or none at all."""
     return next((e for e in (error, -error) if 0.0 <= soc0 + e <= 1.0), 0.0)
@@ -201,8 +207,7 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
         "reference_Ah": judged.reference_Ah,
         "model_Ah": true_model.capacity_Ah,
         "noise": "model" if noise is None else "tuned",
-        "easy": run.fault.name == NONE and run.start_error == 0.0,
-        "quick": suite.quick.has(one, run.fault.name, run.start_error),
+        **marks(suite, run),
     }
     curve: dict[str, list[float]] | None = None
     try:

@@ -150,7 +150,13 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
 
 def run_submit(arguments: argparse.Namespace) -> None:
     """Check a row from elsewhere and draw it in."""
-    from cellwise.benchmark.submission import LEADERBOARD, TABLE, read_entries, submit
+    from cellwise.benchmark.submission import (
+        LEADERBOARD,
+        TABLE,
+        read_entries,
+        standings_parts,
+        submit,
+    )
 
     folder = Path(arguments.output)
     if arguments.row is None:
@@ -164,7 +170,9 @@ def run_submit(arguments: argparse.Namespace) -> None:
     if not arguments.no_page:
         from cellwise.report.benchmark.standings import standings_page
 
-        page = standings_page(read_entries(folder / LEADERBOARD), folder / "leaderboard.html")
+        entries = read_entries(folder / LEADERBOARD)
+        parts = standings_parts(entries)
+        page = standings_page(entries[0]["suite"], parts, folder / "leaderboard.html")
     if arguments.json:
         printing.print_json(
             {"submitted": names, "table": str(folder / TABLE), "page": page and str(page)}

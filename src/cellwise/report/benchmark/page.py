@@ -265,14 +265,14 @@ MEANS = (
 class BenchmarkTable(NamedTuple):
     """Rows of a benchmark with their columns by name, and SOC errors over time of some rows.
 
-    ``entries`` are the leaderboard's of a frozen suite, ``not_run`` names and reasons.
+    ``parts`` are those of the leaderboard of a frozen suite, ``not_run`` names and reasons.
     """
 
     name: str
     about: str
     rows: Sequence[Mapping[str, Any]]
     curves: Mapping[int, Mapping[str, Sequence[float]]]
-    entries: Sequence[Mapping[str, Any]] = ()
+    parts: Sequence[Mapping[str, Any]] = ()
     not_run: Sequence[tuple[str, str]] = ()
 
 
@@ -326,7 +326,7 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
     blocks = (best, log_picture(log_matrix(rows)))
     sections = [
-        *standings_sections(found.entries, found.not_run),
+        *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
         Section("starts", "From a wrong start", (start_picture(rows, starts),), "Starts"),
     ]

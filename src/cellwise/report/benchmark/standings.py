@@ -8,14 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.leaderboard import (
-    BAND_HEAD,
-    HEAD,
-    Standing,
-    band_cells,
-    standing_cells,
-    standings,
-)
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, bullets, paragraph, table
 from cellwise.report.page.picture import Picture, pictured
@@ -28,43 +20,30 @@ MEANS = (
     "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
     "band of two deviations and 40 times what lies outside, smaller is better."
 )
-Runs = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 def standings_sections(
-    entries: Sequence[Mapping[str, Any]], not_run: Sequence[tuple[str, str]] = ()
+    parts: Sequence[Mapping[str, Any]], not_run: Sequence[tuple[str, str]] = ()
 ) -> list[Section]:
-    """A section for the whole suite and one for its quick cut, where estimators ran them."""
-    runs = {e["row"]["estimator"]: e["row"]["runs"] for e in entries}
-    made = {e["row"]["estimator"]: e for e in entries}
+    """A section for each part of a leaderboard, as `cellwise.benchmark.submission` makes them."""
     sections = []
-    for key, title, quick in (("standings", "Leaderboard", False), ("quick", "Quick cut", True)):
-        found = standings(runs, quick=quick)
-        if not found:
-            continue
-        bands = [
-            band_cells(s, made[s.estimator]["made_with"], made[s.estimator].get("by", ""))
-            for s in found
-        ]
+    for k, part in enumerate(parts):
         blocks: list[Markup | Picture] = [
-            standings_picture(found, runs, quick)._replace(key=f"benchmark-{key}"),
-            table(HEAD, [standing_cells(s) for s in found], caption=MEANS, text_columns=(1,)),
-            table(BAND_HEAD, bands, text_columns=(0, 7, 8)),
+            _standings_picture(part)._replace(key=f"benchmark-standings-{k}"),
+            table(part["head"], part["cells"], caption=MEANS, text_columns=(1,)),
+            table(part["band_head"], part["bands"], text_columns=(0, 7, 8)),
         ]
-        if not_run and not quick:
-            blocks += [
-                paragraph("Not run:"),
-                bullets([f"{name}: {why}" for name, why in not_run], "notices"),
-            ]
-        sections.append(Section(key, title, tuple(blocks), title))
+        if not_run and k == 0:
+            said = [f"{name}: {why}" for name, why in not_run]
+            blocks += [paragraph("Not run:"), bullets(said, "notices")]
+        sections.append(Section(f"standings-{k}", part["title"], tuple(blocks), part["title"]))
     return sections
 
 
-def standings_page(entries: Sequence[Mapping[str, Any]], path: Path) -> Path:
+def standings_page(suite: str, parts: Sequence[Mapping[str, Any]], path: Path) -> Path:
     """The leaderboard alone, as a page."""
-    title = f"Leaderboard '{entries[0]['suite']}', by cellwise"
-    sections = standings_sections(entries)
-    return write_page(path, title, title, sections, {"rows": [e["row"] for e in entries]})
+    title = f"Leaderboard '{suite}', by cellwise"
+    return write_page(path, title, title, standings_sections(parts), {"suite": suite})
 
 
 @pictured(
@@ -72,41 +51,21 @@ def standings_page(entries: Sequence[Mapping[str, Any]], path: Path) -> Path:
     "Large: mean over the hard runs of all logs. Small: every log. Further left is better; the "
     "scale is logarithmic.",
 )
-def _standings_picture(found: Sequence[Standing], runs: Runs, quick: bool) -> style.Figure:
+def _standings_picture(part: Mapping[str, Any]) -> style.Figure:
     """Dots over a logarithmic scale, a line per estimator, the best on top."""
-    figure = style.new_figure(1.0 + 0.3 * max(len(found), 2))
+    names = part["names"]
+    figure = style.new_figure(1.0 + 0.3 * max(len(names), 2))
     axes = figure.subplots()
-    for place, one in enumerate(found):
-        own = [r for r in runs[one.estimator] if not r["easy"] and (r["quick"] or not quick)]
-        logs = sorted({r["log"] for r in own})
-        means = [np.mean([_number(r["settled_rmse"]) for r in own if r["log"] == g]) for g in logs]
+    for place, (means, hard) in enumerate(zip(part["by_log"], part["hard"], strict=True)):
         dots = np.maximum(100.0 * np.array(means), 0.02)
         axes.plot(dots, np.full(dots.size, place), "o", color=style.MUTED, markersize=3)
-        if one.hard is not None:
-            axes.plot([100.0 * one.hard], [place], "D", color=style.CYCLE[0], markersize=7)
+        if hard is not None:
+            axes.plot([100.0 * hard], [place], "D", color=style.CYCLE[0], markersize=7)
     axes.set_xscale("log")
-    axes.set_yticks(range(len(found)), [_label(one) for one in found])
-    axes.set_ylim(len(found) - 0.5, -0.5)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
     style.plain_numbers(axes.xaxis)
-    first = found[0]
-    if first.hard is not None:
-        style.finding(axes, f"{first.estimator} comes nearest: {100 * first.hard:.2f} points")
+    if part["hard"][0] is not None:
+        style.finding(axes, f"{names[0]} comes nearest: {100 * part['hard'][0]:.2f} points")
     style.labels(axes, "settled SOC RMSE, hard runs [points]", " ")
     return figure
-
-
-def standings_picture(found: Sequence[Standing], runs: Runs, quick: bool) -> Picture:
-    """Who stands where, over every log."""
-    return _standings_picture(found, runs, quick)
-
-
-def _label(one: Standing) -> str:
-    return (
-        one.estimator
-        if one.rank is None
-        else f"{one.estimator}  {one.rank} [{one.low}, {one.high}]"
-    )
-
-
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)
