@@ -338,13 +338,8 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #endif
     point->ocv_V = READ(k, ocv_V, f);
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
-#if CELLWISE_WIDE
-    point->noise_V2 = READ(k, error_V, g);
-    point->noise_V2 = m->constant.fixed_V2 + (point->noise_V2 * point->noise_V2);
-    point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
-#else
-    point->noise_V2 = READ(k, noise_V2, g);
-#endif
+    const float error_V = READ(k, error_V, g);
+    point->noise_V2 = m->constant.fixed_V2 + (error_V * error_V);
     uint32_t at = k;
     float share = g;
 #if CELLWISE_SURFACE

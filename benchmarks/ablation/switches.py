@@ -71,7 +71,6 @@ SWITCHES = (
     Switch("nothing"),
     Switch("memory that grows", noise={"slow_first_s": 1e9}),
     Switch("mismatch", noise={"mismatch_cap": 0.0}),
-    Switch("persistent", noise={"lasting_share": 0.0}),
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
@@ -107,7 +106,6 @@ SWITCHES = (
             (RECOVERY, "START_REST_RATE", 0.0),
         ),
     ),
-    Switch("error along the SOC", noise={"ocv_soc": 0.0}),
     Switch(
         "wider beyond the data",
         names=((f"{ESTIMATE}.noise", "validity_scalars", valid_everywhere),),

@@ -6,7 +6,7 @@ numba takes it apart number by number, which takes far longer than the step that
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import Any, get_type_hints
 
@@ -37,6 +37,25 @@ def numbers_of(record: Any) -> Iterator[float]:
             yield from numbers_of(value)
         else:
             yield value
+
+
+def record_of(kind: type, numbers: Iterable[float]) -> Any:
+    """The record of a kind whose numbers, in order, these are."""
+    left = iter(numbers)
+
+    def filled(kind: type) -> Any:
+        return next(left) if kind is float else kind(*map(filled, fields_of(kind)))
+
+    return filled(kind)
+
+
+def place_of(kind: type, path: str) -> int:
+    """Which of a record's numbers a field is: ``"watch.evidence_s"``."""
+    name, _, rest = path.partition(".")
+    names: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
+    at = names.index(name)
+    before = sum(map(size_of, fields_of(kind)[:at]))
+    return before + (place_of(fields_of(kind)[at], rest) if rest else 0)
 
 
 def row_of(*records: Any) -> FloatArray:
@@ -74,9 +93,58 @@ def _put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
     return types.none(row, types.intp, record), build
 
 
-# Typed by numba alone: (kind, row, at) -> record, and (row, at, record).
+def _places(kind: type, path: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]:
+    """Where each number of a record is within records."""
+    if kind is float:
+        yield path
+    else:
+        for at, field in enumerate(fields_of(kind)):
+            yield from _places(field, (*path, at))
+
+
+def _lane_record(typing: Any, kind: Any, block: Any, lane: Any, lanes: Any) -> Any:
+    """The record in one of ``lanes`` lanes side by side, number by number; compiled code only."""
+    record = _type_of(kind.instance_class)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = context.get_constant_undef(record)
+        at = _lane(context, builder, signature, arguments, 1)
+        for path in _places(kind.instance_class):
+            value = builder.insert_value(value, builder.load(next(at)), path)
+        return value
+
+    return record(kind, block, types.intp, types.intp), build
+
+
+def _put_lane_record(typing: Any, block: Any, lane: Any, lanes: Any, record: Any, puts: Any) -> Any:
+    """A record into its lane, or none: without a branch; compiled code only."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        at = _lane(context, builder, signature, arguments, 0)
+        for path in _places(record.instance_class):
+            place = next(at)
+            new = builder.extract_value(arguments[3], path)
+            builder.store(builder.select(arguments[4], new, builder.load(place)), place)
+        return context.get_dummy_value()
+
+    return types.none(block, types.intp, types.intp, record, types.boolean), build
+
+
+def _lane(context: Any, builder: Any, signature: Any, arguments: Any, block: int) -> Iterator[Any]:
+    """Pointers to the numbers of one lane, in order."""
+    array = context.make_array(signature.args[block])(context, builder, arguments[block])
+    at, lanes = arguments[block + 1], arguments[block + 2]
+    while True:
+        yield builder.gep(array.data, [at])
+        at = builder.add(at, lanes)
+
+
+# Typed by numba alone: (kind, row, at) -> record and (row, at, record); (kind, block, lane, lanes)
+# -> record and (block, lane, lanes, record, puts).
 record_at: Any = intrinsic(_record_at)
 put_record: Any = intrinsic(_put_record)
+lane_record: Any = intrinsic(_lane_record)
+put_lane_record: Any = intrinsic(_put_lane_record)
 
 
 def _place(

@@ -34,14 +34,12 @@ class NoiseScalars(NamedTuple):
     slow_s: float
     early_s: float  # the memory begins at early_s / half_s of itself
     half_s: float
-    ocv_soc: float
     mismatch_cap: float
     gate: float
     recovery_after: float
     gap_soc: float
     hold_s: float
     frozen_V: float
-    persistent: float
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
@@ -67,7 +65,6 @@ class Noise:
                               counted as independent evidence (slow_s = 0: every sample is)
     slow_first_s : float      how long it is remembered at first, while quick parts average out
     slow_half_s : float       when it is half way between the two
-    ocv_soc : float           error of the OCV along the SOC axis
     mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
                               variance grows with what the innovations have shown over slow_s, a
                               single one counting at most this often; 0 keeps the variance
@@ -77,8 +74,6 @@ class Noise:
     hold_s : float            a current missing for longer is lost, not held any more
     frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
                               current exceeds this
-    lasting_share : float     share of the slow error's variance that comes back at the same SOC for
-                              good: it widens the SOC's stated deviation, never the gain
     offset_share : float      how far off the current may be for hours, as a share of 1C: EKF
                               and UKF weigh whether it is, and what voltages say against the
                               count is within the stated deviation; 0: the count is right
@@ -94,14 +89,12 @@ class Noise:
     slow_s: float = 300.0
     slow_first_s: float = 10.0
     slow_half_s: float = 150.0
-    ocv_soc: float = 0.003
     mismatch_cap: float = 100.0
     gate: float = 5.0
     recovery_after: int = 20
     gap_soc: float = 0.05
     hold_s: float = 10.0
     frozen_V: float = 0.02
-    lasting_share: float = 1.0
     offset_share: float = 0.03
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
@@ -112,10 +105,6 @@ class Noise:
         for name, value in vars(self).items():
             if not np.isfinite(value) or (value < 0 and name != "voltage_low_V"):
                 raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
-        if self.lasting_share > 1:
-            raise InputError(
-                f"noise lasting_share = {self.lasting_share}", "a share of at most 1", "Correct it."
-            )
         if self.voltage_V <= 0 or self.gate <= 0:
             raise InputError(
                 f"voltage_V = {self.voltage_V}, gate = {self.gate}",
@@ -135,7 +124,6 @@ class Noise:
             slow_s=memory.last_s,
             slow_first_s=memory.first_s,
             slow_half_s=memory.half_s,
-            lasting_share=model.error.lasting_share,
             branch_share=model.error.whole_share(),
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
@@ -157,14 +145,12 @@ class Noise:
             float(self.slow_s),
             float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),
             float(half_s),
-            float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
             float(self.recovery_after),
             float(self.gap_soc),
             float(self.hold_s),
             float(self.frozen_V),
-            float(np.sqrt(self.lasting_share)),
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),

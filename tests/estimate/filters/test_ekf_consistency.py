@@ -1,7 +1,4 @@
-"""The filter is as wrong as it says: data drawn with the very noise that it assumes.
-
-No error of the data stays for good, so the filter is told of none (``test_lasting_error.py``).
-"""
+"""The filter is as wrong as it says: data drawn with the very noise that it assumes."""
 
 from __future__ import annotations
 
@@ -59,7 +56,7 @@ def draw(model, noise, rows, dt, soc0, soc0_std, rng):
         r0 = table(model.r0_ohm, soc)
         drops = white(noise.branch_share) * (abs(r0 * current) + abs(v1) + abs(v2))
         error = noise.error_scale * model.error.at(soc) * slow + white(noise.voltage_V)
-        ocv = table(model.ocv_V, soc + white(noise.ocv_soc))
+        ocv = table(model.ocv_V, soc)
         found.append(
             (soc, current + white(noise.current_A), ocv - r0 * current - v1 - v2 + drops + error)
         )
@@ -83,13 +80,11 @@ def replayed(model, noise, rows, dt, soc0=0.5, soc0_std=0.05, seed=1):
 
 WHITE = Noise(
     current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9, mismatch_cap=0.0,
-    lasting_share=0.0, offset_share=0.0,
+    offset_share=0.0,
 )  # fmt: skip
 
 
-MINUTES = Noise(
-    current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, lasting_share=0.0, offset_share=0.0
-)
+MINUTES = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, offset_share=0.0)
 
 
 @pytest.mark.parametrize(

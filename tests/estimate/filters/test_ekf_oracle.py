@@ -139,7 +139,6 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         predicted = t.at(model.ocv_V, soc, temperature) - r0 * seen - ekf.x[1:4].sum()
         predicted += m * ekf.x[4]
         one = noise.voltage_V**2 + (noise.error_scale * model.error.at(soc)) ** 2
-        one += (noise.ocv_soc * slope) ** 2
         drops = abs(r0 * seen) + np.abs(ekf.x[1:4]).sum()
         one += (noise.branch_share * drops) ** 2 + (noise.current_A * r0) ** 2
         variance = (jacobian @ ekf.P @ jacobian.T)[0, 0] + one
@@ -190,7 +189,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
     model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
     noise = Noise(
         current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=mismatch_cap, gap_soc=0.002,
-        lasting_share=0.0, offset_share=0.0,
+        offset_share=0.0,
     )  # fmt: skip
     log = difficult_log(rng, model)
     ekf = Ekf(model, noise)
@@ -219,7 +218,6 @@ def test_the_filterpy_estimator_is_the_same_filter(seed):
         gate=OPEN_GATE,
         mismatch_cap=0.0,
         gap_soc=0.002,
-        lasting_share=0.0,
         offset_share=0.0,
     )
     log = difficult_log(rng, model)
@@ -267,7 +265,7 @@ def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):
             F=np.diag([1.0, *a]),
             Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
         )
-        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
+        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2
         drops = abs(0.030 * current) + np.abs(kf.x[1:]).sum()
         one += (noise.branch_share * drops) ** 2 + (noise.current_A * 0.030) ** 2
         kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))
