@@ -340,6 +340,7 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
     const float error_V = READ(k, error_V, g);
     point->noise_V2 = m->constant.fixed_V2 + (error_V * error_V);
+    point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
     uint32_t at = k;
     float share = g;
 #if CELLWISE_SURFACE

@@ -75,6 +75,7 @@ typedef struct {
     float soc_walk; /* variance that SOC gains in one step */
     float current_variance_A2; /* of the current sensor */
     float fixed_V2; /* of the voltage sensor */
+    float ocv_soc2; /* of the OCV along the SOC axis */
     float lost_A2; /* variance of a current that nobody measured */
     float share_variance; /* of the resistances on discharge, relative, */
     float charge_variance; /* and on charge */

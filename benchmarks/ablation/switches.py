@@ -106,6 +106,7 @@ SWITCHES = (
             (RECOVERY, "START_REST_RATE", 0.0),
         ),
     ),
+    Switch("error along the SOC", noise={"ocv_soc": 0.0}),
     Switch(
         "wider beyond the data",
         names=((f"{ESTIMATE}.noise", "validity_scalars", valid_everywhere),),

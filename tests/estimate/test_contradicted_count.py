@@ -123,7 +123,7 @@ def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(fil
     error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
     noise = Noise(
-        current_A=0.0, branch_share=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
+        current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
         mismatch_cap=0.0, soc_per_sqrt_h=0.0,
     )  # fmt: skip
     dt, rate_A, rows, offset_A = 10.0, 0.5, 600, 0.03 * model.capacity_Ah

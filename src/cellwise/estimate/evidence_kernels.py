@@ -42,14 +42,16 @@ def voltage_variance(
 ) -> float:
     """Variance of one measured voltage about a perfect state [V^2].
 
-    Sensor, the model's slow error at this SOC, resistances that are off by a share: of the ohmic
-    drop and of what the branches hold; and a current that nobody measured.
+    Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters
+    where the OCV is steep), resistances that are off by a share: of the ohmic drop and
+    of what the branches hold; and a current that nobody measured.
     """
+    scale = noise.ocv_soc * point.ocv_slope_V
     drop = share_at(noise, seen_A) * (abs(r0_ohm * seen_A) + branches_V)
     jitter = noise.current_A * r0_ohm
     slow = noise.error_scale * point.error_V
     fixed = noise.voltage_V * noise.voltage_V + slow * slow
-    one = fixed + (drop * drop + jitter * jitter)
+    one = fixed + (scale * scale + (drop * drop + jitter * jitter))
     return one + lost_A * lost_A * r0_ohm * r0_ohm
 
 

@@ -34,6 +34,7 @@ class NoiseScalars(NamedTuple):
     slow_s: float
     early_s: float  # the memory begins at early_s / half_s of itself
     half_s: float
+    ocv_soc: float
     mismatch_cap: float
     gate: float
     recovery_after: float
@@ -65,6 +66,7 @@ class Noise:
                               counted as independent evidence (slow_s = 0: every sample is)
     slow_first_s : float      how long it is remembered at first, while quick parts average out
     slow_half_s : float       when it is half way between the two
+    ocv_soc : float           error of the OCV along the SOC axis
     mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
                               variance grows with what the innovations have shown over slow_s, a
                               single one counting at most this often; 0 keeps the variance
@@ -89,6 +91,7 @@ class Noise:
     slow_s: float = 300.0
     slow_first_s: float = 10.0
     slow_half_s: float = 150.0
+    ocv_soc: float = 0.003
     mismatch_cap: float = 100.0
     gate: float = 5.0
     recovery_after: int = 20
@@ -145,6 +148,7 @@ class Noise:
             float(self.slow_s),
             float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),
             float(half_s),
+            float(self.ocv_soc),
             float(self.mismatch_cap),
             float(self.gate),
             float(self.recovery_after),

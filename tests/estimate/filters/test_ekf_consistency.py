@@ -56,7 +56,7 @@ def draw(model, noise, rows, dt, soc0, soc0_std, rng):
         r0 = table(model.r0_ohm, soc)
         drops = white(noise.branch_share) * (abs(r0 * current) + abs(v1) + abs(v2))
         error = noise.error_scale * model.error.at(soc) * slow + white(noise.voltage_V)
-        ocv = table(model.ocv_V, soc)
+        ocv = table(model.ocv_V, soc + white(noise.ocv_soc))
         found.append(
             (soc, current + white(noise.current_A), ocv - r0 * current - v1 - v2 + drops + error)
         )

@@ -139,6 +139,7 @@ def matrix_filter(model, noise, log, soc0, soc0_std):
         predicted = t.at(model.ocv_V, soc, temperature) - r0 * seen - ekf.x[1:4].sum()
         predicted += m * ekf.x[4]
         one = noise.voltage_V**2 + (noise.error_scale * model.error.at(soc)) ** 2
+        one += (noise.ocv_soc * slope) ** 2
         drops = abs(r0 * seen) + np.abs(ekf.x[1:4]).sum()
         one += (noise.branch_share * drops) ** 2 + (noise.current_A * r0) ** 2
         variance = (jacobian @ ekf.P @ jacobian.T)[0, 0] + one
@@ -265,7 +266,7 @@ def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):
             F=np.diag([1.0, *a]),
             Q=noise.current_A**2 * np.outer(drive, drive) + np.diag([walk, *share]),
         )
-        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2
+        one = noise.voltage_V**2 + float(model.error.at(0.5)) ** 2 + (noise.ocv_soc * 0.9) ** 2
         drops = abs(0.030 * current) + np.abs(kf.x[1:]).sum()
         one += (noise.branch_share * drops) ** 2 + (noise.current_A * 0.030) ** 2
         kf.update(np.array([log.voltage_V[k] - 3.2 + 0.030 * current]), R=np.array([[one]]))

@@ -147,7 +147,7 @@ def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
     p = uncorrelated(0.02**2, 0.004**2, 0.006**2, 0.0, 0.0)._replace(s1=3e-5, p12=-1e-5)
     now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0)
     limits = operating_limits(model, LIMITS).scalars()
-    noise = replace(Noise.of_model(model), current_A=0.0).scalars(model)
+    noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
     found = largest_load(
         model.parameters(), noise, limits, now, False, 10.0, side, 1.6449, 0.0
     )  # fmt: skip

@@ -60,6 +60,7 @@ CONSTANTS = (
     Field("soc_walk", "variance that SOC gains in one step"),
     Field("current_variance_A2", "of the current sensor"),
     Field("fixed_V2", "of the voltage sensor"),
+    Field("ocv_soc2", "of the OCV along the SOC axis"),
     Field("lost_A2", "variance of a current that nobody measured"),
     Field("share_variance", "of the resistances on discharge, relative,"),
     Field("charge_variance", "and on charge"),

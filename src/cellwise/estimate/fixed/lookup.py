@@ -215,6 +215,7 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
     slope_V = rise(m, place, k, OCV_V) * F(points - 1)
     error_V = read(m, place, k, ERROR_V, g)
     noise_V2 = m.constant.fixed_V2 + (error_V * error_V)
+    noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
     at = k
     share = g
     if SURFACE:

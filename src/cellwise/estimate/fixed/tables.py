@@ -302,6 +302,7 @@ def _constants(
         "start_rest_A": START_REST_RATE * model.capacity_Ah,
         "start_load_A": START_LOAD_RATE * model.capacity_Ah,
         "fixed_V2": noise.voltage_V**2,
+        "ocv_soc2": noise.ocv_soc**2,
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
