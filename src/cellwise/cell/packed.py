@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from typing import Any, get_type_hints
+from typing import Any, Protocol, TypeVar, get_type_hints
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
 from cellwise.typing import FloatArray
+
+Record = TypeVar("Record")
 
 
 @lru_cache(maxsize=64)
@@ -139,6 +141,26 @@ def _lane(context: Any, builder: Any, signature: Any, arguments: Any, block: int
         at = builder.add(at, lanes)
 
 
+def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
+    """A record with another value of one field, by its name; compiled code only."""
+    at = record.fields.index(name.literal_value)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.insert_value(arguments[0], arguments[2], at)
+
+    return record(record, name, record.types[at]), build
+
+
+class Changed(Protocol):
+    """What it is to a type checker."""
+
+    def __call__(self, record: Record, name: str, value: Any) -> Record:
+        """As :func:`_changed`."""
+        ...
+
+
+compiled: Any = intrinsic(prefer_literal=True)(_changed)
+changed: Changed = compiled
 # Typed by numba alone: (kind, row, at) -> record and (row, at, record); (kind, block, lane, lanes)
 # -> record and (block, lane, lanes, record, puts).
 record_at: Any = intrinsic(_record_at)
