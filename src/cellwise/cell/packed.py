@@ -6,7 +6,7 @@ numba takes it apart number by number, which takes far longer than the step that
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar, get_type_hints
 
@@ -39,16 +39,6 @@ def numbers_of(record: Any) -> Iterator[float]:
             yield from numbers_of(value)
         else:
             yield value
-
-
-def record_of(kind: type, numbers: Iterable[float]) -> Any:
-    """The record of a kind whose numbers, in order, these are."""
-    left = iter(numbers)
-
-    def filled(kind: type) -> Any:
-        return next(left) if kind is float else kind(*map(filled, fields_of(kind)))
-
-    return filled(kind)
 
 
 def place_of(kind: type, path: str) -> int:
