@@ -1,7 +1,7 @@
-"""Records of floats as one row of numbers, and back: how they cross from Python to a kernel.
+"""Records of floats number by number: in a row, in a lane of many, with one of them changed.
 
-A record lies in memory as its numbers in order, nested ones in their place. Handed over as a record
-numba takes it apart number by number, which takes far longer than the step that uses it.
+A record lies in memory as its numbers in order, nested ones in their place. Handed over from Python
+as a record numba takes it apart number by number, which takes far longer than the step that uses it.
 """
 
 from __future__ import annotations
