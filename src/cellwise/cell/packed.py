@@ -1,7 +1,7 @@
 """Records of floats number by number: in a row, in a lane of many, with one of them changed.
 
 A record lies in memory as its numbers in order, nested ones in their place. Handed over from Python
-as a record numba takes it apart number by number, which takes far longer than the step that uses it.
+as a record numba takes it apart number by number, and takes far longer than the step that uses it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, Protocol, TypeVar, get_type_hints
 
 import numpy as np
-from numba import types
+from numba import config, types
 from numba.extending import intrinsic
 
 from cellwise.typing import FloatArray
@@ -132,7 +132,7 @@ def _lane(context: Any, builder: Any, signature: Any, arguments: Any, block: int
 
 
 def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
-    """A record with another value of one field, by its name; compiled code only."""
+    """A record with another value of one field, by its name."""
     at = record.fields.index(name.literal_value)
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -141,16 +141,23 @@ def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
     return record(record, name, record.types[at]), build
 
 
+def replaced(record: Record, name: str, value: Any) -> Record:
+    """The same without compilation, to go through a step line by line."""
+    after: Record = record._replace(**{name: value})  # type: ignore[attr-defined]
+    return after
+
+
 class Changed(Protocol):
-    """What it is to a type checker."""
+    """What both are to a type checker."""
 
     def __call__(self, record: Record, name: str, value: Any) -> Record:
-        """As :func:`_changed`."""
+        """A record with another value of one field."""
         ...
 
 
 compiled: Any = intrinsic(prefer_literal=True)(_changed)
-changed: Changed = compiled
+jit_is_off = config.DISABLE_JIT  # type: ignore[attr-defined]
+changed: Changed = replaced if jit_is_off else compiled
 # Typed by numba alone: (kind, row, at) -> record and (row, at, record); (kind, block, lane, lanes)
 # -> record and (block, lane, lanes, record, puts).
 record_at: Any = intrinsic(_record_at)
