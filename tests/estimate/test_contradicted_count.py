@@ -78,7 +78,7 @@ def test_nothing_contradicted_nothing_stated(filter_):
     told = Noise.of_model(MODEL)
     with_, without = (filter_(MODEL, replace(told, offset_share=c)).run(log, 0.9, 0.005)
                       for c in (0.03, 0.0))  # fmt: skip
-    assert np.all(with_.soc_std <= 1.1 * without.soc_std)
+    assert np.all(with_.soc_std <= 1.03 * without.soc_std)
 
 
 @pytest.mark.parametrize("filter_", FILTERS)
@@ -153,23 +153,3 @@ def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(fil
     assert 1.0 / state.drift.information == pytest.approx(p[1, 1], rel=0.1)
     free = state.soc + (state.drift.offset - state.drift.believed) * state.drift.reach
     assert free == pytest.approx(x[0], abs=1e-4)
-
-
-@pytest.mark.parametrize("filter_", [Ekf, Ukf])
-def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filter_):
-    model = replace(curved_cell(), error=ModelError.of_white_and_slow(slow_V=(0.002,)))
-    rng = np.random.default_rng(1)
-    current = np.repeat(rng.normal(0.0, 1.0, 101), 20)[:2000] * model.capacity_Ah
-    log = CellLog(10.0 * np.arange(2000), current - np.mean(current), np.full(2000, 3.7))
-    voltage = simulate(model, log, 0.5).voltage_V
-    for wrong_V, wider in ((0.0, False), (0.05, True)):
-        off = replace(log, voltage_V=voltage + wrong_V * np.sin(log.time_s / 900.0))
-        trusted, seen = (
-            filter_(model, replace(Noise(), offset_share=0.0)).run(off, 0.5, s)
-            for s in (1e-6, 0.05)
-        )
-        kept = Noise(mismatch_cap=0.0, offset_share=0.0)
-        still = filter_(model, kept).run(off, 0.5, 0.05)
-        ratio = np.median(seen.soc_std[200:] / still.soc_std[200:])
-        assert (ratio > 1.5) == wider
-        assert trusted.soc_std[1] < 1e-3  # what nobody measured yet contradicts nothing

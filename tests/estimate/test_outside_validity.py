@@ -70,8 +70,9 @@ def test_within_its_data_a_model_estimates_to_the_bit_as_one_of_before(name):
 
 
 @pytest.mark.parametrize("name", ALL_STATES)
-def test_in_the_cold_the_truth_is_within_two_deviations(name):
-    log = measured(curved_cell(effects=COLD), drive(0.0))
+@pytest.mark.parametrize("temperature_C", [0.0, -15.0])
+def test_in_the_cold_the_truth_is_within_two_deviations(name, temperature_C):
+    log = measured(curved_cell(effects=COLD), drive(temperature_C))
     wide, narrow = run(MODEL, log, name), run(BEFORE, log, name)
     assert np.all(wide.trace.status & OUTSIDE)
     assert wide.coverage_2sigma >= 0.95

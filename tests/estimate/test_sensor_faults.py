@@ -285,12 +285,10 @@ class TestRestart:
         with pytest.raises(InputError, match="Start again"):
             state_from_dict(saved)
 
-    def test_a_state_of_an_older_version_goes_on(self):
-        """Of before the surface, when what a persistent error had brought was carried."""
+    def test_a_state_of_before_the_surface_is_one_without_it(self):
         state = Ekf(CURVED).init(0.5)
         saved = state_to_dict(state)
         del saved["state"]["slow_A"]
-        saved["state"]["lasting"] = 0.01
         assert str(state_from_dict(json.loads(json.dumps(saved)))) == str(state)
 
     @pytest.mark.parametrize("text", ["", "{", "[1]", "3"])

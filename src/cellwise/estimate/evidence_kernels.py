@@ -86,6 +86,29 @@ def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: flo
 
 
 @inline
+def persistent_V(noise: NoiseScalars, point: CellPoint, mismatch: float) -> float:
+    """Persistent model error, one deviation [V]: at this SOC, and along its axis."""
+    slow = noise.error_scale * point.error_V
+    scale = noise.ocv_soc * point.ocv_slope_V
+    return noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
+
+
+@inline
+def persistent_step(gain: float, slope_V: float, persistent: float, error_V: float) -> float:
+    """SOC error brought in by a persistent model error, after an update with a gain of the SOC.
+
+    No further voltage averages such an error out: with every voltage the SOC goes where the
+    error leads, error over slope in the end. Beside P, which takes each memory of the error for
+    new, it makes up the stated variance (consider covariance; Schmidt 1966, p. 293).
+
+    Where the SOC hangs on a branch its gain can be negative, and what the branch takes of the error
+    holds the two back; it is not followed here, so nothing is amplified.
+    """
+    kept = min(max(1.0 - gain * slope_V, 0.0), 1.0)
+    return kept * persistent + gain * error_V
+
+
+@inline
 def contradicted_step(
     noise: NoiseScalars,
     contradicted: float,
@@ -109,13 +132,16 @@ def contradicted_step(
 
 
 @inline
-def stated_deviation(soc_variance: float, mismatch: float, contradicted: float) -> float:
-    """Standard deviation of the SOC: P's, and what voltages contradict.
+def stated_deviation(
+    soc_variance: float, mismatch: float, persistent: float, contradicted: float
+) -> float:
+    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict.
 
     P trusted the errors as stated. Where innovations show ``mismatch`` times as much, so much more
     may be wrong with the SOC (Birge 1932, doi:10.1103/PhysRev.40.207).
     """
-    return math.sqrt(soc_variance * max(mismatch, 1.0) + contradicted * contradicted)
+    beside = persistent * persistent + contradicted * contradicted
+    return math.sqrt(soc_variance * max(mismatch, 1.0) + beside)
 
 
 COUNT_ROUNDING = 1e-6  # a sum of thousands of small counts reaches a whole number

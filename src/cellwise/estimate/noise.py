@@ -41,6 +41,7 @@ class NoiseScalars(NamedTuple):
     gap_soc: float
     hold_s: float
     frozen_V: float
+    persistent: float
     current_limit_A: float
     voltage_low_V: float
     voltage_high_V: float
@@ -76,6 +77,8 @@ class Noise:
     hold_s : float            a current missing for longer is lost, not held any more
     frozen_V : float          a voltage that repeats itself is frozen when R0 times the change of
                               current exceeds this
+    lasting_share : float     share of the slow error's variance that comes back at the same SOC for
+                              good: it widens the SOC's stated deviation, never the gain
     offset_share : float      how far off the current may be for hours, as a share of 1C: EKF
                               and UKF weigh whether it is, and what voltages say against the
                               count is within the stated deviation; 0: the count is right
@@ -98,6 +101,7 @@ class Noise:
     gap_soc: float = 0.05
     hold_s: float = 10.0
     frozen_V: float = 0.02
+    lasting_share: float = 1.0
     offset_share: float = 0.03
     current_limit_A: float = 1e6
     voltage_low_V: float = -1e6
@@ -108,6 +112,10 @@ class Noise:
         for name, value in vars(self).items():
             if not np.isfinite(value) or (value < 0 and name != "voltage_low_V"):
                 raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
+        if self.lasting_share > 1:
+            raise InputError(
+                f"noise lasting_share = {self.lasting_share}", "a share of at most 1", "Correct it."
+            )
         if self.voltage_V <= 0 or self.gate <= 0:
             raise InputError(
                 f"voltage_V = {self.voltage_V}, gate = {self.gate}",
@@ -127,6 +135,7 @@ class Noise:
             slow_s=memory.last_s,
             slow_first_s=memory.first_s,
             slow_half_s=memory.half_s,
+            lasting_share=model.error.lasting_share,
             branch_share=model.error.whole_share(),
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
@@ -155,6 +164,7 @@ class Noise:
             float(self.gap_soc),
             float(self.hold_s),
             float(self.frozen_V),
+            float(np.sqrt(self.lasting_share)),
             float(self.current_limit_A),
             float(self.voltage_low_V),
             float(self.voltage_high_V),

@@ -19,7 +19,13 @@ from cellwise.files import write_atomically
 
 SCHEMA_VERSION = 2
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
-COUNTS = ("rejections", "mismatch", "contradicted")
+# What a file of this version calls them.
+COUNTS = {
+    "rejections": "rejections",
+    "mismatch": "mismatch",
+    "lasting": "persistent",
+    "contradicted": "contradicted",
+}
 PARTS = {
     "state": (*CellState._fields, *Covariance._fields, *COUNTS),
     "drift": Drift._fields,
@@ -34,7 +40,7 @@ NEWER: dict[str, dict[str, float]] = {
     "watch": {"no_warm_s": -1.0},
 }
 # and in files of versions that carried it.
-GONE = ("room_up", "room_down", "fresh", "lasting")
+GONE = ("room_up", "room_down", "fresh")
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -44,7 +50,7 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
     After a restart pass ``gap=True`` and the time that has passed as ``dt_s`` with the first
     sample: nobody knows what has flowed meanwhile.
     """
-    counts = {name: getattr(state, name) for name in COUNTS}
+    counts = {name: getattr(state, field) for name, field in COUNTS.items()}
     parts = {
         "state": {**state.cell._asdict(), **state.p._asdict(), **counts},
         "drift": state.drift._asdict(),
@@ -77,7 +83,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
     return EkfState(
         CellState(**{name: state[name] for name in CellState._fields}),
         Covariance(**{name: state[name] for name in Covariance._fields}),
-        **{name: state[name] for name in COUNTS},
+        **{field: state[name] for name, field in COUNTS.items()},
         drift=Drift(**values["drift"]),
         watch=Watch(**values["watch"]),
         past=Past(**values["past"]),

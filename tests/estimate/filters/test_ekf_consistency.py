@@ -1,4 +1,7 @@
-"""The filter is as wrong as it says: data drawn with the very noise that it assumes."""
+"""The filter is as wrong as it says: data drawn with the very noise that it assumes.
+
+No error of the data stays for good, so the filter is told of none (``test_persistent_error.py``).
+"""
 
 from __future__ import annotations
 
@@ -80,11 +83,13 @@ def replayed(model, noise, rows, dt, soc0=0.5, soc0_std=0.05, seed=1):
 
 WHITE = Noise(
     current_A=0.05, soc_per_sqrt_h=0.02, voltage_V=0.005, slow_s=0.0, gate=1e9, mismatch_cap=0.0,
-    offset_share=0.0,
+    lasting_share=0.0, offset_share=0.0,
 )  # fmt: skip
 
 
-MINUTES = Noise(current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, offset_share=0.0)
+MINUTES = Noise(
+    current_A=0.01, soc_per_sqrt_h=0.005, slow_s=300.0, lasting_share=0.0, offset_share=0.0
+)
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
     model = random_model(rng, temperatures=1 + seed % 3, effects=seed != 5)
     noise = Noise(
         current_A=0.02, slow_s=slow_s, gate=OPEN_GATE, mismatch_cap=mismatch_cap, gap_soc=0.002,
-        offset_share=0.0,
+        lasting_share=0.0, offset_share=0.0,
     )  # fmt: skip
     log = difficult_log(rng, model)
     ekf = Ekf(model, noise)
@@ -219,6 +219,7 @@ def test_the_filterpy_estimator_is_the_same_filter(seed):
         gate=OPEN_GATE,
         mismatch_cap=0.0,
         gap_soc=0.002,
+        lasting_share=0.0,
         offset_share=0.0,
     )
     log = difficult_log(rng, model)

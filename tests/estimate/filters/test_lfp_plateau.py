@@ -66,14 +66,10 @@ def rmse(error):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf", "adaptive"])
-@pytest.mark.parametrize(
-    "tag",
-    each_temperature(
-        n25=BEYOND.format("74 % of the rows (EKF, adaptive), 90 % (UKF)"),
-        n15=BETWEEN.format("92 % of the rows (EKF, adaptive), 87 % (UKF)"),
-    ),
-)
+@pytest.mark.parametrize("tag", each_temperature())
 def test_wrong_on_the_plateau_the_band_holds_the_truth(held_out, tag, name):
+    if tag == "n25" and name != "ukf":
+        pytest.xfail("85 % of the rows: " + BEYOND.format("taken for an offset of the current"))
     inside = [run.inside for run, _ in from_plateau(*held_out(tag), name)]
     assert np.mean(inside) > 0.95
 

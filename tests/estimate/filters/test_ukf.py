@@ -47,6 +47,7 @@ def test_three_points_are_all_eleven(seed, points):
         gate=OPEN_GATE,
         mismatch_cap=0.0,
         gap_soc=0.002,
+        lasting_share=0.0,
         offset_share=0.0,
     )
     log = difficult_log(rng, model, rows=320)
@@ -71,7 +72,7 @@ def test_three_points_are_all_eleven(seed, points):
 def test_it_agrees_with_filterpy_whatever_the_effects(effects):
     model = curved_cell(effects=effects)
     rng = np.random.default_rng(4)
-    noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0, offset_share=0.0)
+    noise = Noise(gate=OPEN_GATE, mismatch_cap=0.0, lasting_share=0.0, offset_share=0.0)
     log = random_log(rng, 250, temperature_C=(0.0, 40.0))
     log = replace(
         log, voltage_V=simulate(model, log, 0.8).voltage_V + 0.003 * rng.standard_normal(250)

@@ -30,7 +30,8 @@ class EkfState(NamedTuple):
 
     ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
     running mean of the squared innovations over the variance that the model alone explains;
-    ``contradicted`` is the SOC that the voltages have lately said is missing;
+    ``persistent`` is what a persistent error of the model may have brought into the SOC, one
+    standard deviation; ``contradicted`` the SOC that the voltages have lately said is missing;
     ``drift`` what a current that is off would have moved, and how far that is believed;
     ``past`` what a start under load is looked at again with.
     """
@@ -39,6 +40,7 @@ class EkfState(NamedTuple):
     p: Covariance
     rejections: float
     mismatch: float
+    persistent: float
     contradicted: float
     drift: Drift
     watch: Watch
@@ -58,14 +60,14 @@ class EkfState(NamedTuple):
     def soc_std(self) -> float:
         """Standard deviation of the state of charge."""
         known = self.p.ss + drift_variance(self.drift)
-        return stated_deviation(known, self.mismatch, self.contradicted)
+        return stated_deviation(known, self.mismatch, self.persistent, self.contradicted)
 
     def row(self) -> FloatArray:
         """Its numbers in order, shape (numbers,): what the compiled step takes."""
         # fmt: off
         return np.array((
-            *self.cell, *self.p, self.rejections, self.mismatch, self.contradicted,
-            *self.drift, *self.watch, *self.past,
+            *self.cell, *self.p, self.rejections, self.mismatch, self.persistent,
+            self.contradicted, *self.drift, *self.watch, *self.past,
         ))
         # fmt: on
 
@@ -85,7 +87,7 @@ class EkfState(NamedTuple):
 # Where its records begin in such a row.
 P_AT = len(CellState._fields)
 COUNTS_AT = P_AT + len(Covariance._fields)
-DRIFT_AT = COUNTS_AT + 3
+DRIFT_AT = COUNTS_AT + 4
 WATCH_AT = DRIFT_AT + len(Drift._fields)
 PAST_AT = WATCH_AT + len(Watch._fields)
 
@@ -135,4 +137,4 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     h = 1.0 if start.soc > 0.5 else -1.0
     p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
     cell, watch = at_rest(start.soc, h), first_watch(current_A)
-    return EkfState(cell, p, 0.0, 1.0, 0.0, no_drift(), watch, no_past())
+    return EkfState(cell, p, 0.0, 1.0, 0.0, 0.0, no_drift(), watch, no_past())

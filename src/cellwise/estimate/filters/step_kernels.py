@@ -170,8 +170,8 @@ def look_back(
     # fmt: on
     if seen.searched:
         free = soc_found(e.free)
-        return Estimate(seen.x, seen.p, 0.0, no_drift(), free, seen.past)
-    return Estimate(seen.x, seen.p, e.contradicted, e.drift, e.free, seen.past)
+        return Estimate(seen.x, seen.p, 0.0, 0.0, no_drift(), free, seen.past)
+    return Estimate(seen.x, seen.p, e.persistent, e.contradicted, e.drift, e.free, seen.past)
 
 
 @inline
@@ -183,12 +183,12 @@ def say(i: Innovation, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, 
         status |= CLAMPED
     # fmt: off
     state = EkfState(
-        with_soc(e.x, soc), e.p, v.rejections, v.mismatch, e.contradicted, e.drift,
+        with_soc(e.x, soc), e.p, v.rejections, v.mismatch, e.persistent, e.contradicted, e.drift,
         v.watch, e.past,
     )
     # fmt: on
     known = e.p.ss + drift_variance(e.drift) + capacity_variance(e.free, e.drift.reach)
-    std = stated_deviation(known, v.mismatch, e.contradicted)
+    std = stated_deviation(known, v.mismatch, e.persistent, e.contradicted)
     return state, EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
 
 

@@ -11,6 +11,8 @@ from cellwise.estimate.evidence_kernels import (
     Innovation,
     Verdict,
     contradicted_step,
+    persistent_step,
+    persistent_V,
 )
 from cellwise.estimate.filters.covariance_kernels import (
     Column,
@@ -67,6 +69,7 @@ class Estimate(NamedTuple):
 
     x: CellState
     p: Covariance
+    persistent: float
     contradicted: float
     drift: Drift
     free: Free | None
@@ -83,7 +86,7 @@ def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Est
     soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
     p = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
     free = soc_found(now.free)
-    return Estimate(with_soc(x, soc), p, 0.0, no_drift(), free, no_past())
+    return Estimate(with_soc(x, soc), p, 0.0, 0.0, no_drift(), free, no_past())
 
 
 @inline
@@ -92,7 +95,7 @@ def counted(now: Predicted) -> Estimate:
     old = now.state
     follows = now.drift.believed * now.drift.reach + capacity_soc(now.free)
     x = with_soc(now.x, now.x.soc + (follows - now.followed))
-    return Estimate(x, now.p, old.contradicted, now.drift, now.free, now.past)
+    return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free, now.past)
 
 
 @inline
@@ -144,6 +147,8 @@ def update(
     # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
     if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
+    error_V = persistent_V(noise, now.point, v.mismatch)
+    persistent = persistent_step(k.s, slope, old.persistent, error_V)
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
@@ -155,4 +160,4 @@ def update(
     )
     follows = drift.believed * drift.reach + capacity_soc(free)
     x = with_soc(x, x.soc + (k.s * i.followed_V + (follows - now.followed)))
-    return Estimate(x, p, contradicted, drift, free, now.past)
+    return Estimate(x, p, persistent, contradicted, drift, free, now.past)

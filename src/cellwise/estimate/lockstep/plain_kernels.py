@@ -28,6 +28,8 @@ from cellwise.cell.point_kernels import R3, CellPoint, CellScalars, M
 from cellwise.estimate.evidence_kernels import (
     contradicted_step,
     mismatch_step,
+    persistent_step,
+    persistent_V,
     share_at,
     stated_deviation,
     voltage_variance,
@@ -217,6 +219,8 @@ def plain_step(
     above = above if above > below else below
     inverse = below / (state_variance * below + one * worse * above)
     k = scaled(d, inverse)
+    stays_V = persistent_V(noise, point, mismatch)
+    persistent = persistent_step(k.s, slope, old.persistent, stays_V)
     end = moved(CellState(soc, v1, v2, v3, h, x.heat_K, x.slow_A), k, innovation)
     followed = old.drift.believed * old.drift.reach
     followed_V = slope * followed + old.drift.believed * dropped
@@ -230,12 +234,12 @@ def plain_step(
     )
     # fmt: off
     state = EkfState(
-        with_soc(end, soc), p, 0.0, mismatch, contradicted, drift, watch,
+        with_soc(end, soc), p, 0.0, mismatch, persistent, contradicted, drift, watch,
         old.past,
     )
     # fmt: on
     known = p.ss + drift_variance(drift)
-    std = stated_deviation(known, mismatch, contradicted)
+    std = stated_deviation(known, mismatch, persistent, contradicted)
     info = EkfInfo(soc, std, predicted, innovation, variance, ratio, 0)
     return state, info, (ratio <= 1.0) & (not frozen)
 

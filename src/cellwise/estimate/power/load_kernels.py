@@ -54,7 +54,7 @@ AS_MODEL = Correction(1.0, 1.0, 0.0)
 class Present(NamedTuple):
     """What is known of a cell now: mean, covariance, how the model has done lately.
 
-    ``soc_variance`` is that of the SOC with all that is stated beside its entry of ``p``,
+    ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it,
     ``mismatch`` what the innovations have shown over their variance, ``scale_variance`` that of
     the resistances' factors.
     """
