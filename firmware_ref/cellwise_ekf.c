@@ -338,13 +338,9 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
 #endif
     point->ocv_V = READ(k, ocv_V, f);
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
-#if CELLWISE_WIDE
-    point->noise_V2 = READ(k, error_V, g);
-    point->noise_V2 = m->constant.fixed_V2 + (point->noise_V2 * point->noise_V2);
+    const float error_V = READ(k, error_V, g);
+    point->noise_V2 = m->constant.fixed_V2 + (error_V * error_V);
     point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
-#else
-    point->noise_V2 = READ(k, noise_V2, g);
-#endif
     uint32_t at = k;
     float share = g;
 #if CELLWISE_SURFACE
@@ -982,7 +978,8 @@ static void joseph_update(cellwise_state *x, const cellwise_column *d, float inv
 }
 #endif
 
-/* ---- state.py: State of the fixed step: whether it is sound, where it starts. */
+/* ---- state.py: State of the fixed step: whether it is sound, where it starts, what an interval
+ * does to it. */
 
 /* Every number in its range: memory that lost its content, or was never set, is noticed. */
 static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
@@ -1176,8 +1173,6 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
 #endif
 }
 
-/* ---- predict.py: Prediction of the fixed step: charge, gaps, one interval of constant current. */
-
 /* Charge that leaves the cell in one step, in SOC. */
 static float taken(const cellwise_constants *c, const cellwise_state *x, float current)
 {
@@ -1283,141 +1278,6 @@ static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, f
 #endif
     const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
     x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
-}
-#endif
-
-/* ---- search.py: The fixed step after a lock-out, and at a first voltage that cannot be
- * weighed: SOC searched. */
-
-/* The voltage that the state gives at a point of the tables. */
-static float voltage_of(const cellwise_state *x, const cellwise_point *p, float drop)
-{
-    float voltage = p->ocv_V - (drop + (x->v1_V + x->v2_V));
-#if CELLWISE_SLOW
-    voltage = voltage - x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    voltage = voltage + (p->m_V * x->h);
-#endif
-    return voltage;
-}
-
-#if CELLWISE_WIDE
-/* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
- * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
- * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
- * meant. */
-static NOINLINE void search(const cellwise_model *m, const cellwise_place *place,
-                            cellwise_state *x, float seen, float voltage, float variance,
-    float held_A, float limit_V)
-{
-    const float before = 1.0f / at_least(x->ss, RECOVERY_VARIANCE);
-    const float most_V2 = limit_V * limit_V;
-    float least = LARGE;
-    float total = 0.0f;
-    float first = 0.0f;
-    float second = 0.0f;
-    cellwise_point p;
-    look_up(m, place, 0.0f, seen, &p);
-    const float low = voltage_of(x, &p, p.r0_ohm * seen);
-    look_up(m, place, 1.0f, seen, &p);
-    const float high = voltage_of(x, &p, p.r0_ohm * seen);
-    const float target = (low < high) ? clip(voltage, low, high) : clip(voltage, high, low);
-    for (uint32_t k = 0u; k < RESTART_POINTS; k++) {
-        const float away = ((float)k * RESTART_STEP) - x->soc;
-        look_up(m, place, (float)k * RESTART_STEP, seen, &p);
-        float held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm);
-#if CELLWISE_SLOW
-        held = held + (p.r3_ohm * p.r3_ohm);
-#endif
-        held = (held_A * held_A) * held;
-        float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
-#if CELLWISE_HYSTERESIS
-        about = about + ((p.m_V * p.m_V) * x->phh);
-#endif
-        const float off = target - voltage_of(x, &p, p.r0_ohm * seen);
-        const float cost = 0.5f * (((away * away) * before) + ((off * off) / about));
-        float weight = 1.0f / root(about);
-        if (cost < least) {
-            const float faded = vanishing(least - cost);
-            total = faded * total;
-            first = faded * first;
-            second = faded * second;
-            least = cost;
-        } else {
-            weight = vanishing(cost - least) * weight;
-        }
-        total = total + weight;
-        first = first + (weight * away);
-        second = second + (weight * (away * away));
-    }
-    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
-    if (total > 0.0f) {
-        const float mean = first / total;
-        const float square = (second / total) - (mean * mean);
-        if (WITHIN(mean, -1.0f, 1.0f) && WITHIN(square, -1.0f, 1.0f)) {
-            x->soc = clip(x->soc + mean, 0.0f, 1.0f);
-            x->soc_carry = 0.0f;
-            x->ss = at_least(square, 0.0f) + RESTART_ROUNDING;
-        }
-    }
-}
-#endif
-
-#if CELLWISE_WIDE
-/* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
- * Branches that have been followed may hold anything; under load the resistances may be what is
- * wrong, by as much as they are. */
-static NOINLINE void recover(const cellwise_model *m, const cellwise_place *place,
-                             cellwise_state *x, float seen, float voltage, float one_V2,
-    float polarisation_V)
-{
-    const cellwise_constants *const c = &m->constant;
-    float held_A = c->start_rest_A;
-    float limit_V = REST_LIMIT_V;
-    float variance = one_V2 + c->branch_variance_V2;
-    float kept1 = 0.0f;
-    float kept2 = 0.0f;
-#if CELLWISE_SLOW
-    float kept3 = 0.0f;
-#endif
-    if (x->evidence >= FIRST_VOLTAGE) {
-        held_A = c->recovery_A;
-        limit_V = LOAD_LIMIT_V;
-        kept1 = x->v1_V * x->v1_V;
-        kept2 = x->v2_V * x->v2_V;
-        variance = one_V2 + (polarisation_V * polarisation_V);
-        variance = variance + ((kept1 + x->p11) + (kept2 + x->p22));
-#if CELLWISE_SLOW
-        kept3 = x->v3_V * x->v3_V;
-        variance = variance + (kept3 + x->p33);
-#endif
-    }
-    search(m, place, x, seen, voltage, variance, held_A, limit_V);
-    cellwise_point p;
-    look_up(m, place, x->soc, seen, &p);
-    forget_correlations(x);
-    x->p11 = admitted(c->branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1;
-    x->p22 = admitted(c->branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2;
-#if CELLWISE_SLOW
-    x->p33 = admitted(c->branch_variance_V2, held_A * p.r3_ohm, limit_V) + kept3;
-#endif
-    x->evidence = FIRST_VOLTAGE;
-}
-#endif
-
-#if !CELLWISE_WIDE
-/* Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes. */
-static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                  float seen)
-{
-    x->ss = RECOVERY_VARIANCE;
-    x->evidence = FIRST_VOLTAGE;
-    guess_branches(c, x, p->r1_ohm, p->r2_ohm,
-#if CELLWISE_SLOW
-        p->r3_ohm,
-#endif
-        seen);
 }
 #endif
 
@@ -1614,8 +1474,140 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     return status;
 }
 
-/* ---- innovation.py: What a measured voltage means to the fixed step: prediction, gate,
- * recovery, weight. */
+/* ---- innovation.py: What a measured voltage means to the fixed step: prediction, weight, a SOC
+ * searched for it. */
+
+/* The voltage that the state gives at a point of the tables. */
+static float voltage_of(const cellwise_state *x, const cellwise_point *p, float drop)
+{
+    float voltage = p->ocv_V - (drop + (x->v1_V + x->v2_V));
+#if CELLWISE_SLOW
+    voltage = voltage - x->v3_V;
+#endif
+#if CELLWISE_HYSTERESIS
+    voltage = voltage + (p->m_V * x->h);
+#endif
+    return voltage;
+}
+
+#if CELLWISE_WIDE
+/* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
+ * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
+ * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
+ * meant. */
+static NOINLINE void search(const cellwise_model *m, const cellwise_place *place,
+                            cellwise_state *x, float seen, float voltage, float variance,
+    float held_A, float limit_V)
+{
+    const float before = 1.0f / at_least(x->ss, RECOVERY_VARIANCE);
+    const float most_V2 = limit_V * limit_V;
+    float least = LARGE;
+    float total = 0.0f;
+    float first = 0.0f;
+    float second = 0.0f;
+    cellwise_point p;
+    look_up(m, place, 0.0f, seen, &p);
+    const float low = voltage_of(x, &p, p.r0_ohm * seen);
+    look_up(m, place, 1.0f, seen, &p);
+    const float high = voltage_of(x, &p, p.r0_ohm * seen);
+    const float target = (low < high) ? clip(voltage, low, high) : clip(voltage, high, low);
+    for (uint32_t k = 0u; k < RESTART_POINTS; k++) {
+        const float away = ((float)k * RESTART_STEP) - x->soc;
+        look_up(m, place, (float)k * RESTART_STEP, seen, &p);
+        float held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm);
+#if CELLWISE_SLOW
+        held = held + (p.r3_ohm * p.r3_ohm);
+#endif
+        held = (held_A * held_A) * held;
+        float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
+#if CELLWISE_HYSTERESIS
+        about = about + ((p.m_V * p.m_V) * x->phh);
+#endif
+        const float off = target - voltage_of(x, &p, p.r0_ohm * seen);
+        const float cost = 0.5f * (((away * away) * before) + ((off * off) / about));
+        float weight = 1.0f / root(about);
+        if (cost < least) {
+            const float faded = vanishing(least - cost);
+            total = faded * total;
+            first = faded * first;
+            second = faded * second;
+            least = cost;
+        } else {
+            weight = vanishing(cost - least) * weight;
+        }
+        total = total + weight;
+        first = first + (weight * away);
+        second = second + (weight * (away * away));
+    }
+    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
+    if (total > 0.0f) {
+        const float mean = first / total;
+        const float square = (second / total) - (mean * mean);
+        if (WITHIN(mean, -1.0f, 1.0f) && WITHIN(square, -1.0f, 1.0f)) {
+            x->soc = clip(x->soc + mean, 0.0f, 1.0f);
+            x->soc_carry = 0.0f;
+            x->ss = at_least(square, 0.0f) + RESTART_ROUNDING;
+        }
+    }
+}
+#endif
+
+#if CELLWISE_WIDE
+/* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
+ * Branches that have been followed may hold anything; under load the resistances may be what is
+ * wrong, by as much as they are. */
+static NOINLINE void recover(const cellwise_model *m, const cellwise_place *place,
+                             cellwise_state *x, float seen, float voltage, float one_V2,
+    float polarisation_V)
+{
+    const cellwise_constants *const c = &m->constant;
+    float held_A = c->start_rest_A;
+    float limit_V = REST_LIMIT_V;
+    float variance = one_V2 + c->branch_variance_V2;
+    float kept1 = 0.0f;
+    float kept2 = 0.0f;
+#if CELLWISE_SLOW
+    float kept3 = 0.0f;
+#endif
+    if (x->evidence >= FIRST_VOLTAGE) {
+        held_A = c->recovery_A;
+        limit_V = LOAD_LIMIT_V;
+        kept1 = x->v1_V * x->v1_V;
+        kept2 = x->v2_V * x->v2_V;
+        variance = one_V2 + (polarisation_V * polarisation_V);
+        variance = variance + ((kept1 + x->p11) + (kept2 + x->p22));
+#if CELLWISE_SLOW
+        kept3 = x->v3_V * x->v3_V;
+        variance = variance + (kept3 + x->p33);
+#endif
+    }
+    search(m, place, x, seen, voltage, variance, held_A, limit_V);
+    cellwise_point p;
+    look_up(m, place, x->soc, seen, &p);
+    forget_correlations(x);
+    x->p11 = admitted(c->branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1;
+    x->p22 = admitted(c->branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2;
+#if CELLWISE_SLOW
+    x->p33 = admitted(c->branch_variance_V2, held_A * p.r3_ohm, limit_V) + kept3;
+#endif
+    x->evidence = FIRST_VOLTAGE;
+}
+#endif
+
+#if !CELLWISE_WIDE
+/* Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes. */
+static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                  float seen)
+{
+    x->ss = RECOVERY_VARIANCE;
+    x->evidence = FIRST_VOLTAGE;
+    guess_branches(c, x, p->r1_ohm, p->r2_ohm,
+#if CELLWISE_SLOW
+        p->r3_ohm,
+#endif
+        seen);
+}
+#endif
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
  * single innovation, `explained_V2` what the state and `one_V2` what the voltage brings to it;

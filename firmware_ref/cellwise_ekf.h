@@ -47,12 +47,7 @@
 /* One point of the SOC grid. A branch's lag is in time steps. */
 typedef struct {
     float ocv_V;
-#if CELLWISE_WIDE
     float error_V; /* slow error of the model's voltage */
-#endif
-#if !CELLWISE_WIDE
-    float noise_V2; /* variance of a voltage about a perfect state, at rest */
-#endif
     float r0_ohm;
     float r1_ohm;
     float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
@@ -79,6 +74,8 @@ typedef struct {
     float soc_per_A; /* SOC that 1 A takes in one step */
     float soc_walk; /* variance that SOC gains in one step */
     float current_variance_A2; /* of the current sensor */
+    float fixed_V2; /* of the voltage sensor */
+    float ocv_soc2; /* of the OCV along the SOC axis */
     float lost_A2; /* variance of a current that nobody measured */
     float share_variance; /* of the resistances on discharge, relative, */
     float charge_variance; /* and on charge */
@@ -108,8 +105,6 @@ typedef struct {
 #endif
 #if CELLWISE_WIDE
     float flat_slope_V; /* below it the OCV is flat for its kind */
-    float fixed_V2; /* variance of the voltage sensor */
-    float ocv_soc2; /* variance of the OCV along the SOC axis */
     float recovery_A; /* what branches may hold after a lock-out */
 #endif
 #if CELLWISE_EFFICIENCY

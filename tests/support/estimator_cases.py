@@ -31,7 +31,7 @@ from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, LAST_A
+from cellwise.estimate.lockstep.block_kernels import FIELDS, LANES, LAST_A
 from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog

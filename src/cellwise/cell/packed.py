@@ -1,20 +1,22 @@
-"""Records of floats as one row of numbers, and back: how they cross from Python to a kernel.
+"""Records of floats number by number: in a row, in a lane of many, with one of them changed.
 
-A record lies in memory as its numbers in order, nested ones in their place. Handed over as a record
-numba takes it apart number by number, which takes far longer than the step that uses it.
+A record lies in memory as its numbers in order, nested ones in their place. Handed over from Python
+as a record numba takes it apart number by number, and takes far longer than the step that uses it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, get_type_hints
+from typing import Any, Protocol, TypeVar, get_type_hints
 
 import numpy as np
-from numba import types
+from numba import config, types
 from numba.extending import intrinsic
 
 from cellwise.typing import FloatArray
+
+Record = TypeVar("Record")
 
 
 @lru_cache(maxsize=64)
@@ -37,6 +39,15 @@ def numbers_of(record: Any) -> Iterator[float]:
             yield from numbers_of(value)
         else:
             yield value
+
+
+def place_of(kind: type, path: str) -> int:
+    """Which of a record's numbers a field is: ``"watch.evidence_s"``."""
+    name, _, rest = path.partition(".")
+    names: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
+    at = names.index(name)
+    before = sum(map(size_of, fields_of(kind)[:at]))
+    return before + (place_of(fields_of(kind)[at], rest) if rest else 0)
 
 
 def row_of(*records: Any) -> FloatArray:
@@ -74,9 +85,85 @@ def _put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
     return types.none(row, types.intp, record), build
 
 
-# Typed by numba alone: (kind, row, at) -> record, and (row, at, record).
+def _places(kind: type, path: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]:
+    """Where each number of a record is within records."""
+    if kind is float:
+        yield path
+    else:
+        for at, field in enumerate(fields_of(kind)):
+            yield from _places(field, (*path, at))
+
+
+def _lane_record(typing: Any, kind: Any, block: Any, lane: Any, lanes: Any) -> Any:
+    """The record in one of ``lanes`` lanes side by side, number by number; compiled code only."""
+    record = _type_of(kind.instance_class)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = context.get_constant_undef(record)
+        at = _lane(context, builder, signature, arguments, 1)
+        for path in _places(kind.instance_class):
+            value = builder.insert_value(value, builder.load(next(at)), path)
+        return value
+
+    return record(kind, block, types.intp, types.intp), build
+
+
+def _put_lane_record(typing: Any, block: Any, lane: Any, lanes: Any, record: Any, puts: Any) -> Any:
+    """A record into its lane, or none: without a branch; compiled code only."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        at = _lane(context, builder, signature, arguments, 0)
+        for path in _places(record.instance_class):
+            place = next(at)
+            new = builder.extract_value(arguments[3], path)
+            builder.store(builder.select(arguments[4], new, builder.load(place)), place)
+        return context.get_dummy_value()
+
+    return types.none(block, types.intp, types.intp, record, types.boolean), build
+
+
+def _lane(context: Any, builder: Any, signature: Any, arguments: Any, block: int) -> Iterator[Any]:
+    """Pointers to the numbers of one lane, in order."""
+    array = context.make_array(signature.args[block])(context, builder, arguments[block])
+    at, lanes = arguments[block + 1], arguments[block + 2]
+    while True:
+        yield builder.gep(array.data, [at])
+        at = builder.add(at, lanes)
+
+
+def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
+    """A record with another value of one field, by its name."""
+    at = record.fields.index(name.literal_value)
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.insert_value(arguments[0], arguments[2], at)
+
+    return record(record, name, record.types[at]), build
+
+
+def replaced(record: Record, name: str, value: Any) -> Record:
+    """The same without compilation, to go through a step line by line."""
+    after: Record = record._replace(**{name: value})  # type: ignore[attr-defined]
+    return after
+
+
+class Changed(Protocol):
+    """What both are to a type checker."""
+
+    def __call__(self, record: Record, name: str, value: Any) -> Record:
+        """A record with another value of one field."""
+        ...
+
+
+compiled: Any = intrinsic(prefer_literal=True)(_changed)
+jit_is_off = config.DISABLE_JIT  # type: ignore[attr-defined]
+changed: Changed = replaced if jit_is_off else compiled
+# Typed by numba alone: (kind, row, at) -> record and (row, at, record); (kind, block, lane, lanes)
+# -> record and (block, lane, lanes, record, puts).
 record_at: Any = intrinsic(_record_at)
 put_record: Any = intrinsic(_put_record)
+lane_record: Any = intrinsic(_lane_record)
+put_lane_record: Any = intrinsic(_put_lane_record)
 
 
 def _place(

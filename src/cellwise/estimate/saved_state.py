@@ -26,13 +26,21 @@ COUNTS = {
     "lasting": "persistent",
     "contradicted": "contradicted",
 }
-# Not in files of versions before it was carried; a cell at rest has none.
-NEWER = {"slow_A": 0.0, "contradicted": 0.0}
-
-NEWER_PAST = {"looked_A": 0.0}
-NEWER_DRIFT = {"rest_s": 0.0, "rest_A": 0.0}
-NEWER_WATCH = {"no_warm_s": -1.0}
-GONE = ("room_up", "room_down", "fresh")  # in files of versions that carried them
+PARTS = {
+    "state": (*CellState._fields, *Covariance._fields, *COUNTS),
+    "drift": Drift._fields,
+    "past": Past._fields,
+    "watch": Watch._fields,
+}
+# Not in files of versions before it was carried,
+NEWER: dict[str, dict[str, float]] = {
+    "state": {"slow_A": 0.0, "contradicted": 0.0},
+    "drift": no_drift()._asdict(),
+    "past": no_past()._asdict(),
+    "watch": {"no_warm_s": -1.0},
+}
+# and in files of versions that carried it.
+GONE = ("room_up", "room_down", "fresh")
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -42,15 +50,17 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
     After a restart pass ``gap=True`` and the time that has passed as ``dt_s`` with the first
     sample: nobody knows what has flowed meanwhile.
     """
-    values = {**state.cell._asdict(), **state.p._asdict()}
-    values |= {name: getattr(state, field) for name, field in COUNTS.items()}
+    counts = {name: getattr(state, field) for name, field in COUNTS.items()}
+    parts = {
+        "state": {**state.cell._asdict(), **state.p._asdict(), **counts},
+        "drift": state.drift._asdict(),
+        "past": state.past._asdict(),
+        "watch": state.watch._asdict(),
+    }
     return {
         "schema_version": SCHEMA_VERSION,
         "estimator": estimator,
-        "state": {name: _to_json(float(value)) for name, value in values.items()},
-        "drift": {k: _to_json(float(v)) for k, v in state.drift._asdict().items()},
-        "past": {k: float(v) for k, v in state.past._asdict().items()},
-        "watch": {k: _to_json(float(v)) for k, v in state.watch._asdict().items()},
+        **{part: {k: _to_json(float(v)) for k, v in of.items()} for part, of in parts.items()},
     }
 
 
@@ -68,30 +78,15 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             f"version {SCHEMA_VERSION} of '{estimator}'",
             "Start again with init() where there is no such state.",
         )
-    seen = saved.get("watch")
-    if isinstance(seen, Mapping):
-        seen = {**NEWER_WATCH, **{k: v for k, v in seen.items() if k not in GONE}}
-    watch = Watch(**_numbers(seen, Watch._fields))
-    before = saved.get("past", no_past()._asdict())
-    if isinstance(before, Mapping):
-        before = {**NEWER_PAST, **before}
-    past = Past(**_numbers(before, Past._fields))
-    moved = saved.get("drift", no_drift()._asdict())
-    if isinstance(moved, Mapping):
-        moved = {**NEWER_DRIFT, **moved}
-    drift = Drift(**_numbers(moved, Drift._fields))
-    names = (*CellState._fields, *Covariance._fields, *COUNTS)
-    given = saved.get("state")
-    if isinstance(given, Mapping):
-        given = {**NEWER, **given}
-    values = _numbers(given, names)
+    values = {part: _numbers(part, saved.get(part, {})) for part in PARTS}
+    state = values["state"]
     return EkfState(
-        CellState(**{name: values[name] for name in CellState._fields}),
-        Covariance(**{name: values[name] for name in Covariance._fields}),
-        **{field: values[name] for name, field in COUNTS.items()},
-        drift=drift,
-        watch=watch,
-        past=past,
+        CellState(**{name: state[name] for name in CellState._fields}),
+        Covariance(**{name: state[name] for name in Covariance._fields}),
+        **{field: state[name] for name, field in COUNTS.items()},
+        drift=Drift(**values["drift"]),
+        watch=Watch(**values["watch"]),
+        past=Past(**values["past"]),
     )
 
 
@@ -120,14 +115,16 @@ def _to_json(value: float) -> float | str | None:
     return value if math.isfinite(value) else str(value)
 
 
-def _numbers(values: Any, names: tuple[str, ...]) -> dict[str, float]:
-    if not isinstance(values, Mapping) or set(values) != set(names):
+def _numbers(part: str, values: Any) -> dict[str, float]:
+    if isinstance(values, Mapping):
+        values = NEWER[part] | {k: v for k, v in values.items() if k not in GONE}
+    if not isinstance(values, Mapping) or set(values) != set(PARTS[part]):
         raise InputError(
             f"a saved state with {sorted(values) if isinstance(values, Mapping) else values}",
-            f"the fields {', '.join(names)}",
+            f"the fields {', '.join(PARTS[part])}",
             "Start again with init().",
         )
-    return {name: _number(name, values[name]) for name in names}
+    return {name: _number(name, values[name]) for name in PARTS[part]}
 
 
 def _number(name: str, value: Any) -> float:

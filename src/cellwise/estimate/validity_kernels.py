@@ -19,6 +19,7 @@ import numpy as np
 from cellwise.cell.compiled import inline
 from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.equations.temperature import ZERO_CELSIUS_K
+from cellwise.cell.packed import changed
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import model_temperature_C
@@ -137,10 +138,4 @@ def widened(point: CellPoint, extrapolation_V: float) -> CellPoint:
     """A point with more of the slow error."""
     slow = point.error_V
     error = (slow * slow + extrapolation_V * extrapolation_V) ** 0.5
-    # fmt: off
-    return CellPoint(
-        point.ocv_V, point.ocv_slope_V, point.r0_ohm, point.r1_ohm, point.tau1_s, point.r2_ohm,
-        point.tau2_s, point.r3_ohm, point.tau3_s, point.m_V, error, point.entropy_V,
-        point.entropy_slope_V,
-    )
-    # fmt: on
+    return changed(point, "error_V", error)

@@ -6,21 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cellwise.printing.c.firmware import print_header, print_source
-from cellwise.printing.covariance import covariance_text
 from cellwise.printing.derivatives import derivatives_text, part_derivatives_text
 from cellwise.printing.formulas import theory_text
-from cellwise.printing.lanes import lanes_text
 from cellwise.printing.text import formatted
 
 # The repository's root: files are named from there.
 SOURCE = Path(__file__).resolve().parents[3]
-FILTERS = "src/cellwise/estimate/filters"
 
 PRINTED: dict[str, Callable[[], str]] = {
     "src/cellwise/cell/derivative_kernels.py": derivatives_text,
     "src/cellwise/identify/refinement/derivative_kernels.py": part_derivatives_text,
-    f"{FILTERS}/covariance_kernels.py": covariance_text,
-    "src/cellwise/estimate/lockstep/lane_kernels.py": lanes_text,
     "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
     "firmware_ref/cellwise_ekf.h": print_header,
     "firmware_ref/cellwise_ekf.c": print_source,

@@ -58,7 +58,7 @@ def test_noise_of_the_current_drives_soc_and_branches_together():
     g[:4] = T.gs, T.g1, T.g2, T.g3
     want = p + 0.5 * np.outer(g, g)
     want[np.diag_indices(4)] += 0.1, 0.2, 0.3, 0.4
-    found = five.branches_noisy(five.noisy(record(p), T, 0.5, 0.5, 0.1), 0.2, 0.3, 0.4)
+    found = five.noisy(record(p), T, 0.5, 0.5, 0.1, 0.2, 0.3, 0.4)
     np.testing.assert_allclose(matrix(found), want, rtol=1e-12)
 
 

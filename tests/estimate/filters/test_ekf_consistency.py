@@ -1,6 +1,6 @@
 """The filter is as wrong as it says: data drawn with the very noise that it assumes.
 
-No error of the data stays for good, so the filter is told of none (``test_lasting_error.py``).
+No error of the data stays for good, so the filter is told of none (``test_persistent_error.py``).
 """
 
 from __future__ import annotations

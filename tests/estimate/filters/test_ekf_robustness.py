@@ -16,7 +16,7 @@ from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell, lfp_cell, linear_cell, random_log, random_model
+from example_cells import curved_cell, lfp_cell, linear_cell, random_model
 
 CURVED = curved_cell()
 
@@ -320,9 +320,9 @@ def random_walk(ekf, model, steps, seed):
 @pytest.mark.parametrize(
     ("model", "steps"),
     [
-        (random_model(np.random.default_rng(1)), 40_000),
-        (lfp_cell().with_effect(Hysteresis(0.03, 200.0)), 30_000),
-        (CURVED, 30_000),
+        (random_model(np.random.default_rng(1)), 8_000),
+        (lfp_cell().with_effect(Hysteresis(0.03, 200.0)), 8_000),
+        (CURVED, 8_000),
     ],
     ids=["every effect", "flat with hysteresis", "plain"],
 )
@@ -408,16 +408,3 @@ def test_a_log_of_any_rate_ends_with_about_the_same_certainty():
     fine = replace(fine, voltage_V=simulate(CURVED, fine, 0.8).voltage_V)
     a, b = (Ekf(CURVED, noise).run(x, 0.8, 0.1).soc_std[-1] for x in (log, fine))
     assert b == pytest.approx(a, rel=0.03)
-
-
-def test_random_logs_leave_nothing_but_finite_numbers():
-    rng = np.random.default_rng(7)
-    for _ in range(10):
-        model = random_model(rng, temperatures=int(rng.integers(1, 4)))
-        log = random_log(rng, 1000, scale_A=5 * model.capacity_Ah, jitter=0.9,
-                         temperature_C=(-40.0, 70.0))  # fmt: skip
-        log = replace(log, voltage_V=rng.normal(3.7, 1.0, 1000))
-        trace = Ekf(model).run(log, float(rng.uniform(0, 1)))
-        for values in (trace.soc, trace.soc_std, trace.voltage_V, trace.innovation_variance_V2):
-            assert np.all(np.isfinite(values))
-        assert np.all((trace.soc >= 0) & (trace.soc <= 1))

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import CellState, CellTables
-from cellwise.estimate.adaptive.resistance_kernels import Resistances, no_resistances
 from cellwise.estimate.filters.covariance_kernels import Covariance
 from cellwise.estimate.filters.filter_state import (
     OUTPUTS,
@@ -18,7 +17,14 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.free_kernels import Capacity, Free, FreeRules, no_capacity
+from cellwise.estimate.filters.free_kernels import (
+    Capacity,
+    Free,
+    FreeRules,
+    Resistances,
+    no_capacity,
+    no_resistances,
+)
 from cellwise.estimate.filters.kalman_kernels import put_info, reading_of
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars

@@ -9,8 +9,7 @@ from enum import IntFlag
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.resistance_kernels import ResistanceRules
-from cellwise.estimate.filters.free_kernels import FreeRules
+from cellwise.estimate.filters.free_kernels import FreeRules, ResistanceRules
 from cellwise.estimate.status import (
     CLAMPED,
     CURRENT_INVALID,

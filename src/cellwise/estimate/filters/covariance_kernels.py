@@ -1,6 +1,7 @@
-"""Covariance of the filters over SOC, branches and hysteresis.
+"""Covariance of the filters over SOC, branches and hysteresis: its upper triangle, as scalars.
 
-Printed from :mod:`cellwise.cell.description` by `python -m cellwise.printing`; do not edit.
+Written by hand, entry by entry: in arrays a step takes half as long again. A test holds each
+function against the matrices that its first line names.
 """
 
 from __future__ import annotations
@@ -72,66 +73,31 @@ def decayed(p: Covariance, t: Transition) -> Covariance:
 
 
 @inline
-def branches_noisy(p: Covariance, w1: float, w2: float, w3: float) -> Covariance:
-    """What each branch gains by itself."""
-    return Covariance(
-        p.ss,
-        p.s1,
-        p.s2,
-        p.s3,
-        p.sh,
-        p.p11 + w1,
-        p.p12,
-        p.p13,
-        p.p1h,
-        p.p22 + w2,
-        p.p23,
-        p.p2h,
-        p.p33 + w3,
-        p.p3h,
-        p.phh,
-    )
-
-
-@inline
-def noisy(p: Covariance, t: Transition, soc_A2: float, branch_A2: float, ws: float) -> Covariance:
-    """A current of unknown size drives what it drives; ws is what SOC gains alone."""
+def noisy(
+    p: Covariance,
+    t: Transition,
+    soc_A2: float,
+    branch_A2: float,
+    ws: float,
+    w1: float,
+    w2: float,
+    w3: float,
+) -> Covariance:
+    """A current of unknown size drives what it drives; the w are what a state gains alone."""
     return Covariance(
         p.ss + (soc_A2 * t.gs * t.gs + ws),
         p.s1 + soc_A2 * t.gs * t.g1,
         p.s2 + soc_A2 * t.gs * t.g2,
         p.s3 + soc_A2 * t.gs * t.g3,
         p.sh,
-        p.p11 + branch_A2 * t.g1 * t.g1,
+        p.p11 + (branch_A2 * t.g1 * t.g1 + w1),
         p.p12 + branch_A2 * t.g1 * t.g2,
         p.p13 + branch_A2 * t.g1 * t.g3,
         p.p1h,
-        p.p22 + branch_A2 * t.g2 * t.g2,
+        p.p22 + (branch_A2 * t.g2 * t.g2 + w2),
         p.p23 + branch_A2 * t.g2 * t.g3,
         p.p2h,
-        p.p33 + branch_A2 * t.g3 * t.g3,
-        p.p3h,
-        p.phh,
-    )
-
-
-@inline
-def with_soc_variance(p: Covariance, ss: float) -> Covariance:
-    """The same with another variance of SOC."""
-    return Covariance(
-        ss,
-        p.s1,
-        p.s2,
-        p.s3,
-        p.sh,
-        p.p11,
-        p.p12,
-        p.p13,
-        p.p1h,
-        p.p22,
-        p.p23,
-        p.p2h,
-        p.p33,
+        p.p33 + (branch_A2 * t.g3 * t.g3 + w3),
         p.p3h,
         p.phh,
     )

@@ -9,6 +9,7 @@ score h that the voltages have brought,
 .. math:: p(y | F) / p(y | \emptyset) = |L_F|^{-1/2} \exp\left(\tfrac12 h_F^T L_F^{-1} h_F\right)
 
 for the numbers F that are free (Savage-Dickey ratio: Dickey 1971, doi:10.1214/aoms/1177693507).
+Resistances are factors on the model's, by what moves with the load within minutes.
 """
 
 from __future__ import annotations
@@ -17,21 +18,142 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.estimate.adaptive.resistance_kernels import (
-    ResistanceRules,
-    Resistances,
-    no_resistances,
-    wandered,
-    watch_resistances,
-)
 from cellwise.estimate.evidence_kernels import Verdict
 from cellwise.estimate.filters.drift_kernels import PER_FREEDOM, Drift
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.status import CURRENT_INVALID
 
+SCALE_LOW, SCALE_HIGH = 0.2, 5.0  # of a resistance
+LONGER = 10.0  # mean squares are taken over this many times the means
 LARGEST_SQUARE = 1e6  # beyond it nothing is uncertain, and a sixteenth power no number
+
+
+class Resistances(NamedTuple):
+    """Factors on R0, R1 (``fast``) and R2 (``tail``), and the means they are estimated from.
+
+    ``drop`` and ``miss`` are running means of the fast part of the polarisation and of the
+    innovation, ``near`` and ``far`` those of the tail over the shorter and the longer time; the
+    others mean squares of what moves within each band.
+    """
+
+    fast: float
+    fast_variance: float
+    tail: float
+    tail_variance: float
+    drop_V: float
+    miss_V: float
+    drop_V2: float
+    miss_V2: float
+    near_V: float
+    far_V: float
+    miss_far_V: float
+    tail_V2: float
+    miss_far_V2: float
+
+
+class ResistanceRules(NamedTuple):
+    """What is known of the factors before any data, and how the load has to move to show them.
+
+    ``variance`` beforehand, 0 where they are not estimated, ``wander`` per second; held while the
+    mean square of what moves is below ``swing_V2``; what moves within ``fast_s`` shows R0 and R1,
+    up to ``tail_s`` R2.
+    """
+
+    variance: float
+    wander: float
+    swing_V2: float
+    fast_s: float
+    tail_s: float
+
+
+@inline
+def no_resistances(variance: float) -> Resistances:
+    """The model's own, known to a variance."""
+    none = 0.0
+    # fmt: off
+    return Resistances(
+        1.0, variance, 1.0, variance, none, none, none, none, none, none, none, none, none
+    )
+    # fmt: on
+
+
+@inline
+def least_squares(
+    factor: float, variance: float, drive_V: float, miss_V: float, noise_V2: float
+) -> tuple[float, float]:
+    """One step of recursive least squares for a factor on what the load drives."""
+    k = variance * drive_V / (drive_V * drive_V * variance + noise_V2)
+    moved = min(max(factor - k * miss_V, SCALE_LOW), SCALE_HIGH)
+    return moved, variance - k * drive_V * variance
+
+
+@inline
+def watch_resistances(
+    r: Resistances,
+    rules: ResistanceRules,
+    drop_V: float,
+    tail_V: float,
+    innovation_V: float,
+    white_V2: float,
+    dt_s: float,
+    hold: bool,
+) -> Resistances:
+    """Factors on R0, R1 and on R2 by recursive least squares, where the load moves enough.
+
+    ``drop_V`` is R0 I + v1, ``tail_V`` is v2, both without their factor. The first is judged
+    by what moves within ``fast_s``, the second by what moves between that and ``tail_s``: no error
+    of an OCV is that fast. The noise is what the innovations show in the same band, one piece of
+    evidence in twice the band's time.
+    """
+    near = min(dt_s / rules.fast_s, 1.0)
+    drop_mean = r.drop_V + near * (drop_V - r.drop_V)
+    left_V = innovation_V + (r.fast - 1.0) * drop_V  # with the factor, which the voltage has not
+    miss_mean = r.miss_V + near * (left_V - r.miss_V)
+    near_mean = r.near_V + near * (tail_V - r.near_V)
+    drop = drop_V - drop_mean
+    miss = left_V - miss_mean
+    share = near / LONGER
+    drop2 = r.drop_V2 + share * (drop * drop - r.drop_V2)
+    miss2 = r.miss_V2 + share * (miss * miss - r.miss_V2)
+    moves = drop2 >= rules.swing_V2
+    fast, fast_variance = r.fast, r.fast_variance
+    if moves and not hold and dt_s > 0.0:
+        noise = max(miss2, white_V2) * max(2.0 * rules.fast_s / dt_s, 1.0)
+        fast, fast_variance = least_squares(fast, fast_variance, drop, miss, noise)
+
+    far = min(dt_s / rules.tail_s, 1.0)
+    far_mean = r.far_V + far * (near_mean - r.far_V)
+    miss_far = r.miss_far_V + far * (miss_mean - r.miss_far_V)
+    lag = near_mean - far_mean
+    miss = miss_mean - miss_far
+    share = far * 3.0 / LONGER
+    tail2 = r.tail_V2 + share * (lag * lag - r.tail_V2)
+    far2 = r.miss_far_V2 + share * (miss * miss - r.miss_far_V2)
+    tail, tail_variance = r.tail, r.tail_variance
+    if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
+        noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
+        own = miss + (tail - 1.0) * lag
+        tail, tail_variance = least_squares(tail, tail_variance, lag, own, noise)
+    # fmt: off
+    return Resistances(
+        fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,
+        near_mean, far_mean, miss_far, tail2, far2,
+    )
+    # fmt: on
+
+
+@inline
+def wandered(r: Resistances, rules: ResistanceRules, dt_s: float) -> Resistances:
+    """Uncertainty of the resistances comes back, up to what it was before any data."""
+    fast, tail = r.fast_variance, r.tail_variance
+    if fast < rules.variance:
+        fast += rules.wander * dt_s
+    if tail < rules.variance:
+        tail += rules.wander * dt_s
+    return changed(changed(r, "fast_variance", fast), "tail_variance", tail)
 
 
 class Capacity(NamedTuple):
@@ -99,13 +221,8 @@ def soc_found(free: Free | None) -> Free | None:
     """After a SOC that was searched for: what was counted is over, what is known stays."""
     if free is None:
         return None
-    c = free.capacity
-    # fmt: off
-    c = Capacity(
-        0.0, c.score, c.information, 0.0, c.believed, c.unsure, 0.0, c.chance, c.offset_chance
-    )
-    # fmt: on
-    return Free(c, free.resistances)
+    c = changed(changed(free.capacity, "reach", 0.0), "cross", 0.0)
+    return Free(changed(c, "shared", 0.0), free.resistances)
 
 
 @inline
@@ -117,20 +234,11 @@ def forgotten(c: Capacity, d: Drift, rules: FreeRules, dt_s: float) -> tuple[Cap
     """
     faster = max(c.information * rules.capacity_wander, d.information * rules.offset_wander)
     keep = max(1.0 - faster * dt_s, 0.0)
-    less = 1.0 + keep * (c.information - 1.0)
-    # fmt: off
-    c = Capacity(
-        c.reach, keep * c.score, less, keep * c.cross, c.believed, c.unsure, c.shared, c.chance,
-        c.offset_chance,
-    )
-    # fmt: on
+    c = changed(changed(c, "score", keep * c.score), "cross", keep * c.cross)
+    c = changed(c, "information", 1.0 + keep * (c.information - 1.0))
     less = 1.0 + keep * (d.information - 1.0)
-    offset = keep * d.offset * (d.information / less)
-    # fmt: off
-    return c, Drift(
-        d.reach, offset, less, d.believed, d.unsure, d.d1_V, d.d2_V, d.d3_V, d.rest_s, d.rest_A
-    )
-    # fmt: on
+    d = changed(d, "offset", keep * d.offset * (d.information / less))
+    return c, changed(d, "information", less)
 
 
 @inline
@@ -165,13 +273,8 @@ def weighed(c: Capacity, d: Drift, rules: FreeRules) -> tuple[Capacity, Drift]:
     unsure1 = (w1 * (1.0 / l1 + one * one) + both * (l2 / det + b * b)) - mean1 * mean1
     unsure2 = (w2 * (1.0 / l2 + two * two) + both * (l1 / det + q * q)) - mean2 * mean2
     shared = both * (b * q - x / det) - mean1 * mean2
-    # fmt: off
-    return Capacity(
-        c.reach, c.score, l2, x, mean2, unsure2, shared, w2 + both, w1 + both
-    ), Drift(
-        d.reach, one, l1, mean1, unsure1, d.d1_V, d.d2_V, d.d3_V, d.rest_s, d.rest_A
-    )
-    # fmt: on
+    d = changed(changed(d, "believed", mean1), "unsure", unsure1)
+    return Capacity(c.reach, c.score, l2, x, mean2, unsure2, shared, w2 + both, w1 + both), d
 
 
 @inline
@@ -193,12 +296,7 @@ def counted_capacity(
         return None, drift
     c, d = forgotten(free.capacity, drift, rules, dt_s)
     per_A = gs * (1.0 if counted_A > 0.0 else cell.charge_efficiency)
-    # fmt: off
-    c = Capacity(
-        c.reach + rules.capacity * per_A * counted_A, c.score, c.information, c.cross, c.believed,
-        c.unsure, c.shared, c.chance, c.offset_chance,
-    )
-    # fmt: on
+    c = changed(c, "reach", c.reach + rules.capacity * per_A * counted_A)
     return Free(c, wandered(free.resistances, rules.resistances, dt_s)), d
 
 
@@ -225,12 +323,10 @@ def informed_capacity(
     c = free.capacity
     seen = slope_V * c.reach
     read = informs * seen if soc_variance <= rules.settled_variance else 0.0
-    # fmt: off
-    c = Capacity(
-        c.reach - gain * seen, c.score + read * own_V, c.information + read * seen,
-        c.cross + read * of_offset_V, c.believed, c.unsure, c.shared, c.chance, c.offset_chance,
-    )
-    # fmt: on
+    c = changed(c, "score", c.score + read * own_V)
+    c = changed(c, "information", c.information + read * seen)
+    c = changed(c, "cross", c.cross + read * of_offset_V)
+    c = changed(c, "reach", c.reach - gain * seen)
     c, drift = weighed(c, drift, rules)
     return Free(c, free.resistances), drift
 

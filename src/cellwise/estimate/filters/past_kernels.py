@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
+from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import Column, Covariance, moved, scaled
@@ -111,7 +112,7 @@ def having_looked(past: Past, since_s: float) -> Past:
     """After a look, or a reconsideration, at the mean current so far."""
     if looked_for_long(since_s):
         return no_past()
-    return Past(past.mean_A, past.mean_A, past.miss_V, past.first_soc, past.first_variance)
+    return changed(past, "looked_A", past.mean_A)
 
 
 @inline

@@ -15,15 +15,14 @@ from cellwise.cell.equations import (
     states_step,
     transition,
 )
+from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
-    branches_noisy,
     decayed,
     driven_by_soc,
     noisy,
-    with_soc_variance,
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import start_branch
@@ -91,35 +90,31 @@ def over_interval(
 
 
 @inline
-def with_branch_noise(p: Covariance, noise: NoiseScalars, s: Sample, now: Interval) -> Covariance:
-    """What the branches gain because their resistances, or a current, are uncertain.
+def with_noise(
+    p: Covariance, noise: NoiseScalars, s: Sample, now: Interval, no_voltage_s: float
+) -> Covariance:
+    """What an interval adds: by the current sensor, a gap, the resistances, SOC's own wandering.
 
     A resistance that is off by a share drives its branch like a current that is off by it, and so
-    does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval.
+    does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval. A
+    constant offset of the current is a hypothesis of its own, as long as voltages judge it.
     """
     point, t = now.point, now.t
+    lost = no_voltage_s > noise.hold_s
+    per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
+    q = noise.current_A * noise.current_A
     share = share_at(noise, s.flow_A) * s.flow_A
     share = share * share + s.lost_A * s.lost_A
-    return branches_noisy(
+    return noisy(
         p,
+        t,
+        q,
+        q + s.gap_A2,
+        per_sqrt_s * per_sqrt_s * s.dt_s,
         share * point.r1_ohm * point.r1_ohm * (1.0 - t.a1 * t.a1),
         share * point.r2_ohm * point.r2_ohm * (1.0 - t.a2 * t.a2),
         share * point.r3_ohm * point.r3_ohm * (1.0 - t.a3 * t.a3),
     )
-
-
-@inline
-def with_current_noise(
-    p: Covariance, noise: NoiseScalars, s: Sample, t: Transition, no_voltage_s: float
-) -> Covariance:
-    """The current sensor's noise, what may have flowed in a gap, and the SOC's own wandering.
-
-    A constant offset of the current is a hypothesis of its own, as long as voltages judge it.
-    """
-    lost = no_voltage_s > noise.hold_s
-    per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
-    q = noise.current_A * noise.current_A
-    return noisy(p, t, q, q + s.gap_A2, per_sqrt_s * per_sqrt_s * s.dt_s)
 
 
 @inline
@@ -154,9 +149,8 @@ def by_tangents(
 ) -> tuple[CellState, Covariance, Slopes]:
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     t, end, point = now.t, now.end, now.point
-    p = with_branch_noise(decayed(p, t), noise, s, now)
     ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
-    p = with_soc_variance(p, ss)
+    p = changed(decayed(p, t), "ss", ss)
     at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
@@ -166,4 +160,4 @@ def by_tangents(
             at.r2_ohm * (1.0 - t.a2) * s.flow_A,
             at.r3_ohm * (1.0 - t.a3) * s.flow_A,
         )
-    return end, with_current_noise(p, noise, s, t, no_voltage_s), at
+    return end, with_noise(p, noise, s, now, no_voltage_s), at

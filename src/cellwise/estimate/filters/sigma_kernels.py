@@ -33,8 +33,7 @@ from cellwise.estimate.filters.predict_kernels import (
     Interval,
     drifted,
     unseen_variance,
-    with_branch_noise,
-    with_current_noise,
+    with_noise,
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
@@ -122,8 +121,7 @@ def by_points(
     p = decayed(without_outer(p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, e1, e2, e3, 0.0))
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
-    p = with_branch_noise(p, noise, s, now)
-    p = with_current_noise(p, noise, s, t, no_voltage_s)
+    p = with_noise(p, noise, s, now, no_voltage_s)
     slope = point.ocv_slope_V
     at = Slopes(slope, 0.0, slope, root if wide else 0.0, 0.0, 0.0, 0.0)
     return CellState(x.soc, v1, v2, v3, x.h, x.heat_K, x.slow_A), p, at

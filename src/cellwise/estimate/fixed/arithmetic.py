@@ -6,7 +6,7 @@ conversion written out. What names a type here is C's type there.
 
 State x = [soc, v1, v2, v3, h, offset]; ``m`` is the model, ``c`` its constants, ``x`` the state,
 ``p`` the tables at one SOC, ``w`` slopes over SOC, ``d`` the column P H': see ``layout``. Order:
-lookup, covariance, state, predict, search, gain, innovation, sensing, step, rows.
+lookup, covariance, state, sensing, innovation, step, rows.
 """
 
 from __future__ import annotations

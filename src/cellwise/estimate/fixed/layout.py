@@ -41,8 +41,7 @@ class Model(NamedTuple):
 
 ROW = (
     Field("ocv_V"),
-    Field("error_V", "slow error of the model's voltage", "WIDE"),
-    Field("noise_V2", "variance of a voltage about a perfect state, at rest", "not WIDE"),
+    Field("error_V", "slow error of the model's voltage"),
     Field("r0_ohm"),
     Field("r1_ohm"),
     Field("lag1", "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"),
@@ -60,6 +59,8 @@ CONSTANTS = (
     Field("soc_per_A", "SOC that 1 A takes in one step"),
     Field("soc_walk", "variance that SOC gains in one step"),
     Field("current_variance_A2", "of the current sensor"),
+    Field("fixed_V2", "of the voltage sensor"),
+    Field("ocv_soc2", "of the OCV along the SOC axis"),
     Field("lost_A2", "variance of a current that nobody measured"),
     Field("share_variance", "of the resistances on discharge, relative,"),
     Field("charge_variance", "and on charge"),
@@ -84,8 +85,6 @@ CONSTANTS = (
     Field("frozen_V", "how far a voltage must have moved to be called frozen", "WATCH"),
     Field("lost_walk", "variance that SOC gains in one step without a current", "not WATCH"),
     Field("flat_slope_V", "below it the OCV is flat for its kind", "WIDE"),
-    Field("fixed_V2", "variance of the voltage sensor", "WIDE"),
-    Field("ocv_soc2", "variance of the OCV along the SOC axis", "WIDE"),
     Field("recovery_A", "what branches may hold after a lock-out", "WIDE"),
     Field("charge_efficiency", "", "EFFICIENCY"),
     Field("leak_soc", "SOC that self-discharge takes in one step", "LEAK"),

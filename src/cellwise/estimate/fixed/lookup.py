@@ -51,7 +51,7 @@ from cellwise.estimate.fixed.options import (
 )
 
 # Columns of the table: as the options have them once a step is compiled, by name in C.
-OCV_V = ERROR_V = NOISE_V2 = R0_OHM = R1_OHM = LAG1 = R2_OHM = LAG2 = R3_OHM = LAG3 = M_V = 0
+OCV_V = ERROR_V = R0_OHM = R1_OHM = LAG1 = R2_OHM = LAG2 = R3_OHM = LAG3 = M_V = 0
 
 
 class Place(NamedTuple):
@@ -213,12 +213,9 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         g = f
     ocv_V = read(m, place, k, OCV_V, f)
     slope_V = rise(m, place, k, OCV_V) * F(points - 1)
-    if WIDE:
-        noise_V2 = read(m, place, k, ERROR_V, g)
-        noise_V2 = m.constant.fixed_V2 + (noise_V2 * noise_V2)
-        noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
-    else:
-        noise_V2 = read(m, place, k, NOISE_V2, g)
+    error_V = read(m, place, k, ERROR_V, g)
+    noise_V2 = m.constant.fixed_V2 + (error_V * error_V)
+    noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
     at = k
     share = g
     if SURFACE:

@@ -39,7 +39,7 @@ from cellwise.estimate.fixed.arithmetic import (
 )
 from cellwise.estimate.fixed.lookup import within_one
 from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, OFFSET, SKEW, WARM, WATCH
-from cellwise.estimate.fixed.predict import taken
+from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
     CLAMPED,
     CURRENT_INVALID,

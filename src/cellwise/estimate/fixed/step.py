@@ -48,8 +48,10 @@ from cellwise.estimate.fixed.innovation import (
     Innovation,
     innovate,
     outside,
+    recover,
     shared_by,
     watch_voltage,
+    widen,
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
@@ -64,10 +66,8 @@ from cellwise.estimate.fixed.lookup import (
     under_surface,
 )
 from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WATCH, WIDE
-from cellwise.estimate.fixed.predict import cross_gap, heat, predict
-from cellwise.estimate.fixed.search import recover, widen
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
-from cellwise.estimate.fixed.state import guess_branches, is_sound, start
+from cellwise.estimate.fixed.state import cross_gap, guess_branches, heat, is_sound, predict, start
 from cellwise.estimate.status import (
     GATE_RECOVERY,
     INNOVATION_REJECTED,

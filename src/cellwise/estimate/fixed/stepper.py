@@ -35,8 +35,6 @@ from cellwise.estimate.fixed import (
     covariance,
     innovation,
     lookup,
-    predict,
-    search,
     sensing,
     state,
 )
@@ -75,8 +73,6 @@ STEP_MODULES = (
     lookup,
     covariance,
     state,
-    predict,
-    search,
     sensing,
     innovation,
     whole_step,

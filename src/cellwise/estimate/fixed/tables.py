@@ -249,15 +249,9 @@ def _slowest_s(model: CellModel, options: Options) -> float:
 def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArray]:
     shape = (model.temperature_C.size, model.points)
     slow = model.effect(SlowDiffusion)
-
-    slope = np.diff(model.ocv_V, axis=1) * (model.points - 1)
-    square = np.pad(slope * slope, ((0, 0), (1, 1)), mode="edge")
-    at_points = 0.5 * (square[:, :-1] + square[:, 1:])
-    error = noise.error_scale * model.slow_error_tables_V()
     return {
         "ocv_V": model.ocv_V,
-        "error_V": error,
-        "noise_V2": noise.voltage_V**2 + error * error + noise.ocv_soc**2 * at_points,
+        "error_V": noise.error_scale * model.slow_error_tables_V(),
         "r0_ohm": model.r0_ohm,
         "r1_ohm": model.r1_ohm,
         "lag1": lag(model.tau1_s, dt_s),

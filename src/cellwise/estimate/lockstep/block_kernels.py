@@ -9,6 +9,7 @@ import math
 
 from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import BEYOND, CellTables, arrhenius
+from cellwise.cell.packed import lane_record, place_of, put_lane_record, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
@@ -23,27 +24,23 @@ from cellwise.estimate.filters.filter_state import (
     EkfState,
 )
 from cellwise.estimate.filters.kalman_kernels import kalman_step
-from cellwise.estimate.lockstep.lane_kernels import (
-    EVIDENCE,
-    FACTOR,
-    FACTOR_C,
-    FIRST_VARIANCE,
-    LANES,
-    LAST_A,
-    LAST_C,
-    NO_CURRENT,
-    NO_VOLTAGE,
-    SOC,
-    SS,
-    get_state,
-    put_state,
-)
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C, Reading
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 from cellwise.estimate.validity_kernels import ValidityScalars, is_outside
 from cellwise.typing import FloatArray
 
+LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
+# Numbers of a block, LANES of each: the state, the Arrhenius factor and the temperature it is of.
+FACTOR = size_of(EkfState)
+FACTOR_C = FACTOR + 1
+FIELDS = FACTOR + 2
+SOC, SS = place_of(EkfState, "cell.soc"), place_of(EkfState, "p.ss")
+LAST_A, LAST_C = place_of(EkfState, "watch.current_A"), place_of(EkfState, "watch.temperature_C")
+EVIDENCE = place_of(EkfState, "watch.evidence_s")
+NO_CURRENT = place_of(EkfState, "watch.no_current_s")
+NO_VOLTAGE = place_of(EkfState, "watch.no_voltage_s")
+FIRST_VARIANCE = place_of(EkfState, "past.first_variance")
 # Columns of the table of one time step: decays a, what one ampere adds g, R^2 (1 - a^2) as b.
 T_OCV, T_R0, T_A1, T_G1, T_B1, T_A2, T_G2, T_B2, T_ERROR, T_A3, T_G3, T_B3, T_M = range(13)
 PLAIN_COLUMNS = 9  # what a model without third branch and hysteresis needs
@@ -59,6 +56,19 @@ SCRATCH_ROWS = W_OUT + OUTPUTS
 LONG_FROZEN = 1e300
 SERIES_LIMIT = 0.25  # beyond it the series of the decay is left to the exponential
 THIRD, SIXTH, SEVENTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 7.0
+
+
+@inline
+def get_state(block: FloatArray, lane: int) -> EkfState:
+    """A cell's state out of its lane."""
+    state: EkfState = lane_record(EkfState, block, lane, LANES)
+    return state
+
+
+@inline
+def put_state(block: FloatArray, lane: int, state: EkfState, puts: bool) -> None:
+    """A cell's state into its lane, or none: without a branch."""
+    put_lane_record(block, lane, LANES, state, puts)
 
 
 @inline

@@ -24,7 +24,6 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import OUTPUTS, EkfState, ekf_start
 from cellwise.estimate.filters.kalman import Ekf, check_state
 from cellwise.estimate.lockstep import block_kernels as layout
-from cellwise.estimate.lockstep import lane_kernels as lanes
 from cellwise.estimate.lockstep.block_kernels import begin_lane, state_of
 from cellwise.estimate.lockstep.plain_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
@@ -108,9 +107,9 @@ class LockstepEkf:
         unknown = self._ekf.start(0.5, 0.3)
         self._noise = self.noise.scalars(model)
         self._rules = LockstepRules(*unknown, self.cells, self.dt_s, _is_beyond(model))
-        padded = -(-self.cells // lanes.LANES) * lanes.LANES
-        self._scratch = np.zeros(layout.SCRATCH_ROWS * lanes.LANES)
-        self._scratch.reshape(-1, lanes.LANES)[layout.T_A3] = 1.0  # a third branch that is none
+        padded = -(-self.cells // layout.LANES) * layout.LANES
+        self._scratch = np.zeros(layout.SCRATCH_ROWS * layout.LANES)
+        self._scratch.reshape(-1, layout.LANES)[layout.T_A3] = 1.0  # a third branch that is none
         # Lanes that no cell fills rest at half charge.
         self._samples = np.zeros((3, padded))
         self._samples[1] = float(np.interp(0.5, model.soc, model.ocv_V[0]))
@@ -126,18 +125,18 @@ class LockstepEkf:
         InputError        soc0 outside 0..1, soc0_std not above zero, another number of cells
         """
         starts = self._each(soc0, "soc0"), self._each(soc0_std, "soc0_std")
-        blocks = self._status.size // lanes.LANES
-        state = np.zeros(blocks * lanes.FIELDS * lanes.LANES)
-        fields = state.reshape(blocks, lanes.FIELDS, lanes.LANES)
+        blocks = self._status.size // layout.LANES
+        state = np.zeros(blocks * layout.FIELDS * layout.LANES)
+        fields = state.reshape(blocks, layout.FIELDS, layout.LANES)
         known: dict[tuple[float, float], FloatArray] = {}
         every = [*zip(*(a.tolist() for a in starts), strict=True)]
         for k, one in enumerate(every + [(0.5, 0.15)] * (self._status.size - self.cells)):
             if one not in known:
-                room = np.zeros(lanes.FIELDS * lanes.LANES)
+                room = np.zeros(layout.FIELDS * layout.LANES)
                 begin_lane(room, 0, ekf_start(self._ekf.start(*one), 0.0))
-                known[one] = room.reshape(lanes.FIELDS, lanes.LANES)[:, 0]
-                known[one][lanes.FACTOR :] = 1.0, np.nan
-            block, lane = divmod(k, lanes.LANES)
+                known[one] = room.reshape(layout.FIELDS, layout.LANES)[:, 0]
+                known[one][layout.FACTOR :] = 1.0, np.nan
+            block, lane = divmod(k, layout.LANES)
             fields[block, :, lane] = known[one]
         return LockstepState(state, self.cells)
 
@@ -191,8 +190,8 @@ class LockstepEkf:
 
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:
         """One cell's state as the EKF carries it."""
-        block, lane = divmod(range(self.cells)[cell], lanes.LANES)
-        size = lanes.FIELDS * lanes.LANES
+        block, lane = divmod(range(self.cells)[cell], layout.LANES)
+        size = layout.FIELDS * layout.LANES
         return state_of(state.blocks[block * size : (block + 1) * size], lane)
 
     def _each(self, values: ArrayLike, name: str) -> FloatArray:

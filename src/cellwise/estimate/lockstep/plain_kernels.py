@@ -35,7 +35,6 @@ from cellwise.estimate.evidence_kernels import (
     voltage_variance,
 )
 from cellwise.estimate.filters.covariance_kernels import (
-    branches_noisy,
     column,
     corrected,
     decayed,
@@ -53,6 +52,8 @@ from cellwise.estimate.filters.drift_kernels import (
 from cellwise.estimate.filters.filter_state import OUT_SOC, OUTPUTS, EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW
 from cellwise.estimate.lockstep.block_kernels import (
+    FIELDS,
+    LANES,
     LONG_FROZEN,
     T_A1,
     T_A2,
@@ -78,14 +79,15 @@ from cellwise.estimate.lockstep.block_kernels import (
     W_VOLTAGE,
     W_WARM,
     full_lane,
+    get_state,
     look_up_lane,
     look_up_warm_lane,
     put_info,
+    put_state,
     read_block,
     scale_lane,
     watch_validity,
 )
-from cellwise.estimate.lockstep.lane_kernels import FIELDS, LANES, get_state, put_state
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     COLDEST_C,
@@ -166,10 +168,9 @@ def plain_step(
     h = hysteresis_step(x.h, t.ah, flow)
     share = share_at(noise, flow) * flow
     share = share * share
-    p = branches_noisy(decayed(old.p, t), share * at.b1, share * at.b2, share * at.b3)
     q = noise.current_A * noise.current_A
     wander = noise.wander_per_sqrt_s * noise.wander_per_sqrt_s * dt_s
-    p = noisy(p, t, q, q, wander)
+    p = noisy(decayed(old.p, t), t, q, q, wander, share * at.b1, share * at.b2, share * at.b3)
 
     drop = polarisation(point.r0_ohm, flow, v1, v2, v3)
     slope = point.ocv_slope_V

@@ -41,8 +41,7 @@ from cellwise.estimate.fixed.arithmetic import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place
-from cellwise.estimate.fixed.predict import taken
-from cellwise.estimate.fixed.state import is_sound
+from cellwise.estimate.fixed.state import is_sound, taken
 from cellwise.estimate.power.fixed_power import place_now
 from cellwise.estimate.power.fixed_remaining import apart_by, as_it_is, go_on
 

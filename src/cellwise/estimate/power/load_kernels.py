@@ -17,6 +17,7 @@ from cellwise.cell.equations import (
     transition,
     with_soc,
 )
+from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import voltage_variance
 from cellwise.estimate.filters.covariance_kernels import (
@@ -24,7 +25,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     column,
     decayed,
     explained,
-    with_soc_variance,
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V, widened
@@ -184,7 +184,7 @@ def end_variance(
     Of the states, decayed over the horizon, with ``slope_V`` for the SOC; of the model as the
     filters have it, which grows with what the innovations have shown; of the resistances' factors.
     """
-    p = decayed(with_soc_variance(now.p, now.soc_variance), load.t)
+    p = decayed(changed(now.p, "ss", now.soc_variance), load.t)
     d = column(p, slope_V, load.point.m_V)
     states = max(explained(d, slope_V, load.point.m_V), 0.0)
     x = load.end
