@@ -13,6 +13,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import venv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,17 +108,17 @@ def environment(row: PackageRow, folder: Path) -> Path:
     if sys.platform == "win32":
         python = place / "Scripts" / "python.exe"
     if not ready.is_file():
-        install = [str(python), "-m", "pip", "install", "--quiet", *row.requires]
-        for command in ([sys.executable, "-m", "venv", "--clear", str(place)], install):
-            try:
-                done = subprocess.run(
-                    command, capture_output=True, text=True, timeout=INSTALL_S, check=False
-                )
-            except (OSError, subprocess.TimeoutExpired) as error:
-                raise RowError(f"{' '.join(row.requires)}: {error}") from error
-            if done.returncode:
-                said = [line for line in done.stderr.splitlines() if "ERROR" in line]
-                raise RowError(" ".join([*row.requires, "did not install:", *said[-1:]]))
+        install = [str(python), "-m", "pip", "install", "-q", *row.requires]
+        try:
+            venv.create(place, clear=True, with_pip=True)
+            done = subprocess.run(
+                install, capture_output=True, text=True, timeout=INSTALL_S, check=False
+            )
+        except (OSError, subprocess.SubprocessError) as error:
+            raise RowError(f"{' '.join(row.requires)}: {error}") from error
+        if done.returncode:
+            said = [line for line in done.stderr.splitlines() if "ERROR" in line]
+            raise RowError(" ".join([*row.requires, "did not install:", *said[-1:]]))
         ready.write_text("\n".join(row.requires) + "\n", encoding="utf-8")
     return python
 
@@ -180,8 +181,8 @@ class RowProcess:
         RowError         it failed, or ended
         """
         stdin, stdout = self.process.stdin, self.process.stdout
-        assert stdin is not None
-        assert stdout is not None
+        if stdin is None or stdout is None:
+            raise RowError("its process has no pipes")
         try:
             stdin.write(json.dumps(what) + "\n")
             stdin.flush()

@@ -56,7 +56,7 @@ def curve(time, start, forget_s):
 
 
 def row(estimator, log, fault, start, rmse, warm):
-    blank = {int: 1, float: 0.5, str: ""}
+    blank = {int: 1, float: 0.5, str: "", bool: False}
     told = {name: blank[kind] for name, kind in COLUMNS.items()}
     return told | {
         "suite": "by hand", "cell": "a cell", "log": log, "estimator": estimator, "fault": fault,
