@@ -44,13 +44,13 @@ VENDORS = 0.955  # of discharges within three points, said of a gauge without ch
 
 @dataclass(frozen=True)
 class Cell:
-    """A measured cell: its prior, its low-rate capacity, logs to learn from and logs to judge."""
+    """A measured cell: its prior, its low-rate capacity, logs to fit and logs to judge."""
 
     folder: str
     prior: str
     nominal_Ah: float
     reference_Ah: float
-    learn: tuple[str, ...]
+    fitted: tuple[str, ...]
     judge: tuple[str, ...]
     note: str = ""
 
@@ -89,7 +89,7 @@ CELLS = (
         "samsung_30q_ageing", "nca-18650", 3.0, 2.97,
         _all("d1_cellA_cycle{:03d}", *(k for k in range(1, 302, 10) if k != 281)),
         _all("fresh_s001_discharge_{}", "1c", "2c", "3c"),
-        "learned from another sample, from new to 300 cycles",
+        "updated on another sample, from new to 300 cycles",
     ),
     Cell(
         "plett_a123", "lfp-26650", 2.3, 2.0725,
@@ -108,7 +108,7 @@ CELLS = (
 def firmware(cell: Cell, data: Path, count: int, place: Path) -> Exported:
     """The C of the stock model after so many logs."""
     model = place / "model.json"
-    logs = [part for path in cell.paths(data, cell.learn[:count]) for part in ("--drive", path)]
+    logs = [part for path in cell.paths(data, cell.fitted[:count]) for part in ("--drive", path)]
     if logs:
         _run("identify", "--prior", cell.prior, "--nominal-ah", cell.nominal_Ah, *logs, "-o", model)
     else:
@@ -150,7 +150,7 @@ def study(cell: Cell, data: Path) -> list[dict[str, Any]]:
         for path in cell.paths(data, cell.judge)
     ]
     rows = []
-    counts = [n for n in COUNTS if n < len(cell.learn)] + [len(cell.learn)]
+    counts = [n for n in COUNTS if n < len(cell.fitted)] + [len(cell.fitted)]
     for count in sorted(set(counts)):
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as name:
