@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import (
@@ -28,6 +28,7 @@ from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
+WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
 SAME_CAPACITY = 0.005  # counters of one tester differ by so much
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 
@@ -35,7 +36,8 @@ BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
-    The start is what every other command finds with this model; the fit's own served the fit.
+    The start is what every other command finds with this model; the fit's own, which knows what a
+    test begins with, where the found one errs twice as much on the rows compared.
     """
     starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = []
@@ -49,6 +51,9 @@ def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[Ow
         of_log = own_model(model, start.capacity_scale)
         begins = initial_soc(of_log, log, whole_log=True)
         simulation = simulate(of_log, log, begins.soc)
+        fits = simulate(of_log, log, start.soc0)
+        if _error_V(simulation, start) > WORSE * _error_V(fits, start):
+            begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
         if start.left_out:
             found.append(OwnLog(role, False, simulation, begins, None, {}, start.left_out))
             continue
@@ -146,6 +151,12 @@ def _own_capacity(start: Start) -> str:
     if abs(away) < SAME_CAPACITY:
         return ""
     return f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
+
+
+def _error_V(simulation: Simulation, start: Start) -> float:
+    """RMS of the rows that a log is compared on [V]."""
+    rows = slice(None) if start.rows is None else start.rows
+    return float(np.sqrt(np.nanmean(simulation.error_V[rows] ** 2)))
 
 
 def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:

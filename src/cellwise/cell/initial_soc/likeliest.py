@@ -49,7 +49,7 @@ class WeighedRows(NamedTuple):
 
 
 class StartSums(NamedTuple):
-    """Of every start, (m,): means over the rows, and how far SOC left 0..1.
+    """Of every start, (m,): means over the rows, and how far SOC left 0..1, in deviations.
 
     Means of the squared error, and of the error times what remains of the past.
     """
@@ -67,7 +67,9 @@ class Past(NamedTuple):
 
 
 PAST_S = 600.0  # load that an unknown past is taken to be like [s]
-BEYOND = 0.01  # how far a counter may run beyond full or empty
+# How far a counter may run beyond full or empty: at once, and of all that it has moved. Testers'
+# counters are up to a hundredth of what they moved off after a discharge and a charge.
+BEYOND, DRIFT = 0.01, 0.01
 COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
 NORMAL = np.linspace(-3.0, 3.0, 25)  # of an unknown past, in deviations
 
@@ -84,11 +86,15 @@ def sum_errors(tables: CellTables, starts: Starts, log: WeighedRows, sums: Start
     for k in range(starts.soc.size):
         state = rested(starts, k)
         previous = log.current_A[0]
+        moved = 0.0
         for i in range(log.interval_s.size):
+            soc = state.soc
             seen = seen_current(tables.cell, log.current_A[i], previous, log.interval_s[i])
             previous = log.current_A[i]
             state, point = advance(tables, state, seen, log.interval_s[i], log.temperature_C[i])
-            sums.beyond[k] = max(sums.beyond[k], state.soc - 1.0, -state.soc)
+            moved += abs(state.soc - soc)
+            outside = max(state.soc - 1.0, -state.soc) / (BEYOND + DRIFT * moved)
+            sums.beyond[k] = max(sums.beyond[k], outside)
             error = log.voltage_V[i] - voltage_of(point, state, seen)
             if error == error:  # not NaN
                 sums.squares_V2[k] += log.weight[i] * error * error
@@ -155,7 +161,7 @@ def ln_likelihood_of_starts(
     shift = past.mean_V + NORMAL[:, None] * math.hypot(past.std_V, gap_V)
     left = float(np.sum(rows_.weight * rows_.past**2))
     size_V2 = np.maximum(squares - 2.0 * shift * products + shift**2 * left, 0.0)
-    unlikely = NORMAL[:, None] ** 2 + (beyond / BEYOND) ** 2
+    unlikely = NORMAL[:, None] ** 2 + beyond**2
     least = np.unravel_index(np.argmin(size_V2 + size_V2.min() * unlikely), size_V2.shape)
     nearest = simulate(model, log, float(soc0[least[1]]))
     stated_V = stated_error_V(
