@@ -51,12 +51,12 @@ def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[Ow
         of_log = own_model(model, start.capacity_scale)
         begins = initial_soc(of_log, log, whole_log=True)
         simulation = simulate(of_log, log, begins.soc)
-        fits = simulate(of_log, log, start.soc0)
-        if _error_V(simulation, start) > WORSE * _error_V(fits, start):
-            begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
         if start.left_out:
             found.append(OwnLog(role, False, simulation, begins, None, {}, start.left_out))
             continue
+        fits = simulate(of_log, log, start.soc0)
+        if _error_V(simulation, start) > WORSE * _error_V(fits, start):
+            begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
         sides = directions(log) if role in ("ocv", "capacity") else {}
         errors = {name: _known(simulation, rows) for name, rows in sides.items()}
         rmse = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items() if e.size}
@@ -154,9 +154,11 @@ def _own_capacity(start: Start) -> str:
 
 
 def _error_V(simulation: Simulation, start: Start) -> float:
-    """RMS of the rows that a log is compared on [V]."""
-    rows = slice(None) if start.rows is None else start.rows
-    return float(np.sqrt(np.nanmean(simulation.error_V[rows] ** 2)))
+    """RMS of the rows that a log is compared on; zero of none [V]."""
+    error = _known(
+        simulation, np.ones(len(simulation.log), np.bool_) if start.rows is None else start.rows
+    )
+    return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
 
 
 def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:
