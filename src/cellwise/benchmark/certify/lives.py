@@ -46,7 +46,7 @@ class Life:
     soc : (n,) float                       true SOC
     capacity_Ah, temperature_C : float
     age : float or None                    0 new, 1 at the end of its life; None: not known
-    fault, fault_name : Fault, str         what is wrong beside the sensors' class, and with it
+    fault_name : str                       what is wrong beside the sensors' class
     given_soc0 : float                     that the filter is started with
     seen : CellLog                         what the filter sees
     """
