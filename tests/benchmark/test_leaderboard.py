@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from cellwise import list_datasets, load_dataset
 from cellwise.benchmark.known_logs import differs, find_known, known_log
 from cellwise.benchmark.leaderboard import HEAD, leaderboard, standing_cells, standings
 from cellwise.benchmark.run_suite import run_suite
+from cellwise.benchmark.submission import standings_parts
 from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
 from cellwise.cell.model_file import write_model
 from cellwise.cli import main
@@ -278,3 +280,16 @@ def test_frozen_suites_have_public_logs_only():
 def test_an_original_is_known_as_what_it_was_converted_to(real_data, original, converted):
     known = known_log(converted, real_data / converted)
     assert differs(known, read_log(real_data / original)) is None
+
+
+def test_a_quick_cut_alone_is_not_called_the_whole_suite():
+    row = json.loads(
+        (
+            Path(tool.__file__).parents[1] / "docs" / "leaderboard" / "public-1" / "ekf.json"
+        ).read_text(encoding="utf-8")
+    )
+    entry = {"row": row.get("row", row), "made_with": ""}
+    whole = [part["title"].partition(":")[0] for part in standings_parts([entry])]
+    quick = {**entry["row"], "runs": [r for r in entry["row"]["runs"] if r["quick"]]}
+    alone = [part["title"].partition(":")[0] for part in standings_parts([{**entry, "row": quick}])]
+    assert (whole, alone) == (["Whole suite", "Quick cut"], ["Quick cut"])

@@ -100,7 +100,10 @@ def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     """The whole suite, then its quick cut with slow rows too: tables, and figures by log."""
     made = {e["row"]["estimator"]: e for e in entries}
     parts = []
+    quick_alone = all(run["quick"] for e in entries for run in e["row"]["runs"])
     for title, quick in (("Whole suite", False), ("Quick cut", True)):
+        if quick_alone and not quick:
+            continue
         found = standings({n: e["row"]["runs"] for n, e in made.items()}, quick=quick)
         if not found:
             continue
