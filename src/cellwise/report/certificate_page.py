@@ -85,7 +85,7 @@ def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str
     parts = []
     for source, found in sources.items():
         each = f" x {hours[source]:g} h" if source in hours else ""
-        parts.append(f"{found['cells']:.0f} {SOURCES[source]}{each}")
+        parts.append(f"{SOURCES[source]} {found['cells']:.0f}{each}")
     return ", ".join(parts)
 
 

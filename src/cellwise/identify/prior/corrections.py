@@ -39,7 +39,7 @@ class UsualDifference(NamedTuple):
     activation_K : float    standard deviation of an activation energy
     ln_capacity : float     what the fit does not know of the capacity: where a load's end lies on
                             the SOC of another cell. Four measured cells updated from a stock model
-                            of another kind were 4, 4, 8 and 14 % off, from one of their own 1 to 3
+                            of another kind were 4, 4, 8 and 14 % off, from one of themselves 1 to 4
     """
 
     ocv_length: float = 1.0
