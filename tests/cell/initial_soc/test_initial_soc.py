@@ -190,5 +190,5 @@ def test_what_follows_a_long_beginning_changes_nothing(monkeypatch, rest_rows, m
     known[list(missing)] = np.nan
     log = replace(log, current_A=known, current_meaning=meaning)
     soon = initial_soc(model, log)
-    monkeypatch.setattr(module, "BEGINNING", 10_000)
+    monkeypatch.setattr(module, "LOOKED", module.LOOKED._replace(beginning=10_000))
     assert soon == initial_soc(model, log)

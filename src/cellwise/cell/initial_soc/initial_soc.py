@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +28,25 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.measured_log import uncounted_pauses
 from cellwise.typing import FloatArray
 
-FIT_S = 60.0
-BEGINNING = 2048  # rows that are looked at before all of a log is
 STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this
-# By how much a used cell's resistance differs from its model's: a minute cannot show it.
-UNKNOWN_RESISTANCE = 0.3
-SURE_STD = 0.02  # a rest that says more, and is likelier than full and empty, is enough
-MOST_ROWS = 400_000  # of a longer log the beginning is enough
+
+
+class Looked(NamedTuple):
+    """How much of a log is asked where it begins.
+
+    Under load the first ``fit_s``, which cannot show by how much a used cell's ``resistance``
+    differs from its model's; ``beginning`` rows before all of a log is, and of a very long one
+    ``rows``. A rest that is surer than ``sure``, and likelier than full and empty, is enough.
+    """
+
+    fit_s: float = 60.0
+    beginning: int = 2048
+    resistance: float = 0.3
+    sure: float = 0.02
+    rows: int = 400_000
+
+
+LOOKED = Looked()
 
 
 @dataclass(frozen=True)
@@ -116,8 +129,8 @@ def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
 
     Most logs need no more than their beginning: a fleet's logs are long, and read once.
     """
-    minute = int(np.searchsorted(log.time_s, log.time_s[0] + FIT_S, side="right"))
-    rows = max(minute + 2, BEGINNING)
+    minute = int(np.searchsorted(log.time_s, log.time_s[0] + LOOKED.fit_s, side="right"))
+    rows = max(minute + 2, LOOKED.beginning)
     if rows < len(log) and np.isfinite(log.voltage_V[0]) and not log.gap_rows[:rows].any():
         current = log.interval_current_A[:rows]
         loaded = np.abs(current) >= REST_RATE * model.capacity_Ah
@@ -132,7 +145,9 @@ def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
 def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> InitialSoc:
     known = np.isfinite(log.voltage_V[:1]).all()
     first = 0 if known else int(np.argmax(np.isfinite(log.voltage_V)))
-    rows = max(first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + FIT_S, side="right")))
+    rows = max(
+        first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + LOOKED.fit_s, side="right"))
+    )
     rows = min(rows, len(log))
     head = CellLog(
         log.time_s[:rows],
@@ -144,7 +159,7 @@ def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> I
         None if log.charge_Ah is None else log.charge_Ah[:rows],
     )
     past = past_voltage(model, head)
-    soc, std = likeliest_soc(model, head, past, other_resistance=UNKNOWN_RESISTANCE)
+    soc, std = likeliest_soc(model, head, past, other_resistance=LOOKED.resistance)
     return InitialSoc(soc, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
 
 
@@ -156,10 +171,10 @@ def _from_whole_log(
     by_rest: Callable[[FloatArray], FloatArray] | None = None,
 ) -> InitialSoc:
     # After a pause that nobody counted another start may hold.
-    log = log.part(0, min((len(log), MOST_ROWS, *uncounted_pauses(log))))
+    log = log.part(0, min((len(log), LOOKED.rows, *uncounted_pauses(log))))
     if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
         return beginning
-    if by_rest is not None and beginning.std <= SURE_STD:
+    if by_rest is not None and beginning.std <= LOOKED.sure:
         ends = np.array([beginning.soc, 0.0, 1.0])
         if np.argmax(ln_likelihood_of_starts(model, log, past, by_rest, ends)) == 0:
             return beginning

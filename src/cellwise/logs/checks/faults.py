@@ -19,9 +19,6 @@ from cellwise.typing import BoolArray, FloatArray
 
 Log = TypeVar("Log", bound=MeasuredLog)
 
-LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
-LOST_ROWS = 20  # without a value in a row: fewer are a sample that was missed
-
 
 class Impossible(NamedTuple):
     """What no cell and no load can have had, by what the rest of the log shows.
@@ -45,6 +42,9 @@ class Impossible(NamedTuple):
 class Still(NamedTuple):
     """When a channel that repeats its value has stopped measuring, or is at the end of its range.
 
+    What one channel shows of the other may come ``late_s`` later, or earlier. Fewer rows without a
+    value than ``lost`` are samples that were missed.
+
     It repeats it ``repeats`` times while the other channel moves up and down, so often each way
     (``moves``), by ``share`` of what it does in this log and more than so many of its usual
     ``steps``.
@@ -54,6 +54,8 @@ class Still(NamedTuple):
     moves: int = 2
     share: float = 0.1
     steps: float = 5.0
+    late_s: float = 3.0
+    lost: int = 20
 
 
 class Held(NamedTuple):
@@ -298,7 +300,7 @@ def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
             missing["temperature_C"] = cold
     found = {}
     for name, rows in missing.items():
-        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= LOST_ROWS]
+        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= STILL.lost]
         if many:
             found[name] = many
     return found
@@ -341,8 +343,8 @@ def _swing(values: FloatArray) -> float:
 def _late_rows(log: MeasuredLog) -> int:
     """Rows that one channel may be late by."""
     steps = np.diff(log.time_s)
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else LATE_S
-    return math.ceil(LATE_S / usual)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else STILL.late_s
+    return math.ceil(STILL.late_s / usual)
 
 
 def _steps(values: FloatArray) -> FloatArray:
