@@ -30,7 +30,7 @@ check: $(STAMP)
 
 # Tests of one module stay together: what they share is made once.
 test: check
-	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow" --hypothesis-profile quick
 
 # What `make firmware` and `make pages` run is left to them.
 deep: $(STAMP)

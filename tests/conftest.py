@@ -9,7 +9,10 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
+# As `make test` runs them: every run draws others.
+settings.register_profile("quick", max_examples=25)
 REPOSITORY = Path(__file__).resolve().parents[1]
 FUZZ_SEED = "CELLWISE_FUZZ_SEED"
 KERNEL = re.compile(r"^ *@(?:inline|kernel|rows|cached)\b|^from numba\b", re.MULTILINE)

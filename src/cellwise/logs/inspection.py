@@ -9,9 +9,7 @@ import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import (
-    Saturation,
     Stretch,
-    find_saturations,
     find_spikes,
     longest,
     possible_part,
@@ -82,7 +80,6 @@ class Inspection:
     counter_mismatch_percent: float | None
     rests: tuple[Rest, ...]
     stuck: dict[str, Stretch]
-    saturated: dict[str, Saturation]
     resolution: dict[str, float | None]
     missing: dict[str, int]
     notices: tuple[str, ...]
@@ -99,8 +96,7 @@ class Inspection:
             value = getattr(self, key)
             plain[key] = None if value is None else value._asdict()
         plain["rests"] = [rest._asdict() for rest in self.rests]
-        for key in ("stuck", "saturated"):
-            plain[key] = {name: found._asdict() for name, found in getattr(self, key).items()}
+        plain["stuck"] = {name: found._asdict() for name, found in self.stuck.items()}
         plain["sign_evidence"] = list(self.sign_evidence)
         plain["notices"] = list(self.notices)
         return plain
@@ -159,7 +155,6 @@ def inspect_log(log: CellLog) -> Inspection:
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
-        saturated=find_saturations(possible),
         resolution={
             "current_A": resolution(log.current_A),
             "voltage_V": resolution(log.voltage_V),

@@ -245,15 +245,6 @@ def test_signals_of_many_namings(current, voltage, factor, tmp_path):
     np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=1e-9)
 
 
-@pytest.mark.parametrize("keep", [0.9, 0.4])
-def test_an_mdf_file_that_was_cut_off(keep, tmp_path, capfd):
-    path = mdf(tmp_path / "drive")
-    content = path.read_bytes()
-    path.write_bytes(content[: int(keep * len(content))])
-    assert refused(path).action
-    assert capfd.readouterr() == ("", "")
-
-
 # CAN
 
 
@@ -357,15 +348,6 @@ def test_a_file_that_is_no_database(content, tmp_path):
     dbc = write_dbc(tmp_path / "x.dbc", content)
     found = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc).found
     assert "no CAN database" in found or "no frame" in found
-
-
-def test_a_blf_that_was_cut_off(tmp_path, capfd):
-    path = write_can(tmp_path / "drive", pack(), "blf")
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    error = refused(path, dbc=write_dbc(tmp_path / "bms.dbc"))
-    assert "cut off or damaged CAN log" in error.found
-    assert capfd.readouterr() == ("", "")
 
 
 # options that do not fit

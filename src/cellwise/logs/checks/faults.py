@@ -83,14 +83,6 @@ class Stretch(NamedTuple):
     duration_s: float
 
 
-class Saturation(NamedTuple):
-    """A channel held at its largest or smallest value again and again."""
-
-    value: float
-    share: float
-    visits: int
-
-
 def impossible_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     """Rows that are impossible, by channel; none where there are too many to be a fault."""
     found = {"voltage_V": _impossible_voltages(log), "current_A": _impossible_currents(log)}
@@ -236,33 +228,19 @@ def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
         "voltage_V": (log.current_A, STILL.share * _swing(log.current_A)),
     }
     runs: dict[str, list[Run]] = {}
-    for name, found in find_saturations(log).items():
-        channel = name.rpartition("_")[0]
-        other, jump = others[channel]
+    for channel, (other, jump) in others.items():
+        values = getattr(log, channel)
         change = np.diff(other, prepend=np.nan)
-        at_end = getattr(log, channel) == found.value
-        inside = at_end & np.concatenate(([False], at_end[:-1]))
-        moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-        if moves >= STILL.moves and jump > 0.0:
-            runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
-    return runs
-
-
-def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:
-    """Channels that come to exactly their largest or smallest value for several rows, repeatedly.
-
-    A sensor at the end of its range does this, and a tester at its limit.
-    """
-    found = {}
-    for name, values in (("current_A", log.current_A), ("voltage_V", log.voltage_V)):
-        for end, extreme in (("max", np.nanmax(values)), ("min", np.nanmin(values))):
+        for extreme in (np.nanmax(values), np.nanmin(values)):
             at_end = values == extreme
             first, last = run_edges(at_end)
-            visits = int(np.count_nonzero(last - first + 1 >= HELD.rows))
-            if visits >= HELD.visits and extreme != 0.0:
-                share = float(np.count_nonzero(at_end)) / len(log)
-                found[f"{name}_{end}"] = Saturation(float(extreme), share, visits)
-    return found
+            visits = np.count_nonzero(last - first + 1 >= HELD.rows)
+            inside = at_end & np.concatenate(([False], at_end[:-1]))
+            moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
+            held = visits >= HELD.visits and extreme != 0.0
+            if held and moves >= STILL.moves and jump > 0.0:
+                runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
+    return runs
 
 
 def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
