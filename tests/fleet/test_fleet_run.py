@@ -29,7 +29,7 @@ def rows_in(out):
     return found
 
 
-@pytest.mark.parametrize("scheduler", ["local", "processes"])
+@pytest.mark.parametrize("scheduler", ["local", pytest.param("processes", marks=pytest.mark.slow)])
 def test_every_log_has_the_row_that_its_replay_gives(model, folder, tmp_path, scheduler):
     out = tmp_path / "out"
     told = run_fleet(ReplayTask(model), folder, out, scheduler=scheduler, workers=2, batch=2)

@@ -92,6 +92,7 @@ class TestNmc:
         assert nominal.soc["ekf"].end == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.slow
 def test_two_names_of_one_number_are_one_model(quick):
     cell = embedded_nmc()
     same = replace(cell, values_Ah={"mine": 5.0})

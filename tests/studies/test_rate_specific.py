@@ -34,6 +34,7 @@ def nmc_study(quick, nmc_cell):
     return quick(nmc_cell, *RATES)
 
 
+@pytest.mark.slow
 class TestOneTestSet:
     """All laboratory tests, and only the number that is called the capacity changes."""
 
