@@ -350,23 +350,6 @@ def test_a_file_that_is_no_database(content, tmp_path):
     assert "no CAN database" in found or "no frame" in found
 
 
-# options that do not fit
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"series": 0}, "series = 0"),
-        ({"parallel": -1}, "parallel = -1"),
-        ({"instance": -1}, "instance -1"),
-        ({"dbc": "nowhere.dbc"}, "no DBC file"),
-    ],
-)
-def test_options_that_cannot_be(options, says, tmp_path):
-    path = write_ulog(tmp_path / "flight", [pack()])
-    assert says in refused(path, **options).found
-
-
 def test_options_that_the_format_cannot_follow(tmp_path):
     dbc = write_dbc(tmp_path / "bms.dbc")
     assert "a DBC file for" in refused(write_ulog(tmp_path / "f", [pack()]), dbc=dbc).found
