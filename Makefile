@@ -28,9 +28,11 @@ check: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Tests of one module stay together: what they share is made once.
-test: check
-	$(BIN)/pytest -n 2 --dist worksteal -m "not slow"
+# What most tests need is compiled on one core while types are checked on the other. Tests of one
+# module stay together: what they share is made once.
+test: $(STAMP)
+	CELLWISE_QUIET=1 $(BIN)/python -m cellwise.first_use & $(MAKE) check && wait
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow" --hypothesis-profile quick
 
 # What `make firmware` and `make pages` run is left to them.
 deep: $(STAMP)

@@ -9,7 +9,13 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
+# The first call of a kernel compiles it, which is no property of the example.
+settings.register_profile("compiled", deadline=None, derandomize=True)
+settings.load_profile("compiled")
+# As `make test` runs them.
+settings.register_profile("quick", settings.get_profile("compiled"), max_examples=25)
 REPOSITORY = Path(__file__).resolve().parents[1]
 FUZZ_SEED = "CELLWISE_FUZZ_SEED"
 KERNEL = re.compile(r"^ *@(?:inline|kernel|rows|cached)\b|^from numba\b", re.MULTILINE)

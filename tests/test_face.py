@@ -87,41 +87,28 @@ def test_the_package_is_typed():
     assert (files("cellwise") / "py.typed").is_file()
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_quantities_that_are_passed_carry_their_unit(name):
-    for number in numbers_of(FUNCTIONS[name]):
-        assert carries_unit(number), f"{name}({number}): of which unit?"
+def test_numbers_that_are_passed_carry_their_unit_and_are_explained():
+    """A unit or "soc" in the name says it; any other number needs a word."""
+    for name, function in FUNCTIONS.items():
+        assert inspect.getdoc(function), name
+        owner = CLASSES.get(name.partition(".")[0], function)
+        text = f"{inspect.getdoc(function)} {inspect.getdoc(owner)}"
+        for number in numbers_of(function):
+            assert carries_unit(number), f"{name}({number}): of which unit?"
+            named = number.endswith(UNITS) or number.startswith("soc")
+            assert named or number in text, f"{name} does not say what {number} is"
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_numbers_that_are_passed_are_explained(name):
-    # A unit or "soc" in the name says it; any other number needs a word.
-    owner = CLASSES.get(name.partition(".")[0], FUNCTIONS[name])
-    text = f"{inspect.getdoc(FUNCTIONS[name])} {inspect.getdoc(owner)}"
-    for number in numbers_of(FUNCTIONS[name]):
-        named = number.endswith(UNITS) or number.startswith("soc")
-        assert named or number in text, f"{name} does not say what {number} is"
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_have_a_docstring(name):
-    assert inspect.getdoc(FUNCTIONS[name])
-
-
-@pytest.mark.parametrize("name", RECORDS)
-def test_quantities_in_records_carry_their_unit(name):
-    record = CLASSES[name]
-    numbers = [f.name for f in dataclasses.fields(record) if is_number(f.type)]
-    for n, value in vars(record).items():
-        if isinstance(value, property) and is_number(value.fget.__annotations__.get("return")):
-            numbers.append(n)
-    for number in numbers:
-        assert carries_unit(number), f"{name}.{number}: of which unit?"
-
-
-@pytest.mark.parametrize("name", RECORDS)
-def test_records_are_frozen(name):
-    assert getattr(cellwise, name).__dataclass_params__.frozen
+def test_records_are_frozen_and_their_quantities_carry_their_unit():
+    for name in RECORDS:
+        record = CLASSES[name]
+        assert record.__dataclass_params__.frozen, name
+        numbers = [f.name for f in dataclasses.fields(record) if is_number(f.type)]
+        for n, value in vars(record).items():
+            if isinstance(value, property) and is_number(value.fget.__annotations__.get("return")):
+                numbers.append(n)
+        for number in numbers:
+            assert carries_unit(number), f"{name}.{number}: of which unit?"
 
 
 def test_a_refusal_says_found_expected_and_what_to_do():

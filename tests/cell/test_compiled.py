@@ -67,6 +67,7 @@ assert rows(lambda x: x * x)(3.0) == 9.0
 """
 
 
+@pytest.mark.slow
 def test_without_a_place_for_a_cache_it_compiles_and_says_so_once():
     env = {k: v for k, v in os.environ.items() if k != "CELLWISE_QUIET"}
     done = subprocess.run(

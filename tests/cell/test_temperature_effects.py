@@ -71,22 +71,24 @@ def test_a_warming_cell_at_rest_shows_its_entropy():
     assert slope == pytest.approx(3e-4, rel=1e-9)
 
 
+def warming(points):
+    """A cell with both effects, a log from -15 to 5 degC, and its simulation."""
+    known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))
+    cell = curved_cell(points, effects=known)
+    current = np.repeat(np.random.default_rng(3).choice([0.0, 2.0, 4.0, -1.0], 60), 30)
+    current[:120] = 0.0
+    warm = np.linspace(-15.0, 5.0, current.size)
+    log = cw.CellLog(np.arange(1800.0), current, np.full(1800, 3.7), warm)
+    simulated = cw.simulate(cell, log, soc0=0.7)
+    return cell, replace(log, voltage_V=simulated.voltage_V), simulated
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["ekf", "ukf", "adaptive", "filterpy-ekf", "lockstep"])
 def test_every_filter_follows_them(estimator):
     """A filter that knows the effects stays at the truth; without them it does not."""
-    known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))
-    cell = curved_cell(effects=known)
-    rng = np.random.default_rng(3)
-    time = np.arange(0.0, 1800.0, 1.0)
-    current = np.repeat(rng.choice([0.0, 2.0, 4.0, -1.0], 60), 30).astype(float)
-    current[:120] = 0.0
-    log = cw.CellLog(
-        time_s=time, current_A=current, voltage_V=np.full_like(time, 3.7),
-        temperature_C=np.linspace(-15.0, 5.0, time.size),
-    )  # fmt: skip
-    simulated = cw.simulate(cell, log, soc0=0.7)
-    log = replace(log, voltage_V=simulated.voltage_V)
+    cell, log, simulated = warming(101)
+    current = log.current_A
 
     def error(model):
         if estimator != "lockstep":
@@ -143,17 +145,7 @@ def test_rows_over_temperature_are_the_effects_themselves():
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
 def test_a_target_has_them_as_rows_of_its_tables(estimator):
-    known = (TemperatureDependence(1500.0, 25.0, r1_K=3000.0, tau2_K=2500.0), Entropy(4e-4, 25.0))
-    cell = curved_cell(21, effects=known)
-    time = np.arange(0.0, 1800.0, 1.0)
-    current = np.repeat(np.random.default_rng(3).choice([0.0, 2.0, 4.0, -1.0], 60), 30)
-    current[:120] = 0.0
-    log = cw.CellLog(
-        time_s=time, current_A=current, voltage_V=np.full_like(time, 3.7),
-        temperature_C=np.linspace(-15.0, 5.0, time.size),
-    )  # fmt: skip
-    simulated = cw.simulate(cell, log, soc0=0.7)
-    log = replace(log, voltage_V=simulated.voltage_V)
+    cell, log, simulated = warming(21)
     soc = cw.replay(cell, log, estimator, soc0=0.7, soc0_std=0.05).trace.soc
     float64 = cw.replay(cell, log, "ekf", soc0=0.7, soc0_std=0.05).trace.soc
     assert np.max(np.abs(soc - float64)) < 2e-3

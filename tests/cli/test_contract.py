@@ -112,7 +112,7 @@ def judged(estimator="ekf", soc0="0.7"):
             "--reference-capacity-ah", "5.1532")  # fmt: skip
 
 
-@pytest.mark.parametrize("estimator", ["ekf", "filterpy-ekf"])
+@pytest.mark.parametrize("estimator", ["ekf", pytest.param("filterpy-ekf", marks=pytest.mark.slow)])
 def test_replay(run_json, model, drive, estimator):
     found = run_json("replay", "--model", model, drive, *judged(estimator))
     conforms(found, REPLAY)
@@ -232,6 +232,7 @@ def test_the_sign_can_be_stated(run_json, drive, tmp_path):
     assert run_json("inspect", str(path))["sign"] == "contradicted"
 
 
+@pytest.mark.slow
 def test_a_log_of_a_temperature_makes_an_axis(run_json, tmp_path):
     nmc, out = datasets_folder() / "nmc", tmp_path / "two.json"
     found = run_json("identify", "--hppc", f"{nmc / 'hppc.parquet'}@25", "--hppc",

@@ -61,6 +61,8 @@ def test_hash_bytes_and_rows_are_those_of_the_file(entry):
     assert pq.ParquetFile(path).metadata.num_rows == entry["rows"]
 
 
+# What the files hold, whose hashes are checked above: true again after a file is made again.
+@pytest.mark.slow
 def test_columns_are_the_tidy_form(entry):
     log = columns(entry)
     thermocouple = ["temperature_C"] if entry["name"].startswith("nmc") else []
@@ -72,6 +74,7 @@ def test_columns_are_the_tidy_form(entry):
     assert log["ampere_hours"][0] == 0.0
 
 
+@pytest.mark.slow
 def test_time_and_steps_run_forward(entry):
     log = columns(entry)
     # Two stamps rounded to 1 ms of rows that are at least 20 ms apart.
@@ -80,6 +83,7 @@ def test_time_and_steps_run_forward(entry):
     assert log["step"][0] == 1
 
 
+@pytest.mark.slow
 def test_columns_have_the_resolution_of_the_instrument(entry):
     log = columns(entry)
     for name, step in (("voltage_V", 1e-4), ("current_A", 1e-3), ("time_s", 1e-3)):
@@ -87,6 +91,7 @@ def test_columns_have_the_resolution_of_the_instrument(entry):
         np.testing.assert_allclose(counts, np.round(counts), atol=1e-6 * np.abs(counts).max())
 
 
+@pytest.mark.slow
 def test_counter_is_the_sum_of_the_currents_that_end_at_the_rows(entry):
     log = columns(entry)
     steps = np.diff(log["time_s"])
@@ -102,6 +107,7 @@ def test_counter_is_the_sum_of_the_currents_that_end_at_the_rows(entry):
     assert np.abs(charge + log["ampere_hours"]).max() > 100.0 * bound
 
 
+@pytest.mark.slow
 def test_discharge_is_positive_and_lowers_the_voltage(entry):
     log = columns(entry)
     jump = np.diff(log["current_A"])
@@ -110,6 +116,7 @@ def test_discharge_is_positive_and_lowers_the_voltage(entry):
     assert np.sum(jump[edges] * np.diff(log["voltage_V"])[edges]) < 0.0
 
 
+@pytest.mark.slow
 def test_voltage_stays_in_the_window(entry):
     voltage = columns(entry)["voltage_V"]
     lower, upper = entry["window_V"]
@@ -117,12 +124,14 @@ def test_voltage_stays_in_the_window(entry):
     assert voltage.max() < upper + 6.0 * VOLTAGE_NOISE_V
 
 
+@pytest.mark.slow
 def test_soc_truth_agrees_with_the_counter(entry):
     moved = columns(entry)["ampere_hours"][-1] / entry["true_capacity_Ah"]
     assert entry["initial_soc"] - entry["final_soc"] == pytest.approx(moved, abs=1e-4)
     assert 0.98 < entry["initial_soc"] <= 1.0
 
 
+@pytest.mark.slow
 def test_thermocouple_starts_at_the_chamber(entry):
     log = columns(entry)
     if "temperature_C" not in log:
@@ -132,6 +141,7 @@ def test_thermocouple_starts_at_the_chamber(entry):
     assert log["temperature_C"].max() < entry["temperature_C"] + 20.0
 
 
+@pytest.mark.slow
 def test_relay_is_open_in_a_rest(entry):
     log = columns(entry)
     first = log["step"] == 1

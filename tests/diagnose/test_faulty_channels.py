@@ -195,7 +195,6 @@ def test_a_voltage_at_the_end_of_its_range_is_saturated(drive, end):
     assert ("voltage_V", "saturated") in kinds
     assert not any(c == "current_A" for c, _ in kinds)
     assert not np.any(log.voltage_V == limit)
-    assert "voltage_V_" + ("max" if end > 0.5 else "min") in inspect_log(bad).saturated
 
 
 def test_a_cell_at_rest_full_or_dead_and_a_heavy_pulse_are_no_faults(drive):

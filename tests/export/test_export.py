@@ -278,7 +278,7 @@ def test_a_prefix_that_is_no_name_is_refused(model, tmp_path, capsys, prefix):
 
 
 @needs_gcc
-@pytest.mark.parametrize("name", ["a /* b", "a */ b", "tail\\", "what??/", "line\nbreak"])
+@pytest.mark.parametrize("name", ["a */ b tail\\", "what??/", "line\nbreak"])
 def test_a_cell_of_any_name_compiles(tmp_path, name):
     out = tmp_path / "out"
     made(out, curved_cell(name=name))

@@ -19,7 +19,7 @@ from cellwise.cell.model_file import write_model
 from cellwise.cli import main
 from cellwise.cli.common.socket_options import LAYOUT_NAMES
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
-from cellwise.export.layouts import LAYOUTS
+from cellwise.export.package import LAYOUTS
 from example_cells import curved_cell
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")

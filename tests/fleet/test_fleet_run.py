@@ -29,7 +29,7 @@ def rows_in(out):
     return found
 
 
-@pytest.mark.parametrize("scheduler", ["local", "processes"])
+@pytest.mark.parametrize("scheduler", ["local", pytest.param("processes", marks=pytest.mark.slow)])
 def test_every_log_has_the_row_that_its_replay_gives(model, folder, tmp_path, scheduler):
     out = tmp_path / "out"
     told = run_fleet(ReplayTask(model), folder, out, scheduler=scheduler, workers=2, batch=2)
@@ -215,7 +215,7 @@ def test_a_worker_that_starts_again_slowly_is_not_given_up(model, folder, tmp_pa
     import dask
 
     cloudpickle.register_pickle_by_value(sys.modules[Deadly.__module__])
-    monkeypatch.setattr(engine, "WITHOUT_WORKERS_S", 60.0)
+    monkeypatch.setattr(engine, "PATIENCE", engine.PATIENCE._replace(without_s=60.0))
     task = Deadly(model, marker=str(tmp_path / "once"))
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "0s"}):
         run_fleet(task, folder, tmp_path / "out", scheduler="processes", workers=1, batch=3)
@@ -245,15 +245,15 @@ class _WithoutWorkers:
 def test_workers_that_never_come_back_end_the_run(model, folder, monkeypatch):
     from cellwise.errors import MachineError
 
-    monkeypatch.setattr(engine, "WITHOUT_WORKERS_S", 0.5)
-    monkeypatch.setattr(engine, "ASK_AGAIN_S", 0.1)
+    patience = engine.PATIENCE._replace(without_s=0.5, ask_s=0.1)
+    monkeypatch.setattr(engine, "PATIENCE", patience)
     with pytest.raises(MachineError, match="no worker for"):
         list(engine.rows_of(_WithoutWorkers(), ReplayTask(model), folder, ["a.parquet"], 1))
 
 
 def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
     """However many logs there are: what waits stays a name."""
-    from cellwise.fleet.engine import AHEAD, Threads
+    from cellwise.fleet.engine import PATIENCE, Threads
 
     flying, most = [0], [0]
     submit = Threads.submit
@@ -276,7 +276,7 @@ def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
         shutil.copy(folder / "truck_1" / "day_0.parquet", folder / f"more_{k:02d}.parquet")
     run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1, batch=1)
     assert len(rows_in(tmp_path / "out")) == 48
-    assert most[0] <= AHEAD
+    assert most[0] <= PATIENCE.ahead
 
 
 def test_a_failure_of_the_machine_is_none_of_the_log(model, folder, tmp_path, monkeypatch):

@@ -154,17 +154,6 @@ def test_resolution_of_quantised_channels(step):
     assert inspect_log(replace(log, current_A=noisy)).resolution["current_A"] is None
 
 
-def test_saturated_current():
-    rng = np.random.default_rng(12)
-    time = np.arange(0.0, 3000.0, 0.5)
-    current = np.convolve(rng.normal(0, 20.0, time.size), np.ones(20) / 20, "same") + 5.0
-    log = CellLog(time, np.minimum(current, 9.0), 3.8 - 0.02 * current)
-    found = inspect_log(log).saturated["current_A_max"]
-    assert found.value == 9.0
-    assert found.share == pytest.approx(np.mean(current >= 9.0))
-    assert inspect_log(CellLog(time, current, 3.8 - 0.02 * current)).saturated == {}
-
-
 def test_sampling_tells_jitter_from_slow_logging():
     rng = np.random.default_rng(13)
     n = 3000

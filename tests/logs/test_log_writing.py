@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
@@ -16,6 +17,7 @@ from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs import CellLog, read_log, write_log
+from cellwise.logs.writing import write_columns
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
 
@@ -184,3 +186,41 @@ def test_measured_log_round_trip(real_data, tmp_path):
         again = read_log(write_log(log, tmp_path / f"out.{suffix}"))
         for field in FIELDS:
             np.testing.assert_array_equal(getattr(again, field), getattr(log, field))
+
+
+COLUMNS = {
+    "time_s": np.array([0.0, 0.1, 1e6]),
+    "soc": np.array([1.0, 1.0 / 3.0, np.nan]),
+    "status": np.array([0, 4, 7], dtype=np.uint8),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("out.csv", pd.read_csv),
+        ("out.csv.gz", pd.read_csv),
+        ("out.parquet", pd.read_parquet),
+        ("OUT.CSV", pd.read_csv),
+    ],
+)
+def test_columns_come_back_to_the_last_digit(tmp_path, name, read):
+    path = write_columns(COLUMNS, tmp_path / name)
+    assert path == tmp_path / name
+    found = read(path)
+    assert list(found.columns) == list(COLUMNS)
+    for key, values in COLUMNS.items():
+        np.testing.assert_array_equal(found[key].to_numpy(dtype=float), values.astype(float))
+
+
+def test_a_missing_number_is_no_word(tmp_path):
+    # "nan" would be read as text by half of the tools; an empty field or NaN by pandas as missing.
+    write_columns(COLUMNS, tmp_path / "a.csv")
+    assert pd.read_csv(tmp_path / "a.csv")["soc"].dtype == np.float64
+
+
+@pytest.mark.parametrize("name", ["out.xlsx", "out", "out.gz", "out.csv.zip"])
+def test_another_suffix_is_refused(tmp_path, name):
+    with pytest.raises(InputError, match=r"\.parquet, \.csv, \.csv\.gz"):
+        write_columns(COLUMNS, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

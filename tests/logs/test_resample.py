@@ -62,13 +62,6 @@ def test_an_even_log_on_its_own_step_is_itself():
         np.testing.assert_allclose(getattr(even, field), getattr(log, field), atol=1e-10)
 
 
-def test_twice_the_step_twice_is_four_times_the_step():
-    log = CellLog(np.arange(801.0), np.random.default_rng(2).normal(size=801), np.arange(801.0))
-    once, twice = resample(log, 4.0), resample(resample(log, 2.0), 4.0)
-    np.testing.assert_allclose(once.current_A, twice.current_A, atol=1e-9)
-    np.testing.assert_array_equal(once.voltage_V, twice.voltage_V)
-
-
 def test_voltage_is_the_last_that_was_measured_never_a_later_one():
     log = uneven_log()
     even = resample(log, 1.0)
@@ -92,13 +85,6 @@ def test_a_pause_stays_a_pause():
     assert np.all(np.isfinite(even.voltage_V[outside]))
 
 
-def test_a_finer_step_has_voltages_only_where_there_were_some():
-    log = CellLog(np.arange(100.0), np.ones(100), np.arange(100.0))
-    fine = resample(log, 0.25)
-    assert np.count_nonzero(np.isfinite(fine.voltage_V)) == 100
-    assert np.all(fine.current_A == 1.0)
-
-
 def test_missing_voltage_stays_missing():
     log = uneven_log()
     v = log.voltage_V.copy()
@@ -115,13 +101,6 @@ def test_a_row_that_begins_its_interval_is_turned_round():
     even = resample(log, 1.0)
     assert even.current_meaning == "interval_end"
     assert even.current_A[1:].tolist() == [1.0, 2.0, 3.0]
-
-
-def test_repeated_stamps_are_no_obstacle():
-    log = CellLog(np.array([0.0, 1.0, 1.0, 2.0, 3.0]), np.ones(5), np.arange(5.0))
-    even = resample(log, 1.0)
-    assert even.voltage_V.tolist() == [0.0, 2.0, 3.0, 4.0]
-    assert np.all(even.current_A == 1.0)
 
 
 def test_the_rest_of_the_log_comes_along():

@@ -54,10 +54,3 @@ def test_soc_can(study, estimator):
     assert winner.choice == WHOLE
     assert winner.behind[CC].low > 0.002
     assert winner.behind[HPPC].low > 0.0
-
-
-@pytest.mark.slow
-def test_counting_is_off_by_what_arithmetic_says(study, cell, counting_error, by_choice):
-    for choice in by_choice(study).values():
-        expected = counting_error(cell, choice.capacity_Ah)
-        assert choice.soc["coulomb"].end == pytest.approx(expected, abs=2e-3)

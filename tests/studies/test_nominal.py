@@ -61,13 +61,6 @@ class TestLfp:
         assert found.soc["ekf"].rmse > 0.8 * found.soc["coulomb"].rmse
         assert found.axis_share["coulomb"] > 0.5
 
-    def test_counting_is_off_by_what_arithmetic_says(
-        self, lfp_study, lfp_cell, counting_error, by_choice
-    ):
-        for choice in by_choice(lfp_study).values():
-            expected = counting_error(lfp_cell, choice.capacity_Ah)
-            assert choice.soc["coulomb"].end == pytest.approx(expected, abs=2e-3)
-
 
 @pytest.fixture(scope="module")
 def nmc_cell():
@@ -79,6 +72,7 @@ def nmc_study(quick, nmc_cell):
     return quick(nmc_cell, "nominal", "rate:C/20", estimators=("coulomb", "ekf", "adaptive"))
 
 
+@pytest.mark.slow
 class TestNmc:
     """A cell that gives 3 % more than it is rated for."""
 
@@ -98,6 +92,7 @@ class TestNmc:
         assert nominal.soc["ekf"].end == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.slow
 def test_two_names_of_one_number_are_one_model(quick):
     cell = embedded_nmc()
     same = replace(cell, values_Ah={"mine": 5.0})

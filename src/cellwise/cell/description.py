@@ -39,11 +39,6 @@ class State:
     option: str
     meaning: str
 
-    @property
-    def letter_name(self) -> str:
-        """Name of its number in a column: a letter alone, or ``v1``."""
-        return f"v{self.letter}" if self.letter.isdigit() else self.letter
-
 
 SOC = State("soc", "s", "z", "", "gs", "slope", "", "state of charge")
 V1 = State("v1_V", "1", "v_1", "a1", "g1", "-1", "", "voltage of the fast branch")

@@ -1,14 +1,15 @@
 """Effects: how the plain 2-RC model is extended, one small record each.
 
 Every record has a neutral value at which the model is exactly the plain one. Kernels never ask
-which effects there are: :func:`effect_value` gives the neutral value for an absent one.
+which effects there are: :meth:`CellModel.effect` gives the neutral value for an absent one.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from dataclasses import Field, dataclass, field, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,40 +20,52 @@ from cellwise.typing import FloatArray
 BRANCH_ACTIVATIONS = ("r0", "r1", "tau1", "r2", "tau2", "r3", "tau3")
 
 
+def between(low: float, high: float, *, off: bool = False) -> dict[str, Any]:
+    """What is known of a parameter: its bounds, and whether its default switches the effect off."""
+    return {"bounds": (low, high), "off": off}
+
+
 @dataclass(frozen=True, eq=False)
-class SlowDiffusion:
+class Effect:
+    """What all effects have: a name, the bounds of each parameter, values that switch it off."""
+
+    name: ClassVar[str] = ""
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {}
+    neutral: ClassVar[dict[str, float]] = {}
+
+    def __init_subclass__(cls) -> None:
+        """Take name, bounds and neutral values from the class and its parameters."""
+        own: dict[str, Any] = {n: x for n, x in vars(cls).items() if isinstance(x, Field)}
+        cls.name = re.sub(r"(?<!^)([A-Z])", r"_\1", cls.__name__).lower()
+        cls.bounds = {name: one.metadata["bounds"] for name, one in own.items()}
+        cls.neutral = {n: float(one.default) for n, one in own.items() if one.metadata["off"]}
+
+
+@dataclass(frozen=True, eq=False)
+class SlowDiffusion(Effect):
     """A third RC branch for what 10 s pulses cannot see. Neutral: ``r3_ohm`` = 0.
 
     ``r3_ohm`` [ohm] and ``tau3_s`` [s] are numbers, or tables of shape (temperatures, soc points).
     """
 
-    name: ClassVar[str] = "slow_diffusion"
-    neutral: ClassVar[dict[str, float]] = {"r3_ohm": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "r3_ohm": (0.0, 100.0),
-        "tau3_s": (1.0, 1e6),
-    }
-    r3_ohm: FloatArray | float = 0.0
-    tau3_s: FloatArray | float = 1000.0
+    r3_ohm: FloatArray | float = field(default=0.0, metadata=between(0.0, 100.0, off=True))
+    tau3_s: FloatArray | float = field(default=1000.0, metadata=between(1.0, 1e6))
 
 
 @dataclass(frozen=True, eq=False)
-class Hysteresis:
+class Hysteresis(Effect):
     """One-state hysteresis M h (Plett), h from -1 (discharged into) to +1 (charged into).
 
     ``m_V`` [V] is half the gap between the charge and the discharge branch, a number or a table;
     ``gamma`` [1] says how fast a branch is reached, in e-folds per full charge. Neutral: m_V = 0.
     """
 
-    name: ClassVar[str] = "hysteresis"
-    neutral: ClassVar[dict[str, float]] = {"m_V": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"m_V": (-0.5, 0.5), "gamma": (0.0, 1e5)}
-    m_V: FloatArray | float = 0.0
-    gamma: float = 0.0
+    m_V: FloatArray | float = field(default=0.0, metadata=between(-0.5, 0.5, off=True))
+    gamma: float = field(default=0.0, metadata=between(0.0, 1e5))
 
 
 @dataclass(frozen=True, eq=False)
-class TemperatureDependence:
+class TemperatureDependence(Effect):
     """Arrhenius factors exp(E (1/T - 1/T_ref)). Neutral: every E = 0 K.
 
     ``activation_K`` [K] is the activation energy over the gas constant that every resistance has
@@ -60,75 +73,41 @@ class TemperatureDependence:
     those of the time constants; ``reference_C`` [degC] is where the tables hold.
     """
 
-    name: ClassVar[str] = "temperature_dependence"
-    neutral: ClassVar[dict[str, float]] = {
-        "activation_K": 0.0,
-        **{f"{branch}_K": 0.0 for branch in BRANCH_ACTIVATIONS},
-    }
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "activation_K": (-2000.0, 15000.0),
-        "reference_C": (-50.0, 90.0),
-        **{f"{branch}_K": (-15000.0, 15000.0) for branch in BRANCH_ACTIVATIONS},
-    }
-    activation_K: float = 0.0
-    reference_C: float = 25.0
-    r0_K: float = 0.0
-    r1_K: float = 0.0
-    tau1_K: float = 0.0
-    r2_K: float = 0.0
-    tau2_K: float = 0.0
-    r3_K: float = 0.0
-    tau3_K: float = 0.0
+    activation_K: float = field(default=0.0, metadata=between(-2000.0, 15000.0, off=True))
+    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
+    r0_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    r1_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    tau1_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    r2_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    tau2_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    r3_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    tau3_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
 
 
 @dataclass(frozen=True, eq=False)
-class Entropy:
-    """The OCV moves with temperature: + dOCV/dT (T - T_ref). Neutral: dOCV/dT = 0.
-
-    ``docv_dT_V_per_K`` [V/K] is the entropy of the reaction over the Faraday constant, a number or
-    a table over SOC; ``reference_C`` [degC] is where the OCV table holds.
-    """
-
-    name: ClassVar[str] = "entropy"
-    neutral: ClassVar[dict[str, float]] = {"docv_dT_V_per_K": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "docv_dT_V_per_K": (-0.005, 0.005),
-        "reference_C": (-50.0, 90.0),
-    }
-    docv_dT_V_per_K: FloatArray | float = 0.0
-    reference_C: float = 25.0
-
-
-@dataclass(frozen=True, eq=False)
-class TimeSkew:
+class TimeSkew(Effect):
     """The sampling delay [s]: the logged voltage lags the logged current by it. Neutral: 0.
 
     It belongs to the logger, not to the cell; it is kept with the model because a filter that
     runs on the same logger needs it.
     """
 
-    name: ClassVar[str] = "time_skew"
-    neutral: ClassVar[dict[str, float]] = {"skew_s": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"skew_s": (0.0, 60.0)}
-    skew_s: float = 0.0
+    skew_s: float = field(default=0.0, metadata=between(0.0, 60.0, off=True))
 
 
 @dataclass(frozen=True, eq=False)
-class RateDependence:
+class RateDependence(Effect):
     """Resistances R0, R1, R2 times 1 / (1 + k |I| / capacity). Neutral: ``rate_h`` = 0.
 
     ``rate_h`` [h] is k: 0.1 means that at 1C the resistances have fallen by a factor of 1.1.
     Negative: they rise with the current.
     """
 
-    name: ClassVar[str] = "rate_dependence"
-    neutral: ClassVar[dict[str, float]] = {"rate_h": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"rate_h": (-0.05, 10.0)}
-    rate_h: float = 0.0
+    rate_h: float = field(default=0.0, metadata=between(-0.05, 10.0, off=True))
 
 
 @dataclass(frozen=True, eq=False)
-class ChargeTransfer:
+class ChargeTransfer(Effect):
     """The fast branch follows the asinh law of a charge transfer. Neutral: ``asinh_per_V`` = 0.
 
     ``asinh_per_V`` [1/V] is k in V1 -> asinh(k R1 I) / k: R1 is the resistance at small currents,
@@ -136,14 +115,11 @@ class ChargeTransfer:
     electron and a symmetric reaction (Butler-Volmer): F / (2 R T), 19.5 per volt at 25 degC.
     """
 
-    name: ClassVar[str] = "charge_transfer"
-    neutral: ClassVar[dict[str, float]] = {"asinh_per_V": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"asinh_per_V": (0.0, 200.0)}
-    asinh_per_V: float = 0.0
+    asinh_per_V: float = field(default=0.0, metadata=between(0.0, 200.0, off=True))
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceSoc:
+class SurfaceSoc(Effect):
     """Under load the surface of the particles is emptier than their mean. Neutral: ``depth_h`` = 0.
 
     Resistances and time constants are looked up at SOC - depth exp(E (1/T - 1/T_ref)) I / Q, with
@@ -153,32 +129,21 @@ class SurfaceSoc:
     constant, ``reference_C`` [degC] where ``depth_h`` holds. A lumped model of solid diffusion.
     """
 
-    name: ClassVar[str] = "surface_soc"
-    neutral: ClassVar[dict[str, float]] = {"depth_h": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "depth_h": (0.0, 1.0),
-        "tau_s": (1.0, 1e5),
-        "activation_K": (-2000.0, 15000.0),
-        "reference_C": (-50.0, 90.0),
-    }
-    depth_h: float = 0.0
-    tau_s: float = 300.0
-    activation_K: float = 0.0
-    reference_C: float = 25.0
+    depth_h: float = field(default=0.0, metadata=between(0.0, 1.0, off=True))
+    tau_s: float = field(default=300.0, metadata=between(1.0, 1e5))
+    activation_K: float = field(default=0.0, metadata=between(-2000.0, 15000.0))
+    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
 
 
 @dataclass(frozen=True, eq=False)
-class ChargeAsymmetry:
+class ChargeAsymmetry(Effect):
     """Every resistance times ``charge_scale`` while the cell is charged. Neutral: 1."""
 
-    name: ClassVar[str] = "charge_asymmetry"
-    neutral: ClassVar[dict[str, float]] = {"charge_scale": 1.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"charge_scale": (0.1, 10.0)}
-    charge_scale: float = 1.0
+    charge_scale: float = field(default=1.0, metadata=between(0.1, 10.0, off=True))
 
 
 @dataclass(frozen=True, eq=False)
-class SelfHeating:
+class SelfHeating(Effect):
     """The cell is warmer than the temperature of the log by what its losses heat it.
 
     ``rth_K_per_W`` [K/W] is the steady rise per watt lost, ``thermal_s`` [s] the time constant.
@@ -186,55 +151,33 @@ class SelfHeating:
     from the rise.
     """
 
-    name: ClassVar[str] = "self_heating"
-    neutral: ClassVar[dict[str, float]] = {"rth_K_per_W": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "rth_K_per_W": (0.0, 200.0),
-        "thermal_s": (1.0, 1e5),
-    }
-    rth_K_per_W: float = 0.0
-    thermal_s: float = 600.0
+    rth_K_per_W: float = field(default=0.0, metadata=between(0.0, 200.0, off=True))
+    thermal_s: float = field(default=600.0, metadata=between(1.0, 1e5))
 
 
 @dataclass(frozen=True, eq=False)
-class SelfDischarge:
+class SelfDischarge(Effect):
     """A current ``leak_A`` [A] inside the cell that no sensor sees. Neutral: 0."""
 
-    name: ClassVar[str] = "self_discharge"
-    neutral: ClassVar[dict[str, float]] = {"leak_A": 0.0}
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"leak_A": (0.0, 1e3)}
-    leak_A: float = 0.0
+    leak_A: float = field(default=0.0, metadata=between(0.0, 1e3, off=True))
 
 
-Effect = (
-    SlowDiffusion
-    | Hysteresis
-    | TemperatureDependence
-    | TimeSkew
-    | RateDependence
-    | ChargeTransfer
-    | SurfaceSoc
-    | ChargeAsymmetry
-    | SelfHeating
-    | SelfDischarge
-    | Entropy
-)
-EFFECTS: dict[str, type[Effect]] = {
-    e.name: e
-    for e in (
-        SlowDiffusion,
-        Hysteresis,
-        TemperatureDependence,
-        TimeSkew,
-        RateDependence,
-        ChargeTransfer,
-        SurfaceSoc,
-        ChargeAsymmetry,
-        SelfHeating,
-        SelfDischarge,
-        Entropy,
+@dataclass(frozen=True, eq=False)
+class Entropy(Effect):
+    """The OCV moves with temperature: + dOCV/dT (T - T_ref). Neutral: dOCV/dT = 0.
+
+    ``docv_dT_V_per_K`` [V/K] is the entropy of the reaction over the Faraday constant, a number or
+    a table over SOC; ``reference_C`` [degC] is where the OCV table holds.
+    """
+
+    docv_dT_V_per_K: FloatArray | float = field(
+        default=0.0, metadata=between(-0.005, 0.005, off=True)
     )
-}
+    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
+
+
+EFFECTS: dict[str, type[Effect]] = {kind.name: kind for kind in Effect.__subclasses__()}
+
 # What they say at a SOC and a temperature is the same under every load and after every past: a
 # target, which has no term for them, gets it as rows of its tables.
 IN_TABLES = (TemperatureDependence, Entropy)
@@ -255,18 +198,18 @@ def beside_common_activation(effects: Iterable[Effect]) -> tuple[Effect, ...]:
 
 def check_effect(effect: Effect, shape: tuple[int, int]) -> None:
     """Refuse an effect whose parameters are not finite, out of bounds or of the wrong shape."""
-    for field in fields(effect):
-        value = np.asarray(getattr(effect, field.name), dtype=np.float64)
-        low, high = effect.bounds[field.name]
+    for one in fields(effect):
+        value = np.asarray(getattr(effect, one.name), dtype=np.float64)
+        low, high = effect.bounds[one.name]
         if value.ndim and value.shape != shape:
             raise InputError(
-                f"effect {effect.name} with {field.name} of shape {value.shape}",
+                f"effect {effect.name} with {one.name} of shape {value.shape}",
                 f"a number or a table of shape {shape} (temperatures, soc points)",
                 "Interpolate it onto the model's grid.",
             )
         if not np.all(np.isfinite(value)) or value.min() < low or value.max() > high:
             raise InputError(
-                f"effect {effect.name} with {field.name} from {value.min():g} to {value.max():g}",
+                f"effect {effect.name} with {one.name} from {value.min():g} to {value.max():g}",
                 f"finite values in [{low:g}, {high:g}]",
                 "Check the fit that gave it.",
             )

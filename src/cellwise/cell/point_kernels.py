@@ -167,35 +167,3 @@ def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoi
         (high.entropy_V - low.entropy_V) * sloped,
         0.0,
     )
-
-
-@inline
-def scalars_of(rows: FloatArray, p: int) -> CellScalars:
-    """Row ``p`` of an array as the scalars it holds."""
-    return CellScalars(
-        rows[p, 0],
-        rows[p, 1],
-        rows[p, 2],
-        rows[p, 3],
-        rows[p, 4],
-        rows[p, 5],
-        rows[p, 6],
-        rows[p, 7],
-        rows[p, 8],
-        rows[p, 9],
-        rows[p, 10],
-        rows[p, 11],
-        rows[p, 12],
-        rows[p, 13],
-        rows[p, 14],
-        rows[p, 15],
-        rows[p, 16],
-        rows[p, 17],
-        rows[p, 18],
-        rows[p, 19],
-        rows[p, 20],
-        rows[p, 21],
-        rows[p, 22],
-        rows[p, 23],
-        rows[p, 24],
-    )

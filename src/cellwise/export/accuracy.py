@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,25 @@ from cellwise.logs.cell_log import CellLog, resample
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
 
-ROUND = 3000  # samples between two rounds of persistent faults
-STEPS = 3000
-EVERY = 5
-START_SOC, START_VARIANCE, NARROW = 0.9, 0.01, 1e-5
-LOCK_OUT_STEPS, SETTLED = 200, 50
+
+class Stress(NamedTuple):
+    """The samples that make a step cost most: so many, persistent faults every ``round`` of them.
+
+    On the target every so manyth is measured. A lock-out is ``settled`` samples at the truth, then
+    those of an empty cell, by a filter whose variance is ``narrow``.
+    """
+
+    samples: int = 3000
+    round: int = 3000
+    every: int = 5
+    soc: float = 0.9
+    variance: float = 0.01
+    narrow: float = 1e-5
+    lock_out: int = 200
+    settled: int = 50
+
+
+STRESS = Stress()
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,7 @@ def stress_samples(
     samples["temperature_C"] = rng.uniform(-25.0, 50.0, rows)
     jumps = rng.choice([1] * 50 + [0, 2, 3, 50, 10**5, 10**9, 2**32 - 3], rows)
     samples["sequence"] = np.cumsum(jumps.astype(np.uint64)).astype(np.uint32)
-    for first in range(0, rows - 900, ROUND):
+    for first in range(0, rows - 900, STRESS.round):
         samples["current_A"][first : first + 60] = np.nan
         samples["voltage_V"][first + 100 : first + 160] = np.nan
         samples["voltage_V"][first + 200 : first + 300] = rest_V
@@ -80,7 +94,7 @@ def stress_samples(
     return samples
 
 
-def stress_of(model: CellModel, rows: int = STEPS) -> NDArray[Any]:
+def stress_of(model: CellModel, rows: int = STRESS.samples) -> NDArray[Any]:
     """Stress around the voltages and currents of a model."""
     at = np.interp([0.02, 0.3, 0.5, 0.98], model.soc, model.ocv_V[0])
     low, quarter, rest, full = (float(v) for v in at)
@@ -89,11 +103,11 @@ def stress_of(model: CellModel, rows: int = STEPS) -> NDArray[Any]:
 
 def lock_out(model: CellModel) -> NDArray[Any]:
     """A cell at rest whose voltage turns out to be that of an empty one."""
-    samples = np.zeros(LOCK_OUT_STEPS, dtype=INPUT)
-    truth, empty = np.interp([START_SOC, 0.02], model.soc, model.ocv_V[0])
-    samples["voltage_V"] = np.where(np.arange(LOCK_OUT_STEPS) < SETTLED, truth, empty)
+    samples = np.zeros(STRESS.lock_out, dtype=INPUT)
+    truth, empty = np.interp([STRESS.soc, 0.02], model.soc, model.ocv_V[0])
+    samples["voltage_V"] = np.where(np.arange(STRESS.lock_out) < STRESS.settled, truth, empty)
     samples["temperature_C"] = model_temperature_C(model)
-    samples["sequence"] = np.arange(LOCK_OUT_STEPS)
+    samples["sequence"] = np.arange(STRESS.lock_out)
     return samples
 
 
@@ -105,17 +119,23 @@ def worst_case(model: CellModel, tables: FixedStepTables, core: str) -> WorstCas
     InputError        no tools, or a core that is not known
     """
     cost = run_on_target(
-        tables, core, stress_of(model), START_SOC, START_VARIANCE, measure_every=EVERY
+        tables, core, stress_of(model), STRESS.soc, STRESS.variance, measure_every=STRESS.every
     ).cost
     most, stack = cost.instructions_most or 0.0, cost.stack_bytes or 0
     samples = lock_out(model)
-    run = run_on_target(tables, core, samples, START_SOC, NARROW)
+    run = run_on_target(tables, core, samples, STRESS.soc, STRESS.narrow)
     found = np.flatnonzero(run.outputs["status"] & GATE_RECOVERY)
     if found.size == 0:
         return WorstCase(most, None, stack)
     at = int(found[0])
     once = run_on_target(
-        tables, core, samples[: at + 1], START_SOC, NARROW, measure_every=at + 1, measure_first=at
+        tables,
+        core,
+        samples[: at + 1],
+        STRESS.soc,
+        STRESS.narrow,
+        measure_every=at + 1,
+        measure_first=at,
     ).cost
     reset = once.instructions_most or 0.0
     return WorstCase(max(most, reset), reset, max(stack, once.stack_bytes or 0))

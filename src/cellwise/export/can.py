@@ -16,10 +16,21 @@ from cellwise.files import write_atomically
 if TYPE_CHECKING:
     from cantools.database.can import Database
 
-FIRST_ID = 0x5A0  # below it are what a bus needs sooner, above it diagnosis
-CYCLE_MS = 100
-STEPS = 2**16  # values of a signal
-POWER_RATE_H = 10.0  # the largest power shown is that of so many times the capacity in an hour
+
+class Bus(NamedTuple):
+    """How the frames go over a bus.
+
+    Below ``first_id`` are what a bus needs sooner, above it diagnosis; a signal has so many
+    ``steps``. The largest power shown is that of ``rate_h`` times the capacity in an hour.
+    """
+
+    first_id: int = 0x5A0
+    cycle_ms: int = 100
+    steps: int = 2**16
+    rate_h: float = 10.0
+
+
+BUS = Bus()
 POWER_FACTORS_W = (0.01, 0.1, 1.0, 10.0, 100.0)
 
 
@@ -34,8 +45,8 @@ class Value(NamedTuple):
 
 def messages_of(model: CellModel, cells: int = 1) -> dict[str, tuple[Value, ...]]:
     """The signals by message, in the order of their identifiers."""
-    most_W = POWER_RATE_H * model.capacity_Ah * float(model.ocv_V.max()) * max(cells, 1)
-    watt = next((f for f in POWER_FACTORS_W if f * (STEPS - 2) >= most_W), POWER_FACTORS_W[-1])
+    most_W = BUS.rate_h * model.capacity_Ah * float(model.ocv_V.max()) * max(cells, 1)
+    watt = next((f for f in POWER_FACTORS_W if f * (BUS.steps - 2) >= most_W), POWER_FACTORS_W[-1])
     return {
         "Soc": (
             Value("Soc", 0.01, "%", "state of charge"),
@@ -97,18 +108,18 @@ def database_of(model: CellModel, cells: int) -> Database:
             16,
             conversion=BaseConversion.factory(scale=value.factor),
             minimum=0,
-            maximum=round(value.factor * (STEPS - 1), 6),
+            maximum=round(value.factor * (BUS.steps - 1), 6),
             unit=value.unit or None,
             comment=value.meaning,
         )
 
     messages = [
         Message(
-            FIRST_ID + k,
+            BUS.first_id + k,
             name,
             2 * len(values),
             [signal(value, j) for j, value in enumerate(values)],
-            cycle_time=CYCLE_MS,
+            cycle_time=BUS.cycle_ms,
             senders=["Gauge"],
             comment=f"{comment(model.name) or 'unnamed cell'}; 65535 steps: not known",
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,26 @@ from cellwise.export.c_tables import comment, firmware_folder, initialiser
 from cellwise.export.firmware import HostLibrary
 from cellwise.logs.cell_log import CellLog
 
-SAMPLES = 200
-TRUE_SOC, START_SOC, START_VARIANCE = 0.7, 0.5, 0.0225
+
+class Vector(NamedTuple):
+    """The samples of the example: so many, every so manyth printed; the cell's SOC, the filter's.
+
+    A plan lands ``above`` this SOC.
+    """
+
+    samples: int = 200
+    every: int = 20
+    true_soc: float = 0.7
+    soc: float = 0.5
+    variance: float = 0.0225
+    above: float = 0.5
+
+
+VECTOR = Vector()
 # Rest, discharge, rest, charge: parts of the vector, and their currents as a multiple of C.
 LOADS = ((20, 0.0), (60, 1.0), (40, 0.0), (50, -0.5), (30, 0.0))
-SHOWN_EVERY = 20
 # A plan from the vector's end on: seconds, and power as a multiple of what a C rate gives at 3.7 V.
 PLAN = ((300.0, 1.0), (60.0, 0.0), (600.0, 0.5), (120.0, -0.3))
-PLAN_ABOVE = 0.5
 
 PARKING = """\
 Keep on counting the sequence by the clock: one step with the new number takes the time off into
@@ -63,23 +75,23 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
     By this machine's C where there is a compiler, else by numba: both give the same bits.
     """
     current = np.concatenate([np.full(n, rate * model.capacity_Ah) for n, rate in LOADS])
-    time_s = np.arange(SAMPLES, dtype=np.float64) * float(tables.dt_s)
-    log = CellLog(time_s, current, np.full(SAMPLES, 3.7))
-    log = CellLog(time_s, current, simulate(model, log, TRUE_SOC).voltage_V)
+    time_s = np.arange(VECTOR.samples, dtype=np.float64) * float(tables.dt_s)
+    log = CellLog(time_s, current, np.full(VECTOR.samples, 3.7))
+    log = CellLog(time_s, current, simulate(model, log, VECTOR.true_soc).voltage_V)
     inputs = samples_of(model, log, tables.dt_s).records
     state = np.zeros(1, dtype=state_type(tables.options))
     try:
         stepper = HostLibrary(tables).stepper()
     except InputError:
         stepper = numba_stepper(tables)
-    stepper.begin(state, START_SOC, START_VARIANCE)
+    stepper.begin(state, VECTOR.soc, VECTOR.variance)
     outputs = stepper.rows(state, inputs)
     if not tables.options.remaining:
         return inputs, outputs
     cell_W = 3.7 * model.capacity_Ah
     plan = np.array([(seconds, share * cell_W) for seconds, share in PLAN], dtype=PHASE)
     landing = np.zeros(1, dtype=LANDING)
-    stepper.plan(state, plan, True, PLAN_ABOVE, landing)
+    stepper.plan(state, plan, True, VECTOR.above, landing)
     return inputs, outputs, plan, landing
 
 
@@ -93,8 +105,8 @@ def vector_text(inputs: NDArray[Any], outputs: NDArray[Any], *plan: NDArray[Any]
         '#include "cellwise_ekf.h"',
         "",
         f"#define CELLWISE_VECTOR_SAMPLES {inputs.size}u",
-        f"#define CELLWISE_VECTOR_SOC {hex_float(START_SOC)}",
-        f"#define CELLWISE_VECTOR_VARIANCE {hex_float(float(np.float32(START_VARIANCE)))}",
+        f"#define CELLWISE_VECTOR_SOC {hex_float(VECTOR.soc)}",
+        f"#define CELLWISE_VECTOR_VARIANCE {hex_float(float(np.float32(VECTOR.variance)))}",
         "",
         f"static const cellwise_input cellwise_vector_inputs[{inputs.size}] = {{",
         *(f"    {initialiser(record)}," for record in inputs),
@@ -115,7 +127,7 @@ def plan_lines(plan: NDArray[Any], landing: NDArray[Any]) -> list[str]:
     """The part of test_vector.h that is a plan."""
     return [
         f"#define CELLWISE_PLAN_PHASES {plan.size}u",
-        f"#define CELLWISE_PLAN_ABOVE {hex_float(PLAN_ABOVE)}",
+        f"#define CELLWISE_PLAN_ABOVE {hex_float(VECTOR.above)}",
         "",
         f"static const cellwise_phase cellwise_plan_phases[{plan.size}] = {{",
         *(f"    {initialiser(record)}," for record in plan),
@@ -132,7 +144,7 @@ def expected_text(outputs: NDArray[Any]) -> str:
         f"{k + 1:3d}  soc {float(out['soc']):.6f}  variance {float(out['soc_variance']):.3e}  "
         f"status {int(out['status'])}"
         for k, out in enumerate(outputs)
-        if k % SHOWN_EVERY == SHOWN_EVERY - 1
+        if k % VECTOR.every == VECTOR.every - 1
     ]
     return "\n".join([*lines, "every bit as expected", ""])
 

@@ -11,7 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,17 @@ WASM_FLAGS = (
     *("--target=wasm32", "-O2", "-ffreestanding", "-nostdlib", "-mbulk-memory"),
     *("-Wl,--no-entry", "-Wl,--strip-all", *(f"-Wl,--export={name}" for name in EXPORTED)),
 )
-EXAMPLE_NOISE_V = 0.002  # of the voltages in the example
-EXAMPLE_SOC = 0.9
-MOST_EXAMPLE = 4000  # samples
+
+
+class Example(NamedTuple):
+    """The page's example: noise of its voltages, SOC at its start, samples at the most."""
+
+    noise_V: float = 0.002
+    soc: float = 0.9
+    samples: int = 4000
+
+
+EXAMPLE = Example()
 
 
 def write_estimator_page(
@@ -138,14 +146,14 @@ def zipped(files: Mapping[str, str]) -> bytes:
 def example(model: CellModel, dt_s: float) -> bytes:
     """Currents of the embedded drive, scaled to the cell, and the model's voltages: float32."""
     drive = load_dataset("nmc_drive_b")
-    records = samples_of(model, drive, dt_s).records[:MOST_EXAMPLE]
+    records = samples_of(model, drive, dt_s).records[: EXAMPLE.samples]
     current = records["current_A"].astype(np.float64)
     least = max(float(np.sum(current)) * dt_s / 3600.0, 1e-3)
-    current *= min(model.capacity_Ah * (EXAMPLE_SOC - 0.1) / least, 3.0)
+    current *= min(model.capacity_Ah * (EXAMPLE.soc - 0.1) / least, 3.0)
     time_s = dt_s * np.arange(current.size, dtype=np.float64)
     log = CellLog(time_s, current, np.full(current.size, float(model.ocv_V[0, -1])))
-    voltage = simulate(model, log, EXAMPLE_SOC).voltage_V
-    voltage = voltage + np.random.default_rng(0).normal(0.0, EXAMPLE_NOISE_V, voltage.size)
+    voltage = simulate(model, log, EXAMPLE.soc).voltage_V
+    voltage = voltage + np.random.default_rng(0).normal(0.0, EXAMPLE.noise_V, voltage.size)
     return np.stack([current, voltage], axis=1).astype("<f4").tobytes()
 
 

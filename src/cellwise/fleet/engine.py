@@ -12,17 +12,30 @@ from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError, MachineError
 from cellwise.threads import usable_cores
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
-POLL_S = 0.25  # for what ends without a call back
-ASK_AGAIN_S = 2.0
-WITHOUT_WORKERS_S = 300.0
-AHEAD = 3  # batches in hand for each thread: enough to keep it busy, few enough to stay small
+
+
+class Patience(NamedTuple):
+    """How long is waited for workers.
+
+    Every ``poll_s`` for what ends without a call back; after ``ask_s`` it is asked again how many
+    there are, and after ``without_s`` without one the run ends. So many batches are in hand
+    ``ahead`` for each thread: enough to keep it busy, few enough to stay small.
+    """
+
+    poll_s: float = 0.25
+    ask_s: float = 2.0
+    without_s: float = 300.0
+    ahead: int = 3
+
+
+PATIENCE = Patience()
 
 # The profile of a cluster in this machine is not used, and little can have changed in 10 s.
 QUIET = {
@@ -143,7 +156,7 @@ def rows_of(
     finished = threading.Event()
 
     def send() -> None:
-        while waiting and len(flying) < AHEAD * threads.now():
+        while waiting and len(flying) < PATIENCE.ahead * threads.now():
             _fly(waiting.popleft())
         if suspects and not flying:
             _fly((suspects.popleft(),))
@@ -160,7 +173,7 @@ def rows_of(
         future = next((f for f in flying if f.done()), None)
         if future is None:
             # Not `as_completed`: it waits for ever for what was cancelled with its worker.
-            finished.wait(POLL_S)
+            finished.wait(PATIENCE.poll_s)
             finished.clear()
             threads.check()
             continue
@@ -190,7 +203,7 @@ class _Threads:
 
     def now(self) -> int:
         """How many there are, at least one."""
-        if self._count == 0 or time.monotonic() - self._asked_s > ASK_AGAIN_S:
+        if self._count == 0 or time.monotonic() - self._asked_s > PATIENCE.ask_s:
             workers = self._client.scheduler_info()["workers"].values()
             self._count = sum(w["nthreads"] for w in workers)
             self._asked_s = time.monotonic()
@@ -203,12 +216,12 @@ class _Threads:
 
         Raises
         ------
-        MachineError      no worker for `WITHOUT_WORKERS_S`
+        MachineError      no worker for `PATIENCE.without_s`
         """
         self.now()
-        if time.monotonic() - self._seen_s > WITHOUT_WORKERS_S:
+        if time.monotonic() - self._seen_s > PATIENCE.without_s:
             raise MachineError(
-                f"no worker for {WITHOUT_WORKERS_S:.0f} s, while logs wait",
+                f"no worker for {PATIENCE.without_s:.0f} s, while logs wait",
                 "workers of Dask that start again after a failure",
                 "Look at the workers' messages, then run again: what is done stays done.",
             )

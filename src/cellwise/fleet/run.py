@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
@@ -16,10 +16,21 @@ from cellwise.fleet.store import BY_LOG, BY_MACHINE, ResultFolder
 from cellwise.fleet.tasks import LogTask
 from cellwise.threads import usable_cores
 
-MOST_BATCH = 32  # logs that are lost with a worker
-BATCHES = 16  # of each worker, so that all end together
-PART_ROWS = 2_000
-PART_S = 10.0
+
+class Portions(NamedTuple):
+    """How a run is cut: what is lost with a worker, and what is written at once.
+
+    No more than ``most`` logs a batch, ``batches`` for each worker, so that all end together; a
+    part of the results from so many ``rows`` or seconds on.
+    """
+
+    most: int = 32
+    batches: int = 16
+    rows: int = 2_000
+    part_s: float = 10.0
+
+
+PORTIONS = Portions()
 
 # Called with the logs done, those that failed, and all there are.
 Progress = Callable[[int, int, int], None]
@@ -93,7 +104,7 @@ def run_fleet(
     ready, wrong_before = store.done(there, retry_failed=retry_failed)
     names = [name for name in there if name not in ready]
     together = batch or min(
-        max(len(names) // (BATCHES * (workers or usable_cores())), 1), MOST_BATCH
+        max(len(names) // (PORTIONS.batches * (workers or usable_cores())), 1), PORTIONS.most
     )
     done = samples = machine = 0
     failed = len(wrong_before)
@@ -112,7 +123,10 @@ def run_fleet(
                     refusals += refused(rows)
                     if progress is not None:
                         progress(len(ready) + done, failed, len(there))
-                    if len(kept) >= PART_ROWS or time.monotonic() - written_s >= PART_S:
+                    if (
+                        len(kept) >= PORTIONS.rows
+                        or time.monotonic() - written_s >= PORTIONS.part_s
+                    ):
                         store.add(kept)
                         kept, written_s = [], time.monotonic()
             finally:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -33,9 +33,18 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.stated import Stated
 
-# From here on the model does not know the log, and its sign is worth a look.
-SURPRISED_SHARE = 0.02
-SURPRISED_TIMES = 4.0
+
+class Surprised(NamedTuple):
+    """From where on the model does not know a log, and its sign is worth a look.
+
+    Share of the voltages that are rejected, and times the model's usual error.
+    """
+
+    share: float = 0.02
+    times: float = 4.0
+
+
+SURPRISED = Surprised()
 INTERNAL = "internal error"
 
 _of_thread = threading.local()
@@ -203,8 +212,8 @@ class ReplayTask(LogTask):
     def _sign(self, found: Replay, rejected: float) -> str:
         """The sign's verdict where the filter is surprised; elsewhere the filter has shown it."""
         known = (
-            found.voltage_rmse_V <= SURPRISED_TIMES * self.usual_error_V
-            and rejected <= SURPRISED_SHARE
+            found.voltage_rmse_V <= SURPRISED.times * self.usual_error_V
+            and rejected <= SURPRISED.share
         )
         return "not checked" if known else verify_sign(found.log).verdict
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import MUCH_CHARGE, RANGE_V, Notice
+from cellwise.cell.plausibility.notice import RANGE_V, SHOWN, Notice
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
@@ -166,7 +166,7 @@ def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Noti
                 "logs of one cell, with current in ampere",
                 "Check the unit of the current (mA for A?), `parallel=N`, and the capacity.",
             )
-        if share > MUCH_CHARGE:
+        if share > SHOWN.charge:
             text = (
                 f"'{log.name}' moves {share * capacity_Ah:.4g} Ah through a cell of "
                 f"{capacity_Ah:.4g} Ah ({choice}): a log of another cell, or in another scale?"

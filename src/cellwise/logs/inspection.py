@@ -9,9 +9,7 @@ import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import (
-    Saturation,
     Stretch,
-    find_saturations,
     find_spikes,
     longest,
     possible_part,
@@ -24,9 +22,16 @@ from cellwise.logs.checks.units import COUNTER, compare_counter
 from cellwise.logs.gaps import Gap, find_gaps
 from cellwise.typing import FloatArray
 
-JITTER = 0.25
-NOTED_JITTER = 0.2
-MOST_NOTICES = 5
+
+class Noted(NamedTuple):
+    """From where on intervals jitter (share of the one before), share of those; gaps listed."""
+
+    jitter: float = 0.25
+    jittering: float = 0.2
+    gaps: int = 5
+
+
+NOTED = Noted()
 
 
 class Range(NamedTuple):
@@ -75,7 +80,6 @@ class Inspection:
     counter_mismatch_percent: float | None
     rests: tuple[Rest, ...]
     stuck: dict[str, Stretch]
-    saturated: dict[str, Saturation]
     resolution: dict[str, float | None]
     missing: dict[str, int]
     notices: tuple[str, ...]
@@ -92,8 +96,7 @@ class Inspection:
             value = getattr(self, key)
             plain[key] = None if value is None else value._asdict()
         plain["rests"] = [rest._asdict() for rest in self.rests]
-        for key in ("stuck", "saturated"):
-            plain[key] = {name: found._asdict() for name, found in getattr(self, key).items()}
+        plain["stuck"] = {name: found._asdict() for name, found in self.stuck.items()}
         plain["sign_evidence"] = list(self.sign_evidence)
         plain["notices"] = list(self.notices)
         return plain
@@ -152,7 +155,6 @@ def inspect_log(log: CellLog) -> Inspection:
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
-        saturated=find_saturations(possible),
         resolution={
             "current_A": resolution(log.current_A),
             "voltage_V": resolution(log.voltage_V),
@@ -179,7 +181,7 @@ def _sampling(log: CellLog) -> Sampling:
         median_s=median,
         min_s=float(np.min(interval)),
         max_s=float(np.max(interval)),
-        jitter_share=float(np.mean(change > JITTER * interval[:-1])) if change.size else 0.0,
+        jitter_share=float(np.mean(change > NOTED.jitter * interval[:-1])) if change.size else 0.0,
         late=int(np.count_nonzero(late)),
     )
 
@@ -195,7 +197,7 @@ def _sign_notices(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> 
 def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
     notices = []
     gaps = log.gaps
-    for gap in gaps[:MOST_NOTICES]:
+    for gap in gaps[: NOTED.gaps]:
         counted = (
             "no counter shows what flowed"
             if gap.charge_Ah is None
@@ -204,8 +206,8 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
         notices.append(
             f"a gap of {_duration(gap.duration_s)} without rows at {gap.start_s:.1f} s: {counted}"
         )
-    if len(gaps) > MOST_NOTICES:
-        notices.append(f"{len(gaps) - MOST_NOTICES} more gaps")
+    if len(gaps) > NOTED.gaps:
+        notices.append(f"{len(gaps) - NOTED.gaps} more gaps")
     if log.repeated_stamps:
         notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
     if sampling.late:
@@ -214,7 +216,7 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
             f"{sampling.median_s:.3g} s, yet too soon for a gap: their current is taken to have "
             "flowed all that time"
         )
-    if sampling.jitter_share > NOTED_JITTER:
+    if sampling.jitter_share > NOTED.jittering:
         notices.append(
             f"{100 * sampling.jitter_share:.0f} % of the intervals differ by over a quarter "
             f"from the one before (median {sampling.median_s:.3g} s)"

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,24 @@ from cellwise.typing import BoolArray, FloatArray, IntArray
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
 
-# A missing current is bridged by its last value; from here on by the counter, whose steps
-# (0.01 Ah on some testers) are by then small against what flowed.
-COUNTER_BRIDGE_S = 60.0
-PAUSE_S = 300.0  # what flows unseen in less hardly moves the SOC
-FEWEST_VOLTAGES = 30  # a shorter stretch says less than it costs to find where it begins
 Log = TypeVar("Log", bound="MeasuredLog")
+
+
+class Bridge(NamedTuple):
+    """Over what is missing in a log.
+
+    A missing current is its last value, from ``counter_s`` on what the counter says, whose steps
+    (0.01 Ah on some testers) are by then small against what flowed. What flows unseen in less than
+    ``pause_s`` hardly moves the SOC. A stretch of fewer ``voltages`` says less than it costs to
+    find where it begins.
+    """
+
+    counter_s: float = 60.0
+    pause_s: float = 300.0
+    voltages: int = 30
+
+
+BRIDGE = Bridge()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -268,7 +280,7 @@ def _bridge(
     if charge_Ah is not None:
         seconds = time_s[last] - time_s[before]
         moved = charge_Ah[last] - charge_Ah[before]
-        counted = (seconds > COUNTER_BRIDGE_S) & np.isfinite(moved)
+        counted = (seconds > BRIDGE.counter_s) & np.isfinite(moved)
         value[counted] = 3600.0 * moved[counted] / seconds[counted]
     current[missing] = np.repeat(value, last - first + 1)
 
@@ -305,7 +317,7 @@ def uncounted_pauses(log: MeasuredLog) -> tuple[int, ...]:
 
     A car that is switched off may be charged meanwhile: where its SOC is then, nobody knows.
     """
-    long = np.flatnonzero(log.gap_rows & (log.interval_s > PAUSE_S))
+    long = np.flatnonzero(log.gap_rows & (log.interval_s > BRIDGE.pause_s))
     if log.charge_Ah is None:
         return tuple(map(int, long))
     return tuple(int(k) for k in long if not np.isfinite(log.charge_Ah[k - 1 : k + 1]).all())
@@ -322,7 +334,7 @@ def cut_at_pauses(log: Log) -> tuple[Log, ...]:
         return (log,)
     found: list[Log] = []
     for first, stop in pairwise((0, *rows, len(log))):
-        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < FEWEST_VOLTAGES:
+        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < BRIDGE.voltages:
             continue
         part = log.part(first, stop)
         name = f"{log.name}, {log.time_s[first]:.0f} s" if first else log.name

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 STUDIED = tuple(e for e in ("coulomb", "ekf", "ukf", "adaptive") if e in ESTIMATORS)
-START_STD = 0.02
 VOLTAGE = "voltage"
 
 
@@ -245,7 +244,7 @@ def judge(
         axes.append((judged.soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         lowest.append(int(np.nanargmin(truth)))
         for name in estimators:
-            found = replay(model, log, name, soc0=judged.soc0, soc0_std=START_STD)
+            found = replay(model, log, name, soc0=judged.soc0, soc0_std=DRAWN.soc0_std)
             soc_errors[name].append(np.asarray(found.trace.soc - truth))
     return ChoiceResult(
         choice=choice,
@@ -308,8 +307,15 @@ def _figures(errors: Sequence[FloatArray], lowest: Sequence[int]) -> SocFigures:
     )
 
 
-BLOCKS_PER_LOG = 20
-SEED = 1
+class Drawn(NamedTuple):
+    """How a study is judged: SOC's deviation at the start, blocks drawn from a log, the seed."""
+
+    soc0_std: float = 0.02
+    blocks: int = 20
+    seed: int = 1
+
+
+DRAWN = Drawn()
 
 
 @dataclass(frozen=True)
@@ -339,14 +345,14 @@ def difference(
     """
     errors = np.column_stack((np.concatenate(other), np.concatenate(best)))
     sums = np.column_stack((np.nan_to_num(errors) ** 2, np.isfinite(errors[:, 0])))
-    cuts = [np.arange(e.size) * BLOCKS_PER_LOG // max(e.size, 1) for e in other]
-    block = np.concatenate([BLOCKS_PER_LOG * k + cut for k, cut in enumerate(cuts)])
+    cuts = [np.arange(e.size) * DRAWN.blocks // max(e.size, 1) for e in other]
+    block = np.concatenate([DRAWN.blocks * k + cut for k, cut in enumerate(cuts)])
 
     def between(total: FloatArray) -> FloatArray:
         a, b = np.sqrt(total[..., :2] / total[..., 2:]).T
         return np.asarray(a - b)
 
-    drawn = between(drawn_sums(block, sums, SEED if rng is None else rng))
+    drawn = between(drawn_sums(block, sums, DRAWN.seed if rng is None else rng))
     low, high = np.quantile(drawn, (0.025, 0.975))
     return Difference(float(between(sums.sum(axis=0))), float(low), float(high))
 

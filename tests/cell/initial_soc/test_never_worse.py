@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.initial_soc.likeliest import ln_likelihood_of_starts, past_voltage
+from cellwise.cell.initial_soc.initial_soc import initial_soc, ln_likelihood_of_starts, past_voltage
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import scaled_model, stock_model

@@ -20,7 +20,7 @@ from sources import tree_of
 SOURCE = Path(cellwise.__file__).parent
 # Options of other programs, and of `python -m cellwise.printing`; the variables of a style sheet.
 OTHERS = ("cli", "printing", "report/page", "export/cross.py", "export/page.py")
-OTHERS += ("export/layouts.py",)
+OTHERS += ("export/package.py",)
 OPTION = re.compile(r"(?<![\w-])--[a-z]")
 
 

@@ -189,6 +189,7 @@ def test_json_that_is_nested_too_deeply_is_one_line(refused, precious, tmp_path)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.slow
 @pytest.mark.parametrize("after_s", [0.05, 0.15, 0.3, 0.5])
 def test_an_interrupt_at_any_time_is_one_line(model, precious, after_s, tmp_path):
     out = tmp_path / "out.csv"

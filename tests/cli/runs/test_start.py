@@ -125,6 +125,7 @@ def test_a_pack_and_a_flight_are_known(tmp_path, run_json):
     assert any("--nominal-ah X" in c for c in run_json("start", str(folder))["commands"])
 
 
+@pytest.mark.slow
 def test_it_runs_its_commands_and_ends_on_a_page(tmp_path, capfd, monkeypatch):
     folder = laid_out(tmp_path / "drives", {"drive.parquet": "drive_c"})
     out = tmp_path / "out"

@@ -90,6 +90,7 @@ def test_fleet_takes_it_of_every_log(run_json, model, middle, tmp_path):
     assert (row["soc0"], row["soc0_how"]) == (0.6, "stated")
 
 
+@pytest.mark.slow
 def test_no_stated_log_is_left_out_of_the_refinement(run_json, tmp_path):
     """A drive that begins under load, where its voltage says nothing of SOC."""
     drive = load_dataset("nmc_drive_b").part(0, 9000)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.protocol import hppc_test, run_protocol
+from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.coulomb import Coulomb
@@ -19,8 +19,10 @@ from example_cells import curved_cell, linear_cell, random_log
 
 def test_it_equals_the_testers_counter_on_ideal_data():
     model = curved_cell()
-    steps = hppc_test(3.0, voltage_min_V=2.9, voltage_max_V=4.3, levels=(0.9, 0.5, 0.2))
-    log = run_protocol(model, steps, 0.98)
+    pulses = [ConstantCurrent(current_A=i, duration_s=10.0, period_s=0.1) for i in (3.0, -3.0)]
+    down = ConstantCurrent(current_A=3.0, charge_Ah=1.2)
+    up = ConstantVoltage(voltage_V=4.0, until_current_A=0.2, current_limit_A=2.0)
+    log = run_protocol(model, [*pulses, down, Rest(600.0), *pulses, up], 0.98)
     trace = Coulomb(model).run(log, 0.98)
     np.testing.assert_allclose(trace.soc, 0.98 - log.charge_Ah / 3.0, atol=1e-11)
     np.testing.assert_allclose(trace.voltage_V, log.voltage_V, atol=1e-10)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -22,7 +19,6 @@ TWINS = {
     ),
 }
 # The twins' own last digits; the Bitrode counter has steps of 0.01 Ah.
-RUN = "import sys; from cellwise.cli import main; sys.exit(main())"
 TOLERANCE = {"time_s": 0.006, "current_A": 6e-5, "voltage_V": 6e-5, "charge_Ah": 0.0055}
 
 
@@ -63,27 +59,6 @@ def test_the_ulog_of_pyulog_has_two_batteries(real_data):
     assert 3.8 < first.voltage_V.mean() < 4.0
     assert 4.1 < second.voltage_V.mean() < 4.2
     assert first.temperature_C is None
-
-
-@pytest.mark.parametrize("keep", [0.9, 0.5, 0.1, 0.01])
-@pytest.mark.parametrize("name", [*TWINS, "px4_pyulog_sample_log_small.ulg"])
-def test_a_native_file_that_was_cut_off_is_one_line_and_exit_2(name, keep, real_data, tmp_path):
-    if name.endswith(".csv"):
-        pytest.skip("text: its last line is dropped with a notice")
-    content = (real_data / "native" / name).read_bytes()
-    path = tmp_path / name
-    path.write_bytes(content[: int(keep * len(content)) // 2 * 2 + 1])
-    out = tmp_path / "out.csv"
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, "convert", str(path), "-o", str(out)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2, done
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert not out.exists()
 
 
 @pytest.mark.parametrize("name", [*TWINS, "px4_pyulog_sample_log_small.ulg"])

@@ -42,13 +42,53 @@ def in_order(found: Iterable[Notice], of_reading: Sequence[str] = ()) -> tuple[s
     return tuple(dict.fromkeys((*grave, *texts, *of_reading)))
 
 
-# Half of a log's rows beyond so many of the model's own standard deviations: the model's statement
-# of its error does not hold for this log. Of one that is right, half are within 0.7.
-FAR_OFF = 3.0
-FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
-MOST_ROWS = 4000  # of more, every so manyth
-# Of a stream: an hour, a look a second; before half a minute a start that is off says nothing.
-LOOKS, FEWEST_LOOKS = 3600, 30
+class FarOff(NamedTuple):
+    """When the model's statement of its error does not hold for a log: it is another cell's.
+
+    Half of its rows (of many, about so many ``rows``) are beyond so many of the model's own
+    standard ``deviations``: of a model that is right, half are within 0.7. Of a stream so many
+    ``looks`` count, one a second; before ``fewest`` a start that is off says nothing.
+    """
+
+    deviations: float = 3.0
+    rows: int = 4000
+    looks: int = 3600
+    fewest: int = 30
+
+
+class Order(NamedTuple):
+    """Where notices stand that name no voltage, by a voltage in their place [V].
+
+    ``first``: above what is said of a current or a SOC outside of the model's data; ``outside``:
+    above every voltage of a cell, below what makes all figures meaningless; ``assumed``: about what
+    ten kelvin do at 1C.
+    """
+
+    first: float = 1e3
+    outside: float = 100.0
+    assumed: float = 0.01
+
+
+class Shown(NamedTuple):
+    """From where on something is said.
+
+    Fewer ``rows``, or a smaller ``share`` of all, are a sensor's spikes. No cell holds so many
+    times the ``charge`` of another of its kind. ``soc`` shows in three digits; below ``empty`` the
+    OCV is steep. No voltage is known better than ``least_V``; one that is ``no_model_V`` off says
+    no SOC: a cell's goes over 0.5 to 1.5 V. ``rejected``: share of a filter's voltages.
+    """
+
+    rows: int = 3
+    share: float = 1e-3
+    charge: float = 1.15
+    soc: float = 5e-4
+    empty: float = 0.1
+    least_V: float = 1e-4
+    no_model_V: float = 0.2
+    rejected: float = 0.1
+
+
+FAR_OFF, ORDER, SHOWN = FarOff(), Order(), Shown()
 OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
 WITHHELD = "remaining time and health would be made of it: withheld (`anyway=True` gives them)"
 
@@ -64,7 +104,7 @@ def times_stated(
     soc : (n,) float          where the model was
     """
     rows = np.flatnonzero(np.isfinite(error_V) & np.isfinite(soc))
-    rows = rows[:: max(rows.size // MOST_ROWS, 1)]
+    rows = rows[:: max(rows.size // FAR_OFF.rows, 1)]
     if rows.size == 0:
         return 0.0, 0.0
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)[rows]
@@ -84,7 +124,7 @@ def far_off_text(
 
 
 def _said(what: str, times: float, typical_V: float) -> str | None:
-    if times <= FAR_OFF or not math.isfinite(times):
+    if times <= FAR_OFF.deviations or not math.isfinite(times):
         return None
     return (
         f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
@@ -98,7 +138,7 @@ class FarOffStream:
     def __init__(self, model: CellModel) -> None:
         self._model = model
         self._since_s = math.inf
-        self._seen: deque[tuple[float, float]] = deque(maxlen=LOOKS)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_OFF.looks)
         self.text: str | None = None
 
     def look(
@@ -112,7 +152,7 @@ class FarOffStream:
         warm = temperature_C if math.isfinite(temperature_C) else None
         stated_V = max(float(stated_error_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
-        if len(self._seen) >= FEWEST_LOOKS:
+        if len(self._seen) >= FAR_OFF.fewest:
             self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
 
 
@@ -121,7 +161,7 @@ def far_off_notices(
 ) -> list[Notice]:
     """The same as a notice: after one that names the unit or the temperature, before all others."""
     text = far_off_text(model, log, error_V, soc)
-    return [] if text is None else [Notice(FIRST_V, text)]
+    return [] if text is None else [Notice(ORDER.first, text)]
 
 
 def ends_forecasts(far_off: str | None, log: MeasuredLog) -> str | None:
@@ -138,10 +178,6 @@ def withheld(far_off: str) -> str:
 
 
 WARMED = (TemperatureDependence, Entropy)  # effects that follow the temperature
-LEAST_ROWS = 3  # fewer are a sensor's spikes
-LEAST_SHARE = 1e-3
-ASSUMED_V = 0.01  # about what ten kelvin do at 1C: only the order of notices
-OUTSIDE_V = 100.0  # above every voltage of a cell, below what makes all figures meaningless
 
 
 def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -164,7 +200,7 @@ def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> li
     # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
     # and current out of their ranges, and is then the cause: only a temperature stands by itself.
     by_itself = "degC" in text
-    return [Notice(math.inf if by_itself else OUTSIDE_V, text)]
+    return [Notice(math.inf if by_itself else ORDER.outside, text)]
 
 
 def assumed_temperature_notices(
@@ -180,7 +216,7 @@ def assumed_temperature_notices(
         f"no temperature was measured in '{log.name or 'the log'}': {assumed_C:.0f} degC is "
         "assumed (LOG@10 states another)"
     )
-    return [Notice(ASSUMED_V, text)]
+    return [Notice(ORDER.assumed, text)]
 
 
 def outside_moment(
@@ -225,11 +261,11 @@ def _left(
 ) -> Iterator[str]:
     """The share of the rows beyond a bound, where the data end, and how far the rows go."""
     beyond = values < bound if lower else values > bound
-    if np.count_nonzero(beyond) < LEAST_ROWS:  # the usual case, in one pass
+    if np.count_nonzero(beyond) < SHOWN.rows:  # the usual case, in one pass
         return
     known = values[np.isfinite(values)]
     rows = int(np.count_nonzero(known < bound if lower else known > bound))
-    if rows < max(LEAST_ROWS, LEAST_SHARE * known.size):
+    if rows < max(SHOWN.rows, SHOWN.share * known.size):
         return
     furthest = float(known.min() if lower else known.max())
     share = 100.0 * rows / known.size
@@ -237,15 +273,6 @@ def _left(
         f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side.format(end)}, where its "
         f"data end, to {furthest:.3g}"
     )
-
-
-# No cell holds this much more than another of its kind.
-MUCH_CHARGE = 1.15
-SHOWN_SOC = 5e-4  # what shows in three digits
-NEAR_EMPTY = 0.1
-LEAST_V = 1e-4  # no voltage is known better
-NO_MODEL_V = 0.2  # a voltage this far off says no SOC: a cell's goes over 0.5 to 1.5 V
-MANY_REJECTED = 0.1
 
 
 def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
@@ -259,12 +286,12 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
     if not math.isfinite(low + high):
         low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
     outside = max(-low, high - 1.0)
-    if outside <= SHOWN_SOC:
+    if outside <= SHOWN.soc:
         return []
     name = f"'{log.name or 'the log'}'"
     ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
     moved = float(np.ptp(log.counted_charge_Ah()))
-    if high - low > MUCH_CHARGE:
+    if high - low > SHOWN.charge:
         return [
             Notice(
                 math.inf,  # every other figure follows from it
@@ -287,8 +314,8 @@ def error_notices(
 ) -> list[Notice]:
     """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
 
-    A model of logs that contradict each other states a large error, so one of `NO_MODEL_V` is said
-    whatever is stated.
+    A model of logs that contradict each other states a large error, so one of `SHOWN.no_model_V`
+    is said whatever is stated.
 
     Parameters
     ----------
@@ -299,10 +326,10 @@ def error_notices(
     if model is None or all_rows.samples == 0:
         return []
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
-    of_stated = error_V / np.maximum(stated_V, LEAST_V)
-    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF
-    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF
-    if not (everywhere or somewhere or all_rows.max_error_V >= NO_MODEL_V):
+    of_stated = error_V / np.maximum(stated_V, SHOWN.least_V)
+    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF.deviations
+    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
+    if not (everywhere or somewhere or all_rows.max_error_V >= SHOWN.no_model_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero
@@ -313,7 +340,7 @@ def error_notices(
     )
     if everywhere:
         text += f": {OTHER} than the model's, or another initial SOC?"
-    elif at < NEAR_EMPTY:
+    elif at < SHOWN.empty:
         text += ": near empty, where the OCV is steep and the resistance high"
     return [Notice(all_rows.rmse_V, text)]
 
@@ -332,7 +359,7 @@ def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list
             return []
         text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
         return [Notice(RANGE_V, f"{text} (another pack count?)")]
-    if rejected < MANY_REJECTED:
+    if rejected < SHOWN.rejected:
         return []
     text = (
         f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "

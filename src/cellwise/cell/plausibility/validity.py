@@ -12,10 +12,19 @@ from cellwise.typing import FloatArray
 
 Range: TypeAlias = tuple[float, float]
 
-# A hair outside is inside: within these a model is as good as at the edge of its data.
-TOLERANCE_SOC = 0.02
-TOLERANCE_K = 3.0
-TOLERANCE_SHARE = 0.1  # of the largest current in the data
+
+class Tolerance(NamedTuple):
+    """A hair outside is inside: within these a model is as good as at the edge of its data.
+
+    ``share`` is one of the largest current in the data.
+    """
+
+    soc: float = 0.02
+    kelvin: float = 3.0
+    share: float = 0.1
+
+
+TOLERANCE = Tolerance()
 
 
 class Bounds(NamedTuple):
@@ -95,12 +104,12 @@ class Validity:
         """Where the model is taken to hold, tolerance included."""
         none = (-np.inf, np.inf)
         soc, warm, current = (getattr(self, name) or none for name in NAMES)
-        more_A = 0.0 if self.current_A is None else TOLERANCE_SHARE * self.largest_A
+        more_A = 0.0 if self.current_A is None else TOLERANCE.share * self.largest_A
         return Bounds(
-            soc[0] - TOLERANCE_SOC,
-            soc[1] + TOLERANCE_SOC,
-            warm[0] - TOLERANCE_K,
-            warm[1] + TOLERANCE_K,
+            soc[0] - TOLERANCE.soc,
+            soc[1] + TOLERANCE.soc,
+            warm[0] - TOLERANCE.kelvin,
+            warm[1] + TOLERANCE.kelvin,
             current[0] - more_A,
             current[1] + more_A,
         )

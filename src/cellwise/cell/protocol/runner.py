@@ -7,7 +7,6 @@ are reached exactly: the last interval of a step ends at the instant of the limi
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,24 +30,12 @@ CHUNK_ROWS = 4096
 MOST_ROWS = 50_000_000
 
 
-class SensorNoise(NamedTuple):
-    """Standard deviations of what the instrument adds to its readings [V], [A]."""
-
-    voltage_V: float = 0.0
-    current_A: float = 0.0
-
-
 def run_protocol(
     model: CellModel,
     steps: Iterable[Step],
     soc0: float,
     dt_s: float = 1.0,
     temperature_C: float = 25.0,
-    *,
-    h0: float | None = None,
-    noise: SensorNoise | None = None,
-    rng: np.random.Generator | None = None,
-    name: str = "",
 ) -> CellLog:
     """Run steps on a model of a cell that begins at rest at ``soc0``.
 
@@ -61,8 +48,6 @@ def run_protocol(
     steps : iterable of Step
     dt_s : float              seconds between rows, > 0
     temperature_C : float     of the cell, all the time [degC]
-    h0 : float or None        hysteresis state at the start, -1..1; None as in :func:`simulate`
-    noise : SensorNoise       added to the logged current and voltage; needs ``rng``
 
     Returns
     -------
@@ -72,8 +57,7 @@ def run_protocol(
 
     Raises
     ------
-    InputError        no steps, no step that lasts, soc0 outside 0..1, h0 outside -1..1, dt_s not
-                      positive, noise without a generator
+    InputError        no steps, no step that lasts, soc0 outside 0..1, dt_s not positive
     """
     check_soc0(soc0)
     if not (np.isfinite(dt_s) and dt_s > 0 and np.isfinite(temperature_C)):
@@ -82,27 +66,11 @@ def run_protocol(
             "seconds above zero and a finite temperature",
             "Correct them.",
         )
-    if noise is not None and rng is None:
-        raise InputError("noise without a generator", "rng", "Pass numpy.random.default_rng(1).")
-    if h0 is not None and not -1.0 <= h0 <= 1.0:
-        raise InputError(f"h0 = {h0}", "a number from -1 to 1", "Give 1 after a charge.")
-    start = empty_state(soc0, start_hysteresis(soc0) if h0 is None else h0)
+    start = empty_state(soc0, start_hysteresis(soc0))
     supply = _Supply(model, start, dt_s, temperature_C)
     for step in steps:
         supply.run(step)
-    log = supply.log(name)
-    if noise is None or rng is None:
-        return log
-    return CellLog(
-        log.time_s,
-        log.current_A + noise.current_A * rng.standard_normal(len(log)),
-        log.voltage_V + noise.voltage_V * rng.standard_normal(len(log)),
-        temperature_C=log.temperature_C,
-        charge_Ah=log.charge_Ah,
-        step=log.step,
-        name=name,
-        notices=log.notices,
-    )
+    return supply.log()
 
 
 class _Supply:
@@ -145,7 +113,7 @@ class _Supply:
         elif self.rows == rows:
             self._notice("at its limit from the start, so it has no row")
 
-    def log(self, name: str) -> CellLog:
+    def log(self) -> CellLog:
         """What was recorded."""
         if self.number == 0 or self.rows == 1:
             raise InputError(
@@ -162,19 +130,13 @@ class _Supply:
             temperature_C=np.full(time.size, self.temperature_C),
             charge_Ah=charge,
             step=step.astype(np.int32),
-            name=name,
             notices=tuple(self.notices),
         )
 
     def _constant_current(self, step: ConstantCurrent) -> kernel.Progress:
         limit = _limit(step.limit_V, self.limits[0] if step.current_A > 0 else self.limits[1])
         end_s, in_range = self._end_of_current(step)
-        period = self._period(step)
-        progress = self._current(step.current_A, end_s, period, limit)
-        if progress.reason == kernel.AT_LIMIT and step.hold_at_limit:
-            low, high = min(step.current_A, 0.0), max(step.current_A, 0.0)
-            bounds = (limit, low, high, np.nan)
-            return self._voltage(bounds, end_s, period, progress.elapsed_s)
+        progress = self._current(step.current_A, end_s, self._period(step), limit)
         if progress.reason == kernel.ENDED and not in_range:
             return progress._replace(reason=kernel.OUT_OF_RANGE)
         return progress

@@ -27,6 +27,7 @@ from cellwise.cell.equations import (
     tables_at,
     voltage_of,
 )
+from cellwise.cell.packed import record_at
 from cellwise.cell.point_kernels import (
     R1,
     R2,
@@ -37,12 +38,12 @@ from cellwise.cell.point_kernels import (
     CellPoint,
     CellScalars,
     rise,
-    scalars_of,
 )
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNCHANGED = CellPoint(*(0.0 for _ in CellPoint._fields))
 STATES = len(CellState._fields)
+SCALARS = len(CellScalars._fields)
 # The surface's scalars stand together.
 FIRST = CellScalars._fields.index("surface_per_A")
 # Columns of the table that states follow, whether the cell heats itself or not.
@@ -245,7 +246,7 @@ def derivative_rows(
             d[p, 0], d[p, 1], d[p, 2] = new.soc, new.v1_V, new.v2_V
             d[p, 3], d[p, 4], d[p, 5], d[p, 6] = new.v3_V, new.h, new.heat_K, new.slow_A
             if has_scalars[p]:
-                changes = scalars_of(scalars, p)
+                changes = record_at(CellScalars, scalars, p * SCALARS)
                 if surfaces:
                     more, by_scalars = driven(now, changes, True)
                 else:

@@ -19,9 +19,6 @@ from cellwise.typing import BoolArray, FloatArray
 
 Log = TypeVar("Log", bound=MeasuredLog)
 
-LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
-LOST_ROWS = 20  # without a value in a row: fewer are a sample that was missed
-
 
 class Impossible(NamedTuple):
     """What no cell and no load can have had, by what the rest of the log shows.
@@ -45,6 +42,9 @@ class Impossible(NamedTuple):
 class Still(NamedTuple):
     """When a channel that repeats its value has stopped measuring, or is at the end of its range.
 
+    What one channel shows of the other may come ``late_s`` later, or earlier. Fewer rows without a
+    value than ``lost`` are samples that were missed.
+
     It repeats it ``repeats`` times while the other channel moves up and down, so often each way
     (``moves``), by ``share`` of what it does in this log and more than so many of its usual
     ``steps``.
@@ -54,6 +54,8 @@ class Still(NamedTuple):
     moves: int = 2
     share: float = 0.1
     steps: float = 5.0
+    late_s: float = 3.0
+    lost: int = 20
 
 
 class Held(NamedTuple):
@@ -79,14 +81,6 @@ class Stretch(NamedTuple):
 
     start_s: float
     duration_s: float
-
-
-class Saturation(NamedTuple):
-    """A channel held at its largest or smallest value again and again."""
-
-    value: float
-    share: float
-    visits: int
 
 
 def impossible_runs(log: MeasuredLog) -> dict[str, list[Run]]:
@@ -234,33 +228,19 @@ def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
         "voltage_V": (log.current_A, STILL.share * _swing(log.current_A)),
     }
     runs: dict[str, list[Run]] = {}
-    for name, found in find_saturations(log).items():
-        channel = name.rpartition("_")[0]
-        other, jump = others[channel]
+    for channel, (other, jump) in others.items():
+        values = getattr(log, channel)
         change = np.diff(other, prepend=np.nan)
-        at_end = getattr(log, channel) == found.value
-        inside = at_end & np.concatenate(([False], at_end[:-1]))
-        moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-        if moves >= STILL.moves and jump > 0.0:
-            runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
-    return runs
-
-
-def find_saturations(log: MeasuredLog) -> dict[str, Saturation]:
-    """Channels that come to exactly their largest or smallest value for several rows, repeatedly.
-
-    A sensor at the end of its range does this, and a tester at its limit.
-    """
-    found = {}
-    for name, values in (("current_A", log.current_A), ("voltage_V", log.voltage_V)):
-        for end, extreme in (("max", np.nanmax(values)), ("min", np.nanmin(values))):
+        for extreme in (np.nanmax(values), np.nanmin(values)):
             at_end = values == extreme
             first, last = run_edges(at_end)
-            visits = int(np.count_nonzero(last - first + 1 >= HELD.rows))
-            if visits >= HELD.visits and extreme != 0.0:
-                share = float(np.count_nonzero(at_end)) / len(log)
-                found[f"{name}_{end}"] = Saturation(float(extreme), share, visits)
-    return found
+            visits = np.count_nonzero(last - first + 1 >= HELD.rows)
+            inside = at_end & np.concatenate(([False], at_end[:-1]))
+            moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
+            held = visits >= HELD.visits and extreme != 0.0
+            if held and moves >= STILL.moves and jump > 0.0:
+                runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
+    return runs
 
 
 def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
@@ -298,7 +278,7 @@ def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
             missing["temperature_C"] = cold
     found = {}
     for name, rows in missing.items():
-        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= LOST_ROWS]
+        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= STILL.lost]
         if many:
             found[name] = many
     return found
@@ -341,8 +321,8 @@ def _swing(values: FloatArray) -> float:
 def _late_rows(log: MeasuredLog) -> int:
     """Rows that one channel may be late by."""
     steps = np.diff(log.time_s)
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else LATE_S
-    return math.ceil(LATE_S / usual)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else STILL.late_s
+    return math.ceil(STILL.late_s / usual)
 
 
 def _steps(values: FloatArray) -> FloatArray:

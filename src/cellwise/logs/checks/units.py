@@ -155,7 +155,8 @@ class Cell(NamedTuple):
 
     A log beyond both current and resistance is in milliampere. Resistance times capacity is the
     drop at a 1C load: tens to hundreds of millivolts. A battery of more volts than ``largest_V`` is
-    a string; than ``string_V``, a number of millivolts.
+    a string; than ``string_V``, a number of millivolts. A step above the share ``edge`` of the
+    largest current shows the resistance; from ``kelvin`` on a temperature is in that unit.
     """
 
     large_A: float = 1000.0
@@ -167,14 +168,23 @@ class Cell(NamedTuple):
     string_V: float = 1500.0
     large_drop_V: float = 5.0
     impossible_drop_V: float = 25.0
+    edge: float = 0.2
     temperature_C: tuple[float, float] = (-100.0, 200.0)
+    kelvin: float = 200.0
 
 
-CELL = Cell()
-EPOCH_S = 1e8  # a time that begins later than three years is counted from 1970 or so
-LOWEST_KELVIN = 200.0
-EDGE = 0.2  # of the largest current: a step that shows the resistance
-FAST_S = 0.02  # no tester logs so fast: the time is in hours
+class Clock(NamedTuple):
+    """What a time in seconds cannot be.
+
+    One that begins after ``epoch_s``, three years, is counted from 1970 or so; no tester logs as
+    fast as ``fast_s``: the time is in hours.
+    """
+
+    epoch_s: float = 1e8
+    fast_s: float = 0.02
+
+
+CELL, CLOCK = Cell(), Clock()
 # A counter over the summed current: what it counts, or in which unit something else is.
 COUNTERS = {1e3: "milliampere hours", 3600.0: "ampere seconds"}
 SLIPS = {
@@ -277,7 +287,7 @@ def counter_factor(log: MeasuredLog, check: CounterCheck, where: str) -> tuple[f
     ratio = abs(check.factor)
     if abs(check.agreement) < COUNTER.unit:
         return 1.0, []
-    fast = float(np.median(log.interval_s[1:])) < FAST_S
+    fast = float(np.median(log.interval_s[1:])) < CLOCK.fast_s
     for times, unit in COUNTERS.items():
         if _near(ratio, times) and not (fast and times in SLIPS):
             return 1.0 / times, [f"the counter ampere_hours is in {unit} and was converted"]
@@ -297,7 +307,7 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[s
     if finite.size == 0:
         return None, ["the temperature column holds no value"]
     notices = []
-    if float(np.median(finite)) > LOWEST_KELVIN:
+    if float(np.median(finite)) > CELL.kelvin:
         values = values + KELVIN_OFFSET
         notices.append("the temperature is in kelvin and was converted to degC")
     low, high = CELL.temperature_C
@@ -314,7 +324,7 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[s
 
 def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[str]]:
     """Seconds from the log's start where the file counts from 1970 or so."""
-    if time_s.size == 0 or not abs(time_s[0]) > EPOCH_S:
+    if time_s.size == 0 or not abs(time_s[0]) > CLOCK.epoch_s:
         return time_s, []
     start = float(time_s[0])
     return time_s - start, [f"the time begins at {start:.0f} s; it is counted from there"]
@@ -328,7 +338,7 @@ def _edge_resistance(log: MeasuredLog) -> float | None:
     if not usable.any():
         return None
     size = np.abs(change)
-    edges = usable & (size > EDGE * float(np.nanmax(np.abs(log.current_A))))
+    edges = usable & (size > CELL.edge * float(np.nanmax(np.abs(log.current_A))))
     if not edges.any():
         return None
     return float(np.median(answer[edges] / size[edges]))

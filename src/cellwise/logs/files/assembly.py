@@ -56,13 +56,15 @@ class StateRule(NamedTuple):
     Rows of more than ``load`` of the largest current are under load. Where more than ``signed`` of
     these are negative, the current has a sign: fewer are a sensor's zero. Its meaning is the
     state's where ``agreeing`` of the rows agree, or disagree. A counter that reads less than
-    ``restart`` of what it read before has restarted: more is its last digit.
+    ``restart`` of what it read before has restarted: more is its last digit. No more than
+    ``untimed`` of the rows may lack a time.
     """
 
     load: float = 0.01
     signed: float = 1e-3
     agreeing: float = 0.9
     restart: float = 0.5
+    untimed: float = 0.01
 
 
 STATE = StateRule()
@@ -217,7 +219,6 @@ SignOption = Literal["auto", "discharge-positive", "charge-positive"]
 Log = TypeVar("Log", bound=MeasuredLog)
 
 
-MOST_ROWS_WITHOUT_TIME = 0.01
 NO_STEP = -1
 
 
@@ -313,7 +314,7 @@ def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list
     count = int(np.count_nonzero(missing))
     if count == 0:
         return []
-    if count > max(1.0, MOST_ROWS_WITHOUT_TIME * missing.size):
+    if count > max(1.0, STATE.untimed * missing.size):
         row = int(np.flatnonzero(missing)[0])
         raise InputError(
             f"{count} of {missing.size} rows without a time in {where} (row {row + 1} first)",

@@ -10,13 +10,10 @@ from typing import IO
 from cellwise.errors import InputError
 from cellwise.logs.files.source import LogSource
 
-# Of a file of up to 100 MB; a larger one may take more, in proportion.
-MEMORY_GB = 1.5
-SECONDS = 60.0
-ROWS = 10_000_000
 USUAL_BYTES = 100_000_000
-
-_VARIABLES = ("CELLWISE_READ_MEMORY_GB", "CELLWISE_READ_SECONDS", "CELLWISE_READ_ROWS")
+# Of a file of up to so many bytes; a larger one may take more, in proportion.
+_USUAL = {"MEMORY_GB": 1.5, "SECONDS": 60.0, "ROWS": 10_000_000}
+_VARIABLES = tuple(f"CELLWISE_READ_{name}" for name in _USUAL)
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class Limits:
         """
         memory, seconds, rows = (
             _stated(name, usual * max(1.0, size / USUAL_BYTES))
-            for name, usual in zip(_VARIABLES, (MEMORY_GB, SECONDS, ROWS), strict=True)
+            for name, usual in zip(_VARIABLES, _USUAL.values(), strict=True)
         )
         return cls(int(1e9 * memory), seconds, int(rows))
 

@@ -7,7 +7,7 @@ from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.named_columns import is_parquet, parquet_has, read_parquet
 from cellwise.logs.files.source import LogSource
-from cellwise.logs.formats.can import CAN_LOG, CAN_TEXT
+from cellwise.logs.formats.can import CAN_LOG
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.ros_bag import ROS_BAG
 from cellwise.logs.formats.tester_files import (
@@ -42,7 +42,6 @@ FORMATS: tuple[Format, ...] = (
     ARBIN_EXCEL,
     ARBIN_RES,
     CAN_LOG,
-    CAN_TEXT,
     mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
     Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
     BASYTEC_TEXT,

@@ -1,12 +1,11 @@
-"""CAN logs and the database of what frames hold: by python-can, or a text of its own."""
+"""CAN logs and the database of what frames hold, by python-can and cantools; SavvyCAN's by hand."""
 
 from __future__ import annotations
 
 import io
 import re
 from array import array
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -25,13 +24,6 @@ from cellwise.logs.formats.vehicle_signals import (
     physical_values,
 )
 
-STANDARD_IDS = 0x800
-LEAST_LINES = 2
-SEARCHED_LINES = 60
-_DAY_S = 86_400.0
-
-_BYTES = r"(?P<data>(?:[0-9A-Fa-f]{2}[\s,]*)*)"
-
 
 class Frame(NamedTuple):
     """One frame: its time [s], identifier, whether that is an extended one, its bytes."""
@@ -42,171 +34,33 @@ class Frame(NamedTuple):
     data: bytes
 
 
-@dataclass(frozen=True)
-class Layout:
-    """How one program writes a frame.
-
-    ``line`` has the groups ``time`` (none where it writes no times), ``id``, ``data`` and, where
-    it marks extended identifiers, ``extended``; ``header`` is sought in the lines before.
-    """
-
-    name: str
-    line: re.Pattern[str]
-    seconds: Callable[[str], float] | None
-    header: str = ""
-    decimal_ids: str = ""  # a line that says that identifiers and bytes are decimal
-
-
-def _clock_of_day(text: str) -> float:
-    """``11:49:7:9650``: hours, minutes, seconds and tenths of milliseconds."""
-    hours, minutes, seconds, parts = text.split(":")
-    return 3600.0 * int(hours) + 60.0 * int(minutes) + int(seconds) + float(f"0.{parts}")
-
-
-def _candump_time(text: str) -> float:
-    """Seconds, or a date with a time."""
-    if "-" in text or " " in text:
-        return datetime.fromisoformat(text).timestamp()
-    return float(text)
-
-
-LAYOUTS = (
-    Layout(
-        "SavvyCAN CSV",
-        re.compile(
-            r"^(?P<time>-?\d+),(?:0x)?(?P<id>[0-9A-Fa-f]+),(?P<extended>true|false|0|1),"
-            r"[^,]*,\d+,\d+,?" + _BYTES + r"$",
-            re.I,
-        ),
-        lambda text: 1e-6 * int(text),
-        header="Time Stamp,ID,Extended",
-    ),
-    Layout(
-        "candump",
-        re.compile(
-            r"^\((?P<time>[^)]+)\)\s+\S+\s+(?:[RT]X\s+(?:[-BEL]+\s+)*)?(?P<id>[0-9A-Fa-f]{3,8})\s+"
-            r"\[\d+\]\s+" + _BYTES + r"(?:'.*)?$"
-        ),
-        _candump_time,
-    ),
-    Layout(
-        "candump without times",
-        re.compile(r"^\S+\s+(?P<id>[0-9A-Fa-f]{3,8})\s+\[\d+\]\s+" + _BYTES + r"(?:'.*)?$"),
-        None,
-    ),
-    Layout(
-        "BUSMASTER log",
-        re.compile(
-            r"^(?P<time>\d+:\d+:\d+:\d+)\s+(?:Rx|Tx)\s+\d+\s+(?:0x)?(?P<id>[0-9A-Fa-f]+)\s+"
-            r"(?P<extended>[sx])\s+\d+\s*(?P<data>(?:[0-9A-Fa-f]{1,3}\s*)*)$"
-        ),
-        _clock_of_day,
-        header="***BUSMASTER",
-        decimal_ids="***DEC***",
-    ),
-    Layout(
-        "PCAN trace",
-        re.compile(
-            r"^\d+\)\s+(?P<time>[\d.]+)\s+(?:(?:Rx|Tx)\s+)?(?P<id>[0-9A-Fa-f]{3,8})\s+\d\s+"
-            + _BYTES
-            + r"$"
-        ),
-        lambda text: 1e-3 * float(text),
-    ),
-    Layout(
-        "ASC rows",
-        re.compile(
-            r"^(?P<time>\d+\.\d+)\s+\d+\s+(?P<id>[0-9A-Fa-f]+)(?P<extended>x?)\s+(?:Rx|Tx)\s+d\s+"
-            r"\d+\s+" + _BYTES + r"(?:\s*Length.*)?$"
-        ),
-        float,
-    ),
-)
-
-
-def layout_of(lines: Iterable[str]) -> Layout | None:
-    """The layout that most of the first lines have, at least two of them; None: no such log."""
-    first = [line for line in lines if line.strip()][:SEARCHED_LINES]
-    best, most = None, LEAST_LINES - 1
-    for layout in LAYOUTS:
-        if layout.header and not any(layout.header in line for line in first):
-            continue
-        count = sum(bool(layout.line.match(line.strip())) for line in first)
-        if count > most:
-            best, most = layout, count
-    return best
-
-
-def frames_of(lines: Iterable[str], layout: Layout) -> Iterator[Frame]:
-    """The frames of a text's lines; others (comments, errors, remote frames) are passed over.
-
-    Times of day go on after midnight.
-    """
-    base = 16
-    days, before = 0.0, None
-    for raw in lines:
-        line = raw.strip()
-        found = layout.line.match(line)
-        if found is None:
-            if layout.decimal_ids and layout.decimal_ids in line:
-                base = 10
-            continue
-        seconds = 0.0 if layout.seconds is None else layout.seconds(found["time"])
-        if layout.seconds is _clock_of_day:
-            if before is not None and seconds < before - _DAY_S / 2:
-                days += _DAY_S
-            before = seconds
-            seconds += days
-        groups = found.groupdict()
-        identifier = int(groups["id"], base)
-        mark = (groups.get("extended") or "").casefold()
-        extended = mark in ("true", "1", "x") if "extended" in groups else _is_long(groups["id"])
-        cells = re.split(r"[\s,]+", groups["data"].strip(" \t,")) if groups["data"].strip() else []
-        yield Frame(seconds, identifier, extended, bytes(int(cell, base) for cell in cells))
-
-
-def _is_long(identifier: str) -> bool:
-    """An identifier of eight digits, or one that is too large for a standard frame."""
-    return len(identifier) == 8 or int(identifier, 16) >= STANDARD_IDS
-
-
 _BLF = b"LOGG"
-_CANDUMP = re.compile(r"\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")
-_ASC = re.compile(r"base\s+(hex|dec)\s+timestamps\s+(absolute|relative)", re.I)
+_SAVVYCAN = "Time Stamp,ID,Extended"
+# (stamp) can0 1F0 [8] 00 ... | (stamp) can0 1F0#00... | 7) 12.3 Rx 01F0 8 00 ...
+_CANDUMP = re.compile(r"(?:\([\d .:-]+\)\s+)?\w+\s+[0-9A-F]{3,8}(?:\s+\[\d+\]|#)|\d+\)\s+[\d.]+\s")
+_ASC = re.compile(
+    r"base\s+(?:hex|dec)\s+timestamps|\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s", re.I
+)
 _REPORT_EVERY = 50_000
 
 Frames = dict[tuple[int, bool], tuple["array[float]", list[bytes]]]
 
 
-def _kind(source: LogSource) -> str:
-    """Reader of python-can for this content; empty if it is none of a CAN log."""
+def _reader(source: LogSource) -> str:
+    """What reads this content: of python-can, ``cantools``, ``SavvyCAN``; empty: no CAN log."""
     if source.head.startswith(_BLF):
         return "BLFReader"
     lines = [line for line in source.first_lines[:40] if line]
-    if not lines:
-        return ""
-    if lines[0].startswith(";$FILEVERSION"):
+    if any(line.startswith(_SAVVYCAN) for line in lines[:1]):
+        return "SavvyCAN"
+    if any(line.startswith(";$FILEVERSION") for line in lines[:1]):
         return "TRCReader"
-    if _CANDUMP.match(lines[0]):
-        return "CanutilsLogReader"
     if any(_ASC.match(line) for line in lines[:5]):
         return "ASCReader"
-    return ""
-
-
-def _text_layout(source: LogSource) -> Layout | None:
-    """The layout of a text that python-can does not read."""
-    return None if _kind(source) else layout_of(source.first_lines)
+    return "cantools" if sum(bool(_CANDUMP.match(line)) for line in lines) > 1 else ""
 
 
 def _read(source: LogSource, known: Format) -> RawLog:
-    layout = _text_layout(source)
-    if layout is not None and layout.seconds is None:
-        raise InputError(
-            f"CAN frames without times in {source.where}",
-            "frames with the time of each",
-            "Record them with 'candump -L', or with times as 'candump -t a' writes them.",
-        )
     database = _database(source)
     frames, ids = _frames(source, database)
     if not frames:
@@ -265,7 +119,7 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
     }
     ids: set[int] = set()
     with library_at_work(source, "CAN log"):
-        for count, frame in enumerate(_of_text(source) or _messages(source)):
+        for count, frame in enumerate(_messages(source)):
             ids.add(frame.identifier)
             into = frames.get((frame.identifier, frame.extended))
             if into is not None:
@@ -276,45 +130,64 @@ def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
     return {key: found for key, found in frames.items() if found[1]}, ids
 
 
-def _of_text(source: LogSource) -> Iterator[Frame] | None:
-    """Frames of a text that python-can does not read; None of another file."""
-    layout = _text_layout(source)
-    if layout is None:
-        return None
-    lines = io.TextIOWrapper(source.open(), encoding="utf-8", errors="replace")
-    return frames_of(lines, layout)
-
-
 def _messages(source: LogSource) -> Iterator[Frame]:
-    can = need("can", "a CAN log", "python-can")
-    kind = _kind(source)
-    stream: Any = source.open()
-    if kind != "BLFReader":
-        stream = io.TextIOWrapper(stream, encoding="utf-8", errors="replace")
-    with stream:
-        reader = getattr(can, kind)(stream)
-        if kind == "BLFReader" and not source.gzipped and reader.file_size > source.size:
-            raise damaged(source, "CAN log", f"{source.size} of {reader.file_size} bytes")
-        for message in reader:
-            if not (message.is_error_frame or message.is_remote_frame):
-                yield Frame(
-                    message.timestamp,
-                    message.arbitration_id,
-                    message.is_extended_id,
-                    bytes(message.data),
-                )
+    """The frames of a log; others (comments, errors, remote frames) are passed over."""
+    reader = _reader(source)
+    if reader == "BLFReader":
+        with source.open() as stream:
+            yield from _of_python_can(source, stream, reader)
+        return
+    with io.TextIOWrapper(source.open(), encoding="utf-8", errors="replace") as lines:
+        if reader == "SavvyCAN":
+            yield from _of_savvycan(lines)
+        elif reader == "cantools":
+            yield from _of_cantools(source, lines)
+        else:
+            yield from _of_python_can(source, lines, reader)
+
+
+def _of_python_can(source: LogSource, stream: Any, name: str) -> Iterator[Frame]:
+    reader = getattr(need("can", "a CAN log", "python-can"), name)(stream)
+    if name == "BLFReader" and not source.gzipped and reader.file_size > source.size:
+        raise damaged(source, "CAN log", f"{source.size} of {reader.file_size} bytes")
+    for m in reader:
+        if not (m.is_error_frame or m.is_remote_frame):
+            yield Frame(m.timestamp, m.arbitration_id, m.is_extended_id, bytes(m.data))
+
+
+def _of_cantools(source: LogSource, lines: Any) -> Iterator[Frame]:
+    logreader = need("cantools.logreader", "a CAN log")
+    for found in logreader.Parser(lines):
+        at = found.timestamp
+        if at is None:
+            raise InputError(
+                f"CAN frames without times in {source.where}",
+                "frames with the time of each",
+                "Record them with 'candump -L', or with times as 'candump -t a' writes them.",
+            )
+        seconds = at.timestamp() if isinstance(at, datetime) else at.total_seconds()
+        yield Frame(seconds, found.frame_id, found.is_extended_frame, found.data)
+
+
+def _of_savvycan(lines: Iterator[str]) -> Iterator[Frame]:
+    """Time stamp [us], identifier, extended, direction, bus, length, bytes in hex."""
+    next(lines, None)
+    for line in filter(str.strip, lines):
+        stamp, identifier, extended, _, _, _, *data = line.strip().rstrip(",").split(",")
+        yield Frame(
+            1e-6 * int(stamp),
+            int(identifier, 16),
+            extended.casefold() in ("true", "1"),
+            bytes(int(byte, 16) for byte in data if byte.strip()),
+        )
 
 
 CAN_LOG = Format(
     name="can-log",
-    matches=lambda source: bool(_kind(source)),
+    matches=lambda source: bool(_reader(source)),
     channels=CHOSEN,
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,
     isolated=True,
-)
-
-CAN_TEXT = replace(
-    CAN_LOG, name="can-text", matches=lambda source: _text_layout(source) is not None
 )

@@ -194,7 +194,7 @@ def mean_voltage_V(volts: FloatArray) -> FloatArray:
         warnings.simplefilter("ignore", RuntimeWarning)  # rows and cells without any value
         known = np.isfinite(volts)
         complete = bool(known.all())
-        first = volts.mean(axis=1) if complete else _mean(volts, known)
+        first = volts.mean(axis=1) if complete else mean_of_known(volts)
         apart = volts - first[:, None]
         spike = np.abs(apart) > BELIEVED.spike_V
         if complete and not spike.any():
@@ -209,8 +209,11 @@ def mean_voltage_V(volts: FloatArray) -> FloatArray:
         return np.asarray(centred + level[alive].mean())
 
 
-def _mean(volts: FloatArray, known: BoolArray) -> FloatArray:
-    return np.asarray(np.where(known, volts, 0.0).sum(axis=1) / known.sum(axis=1))
+def mean_of_known(values: FloatArray) -> FloatArray:
+    """Mean of every row's finite values; NaN where there is none."""
+    known = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
 def _gaps_in_numbers(names: Sequence[str]) -> list[CellFlag]:

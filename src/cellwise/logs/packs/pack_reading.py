@@ -23,6 +23,7 @@ from cellwise.logs.packs.cells import (
     cell_name,
     cells_named,
     checked_cells,
+    mean_of_known,
     mean_voltage_V,
 )
 from cellwise.logs.packs.pack_log import PackLog
@@ -154,7 +155,7 @@ def _assembled(
     balancing = _balancing(channels, cells, columns)
     warm = [channels.pop(c.field) for c in columns if c.kind == "temperature"]
     if warm and "temperature_C" not in channels:
-        channels["temperature_C"] = _mean_of(warm)
+        channels["temperature_C"] = mean_of_known(np.stack(warm, axis=1))
     volts, balancing, flags = checked_cells(volts, balancing, names, pack_V, source.where)
     channels["voltage_V"] = mean_voltage_V(volts)
     if source.options.parallel > 1:
@@ -189,13 +190,6 @@ def _balancing(
         return None
     none = np.zeros(channels["time_s"].size)
     return np.stack([flagged.get(c.number, none) > 0.0 for c in cells], axis=1)
-
-
-def _mean_of(columns: list[FloatArray]) -> FloatArray:
-    values = np.stack(columns, axis=1)
-    known = np.isfinite(values)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
 def _of_cells(notice: str, columns: tuple[CellColumn, ...]) -> bool:
