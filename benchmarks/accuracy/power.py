@@ -114,13 +114,17 @@ def pulse_powers(
 
 
 def panasonic_model(data: Path) -> tuple[CellModel, dict[float, tuple[Pulse, ...]]]:
-    """One model of all temperatures, three drives each, and the pulses it has not seen."""
+    """One model of all temperatures, three drives each, and the pulses it has not seen.
+
+    The drives began full (README of the cell): unstated, half of them would be left out.
+    """
     hppc, drives, left_out = [], [], {}
     for temperature, tag in TAGS.items():
         log, left_out[temperature] = withheld(measured_log(data, f"{PANASONIC}/hppc_{tag}"))
         hppc.append((log, temperature))
         for name in DRIVES:
-            drives.append((measured_log(data, f"{PANASONIC}/drive_{tag}_{name}"), temperature))
+            drive = measured_log(data, f"{PANASONIC}/drive_{tag}_{name}")
+            drives.append((replace(drive, soc0=1.0), temperature))
     tests = TestLogs(
         hppc=tuple(hppc), ocv=panasonic_tests(data, "p25", 25.0).ocv, drive=tuple(drives)
     )
