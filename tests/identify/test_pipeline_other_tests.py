@@ -144,16 +144,6 @@ def test_a_c100_discharge_serves_as_ocv(drives, of_pulses):
     assert missed_V(found, drives) < WORSE * of_pulses
 
 
-def test_an_offset_of_the_low_rate_sensor_is_taken_out_and_said(drives, of_pulses):
-    slow = run(CELL, low_rate(CELL), 1.0, Logger(10.0, offset_A=0.016), seed=1, name="c20").log
-    half = run(CELL, [(0.0, 1800.0), (1.5, 9000.0), (0.0, 3600.0)], 1.0, Logger(10.0), name="c2")
-    found = identified(hppc(CELL), ocv=(slow,), capacity=(half.log,))
-    assert found.model.capacity_Ah == pytest.approx(3.0235, rel=0.003)
-    assert any("+16.0 mA" in n for n in found.notices)
-    assert not any("incomplete" in n for n in found.notices)
-    assert missed_V(found, drives) < WORSE * of_pulses
-
-
 def test_ocv_of_another_sample_is_said_with_the_numbers():
     slow = run(CELL, low_rate(CELL), 1.0, Logger(10.0), seed=1, name="sample_a").log
     other = rich_nmc(2.8)

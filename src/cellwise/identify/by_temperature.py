@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from cellwise.errors import InputError
-from cellwise.identify.capacity.current_offset import without_current_offset
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
@@ -58,19 +56,6 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
         key=lambda t: abs(log_temperature_C(t[0], None, temperature_C) - temperature_C),
         default=(),
     )
-
-
-def without_offsets(
-    tests: TestLogs, default_C: float
-) -> tuple[TestLogs, list[LowRateTest], list[str]]:
-    """The tests and the low-rate ones by test, a sensor's offset taken out; what was found."""
-    corrected: list[LowRateTest] = []
-    notices: list[str] = []
-    for test in low_rate_tests(tests.ocv, default_C):
-        logs, found = without_current_offset(test)
-        corrected.append(logs)
-        notices += found
-    return replace(tests, ocv=tuple(log for t in corrected for log in t)), corrected, notices
 
 
 def grouped_by_temperature(

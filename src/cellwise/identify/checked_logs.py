@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.cell.plausibility.cells_in_series import check_one_cell
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import LowRateTest, without_offsets
+from cellwise.identify.by_temperature import LowRateTest, low_rate_tests
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
@@ -25,7 +25,7 @@ VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the o
 
 
 class CheckedLogs(NamedTuple):
-    """The tests, a current sensor's offset taken out of the low-rate ones; what was found.
+    """The tests, and what was found.
 
     ``low_rate`` has the logs of a low-rate test together; ``default_C`` is the temperature of a log
     that measured none.
@@ -35,7 +35,6 @@ class CheckedLogs(NamedTuple):
     low_rate: tuple[LowRateTest, ...]
     default_C: float
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
 
 
 def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
@@ -60,8 +59,8 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
             contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
-    tests, low_rate, notices = without_offsets(replace(tests, drive=drives), default)
-    return CheckedLogs(tests, tuple(low_rate), default, tuple(contradictions), tuple(notices))
+    low_rate = tuple(low_rate_tests(tests.ocv, default))
+    return CheckedLogs(replace(tests, drive=drives), low_rate, default, tuple(contradictions))
 
 
 def reading_notices(tests: TestLogs) -> list[str]:

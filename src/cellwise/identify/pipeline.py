@@ -103,7 +103,7 @@ def identify_cell(
     found = own_log_notices(own)
     check_serves(error.rmse_V, wrong)
     contradictory = in_order(wrong)
-    said = (*checked.notices, *capacity.notices, *fitted.notices, *reading_notices(tests))
+    said = (*capacity.notices, *fitted.notices, *reading_notices(tests))
     if "prior" in fitted.provenance:
         said = (*said, *start_notices(own))
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]

@@ -332,7 +332,6 @@ def relaxation_segments(
                 soc=soc,
                 current_A=current_A,
                 duration_s=NAN,
-                window_s=float(time[row3] - time[row0]),
                 value=value,
                 error=PulseParameters(*[NAN] * 7),
                 rmse_V=NAN,

@@ -18,7 +18,7 @@ def slow():
 
 def compared(slow_log, pulse_log):
     curve = ocv_from_low_rate(slow_log)
-    rests = ocv_from_rests(pulse_log, capacity_Ah=curve.capacity_Ah, extrapolate=True)
+    rests = ocv_from_rests(pulse_log, capacity_Ah=curve.capacity_Ah)
     return check_samples(rests, curve), sample_notice(rests, curve, curve.capacity_Ah)
 
 

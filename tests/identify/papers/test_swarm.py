@@ -41,19 +41,6 @@ def test_comes_close_to_the_optimum_with_five_free_parameters():
     assert np.median(ratio) < 1.1
 
 
-@pytest.mark.slow
-def test_more_iterations_come_closer():
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-
-    def typical(iterations):
-        options = SwarmOptions(iterations=iterations)
-        return np.median(
-            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(8)]
-        )
-
-    assert typical(10) > typical(60) > typical(400)
-
-
 def test_the_swarm_is_informed_by_its_neighbours():
     """64 particles on a ring come further than as many that hear of next to nobody."""
     data = closed_pulse(FLAT, stamps(pulse_hz=5.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,11 +19,18 @@ from cellwise.identify.capacity.capacity_test import CapacityTest
 # Rates that laboratories write down; a measured one is called by the nearest of them.
 FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-SNAP = 0.12
 REFERENCE_C = 25.0
-# Tests whose starting temperatures follow one another within this are of one temperature.
-SAME_TEMPERATURE_C = 4.0
-FAR_FROM_REFERENCE_C = 7.5
+
+
+class _Near(NamedTuple):
+    """What is called alike."""
+
+    rate: float = 0.12  # of a usual rate: a cell hardly ever has its nominal capacity
+    same_C: float = 4.0  # starting temperatures that follow one another within it are one
+    far_C: float = 7.5  # from the temperature asked for: said
+
+
+NEAR = _Near()
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ def rate_name(rate_C: float) -> str:
     """
     usual = [(1.0 / n, f"C/{n}") for n in FRACTIONS] + [(m, f"{m:g}C") for m in MULTIPLES]
     value, name = min(usual, key=lambda pair: abs(np.log(rate_C / pair[0])))
-    if abs(rate_C / value - 1.0) <= SNAP:
+    if abs(rate_C / value - 1.0) <= NEAR.rate:
         return name
     if rate_C >= 1.0:
         return f"{_two_digits(rate_C)}C"
@@ -110,7 +118,7 @@ def usable_tests(
     steady = [i for i, t in enumerate(whole) if not t.cooled] or list(range(len(whole)))
     group = _nearest_group(start, steady, temperature_C)
     middle = float(np.median([start[i] for i in group]))
-    if abs(middle - temperature_C) > FAR_FROM_REFERENCE_C:
+    if abs(middle - temperature_C) > NEAR.far_C:
         notices.append(
             f"no capacity test near {temperature_C:g} degC: those at {middle:.0f} degC count"
         )
@@ -249,7 +257,7 @@ def _nearest_group(
 ) -> list[int]:
     """Those tests whose cluster of starting temperatures is nearest to the wanted one."""
     order = np.array(sorted(among, key=lambda i: start_C[i]))
-    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > SAME_TEMPERATURE_C) + 1
+    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > NEAR.same_C) + 1
     groups = np.split(order, cuts)
     nearest = min(
         groups, key=lambda g: abs(float(np.median([start_C[i] for i in g])) - temperature_C)

@@ -87,7 +87,6 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
         soc=data.soc,
         current_A=data.pulse_current_A,
         duration_s=data.pulse_duration_s,
-        window_s=float(time[-1] - time[0]),
         value=value,
         error=PulseParameters(error, error, nan, error, nan, noise, nan),
         rmse_V=circuit.rmse_V(value._replace(ocv_V=float(circuit.known[row0]))),

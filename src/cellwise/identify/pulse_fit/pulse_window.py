@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.pulse_fit.pulse_data import PulseData, check_channel
+from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -63,17 +62,11 @@ def pulse_from_arrays(
 
     Raises
     ------
-    InputError        as `PulseData`; an OCV table without a SOC
+    InputError        too few rows
     """
-    time = np.asarray(time_s, dtype=np.float64)
-    current = np.asarray(current_A, dtype=np.float64)
-    voltage = np.asarray(voltage_V, dtype=np.float64)
-    where = f"pulse '{name}'" if name else "the pulse"
-    check_channel(time, time.size, f"time_s of {where}")
-    check_channel(current, time.size, f"current_A of {where}")
-    check_channel(np.where(np.isfinite(voltage), voltage, 0.0), time.size, f"voltage_V of {where}")
+    time, current, voltage = time_s, current_A, voltage_V
     keep = np.flatnonzero(np.isfinite(voltage))
-    dt = np.diff(time, prepend=time[0]) if time.size else time
+    dt = np.diff(time, prepend=time[0])
     charge = np.cumsum(current * dt) / 3600.0
     if keep.size < time.size:
         current = _merged_current(time, current, charge, keep)
@@ -82,12 +75,6 @@ def pulse_from_arrays(
         charge = charge - charge[0] if charge.size else charge
     change = None
     if ocv is not None:
-        if not np.isfinite(soc_start):
-            raise InputError(
-                f"an OCV table but no SOC for {where}",
-                "soc_start, the SOC at the window's first row",
-                "Give soc_start, or leave the OCV slope to the fit.",
-            )
         table = np.asarray(ocv(soc_start - charge / capacity_Ah), dtype=np.float64)
         change = table - table[0]
     return PulseData(
@@ -123,12 +110,6 @@ def cut_pulse(
     """
     time, current, voltage = log.time_s, log.known_current_A(), log.voltage_V
     gaps = log.gap_rows
-    if not 0 <= start < stop <= time.size:
-        raise InputError(
-            f"edges at rows {start} and {stop} of a log of {time.size} rows",
-            "0 <= start < stop <= number of rows",
-            "Give the first row of the pulse and the first row after it.",
-        )
     limit = LIMITS.quiet * float(np.max(np.abs(current[start:stop])))
     begin = start
     while begin > max(start - LIMITS.switch_rows, 1) and abs(current[begin - 1]) > limit:
@@ -185,14 +166,8 @@ def cut_pulses(
 
     Raises
     ------
-    InputError        as `cut_pulse`; a SOC of another length
+    InputError        as `pulse_from_arrays`
     """
-    if soc is not None and np.shape(soc) != log.time_s.shape:
-        raise InputError(
-            f"soc of shape {np.shape(soc)} for a log of {len(log)} rows",
-            "one SOC per row",
-            "Compute it from the same log.",
-        )
     return [
         cut_pulse(
             log, p.start, fitted_stop(log, p), capacity_Ah,
