@@ -11,12 +11,11 @@ from cellwise.identify import fitted_pulses
 from cellwise.identify.capacity import capacity_choice, half_cycles
 from cellwise.identify.hppc import plateaus, pulses
 from cellwise.identify.ocv import curve, ocv_lowrate, ocv_points, ocv_rests
-from cellwise.identify.pulse_fit import pulse_data, pulse_window
+from cellwise.identify.pulse_fit import pulse_data
 
 IDENTIFY = "cellwise.identify"
 PLATEAUS, PHASES = f"{IDENTIFY}.hppc.plateaus", f"{IDENTIFY}.hppc.phases"
 PULSES, QUALITY = f"{IDENTIFY}.hppc.pulses", f"{IDENTIFY}.hppc.pulse_quality"
-WINDOW = f"{IDENTIFY}.pulse_fit.pulse_window"
 CURVE, RESTS, LOW = (f"{IDENTIFY}.ocv.{m}" for m in ("curve", "ocv_rests", "ocv_lowrate"))
 SPLINE = f"{IDENTIFY}.ocv.ocv_function"
 TESTED = f"{IDENTIFY}.capacity.capacity_test"
@@ -104,9 +103,9 @@ RULES = (
     Rule("level without its rise", ((PULSES, "_level", lambda x: float(np.median(x))),)),
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
-    Rule("what was before a pulse", _record(pulse_window, "LIMITS", before_s=0.0)),
+    Rule("what was before a pulse", _record(fitted_pulses, "WINDOW", before_s=0.0)),
     Rule("balanced rows", _record(pulse_data, "ROWS", balance=(1.0, 1.0))),
-    Rule("minutes of a move", _record(pulse_window, "LIMITS", step_s=1e9)),
+    Rule("minutes of a move", _record(fitted_pulses, "WINDOW", step_s=1e9)),
     Rule(
         "variable projection",
         ((FITTED_PULSES, "fit_pulses", _by_segments),),

@@ -9,8 +9,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import nearest_test
-from cellwise.identify.checked_logs import CheckedLogs
+from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
 from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice

@@ -104,11 +104,10 @@ def test_default_is_the_slowest_then_hppc_then_nominal():
     assert choose_capacity(capacity_choices(LFP_TESTS))[0] == "rate:C/2"
 
 
-def test_incomplete_tests_are_left_out_with_a_notice():
+def test_incomplete_tests_are_left_out():
     bad = measured(0.2, 20.0, reached_limit=False, notices=("stops at 3.100 V",))
-    used, notices = usable_tests([bad, *LFP_TESTS])
-    assert used == tuple(LFP_TESTS)
-    assert any("stops at 3.100 V" in n for n in notices)
+    assert usable_tests([bad, *LFP_TESTS]) == tuple(LFP_TESTS)
+    assert "stops at 3.100 V" in bad.left_out
     assert "rate:C/5" not in capacity_choices([bad, *LFP_TESTS])
 
 
@@ -128,11 +127,8 @@ def test_temperatures_are_kept_apart():
     assert capacity_choices(tests)["rate:1C"] == pytest.approx(3.01)
     assert capacity_choices(tests, temperature_C=-12.0)["rate:1C"] == pytest.approx(2.2)
     moved = at(24.0, 2.5, end_C=2.0)  # cooled while it ran: of no temperature
-    used, notices = usable_tests([*tests, moved])
-    assert moved not in used
-    far, notices = usable_tests(tests, temperature_C=60.0)
-    assert {t.cc_Ah for t in far} == {3.0, 3.02}
-    assert any("no capacity test near 60" in n for n in notices)
+    assert moved not in usable_tests([*tests, moved])
+    assert {t.cc_Ah for t in usable_tests(tests, temperature_C=60.0)} == {3.0, 3.02}
 
 
 def test_lg_cell_at_six_temperatures(real_data):
@@ -144,7 +140,7 @@ def test_lg_cell_at_six_temperatures(real_data):
     assert len(tests) == 28
     slow, fast = [], []
     for temperature in (-20.0, -10.0, 0.0, 10.0, 25.0):
-        used, _ = usable_tests(tests, temperature_C=temperature)
+        used = usable_tests(tests, temperature_C=temperature)
         assert all(abs(t.temperature_start_C - temperature) < 6.0 for t in used)
         choices = capacity_choices(tests, 3.0, temperature_C=temperature)
         assert default_choice(choices) == "rate:C/20"

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.errors import InputError
 from cellwise.identify.papers.swarm import BOX, SwarmOptions, costs_of, fit_swarm
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
@@ -126,18 +125,3 @@ def test_bounds_and_the_ocv_before_the_pulse():
     assert fit.ocv_slope_V == 0.0
     free = fit_swarm(data, SwarmOptions(free=7))
     assert free.ocv_slope_V != 0.0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"neighbours": 7},
-        {"neighbours": 64},
-        {"cognition": 4.0},
-        {"iterations": 0},
-        {"free": 6},
-    ],
-)
-def test_settings_that_no_swarm_can_run_with_are_refused(wrong):
-    with pytest.raises(InputError):
-        SwarmOptions(**wrong)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
+from cellwise.identify.fitted_pulses import cut_pulse, cut_pulses, pulse_from_arrays
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse, fit_pulses
 from cellwise.identify.pulse_fit.pulse_data import PulseData, has_enough_rows, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
-from cellwise.identify.pulse_fit.pulse_window import cut_pulse, cut_pulses, pulse_from_arrays
 from cellwise.logs import CellLog, read_log
 from closed_form import Circuit, closed_pulse, stamps
 from synthetic import HppcPlan, SyntheticCell, hppc_log, nmc_cell

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from cellwise.identify.fitted_pulses import cut_pulses, fitted_stop
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_window import cut_pulses, fitted_stop
 from rich_cell import Logger, gitt, hppc, rich_nmc, run
 
 CELL = rich_nmc(3.0)

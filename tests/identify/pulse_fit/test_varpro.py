@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from cellwise.identify.fitted_pulses import pulse_from_arrays
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
-from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
 from closed_form import Circuit, closed_form, closed_pulse, random_circuit, stamps
 
 

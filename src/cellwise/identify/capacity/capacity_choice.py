@@ -27,7 +27,6 @@ class _Near(NamedTuple):
 
     rate: float = 0.12  # of a usual rate: a cell hardly ever has its nominal capacity
     same_C: float = 4.0  # starting temperatures that follow one another within it are one
-    far_C: float = 7.5  # from the temperature asked for: said
 
 
 NEAR = _Near()
@@ -86,8 +85,8 @@ def parse_rate(name: str) -> float:
 
 def usable_tests(
     tests: Iterable[CapacityTest], *, temperature_C: float = REFERENCE_C
-) -> tuple[tuple[CapacityTest, ...], tuple[str, ...]]:
-    """The complete tests at one temperature, and a notice for each one left out.
+) -> tuple[CapacityTest, ...]:
+    """The complete tests at one temperature.
 
     Parameters
     ----------
@@ -95,20 +94,16 @@ def usable_tests(
     temperature_C : float        of the model; the tests nearest to it are taken. Tests of
                                  unknown temperature count as being at it.
 
-    Returns
-    -------
-    tests, notices
-
     Raises
     ------
     InputError        no complete test
     """
     everything = tuple(tests)
     whole = [t for t in everything if t.complete]
-    notices = [t.left_out for t in everything if not t.complete]
     if not whole:
         raise InputError(
-            f"no capacity test that goes from full to the lower limit ({'; '.join(notices)})",
+            "no capacity test that goes from full to the lower limit "
+            f"({'; '.join(t.left_out for t in everything)})",
             "at least one complete discharge",
             "Use a complete test, give the limits of the cell, or leave the capacity tests out.",
         )
@@ -116,20 +111,7 @@ def usable_tests(
         temperature_C if t.temperature_start_C is None else t.temperature_start_C for t in whole
     ]
     steady = [i for i, t in enumerate(whole) if not t.cooled] or list(range(len(whole)))
-    group = _nearest_group(start, steady, temperature_C)
-    middle = float(np.median([start[i] for i in group]))
-    if abs(middle - temperature_C) > NEAR.far_C:
-        notices.append(
-            f"no capacity test near {temperature_C:g} degC: those at {middle:.0f} degC count"
-        )
-    used = tuple(whole[i] for i in group)
-    notices += [
-        f"{t.name}: not used (at {start[i]:.0f} degC)"
-        for i, t in enumerate(whole)
-        if i not in group
-    ]
-    notices += [f"{t.name}: {notice}" for t in used for notice in t.notices]
-    return used, tuple(notices)
+    return tuple(whole[i] for i in _nearest_group(start, steady, temperature_C))
 
 
 def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
@@ -182,7 +164,7 @@ def capacity_choices(
     if nominal_Ah is not None:
         choices["nominal"] = float(nominal_Ah)
     if tests:
-        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C)[0])
+        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C))
         choices["cc-average"] = float(np.mean([r.cc_Ah for r in rows]))
         choices["cc-cv-average"] = float(np.mean([r.total_Ah for r in rows]))
         choices |= {f"rate:{r.rate}": r.total_Ah for r in rows}

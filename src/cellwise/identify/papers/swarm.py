@@ -19,7 +19,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.circuit import Circuit
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
@@ -58,20 +57,6 @@ class SwarmOptions:
     iterations: int = 180
     cognition: float = 4.1
     free: Literal[5, 7] = 5
-
-    def __post_init__(self) -> None:
-        if not (2 <= self.neighbours < self.particles and self.neighbours % 2 == 0):
-            raise InputError(
-                f"{self.neighbours} neighbours among {self.particles} particles",
-                "an even number of neighbours, at least 2 and below the number of particles",
-                "Change one of the two.",
-            )
-        if not self.cognition > 4.0 or self.iterations < 1 or self.free not in (5, 7):
-            raise InputError(
-                f"cognition {self.cognition}, {self.iterations} iterations, {self.free} free",
-                "cognition above 4, at least 1 iteration, 5 or 7 free parameters",
-                "Change the setting.",
-            )
 
 
 def fit_swarm(

@@ -72,7 +72,7 @@ class PulseData:
 
     See Also
     --------
-    cellwise.identify.pulse_fit.pulse_window : cuts one out of a log
+    cellwise.identify.fitted_pulses : cuts one out of a log
     """
 
     time_s: FloatArray

@@ -22,7 +22,7 @@ from cellwise.typing import FloatArray
 def capacity_rows(identification: Identification) -> tuple[CapacityRow, ...]:
     """Means per rate over the tests that count; none without a complete test."""
     try:
-        return capacity_table(usable_tests(identification.capacity_tests)[0])
+        return capacity_table(usable_tests(identification.capacity_tests))
     except InputError:
         return ()
 

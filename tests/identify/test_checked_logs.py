@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellwise.identify.by_temperature import (
+from cellwise.identify.checked_logs import (
     grouped_by_temperature,
     low_rate_tests,
     nearest_test,
