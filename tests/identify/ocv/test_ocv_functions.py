@@ -58,15 +58,6 @@ def test_slope_is_the_derivative(kind, curve):
     assert f.slope(at) == pytest.approx(numeric, rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("kind", OCV_KINDS)
-def test_straight_outside_zero_to_one(kind):
-    s = np.linspace(0.0, 1.0, 50)
-    f = fit_ocv_function(s, narrow(s), kind).function
-    for end, beyond in ((0.0, -0.3), (1.0, 1.3)):
-        line = f.evaluate(end) + (beyond - end) * f.slope(beyond)
-        assert f.evaluate(beyond) == pytest.approx(float(line), abs=1e-9)
-
-
 def test_equation_8_is_found_again_from_its_own_points():
     s = np.linspace(0.0, 1.0, 30)
     found = fit_log_linear_exp(s, EQUATION_8.evaluate(s))
@@ -84,16 +75,6 @@ def test_spline_averages_noise_out(curve):
     f = fit_monotone_spline(s, CURVES[curve](s) + noise)
     middle = (s > 0.05) & (s < 0.95)
     assert rms((f.evaluate(s) - CURVES[curve](s))[middle]) < 0.4 * 5e-3
-
-
-def test_a_point_of_no_weight_has_no_say():
-    s = np.linspace(0.0, 1.0, 40)
-    v = narrow(s)
-    v[20] += 0.2
-    weight = np.ones(s.size)
-    weight[20] = 1e-9
-    f = fit_ocv_function(s, v, "spline", weight=weight).function
-    assert f.evaluate(s[20]) == pytest.approx(narrow(s[20]), abs=2e-3)
 
 
 def test_below_the_lowest_rest_the_curve_bends_down():

@@ -12,8 +12,6 @@ from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
 
-FLAT = Circuit(slope=0.0)
-
 
 def test_defaults_are_the_papers():
     options = SwarmOptions()
@@ -38,30 +36,6 @@ def test_comes_close_to_the_optimum_with_five_free_parameters():
         ratio.append(fit.rmse_V / 1e-3)
         assert fit.r0_ohm == pytest.approx(circuit.r0, rel=0.5)
     assert np.median(ratio) < 1.1
-
-
-def test_the_swarm_is_informed_by_its_neighbours():
-    """64 particles on a ring come further than as many that hear of next to nobody."""
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-
-    def typical(neighbours):
-        options = SwarmOptions(neighbours=neighbours, iterations=60)
-        return np.median(
-            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(12)]
-        )
-
-    assert typical(8) < typical(2)
-
-
-def test_the_generator_decides_and_nothing_else():
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-    options = SwarmOptions(iterations=20)
-    a = fit_swarm(data, options, np.random.default_rng(3))
-    b = fit_swarm(data, options, np.random.default_rng(3))
-    c = fit_swarm(data, options, np.random.default_rng(4))
-    assert a.value == b.value
-    assert a.value != c.value
-    assert fit_swarm(data, options).value == fit_swarm(data, options).value
 
 
 def test_costs_are_those_of_the_model():

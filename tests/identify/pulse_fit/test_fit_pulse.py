@@ -9,7 +9,7 @@ from cellwise.errors import InputError
 from cellwise.identify.fitted_pulses import cut_pulse, cut_pulses, pulse_from_arrays
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse, fit_pulses
-from cellwise.identify.pulse_fit.pulse_data import PulseData, has_enough_rows, row_weights
+from cellwise.identify.pulse_fit.pulse_data import PulseData, has_enough_rows
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.logs import CellLog, read_log
 from closed_form import Circuit, closed_pulse, stamps
@@ -86,17 +86,6 @@ def test_window_shows_a_minute_of_rest_and_all_of_the_relaxation():
     assert data.pulse_duration_s == pytest.approx(60.0)
 
 
-def test_window_ends_at_a_gap_and_at_the_next_current():
-    log, start, stop = a_log(gap=True)
-    assert len(cut_pulse(log, start, stop, 40.0)) < len(log) - 60
-    current = log.current_A.copy()
-    current[stop + 50 :] = -5.0
-    busy = CellLog(log.time_s, current, log.voltage_V)
-    data = cut_pulse(busy, start, stop, 40.0)
-    assert len(data) - data.stop == 49  # the last may hold the next current's switch
-    np.testing.assert_array_equal(data.current_A[data.stop :], 0.0)
-
-
 def test_window_takes_in_the_row_that_holds_the_switch():
     log, start, stop = a_log()
     current = log.current_A.copy()
@@ -142,14 +131,6 @@ def test_voltage_that_arrives_late_is_left_out_and_said():
     assert 4 <= fit.left_out <= 10
     np.testing.assert_allclose(fit.value[:5], Circuit().values[:5], rtol=0.03)
     assert not clean.settling_rows.any()
-
-
-def test_relaxation_and_pulse_count_alike():
-    data = closed_pulse(Circuit(), stamps(pulse_s=10.0, rest_s=900.0), 20.0, 10.0)
-    weight = row_weights(data)
-    pulse, after = weight[data.start : data.stop].sum(), weight[data.stop :].sum()
-    assert pulse == pytest.approx(after, rel=1e-9)
-    assert weight.mean() == pytest.approx(1.0)
 
 
 # --- one interface -------------------------------------------------------------------------------
