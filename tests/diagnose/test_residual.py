@@ -103,10 +103,6 @@ def test_white_noise_has_its_floor_and_nothing_else():
     found = of(noise(3e-3))
     assert found["noise"]["floor_V"] == pytest.approx(3e-3, rel=0.05)
     assert found["noise"]["share"] == pytest.approx(1.0, abs=0.1)
-    assert found["whiteness"]["white"]
-    assert abs(found["whiteness"]["lag1"]) < 0.05
-    assert found["whiteness"]["correlation_s"] < 1.0
-    assert abs(found["drift"]["V_per_h"]) < 4 * found["drift"]["V_per_h_std"]
 
 
 def test_the_floor_of_a_coarse_digit_is_not_zero():
@@ -118,5 +114,5 @@ def test_the_floor_of_a_coarse_digit_is_not_zero():
 def test_a_perfect_model_and_a_short_log_are_answered():
     assert of(np.zeros(ROWS))["rmse_V"] == 0.0
     short = of(np.array([0.001, 0.002]))
-    assert short["drift"]["V_per_h"] is None
+    assert short["rows"] == 2
     json.dumps(short, allow_nan=False)

@@ -54,6 +54,7 @@ class CheckedLogs(NamedTuple):
     low_rate: tuple[LowRateTest, ...]
     default_C: float
     contradictions: tuple[Notice, ...]
+    notices: tuple[str, ...]
 
 
 def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
@@ -79,10 +80,12 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
     low_rate = tuple(low_rate_tests(tests.ocv, default))
-    return CheckedLogs(replace(tests, drive=drives), low_rate, default, tuple(contradictions))
+    tests = replace(tests, drive=drives)
+    read = tuple(_reading_notices(tests))
+    return CheckedLogs(tests, low_rate, default, tuple(contradictions), read)
 
 
-def reading_notices(tests: TestLogs) -> list[str]:
+def _reading_notices(tests: TestLogs) -> list[str]:
     """What reading the logs has noted, each with the name of its log."""
     return [
         n if log.name and log.name in n else f"'{log.name}': {n}"
