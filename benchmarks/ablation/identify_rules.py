@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.identify import fitted_pulses
 from cellwise.identify.capacity import capacity_choice, half_cycles
-from cellwise.identify.hppc import plateaus, pulses
+from cellwise.identify.hppc import passive_misfit, plateaus, pulse_quality, pulses
 from cellwise.identify.ocv import curve, ocv_lowrate, ocv_points, ocv_rests
 from cellwise.identify.pulse_fit import pulse_data
 
@@ -91,8 +91,8 @@ RULES = (
     Rule("constant voltage joined", ((PHASES, "_join_cv", _first),)),
     Rule("drives joined", ((PHASES, "_join_dynamic", _first),)),
     Rule("plan per rate", ((QUALITY, "_expected", _planned),)),
-    Rule("siblings' misfit", _record(fitted_pulses, "DISTORTED", usual=0.0)),
-    Rule("distorted", _record(fitted_pulses, "DISTORTED", least=1.0)),
+    Rule("siblings' misfit", _record(pulse_quality, "LIMITS", siblings=10**9)),
+    Rule("distorted", ((QUALITY, "_border", lambda *_: np.inf),)),
     Rule("spurious", ((QUALITY, "_spurious", _none),)),
     Rule("trimmed", ((QUALITY, "_trimmed", _none),)),
     Rule("way back is a pulse", ((PULSES, "_giving_back_are_pulses", lambda x, _: tuple(x)),)),
@@ -102,6 +102,7 @@ RULES = (
     Rule("smallest pulse", _record(pulses, "KINDS", smallest=0.0)),
     Rule("level without its rise", ((PULSES, "_level", lambda x: float(np.median(x))),)),
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
+    Rule("edges of a misfit", _record(passive_misfit, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
     Rule("what was before a pulse", _record(fitted_pulses, "WINDOW", before_s=0.0)),
     Rule("balanced rows", _record(pulse_data, "ROWS", balance=(1.0, 1.0))),

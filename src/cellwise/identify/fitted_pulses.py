@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -19,8 +19,7 @@ from cellwise.identify.identification import IdentifySettings, PulseSet, TestLog
 from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_data import PulseData, has_enough_rows, voltage_noise
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.pulse_fit.pulse_data import PulseData, has_enough_rows
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.tables import GRID_POINTS, PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
@@ -28,20 +27,6 @@ from cellwise.typing import FloatArray
 
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
 COLDER_K = 15.0  # from so much on a cold cell resists more, whatever pulses and samples do
-
-
-class _Distorted(NamedTuple):
-    """A pulse that a circuit misses by more than others of its log, as shares of the response.
-
-    A misfit of 1 % shifts tau1 of a 60 s pulse by about half (synthetic cells with a bending OCV).
-    What all pulses of a test show, as nonlinear kinetics in the cold, is no distortion of some.
-    """
-
-    least: float = 0.01
-    usual: float = 3.0  # times the median of the log's pulses
-
-
-DISTORTED = _Distorted()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,31 +102,8 @@ def _pulse_set(
             cut += [
                 (p, d) for d in cut_pulses(log, [p], capacity_Ah, soc, own) if has_enough_rows(d)
             ]
-    data = [d for _, d in cut]
-    missed = _missed(data, fits := fit_pulses(data))
-    if settings.method != "varpro":
-        fits = fit_pulses(data, settings.method)
-    most = float(np.clip(DISTORTED.usual * np.median(missed or [0.0]), DISTORTED.least, 1.0))
-    bent = {p.start: share for (p, _), share in zip(cut, missed, strict=True) if share > most}
-    kept = [(p, f) for (p, _), f in zip(cut, fits, strict=True) if p.start not in bent]
-    judged = tuple(_distorted(p, bent[p.start], most) if p.start in bent else p for p in pulses)
-    return PulseSet(log, anchor, judged, tuple(p for p, _ in kept), tuple(f for _, f in kept))
-
-
-def _missed(data: Sequence[PulseData], fits: Sequence[PulseFit]) -> list[float]:
-    """What a circuit of two branches leaves of each response beyond the noise, as a share."""
-    shares = []
-    for one, fit in zip(data, fits, strict=True):
-        swing = float(np.ptp(one.voltage_V[max(one.start - 1, 0) : one.stop]))
-        beyond = max(fit.rmse_V**2 - voltage_noise(one) ** 2, 0.0)
-        shares.append(float(np.sqrt(beyond)) / max(swing, 1e-9))
-    return shares
-
-
-def _distorted(pulse: Pulse, share: float, most: float) -> Pulse:
-    """The pulse with the verdict that the fits give of its shape."""
-    why = f"two branches leave {share:.1%} of its response, {most:.1%} is allowed"
-    return replace(pulse, quality="distorted", reason=why)
+    fits = fit_pulses([d for _, d in cut], settings.method)
+    return PulseSet(log, anchor, pulses, tuple(p for p, _ in cut), tuple(fits))
 
 
 def _exchanged(groups: Sequence[Group]) -> tuple[Notice, ...]:

@@ -1,15 +1,13 @@
-"""Verdicts on pulses: a circuit is never distorted, what is none is, a limit is a limit."""
+"""Verdicts on pulses: a linear circuit is never distorted, a bent OCV is, a limit is a limit."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cellwise.identify import IdentifySettings, TestLogs
-from cellwise.identify.checked_logs import check_logs
-from cellwise.identify.fitted_pulses import fit_all_pulses
+from cellwise.identify.hppc.passive_misfit import Load, channels_of, passive_misfit
 from cellwise.identify.hppc.pulses import find_pulses
-from cellwise.identify.ocv.curve import curve_from_points
+from cellwise.logs.cell_log import CellLog
 from synthetic import HppcPlan, driven_log, hppc_log, lfp_cell, nmc_cell
 
 
@@ -28,43 +26,75 @@ def linear_cell(slope_V=0.7, bend_V=0.0):
     )
 
 
-def fitted(cell, **plan):
-    """The pulses as the station of their fits judges them."""
-    log = hppc_log(cell, HppcPlan(noise_V=1e-3, **plan)).log
-    settings = IdentifySettings(nominal_Ah=cell.capacity_Ah)
-    checked = check_logs(TestLogs(hppc=((log, None),)), settings)
-    grid = np.linspace(0.0, 1.0, 201)
-    ocv = curve_from_points(grid, cell.ocv_V(grid), capacity_Ah=cell.capacity_Ah)
-    (group,) = fit_all_pulses(checked, ocv, cell.capacity_Ah, settings).groups
-    return group.pulse_sets[0]
-
-
-@pytest.mark.parametrize("seconds", [10.0, 60.0])
-def test_a_circuit_of_two_branches_is_never_distorted(seconds):
-    found = fitted(linear_cell(), levels=(0.9, 0.5, 0.2), rates_c=(0.5, 3.0), pulse_s=seconds)
-    assert {p.quality for p in found.pulses} == {"healthy"}
-
-
-def test_what_no_circuit_answers_is_distorted_and_not_fitted():
-    """Between two rows of one pulse the cell jumps by a fifth of its answer."""
-    log = hppc_log(linear_cell(), HppcPlan(levels=(0.9, 0.7, 0.5), rates_c=(1.0,))).log
-    start = next(p for p in find_pulses(log) if p.role == "pulse").start
-    voltage = log.voltage_V.copy()
-    voltage[start + 20 : start + 60] -= 0.02
-    grid = np.linspace(0.0, 1.0, 201)
-    cell = linear_cell()
-    ocv = curve_from_points(grid, cell.ocv_V(grid), capacity_Ah=3.0)
-    settings = IdentifySettings(nominal_Ah=3.0)
-    checked = check_logs(TestLogs(hppc=((replace(log, voltage_V=voltage), None),)), settings)
-    (found,) = fit_all_pulses(checked, ocv, 3.0, settings).groups[0].pulse_sets
-    assert [p.start for p in found.pulses if p.quality == "distorted"] == [start]
-    assert start not in [p.start for p in found.fitted]
-    assert len(found.fits) == len(found.fitted)
+def loads_of(pulses):
+    return [
+        Load(p.rest_before_start, p.start, p.cc_stop, p.stop, p.relax_stop, p.current_A, p.role)
+        for p in pulses
+    ]
 
 
 def pulses_of(cell, **plan):
     made = hppc_log(cell, HppcPlan(**plan))
     return made, find_pulses(made.log)
+
+
+@pytest.mark.parametrize("hz", [135.0, 10.0, 1.0])
+@pytest.mark.parametrize("seconds", [10.0, 60.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 5e-3])
+def test_a_linear_circuit_is_never_distorted(hz, seconds, noise):
+    _, pulses = pulses_of(
+        linear_cell(), levels=(0.9, 0.5, 0.2), rates_c=(0.5, 3.0), pulse_s=seconds, pulse_hz=hz,
+        rest_s=900.0, noise_V=noise,
+    )  # fmt: skip
+    assert len(pulses) == 15
+    assert {p.quality for p in pulses} == {"healthy"}
+
+
+def test_a_linear_circuit_leaves_nothing_unexplained():
+    """Whatever the time constants: the grid holds none of them, and yet explains them all."""
+    for tau1, tau2 in ((0.7, 20.0), (5.0, 37.0), (11.0, 400.0)):
+        cell = replace(
+            linear_cell(),
+            tau1_s=lambda s, t=tau1: t + 0.0 * s,
+            tau2_s=lambda s, t=tau2: t + 0.0 * s,
+        )
+        made, pulses = pulses_of(cell, rates_c=(2.0,), pulse_s=30.0, rest_s=900.0)
+        for load in loads_of(pulses):
+            if load.role == "pulse":
+                assert passive_misfit(channels_of(made.log), load).relative < 2e-3
+
+
+def test_the_further_the_ocv_bends_the_lower_the_score():
+    scores, verdicts = [], []
+    for bend in (0.0, 0.02, 0.1, 0.3):
+        _, pulses = pulses_of(
+            linear_cell(bend_V=bend), levels=(0.3,), rates_c=(2.0,), order="discharge-only",
+            pulse_s=60.0, rest_s=900.0, noise_V=5e-4,
+        )  # fmt: skip
+        scores.append(pulses[-1].score)
+        verdicts.append(pulses[-1].quality)
+    assert scores == sorted(scores, reverse=True)
+    assert verdicts[0] == "healthy"
+    assert verdicts[-1] == "distorted"
+
+
+def test_a_relaxation_that_is_not_the_pulse_again_is_named():
+    """Half of the slow voltage stays: hysteresis. The pulse alone is that of a circuit."""
+    t = np.arange(0.0, 2000.0, 0.1)
+    current = np.where((t > 600.0) & (t <= 630.0), 3.0, 0.0)
+    since, after = np.clip(t - 600.0, 0.0, 30.0), np.maximum(t - 630.0, 0.0)
+    slow = 0.06 * -np.expm1(-since / 8.0)
+    slow = np.where(after > 0.0, slow * (0.5 + 0.5 * np.exp(-after / 8.0)), slow)
+    (pulse,) = find_pulses(CellLog(t, current, 3.7 - 0.01 * current - slow))
+    assert pulse.quality == "distorted"
+    assert "mirror" in pulse.reason
+
+
+def test_what_still_relaxes_from_before_is_not_held_against_a_pulse():
+    _, pulses = pulses_of(
+        linear_cell(), rates_c=(2.0,), pulse_s=30.0, pair_rest_s=20.0, rest_s=40.0, noise_V=1e-4
+    )
+    assert {p.quality for p in pulses} == {"healthy"}
 
 
 @pytest.mark.parametrize("limit", ["cv", "stop"])
@@ -99,6 +129,7 @@ def test_the_reason_of_a_trimmed_pulse_has_the_limit_the_time_and_the_current():
     assert "4.200 V was reached" in cut.reason
     assert "of 30 s" in cut.reason
     assert cut.cc_stop < cut.stop
+    assert cut.score < 0.5
 
 
 def test_a_blip_among_pulses_is_spurious_and_says_so():
@@ -109,6 +140,7 @@ def test_a_blip_among_pulses_is_spurious_and_says_so():
     pulses = find_pulses(driven_log(nmc_cell(), current, 10.0, noise_V=1e-3))
     assert [p.quality for p in pulses] == ["healthy"] * 4 + ["spurious"]
     assert "2 s long where its siblings last 30 s" in pulses[-1].reason
+    assert pulses[-1].score == 0.0
 
 
 def test_a_current_that_the_voltage_does_not_answer_is_spurious():
@@ -144,13 +176,20 @@ def test_gaps_and_missing_voltages_in_a_pulse_are_named():
     assert "gap" in reasons[second.start]
 
 
-def test_a_missing_voltage_or_two_do_not_spoil_a_pulse():
-    made = hppc_log(nmc_cell(), HppcPlan(limit="none", order="discharge-only"))
-    voltage = made.log.voltage_V.copy()
-    for pulse in made.pulses:
-        voltage[[pulse.start - 1, pulse.start + 7, pulse.stop - 1]] = np.nan
-    verdicts = [p.quality for p in find_pulses(made.log)]
-    assert [p.quality for p in find_pulses(replace(made.log, voltage_V=voltage))] == verdicts
+def test_panasonic_pulses_are_distorted_at_the_ends_of_the_range_only(real_data):
+    import pandas as pd
+
+    table = pd.read_csv(real_data / "panasonic_18650pf" / "hppc_p25.csv.gz")
+    log = CellLog(
+        table.time_s.to_numpy(), table.current_A.to_numpy(), table.voltage_V.to_numpy(),
+        charge_Ah=table.ampere_hours.to_numpy(),
+    )  # fmt: skip
+    pulses = [p for p in find_pulses(log) if p.role == "pulse"]
+    soc = {p.start: 1.0 - log.charge_Ah[p.start - 1] / 2.997 for p in pulses}
+    distorted = [soc[p.start] for p in pulses if p.quality == "distorted"]
+    assert distorted
+    assert all(s < 0.2 or s > 0.95 for s in distorted)
+    assert sum(p.quality == "healthy" for p in pulses) > 50
 
 
 def test_a_duration_of_its_own_for_each_rate_is_no_defect():

@@ -8,12 +8,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from cellwise.identify.hppc.passive_misfit import Load, PulseRole
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.hppc.pulse_quality import (
     LIMITS,
-    Load,
     PulseQuality,
-    PulseRole,
     Verdict,
     judge_loads,
 )
@@ -56,7 +55,7 @@ class Pulse:
     duration_s, charge_Ah : of rows start to stop; charge from the current [s, Ah]
     voltage_before_V : mean over the last 10 s of the rest before [V]
     role : ``pulse``, or ``move``: a long one that takes the cell to another SOC
-    quality, reason : verdict and its reason
+    quality, reason, score : verdict, its reason, and a figure from 0 to 1
     """
 
     start: int
@@ -71,6 +70,7 @@ class Pulse:
     role: PulseRole
     quality: PulseQuality
     reason: str
+    score: float
 
     @property
     def kind(self) -> Literal["charge", "discharge"]:
@@ -245,4 +245,5 @@ def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Puls
         role=x.role,
         quality=verdict.quality,
         reason=verdict.reason,
+        score=verdict.score,
     )

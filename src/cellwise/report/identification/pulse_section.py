@@ -90,8 +90,9 @@ def pulse_content(identification: Identification) -> Markup:
         ("duration", lambda one: duration(one[1].duration_s)),
         ("role", lambda one: one[1].role),
         ("verdict", lambda one: one[1].quality),
+        ("score", lambda one: f"{one[1].score:.2f}"),
         ("why", lambda one: one[1].reason),
-        text_columns=(0, 4, 5, 6),
+        text_columns=(0, 4, 5, 7),
     )
     summary = f"Why {plural(len(unhealthy), 'pulse')} and moves were not called healthy{cut}"
     return Markup(counts + details(summary, reasons))
@@ -100,8 +101,9 @@ def pulse_content(identification: Identification) -> Markup:
 @pictured(
     "pulses",
     "Every short pulse at the SOC and current it was driven with; thin marks are the long "
-    "moves between levels. Trimmed: a voltage limit cut the current. Distorted: the response bends "
-    "as no circuit of two branches does, mostly at the ends of SOC. Only healthy ones are fitted.",
+    "moves between levels. Healthy: a passive circuit explains the response. Trimmed: a "
+    "voltage limit cut the current. Distorted: the response bends as no circuit does, mostly "
+    "at the ends of SOC. Only healthy ones are fitted.",
 )
 def pulse_picture(identification: Identification) -> style.Figure:
     """One panel per HPPC log."""
