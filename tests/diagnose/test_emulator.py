@@ -22,7 +22,7 @@ from emulator import Cell, Sensor, emulate, flat, measure
 from emulator_cells import random_cell
 from emulator_drives import random_load
 from emulator_effects import EFFECTS, NAMES, World, amplitude, draw_effect, size_of
-from hidden_cases import Plan, hidden_case, random_pair
+from hidden_cases import Plan, hidden_case
 
 EVERYTHING = {
     "activation_K": 2500.0,
@@ -187,11 +187,3 @@ def test_a_seed_is_a_case_and_hiding_changes_only_what_is_hidden():
     other = hidden_case(6, ("current_offset",), plan=plan)
     assert np.array_equal(one.baseline[0].voltage_V, other.baseline[0].voltage_V)
     assert not np.array_equal(one.logs[0].current_A, other.logs[0].current_A)
-
-
-def test_pairs_are_of_two_families():
-    rng = np.random.default_rng(9)
-    for _ in range(50):
-        first, second = random_pair(rng)
-        assert first != second
-        assert {first, second} <= set(NAMES)

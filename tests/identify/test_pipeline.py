@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.effects import Hysteresis
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import TABLES
 from cellwise.cell.model_file import model_from_dict, model_to_dict
@@ -153,23 +153,6 @@ def test_the_refinement_does_not_depend_on_where_the_pulses_left_it(nmc, method)
     inside = slice(30, 190)
     np.testing.assert_allclose(other.r0_ohm[0, inside], nmc.model.r0_ohm[0, inside], rtol=0.15)
     np.testing.assert_allclose(other.ocv_V[0, inside], nmc.model.ocv_V[0, inside], atol=0.01)
-
-
-def test_refinement_beats_the_pulses_alone(nmc, quick):
-    def on_hppc(found):
-        return next(s.metrics.rmse_V for s in found.simulations if s.log.name == "nmc_hppc")
-
-    assert on_hppc(nmc) < on_hppc(quick)
-    drive = load_dataset("nmc_drive_b")
-    assert missed(nmc.model, drive, 0.997) < missed(quick.model, drive, 0.997)
-    assert quick.temperatures[0].refinement is None
-
-
-def test_two_branches_are_the_plain_thevenin_model():
-    found = identify_cell(nmc_tests(), replace(NMC, branches=2))
-    assert not np.any(found.model.effect(SlowDiffusion).r3_ohm)
-    assert found.temperatures[0].refinement.layout.branches == 2
-    assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
 
 
 def test_hysteresis_when_it_is_asked_for(nmc):

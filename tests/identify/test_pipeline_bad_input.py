@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs.cell_log import CellLog
@@ -192,14 +191,6 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
         )
 
 
-def test_a_capacity_test_that_is_left_out_beside_a_whole_one_is_named(hppc):
-    """It ends where the other test goes on: at a higher voltage."""
-    whole, early = discharge(1 / 5, 1.1, "whole"), discharge(0.5, 0.7, "early")
-    found = run(pulses(hppc, capacity=(whole, early)), QUICK)
-    (said,) = [n for n in found.notices if "not used" in n]
-    assert said.startswith("capacity test early: not used (")
-
-
 def test_a_drive_beside_an_ocv_test_gives_the_truth_back(drive, low_rate):
     found = run(drives(drive, ocv=(low_rate,)))
     assert r0_error(found) < 0.05
@@ -250,13 +241,3 @@ def test_a_log_that_moves_more_than_the_cell_holds_makes_no_model(hppc, drive):
     twice = replace(drive, current_A=2.5 * drive.current_A, name="too much")
     with pytest.raises(InputError, match=r"mV off its own logs; 'too much' moves 3\.8\d* Ah"):
         run(pulses(hppc, drive=((twice, None),)))
-
-
-def test_rows_of_a_minute_still_give_a_model(low_rate):
-    # A logger of one row per minute sees no fast branch, but all the resistance together it must.
-    minutes = drive_current(260, 1.0, 2.5, np.random.default_rng(2))[:260]
-    fine = driven_log(CELL, np.repeat(minutes, 60), 1.0, soc=1.0, noise_V=5e-4)
-    coarse = fine.rows(np.arange(59, len(fine), 60))
-    found = run(drives(coarse, ocv=(low_rate,)))
-    assert found.fit.rmse_V < 0.01
-    assert simulate(found.model, fine, 1.0).metrics.rmse_V < 0.02

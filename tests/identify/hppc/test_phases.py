@@ -105,11 +105,6 @@ def test_glitches_of_the_sensor_split_nothing():
     assert [(p.kind, p.start, p.stop) for p in find_phases(glitched)] == bounds
 
 
-def test_noise_alone_is_one_rest():
-    current = np.random.default_rng(2).normal(0.0, 0.01, 20_000)
-    assert kinds(find_phases(driven_log(nmc_cell(), current, 10.0))) == ["rest"]
-
-
 @pytest.mark.parametrize("hz", [1.0, 10.0])
 def test_a_drive_is_dynamic_between_its_stops(hz):
     rng = np.random.default_rng(3)
@@ -118,15 +113,6 @@ def test_a_drive_is_dynamic_between_its_stops(hz):
     moving = sum(p.duration_s for p in phases if p.kind == "dynamic")
     loaded = sum(p.duration_s for p in phases if p.kind != "rest")
     assert moving > 0.9 * loaded  # at full power it holds a level for seconds, too
-
-
-def test_missing_samples_are_bridged_by_the_last_known():
-    made = hppc_log(nmc_cell(), HppcPlan())
-    current, voltage = made.log.current_A.copy(), made.log.voltage_V.copy()
-    current[500:503] = np.nan
-    voltage[700:704] = np.nan
-    log = replace(made.log, current_A=current, voltage_V=voltage)
-    assert kinds(find_phases(log)) == kinds(find_phases(made.log))
 
 
 def real(folder, name):

@@ -84,19 +84,6 @@ def test_where_all_steps_are_long_the_moves_serve_as_pulses(rate, seconds):
     assert len(pulses_to_fit(pulses)) >= 5
 
 
-def test_where_there_are_short_ones_moves_are_left_out():
-    pulses = find_pulses(hppc_log(nmc_cell(), HppcPlan()).log)
-    assert {p.role for p in pulses} == {"pulse", "move"}
-    assert {p.role for p in pulses_to_fit(pulses)} == {"pulse"}
-
-
-def test_a_log_may_begin_a_row_before_its_pulse():
-    current = np.zeros(3000)
-    current[1:101] = 3.0
-    (pulse,) = find_pulses(driven_log(nmc_cell(), current, 10.0))
-    assert (pulse.start, pulse.stop) == (1, 101)
-
-
 def no_pulses():
     rng = np.random.default_rng(7)
     t = np.arange(20_000) * 0.1
