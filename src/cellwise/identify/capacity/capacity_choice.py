@@ -15,11 +15,11 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
+from cellwise.identify.identification import REFERENCE_C
 
 # Rates that laboratories write down; a measured one is called by the nearest of them.
 FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-REFERENCE_C = 25.0
 
 
 class _Near(NamedTuple):
