@@ -47,8 +47,9 @@ def test_relaxed_rests_lie_on_the_ocv(row_s, counter):
     log = cell_log(hppc(rest_s=7200.0), 1.0, row_s, counter)
     curve = ocv_from_rests(log, capacity_Ah=CAPACITY_AH)
     relaxed = curve.points_weight > 0.5 * curve.points_weight.max()
-    # What is left of the pulses after 1200 s at a time constant of 400 s, and rounding to rows.
-    assert curve.points_V[relaxed] == pytest.approx(ocv(curve.points_soc[relaxed]), abs=2e-4)
+    # What is left of the pulses after 1200 s at a time constant of 400 s, carried to its end by
+    # rows that may be a minute apart.
+    assert curve.points_V[relaxed] == pytest.approx(ocv(curve.points_soc[relaxed]), abs=4e-4)
     s = np.linspace(0.1, 1.0, 100)
     assert curve.function.evaluate(s) == pytest.approx(ocv(s), abs=1e-2)
     assert curve.capacity_Ah == CAPACITY_AH
