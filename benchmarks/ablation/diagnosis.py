@@ -175,10 +175,6 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
         ("identifiability.start_readings", lambda _: lambda *_: {}),
     ),
-    "stated starts wrong together": (
-        ("fit.least_squares.Prior.together", lambda _: lambda prior, *_: prior),
-    ),
-    "start between the branches": (("fit.priors.GOOD", lambda old: old._replace(off_branch=1e-6)),),
     "current at rest": (("fit.rows.rest_reading", lambda _: lambda *_: NO_READING),),
     "voltage at rest": (("fit.rests.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),),
     "physical sizes": (("fit.cause_fits.ln_size", lambda _: lambda *_: 0.0),),

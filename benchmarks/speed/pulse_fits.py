@@ -20,11 +20,11 @@ from benchmarks.speed.synthetic_truth import (
     relative_error,
     synthetic_hppc,
 )
+from cellwise.identify.fitted_pulses import cut_pulses
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.papers.swarm import SwarmOptions, fit_swarm
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_window import cut_pulses
 from cellwise.logs import CellLog, read_log
 from cellwise.typing import FloatArray
 

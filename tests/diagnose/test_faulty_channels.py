@@ -38,20 +38,6 @@ def with_rows(log, channel, rows, values):
     return replace(log, **{channel: changed})
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.9, 2.7])
-def test_edges_that_are_logged_late_are_no_spikes(late_s):
-    """At 10 Hz a second is many rows: what the voltage does there the current did long before."""
-    rows, model = 6000, curved_cell()
-    time = 0.1 * np.arange(float(rows))
-    current = np.where((np.arange(rows) // 300) % 2 == 0, 0.0, 6.0)
-    voltage = simulate(model, CellLog(time, current, np.full(rows, 3.7)), 0.9).voltage_V
-    late = np.interp(time - late_s, time, voltage)
-    between = np.interp(time - late_s - 0.04, time, voltage)  # sampled on its way, too
-    noise = 2e-4 * np.random.default_rng(4).standard_normal(rows)
-    for seen in (late, between):
-        assert clean(CellLog(time, current, seen + noise))[1] == ()
-
-
 def test_a_clean_drive_has_no_faults_and_is_not_touched(drive):
     same, faults = clean(drive)
     assert same is drive
@@ -88,16 +74,6 @@ def test_a_current_at_the_end_of_its_range_is_saturated_and_a_tester_at_its_limi
     voltage = simulate(curved_cell(), limited, 0.95).voltage_V
     noise = 5e-4 * np.random.default_rng(12).standard_normal(ROWS)
     assert clean(replace(limited, voltage_V=voltage + noise))[1] == ()
-
-
-def test_a_testers_constant_current_that_flickers_by_its_digits_is_not_at_its_end():
-    """C/30 up a plateau: the voltage goes to and fro by its own digits while the current stands."""
-    rng = np.random.default_rng(7)
-    rows = 8000
-    current = -0.0767 + 1e-4 * (rng.random(rows) < 0.4)
-    volt = 3.3 + 2e-6 * np.arange(rows) + 3.3e-4 * rng.integers(-1, 2, rows)
-    log = CellLog(10.0 * np.arange(rows), current, np.round(volt, 5))
-    assert clean(log)[1] == ()
 
 
 def test_single_rows_that_jump_are_spikes(drive):
@@ -206,19 +182,6 @@ def test_a_cell_at_rest_full_or_dead_and_a_heavy_pulse_are_no_faults(drive):
         assert clean(replace(log, voltage_V=voltage))[1] == ()
     dying = drive.voltage_V * np.clip(np.linspace(9.0, 0.0, ROWS), 0.0, 1.0)
     assert not any(f.kind == "impossible" for f in clean(replace(drive, voltage_V=dying))[1])
-
-
-def test_a_diagnosis_names_108_V_first_and_judges_the_rest_as_if_it_had_not_been(drive):
-    rows = slice(1307, 1342)
-    found = diagnose(
-        curved_cell(),
-        with_rows(drive, "voltage_V", rows, 108.0),
-        causes=["ocv_shift", "current_offset"],
-    )
-    assert [c.name for c in found.causes] == ["sensor_fault"]
-    assert found.causes[0].parameters["rows"] == 35
-    assert found.causes[0].parameters["start_s"] == 1307.0
-    assert found.causes[0].holdout_rmse_after_V < 2e-3
 
 
 @pytest.mark.parametrize(("channel", "value", "rows"), [g for g in GROSS if g[2] > 1])

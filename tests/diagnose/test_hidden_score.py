@@ -15,7 +15,7 @@ from emulator_cells import MODEL_POINTS, Misfit, known_model, random_cell
 from emulator_drives import random_load
 from emulator_effects import EFFECTS, NAMES, World, draw_effect
 from hidden_cases import Plan, hidden_case
-from hidden_score import allowed_misses, confusion, judge, smallest_found
+from hidden_score import allowed_misses, judge
 from hide import emulated_cell, hide_in
 
 PERFECT = Misfit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -28,13 +28,6 @@ def test_the_bound_is_the_tail_of_the_binomial(cases, rate):
     allowed = allowed_misses(cases, rate)
     assert binom.sf(allowed, cases, rate) < 1e-3
     assert allowed == 0 or binom.sf(allowed - 1, cases, rate) >= 1e-3
-
-
-@pytest.mark.parametrize("threshold", [0.5, 1.0, 3.0, 8.0, 9.0])
-def test_the_scan_finds_the_smallest_size(threshold):
-    sizes = (1.0, 2.0, 4.0, 8.0)
-    expected = next((s for s in sizes if s >= threshold), math.inf)
-    assert smallest_found(lambda size: size >= threshold, sizes) == expected
 
 
 def told(verdict: str, parameters: dict[str, float], before: float = 0.01, after: float = 0.002):
@@ -77,12 +70,6 @@ def test_what_is_gained_is_counted_against_what_can_be_gained():
     possible = case.open(told("none", {})).possible_rmse_V
     half = told("capacity", {"capacity_Ah": 1.0}, 0.01, 0.5 * (0.01 + possible))
     assert judge(case, half).gain_share == pytest.approx(0.5)
-
-
-def test_confusion_counts_verdicts_of_single_effects():
-    case = hidden_case(5, (), plan=Plan(rows=600))
-    found = [judge(case, told("none", {})), judge(case, told("capacity", {"capacity_Ah": 1.0}))]
-    assert confusion(found) == {"none": {"none": 1, "capacity": 1}}
 
 
 @pytest.mark.parametrize("name", NAMES)

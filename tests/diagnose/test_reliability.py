@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from benchmarks.measured_data import REPOSITORY
-from benchmarks.physics_laboratory.reliability import groups, read_table, said_in, write_table
+from benchmarks.physics_laboratory.reliability import groups, read_table, said_in
 
 CASE = {
     "seed": 1,
@@ -20,12 +20,6 @@ def test_a_cause_is_there_where_the_change_written_down_beforehand_has_it():
     assert found == {"current_offset": True, "capacity": False, "nothing": False}
     clean = {**CASE, "changes": [], "probability": {"nothing": 0.8}}
     assert [s.true for s in said_in([clean])] == [True]
-
-
-def test_a_table_comes_back_as_it_was(tmp_path):
-    said = said_in([CASE])
-    write_table(said, tmp_path / "table.csv")
-    assert read_table(tmp_path / "table.csv") == said
 
 
 def test_shares_are_counted_between_the_edges():

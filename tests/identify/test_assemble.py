@@ -14,8 +14,6 @@ from cellwise.identify.assemble import (
     GRID_POINTS,
     monotone,
     refined_model,
-    relative_errors,
-    table_summary,
 )
 from cellwise.identify.refinement.refine import RefineSettings, refine
 from refine_cases import (
@@ -23,7 +21,6 @@ from refine_cases import (
     CURVED,
     Truth,
     log_of,
-    ocv,
     pulse_current,
     start_tables,
     two_logs,
@@ -59,10 +56,6 @@ def test_tables_are_positive_ordered_and_on_the_grid(plain):
     assert np.all(model.tau2_s > model.tau1_s)
 
 
-def test_no_effect_that_was_not_fitted(plain):
-    assert plain[3].effects == ()
-
-
 def test_effects_that_were_fitted():
     truth = Truth(m_V=0.02, gamma=100.0, skew_s=0.3, activation_K=3000.0)
     _, start, result, model = refined(truth, skewed=True, warm=True)
@@ -90,29 +83,6 @@ def test_monotone_is_the_nearest_rising_curve():
     ).x
     oracle = steps[0] + np.concatenate(([0.0], np.cumsum(steps[1:] ** 2)))
     np.testing.assert_allclose(found, oracle, atol=1e-4)
-
-
-def test_monotone_leaves_a_rising_curve_alone():
-    rising = ocv(np.linspace(0.0, 1.0, 201))
-    np.testing.assert_allclose(monotone(rising), rising, atol=1e-12)
-    flat = monotone(np.full(201, 3.3))
-    assert np.all(np.diff(flat) > 0.0)
-    np.testing.assert_allclose(flat, 3.3, atol=1e-3)
-
-
-def test_relative_errors_are_given_for_every_table(plain):
-    result = plain[2]
-    found = relative_errors(result)
-    assert set(found) == {"ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s"}
-    assert all(0.0 < v < 1.0 for v in found.values())
-    assert found["r0_ohm"] < found["r2_ohm"], "half a millivolt says R0 best of all"
-
-
-def test_the_summary_is_json(plain):
-    import json
-
-    text = json.dumps(table_summary(plain[2]), allow_nan=False)
-    assert "standard_error" in text
 
 
 def test_what_no_log_has_seen_is_admitted():

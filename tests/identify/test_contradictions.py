@@ -13,7 +13,6 @@ from cellwise.cli.identifying import print_identification
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.measured_capacity import measure_capacity
-from cellwise.identify.own_logs import check_serves
 from cellwise.logs.checks.sign import contradiction
 
 CAPACITY = 5.0
@@ -95,15 +94,6 @@ def test_a_current_in_another_scale_is_refused(hppc, low_rate, drive, factor):
             contradictions(tests)
 
 
-@pytest.mark.parametrize("which", ["drive", "hppc", "ocv"])
-def test_a_tenth_of_the_current_is_refused_or_said_first(hppc, low_rate, drive, which):
-    logs = {"hppc": hppc, "drive": drive, "ocv": low_rate}
-    logs[which] = scaled(logs[which], 0.1)
-    tests = together((logs["hppc"],), (logs["drive"],), ocv=(logs["ocv"],))
-    said = first_said(tests, replace(QUICK, refine=True, branches=2))
-    assert "mV off" in said or "nominal" in said
-
-
 def test_a_part_of_a_drive_in_another_scale_is_said_first(hppc, drive):
     part = replace(scaled(drive.part(0, 900), 10.0, "flight"), soc0=1.0)
     tests = together((hppc,), (part,))
@@ -120,12 +110,6 @@ def test_another_capacity_than_the_nominal_one_is_said_with_both(hppc):
     (notice,) = contradictions(together((hppc,)), replace(QUICK, nominal_Ah=3.0))
     assert "Ah (hppc-total) is 1.7" in notice.text
     assert "times the nominal 3 Ah" in notice.text
-
-
-def test_a_capacity_log_of_another_cell_is_said_first(hppc, low_rate):
-    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
-    tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
-    assert "'other'" in first_said(tests, QUICK)
 
 
 def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
@@ -179,14 +163,6 @@ def test_the_most_harmful_comes_first_and_a_wrong_sign_before_all():
     sign = contradiction("charge-positive")
     found = in_order([Notice(0.1, "b"), Notice(0.5, "a")], ("read", sign))
     assert found == (sign, "a", "b", "read")
-
-
-def test_a_model_of_contradictory_tests_is_made_only_if_it_serves():
-    wrong = [Notice(0.5, "two cells")]
-    check_serves(0.05, wrong)
-    check_serves(0.5, [])
-    with pytest.raises(InputError, match=r"500 mV off its own logs; two cells"):
-        check_serves(0.5, wrong)
 
 
 @pytest.mark.parametrize(

@@ -38,10 +38,6 @@ def test_a_whole_range_of_soc_and_the_pulses_currents(found, hppc):
     assert valid.current_A[0] == pytest.approx(float(np.nanmin(hppc.current_A)), rel=0.02)
 
 
-def test_the_command_prints_it(found):
-    assert found.to_dict()["validity"] == found.model.validity.to_dict()
-
-
 def without_temperature(log: CellLog) -> CellLog:
     return replace(log, temperature_C=None)
 
@@ -76,11 +72,6 @@ def test_a_pulse_counts_and_a_spike_does_not():
     assert valid.current_A == (0.0, 9.0)
     assert valid.temperature_C == (21.0, 21.0)
     assert valid.soc == pytest.approx((0.4, 1.0), abs=1e-3)
-
-
-def test_what_is_measured_goes_before_what_is_stated():
-    log = log_of(np.ones(100), np.full(100, 3.0))
-    assert log_validity(log, None, 25.0).temperature_C == (3.0, 3.0)
 
 
 def test_several_logs_cover_together():

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.effects import Hysteresis
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import TABLES
 from cellwise.cell.model_file import model_from_dict, model_to_dict
@@ -119,12 +119,6 @@ def test_capacity_choices_are_what_the_counter_says(nmc):
     assert nmc.capacities["hppc-total"] == pytest.approx(np.ptp(hppc.charge_Ah), rel=5e-3)
 
 
-def test_the_default_capacity_is_that_of_the_slowest_discharge(nmc):
-    assert nmc.capacity_choice == "rate:C/20"
-    assert nmc.model.capacity_Ah == nmc.capacities["rate:C/20"]
-    assert nmc.model.capacity_Ah == pytest.approx(TRUTH["nmc_hppc"]["true_capacity_Ah"], rel=0.01)
-
-
 @pytest.mark.parametrize(
     "choice", ["nominal", "cc-average", "cc-cv-average", "hppc-total", "rate:C/3", "rate:C/5"]
 )
@@ -136,11 +130,6 @@ def test_a_capacity_choice_changes_the_capacity_and_all_that_refers_to_it(quick,
     assert found.model.provenance["capacity"]["choice"] == choice
     assert found.ocv.capacity_Ah == found.model.capacity_Ah
     assert found.capacities == quick.capacities
-
-
-def test_a_rate_may_be_written_in_any_way(quick):
-    found = identify_cell(nmc_tests(), replace(QUICK, capacity_choice="rate:0.2C"))
-    assert found.model.capacity_Ah == quick.capacities["rate:C/5"]
 
 
 @pytest.mark.parametrize(
@@ -164,23 +153,6 @@ def test_the_refinement_does_not_depend_on_where_the_pulses_left_it(nmc, method)
     inside = slice(30, 190)
     np.testing.assert_allclose(other.r0_ohm[0, inside], nmc.model.r0_ohm[0, inside], rtol=0.15)
     np.testing.assert_allclose(other.ocv_V[0, inside], nmc.model.ocv_V[0, inside], atol=0.01)
-
-
-def test_refinement_beats_the_pulses_alone(nmc, quick):
-    def on_hppc(found):
-        return next(s.metrics.rmse_V for s in found.simulations if s.log.name == "nmc_hppc")
-
-    assert on_hppc(nmc) < on_hppc(quick)
-    drive = load_dataset("nmc_drive_b")
-    assert missed(nmc.model, drive, 0.997) < missed(quick.model, drive, 0.997)
-    assert quick.temperatures[0].refinement is None
-
-
-def test_two_branches_are_the_plain_thevenin_model():
-    found = identify_cell(nmc_tests(), replace(NMC, branches=2))
-    assert not np.any(found.model.effect(SlowDiffusion).r3_ohm)
-    assert found.temperatures[0].refinement.layout.branches == 2
-    assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
 
 
 def test_hysteresis_when_it_is_asked_for(nmc):
@@ -238,42 +210,6 @@ def test_long_discharges_serve_as_pulses_where_there_are_no_short_ones():
     assert_valid(found.model)
 
 
-@pytest.mark.parametrize("method", ["varpro", "segments", "pso"])
-@pytest.mark.parametrize("tables", ["spline", "cubic"])
-@pytest.mark.slow
-def test_every_method_gives_a_model_of_long_discharges(method, tables):
-    log = load_dataset("nmc_hppc_c3")
-    tests = TestLogs(hppc=((log, None),), ocv=(load_dataset("nmc_ocv_c20"),))
-    model = identify_cell(tests, replace(QUICK, method=method, tables=tables)).model
-    assert np.all(model.tau1_s < model.tau2_s)
-    # Ohm's law, at 1.7 A: whatever the method, the voltage is off by less than the whole drop.
-    assert simulate(model, log, 1.0).rmse_above_10pct_V < 0.1
-
-
-def test_one_pulse_is_enough_for_a_model():
-    log = load_dataset("nmc_hppc")
-    step = np.flatnonzero(np.abs(np.diff(log.current_A)) > 1.0)
-    one = log.rows(log.time_s <= log.time_s[step[1]] + 30.0)
-    tests = TestLogs(hppc=((one, None),), ocv=(load_dataset("nmc_ocv_c20"),))
-    found = identify_cell(tests, QUICK)
-    assert sum(found.pulse_counts.values()) >= 1
-    np.testing.assert_allclose(found.model.r0_ohm, found.model.r0_ohm[0, 0], rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_missing_voltages_in_the_middle_change_little(nmc):
-    log = load_dataset("nmc_hppc")
-    voltage = log.voltage_V.copy()
-    voltage[np.random.default_rng(4).integers(0, voltage.size, voltage.size // 100)] = np.nan
-    tests = replace(nmc_tests(), hppc=((replace(log, voltage_V=voltage), None),))
-    drive = load_dataset("nmc_drive_b")
-    holes, whole = (
-        simulate(m, drive, 0.997).rmse_above_10pct_V
-        for m in (identify_cell(tests, NMC).model, nmc.model)
-    )
-    assert holes < 1.1 * whole
-
-
 def test_pulses_are_counted_by_quality(nmc):
     # Ten levels, 0.5C, 1C and 2C, a discharge and a charge each; what the empty end leaves out.
     counts = nmc.pulse_counts
@@ -283,25 +219,12 @@ def test_pulses_are_counted_by_quality(nmc):
     assert counts["spurious"] == 0
 
 
-def test_starts_are_found_where_the_physics_had_them(nmc):
-    truth = TRUTH["nmc_hppc"]["initial_soc"]
-    assert nmc.temperatures[0].pulse_sets[0].anchor.soc == pytest.approx(truth, abs=0.01)
-
-
 def test_the_fit_is_that_of_its_own_simulations(nmc):
     errors = [o.simulation.error_V for o in nmc.own_logs]
     rows = [slice(None) if o.compared is None else o.compared for o in nmc.own_logs]
     compared = np.concatenate([e[r] for e, r in zip(errors, rows, strict=True)])
     assert nmc.fit == error_metrics(compared)
     assert "nmc_hppc" in [s.log.name for s in nmc.simulations]
-
-
-def test_the_report_has_the_contracts_keys_and_is_json(nmc):
-    data = nmc.to_dict()
-    json.dumps(data, allow_nan=False)
-    assert {"capacity_Ah", "capacity_choice", "capacities", "pulses", "fit", "seconds"} <= set(data)
-    assert {"rmse_V", "mae_V", "max_error_V"} <= set(data["fit"])
-    assert len(set(data["notices"])) == len(data["notices"])
 
 
 def test_provenance_tells_where_every_number_came_from(nmc):
@@ -318,13 +241,6 @@ def test_progress_is_reported_in_order():
     said = []
     identify_cell(nmc_tests(), QUICK, said.append)
     assert said == ["capacity", "OCV", "pulses", "validation on its own logs"]
-
-
-@pytest.mark.slow
-def test_the_same_tests_give_the_same_model(quick):
-    again = identify_cell(nmc_tests(), QUICK).model
-    for name in TABLES:
-        np.testing.assert_array_equal(getattr(again, name), getattr(quick.model, name))
 
 
 @pytest.mark.slow
@@ -362,11 +278,3 @@ def test_a_warm_capacity_test_says_nothing_of_slow_resistances_in_the_cold():
     assert error < 1.1 * simulate(alone.model, log, soc0).rmse_above_10pct_V
     assert any("left out of the refinement: it began at 25 degC" in n for n in beside.notices)
     assert beside.model.validity.temperature_C == alone.model.validity.temperature_C
-
-
-def test_a_cold_capacity_test_beside_warm_pulses_takes_part():
-    capacity = load_dataset("nmc_cap_c3")
-    cold = replace(capacity, temperature_C=np.zeros(len(capacity)))
-    tests = TestLogs(hppc=((load_dataset("nmc_hppc"), 25.0),), capacity=(cold,))
-    found = identify_cell(tests, replace(NMC, branches=2))
-    assert not any("it began at" in n for n in found.notices)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs.cell_log import CellLog
@@ -122,21 +121,10 @@ def test_a_swapped_sign_in_any_log_is_refused(hppc, low_rate, drive, which, sett
         run(logs, settings)
 
 
-def test_an_unknown_capacity_choice_lists_those_there_are(hppc):
-    with pytest.raises(InputError, match=r"'banana'.*nominal.*hppc-total"):
-        run(pulses(hppc), capacity_choice="banana")
-
-
 @pytest.mark.parametrize("nominal", [0.0, -3.0, float("nan"), float("inf")])
 def test_a_nominal_capacity_that_is_none(hppc, nominal):
     with pytest.raises(InputError, match="nominal capacity"):
         run(pulses(hppc), nominal_Ah=nominal)
-
-
-def test_milliampere_for_ampere(hppc):
-    wrong = replace(hppc, current_A=1e3 * hppc.current_A, charge_Ah=1e3 * hppc.charge_Ah)
-    with pytest.raises(InputError, match="mA for A"):
-        run(pulses(wrong))
 
 
 def test_a_drive_without_any_capacity(drive):
@@ -192,12 +180,6 @@ def test_one_pulse_beside_a_low_rate_test(one_pulse, low_rate):
     assert found.model.r0_ohm[0, 0] == pytest.approx(CELL.r0_ohm(np.array([0.7]))[0], rel=0.02)
 
 
-def test_an_hppc_test_through_a_part_of_the_range_is_no_capacity(one_pulse, low_rate):
-    found = run(pulses(one_pulse, ocv=(low_rate,)), QUICK)
-    assert "hppc-total" not in found.capacities
-    assert any("did not go from full to empty" in n for n in found.notices)
-
-
 def test_a_capacity_test_that_never_reaches_the_limit(hppc):
     found = run(pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK)
     assert found.capacity_choice == "hppc-total"
@@ -207,22 +189,6 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
         run(
             pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK, capacity_choice="rate:C/2"
         )
-
-
-def test_a_capacity_test_that_is_left_out_beside_a_whole_one_is_named(hppc):
-    """It ends where the other test goes on: at a higher voltage."""
-    whole, early = discharge(1 / 5, 1.1, "whole"), discharge(0.5, 0.7, "early")
-    found = run(pulses(hppc, capacity=(whole, early)), QUICK)
-    (said,) = [n for n in found.notices if "not used" in n]
-    assert said.startswith("capacity test early: not used (")
-
-
-def test_drives_alone_say_what_they_assume(drive):
-    found = run(drives(drive))
-    assert any("is the prior" in n for n in found.notices)
-    assert found.capacity_choice == "nominal"
-    assert sum(found.pulse_counts.values()) == 0
-    assert found.fit.rmse_V < 0.015
 
 
 def test_a_drive_beside_an_ocv_test_gives_the_truth_back(drive, low_rate):
@@ -238,13 +204,6 @@ def test_missing_voltages_in_the_middle(hppc):
     found = run(pulses(replace(hppc, voltage_V=v)))
     assert r0_error(found) < 0.06
     assert np.isfinite(found.fit.rmse_V)
-
-
-def test_missing_currents_are_bridged_by_the_counter(hppc):
-    rest = int(np.flatnonzero(np.diff(hppc.current_A) != 0.0)[6]) + 400
-    i = hppc.current_A.copy()
-    i[rest : rest + 200] = np.nan
-    assert r0_error(run(pulses(replace(hppc, current_A=i)))) < 0.06
 
 
 @pytest.mark.parametrize("counter", [True, False])
@@ -282,13 +241,3 @@ def test_a_log_that_moves_more_than_the_cell_holds_makes_no_model(hppc, drive):
     twice = replace(drive, current_A=2.5 * drive.current_A, name="too much")
     with pytest.raises(InputError, match=r"mV off its own logs; 'too much' moves 3\.8\d* Ah"):
         run(pulses(hppc, drive=((twice, None),)))
-
-
-def test_rows_of_a_minute_still_give_a_model(low_rate):
-    # A logger of one row per minute sees no fast branch, but all the resistance together it must.
-    minutes = drive_current(260, 1.0, 2.5, np.random.default_rng(2))[:260]
-    fine = driven_log(CELL, np.repeat(minutes, 60), 1.0, soc=1.0, noise_V=5e-4)
-    coarse = fine.rows(np.arange(59, len(fine), 60))
-    found = run(drives(coarse, ocv=(low_rate,)))
-    assert found.fit.rmse_V < 0.01
-    assert simulate(found.model, fine, 1.0).metrics.rmse_V < 0.02

@@ -59,27 +59,16 @@ def short_rests():
 
 
 CASES = {
-    "C/2, 10 %, 2 h": (gitt(CELL), 1.0, Logger(1.0)),
     "C/2, 10 %, 1 h": (gitt(CELL, rest_s=3600.0), 1.0, Logger(1.0)),
-    "C/2, 10 %, half an hour": (gitt(CELL, rest_s=1800.0), 1.0, Logger(1.0)),
     "C/2, 10 %, rows of 10 s": (gitt(CELL, rest_s=3600.0), 1.0, Logger(10.0)),
-    "C/2, 5 %": (gitt(CELL, step=0.05, rest_s=3600.0), 1.0, Logger(1.0)),
-    "C/2, 20 %": (gitt(CELL, step=0.2), 1.0, Logger(1.0)),
     "1C, 10 %": (gitt(CELL, rate=1.0, rest_s=3600.0), 1.0, Logger(1.0)),
-    "C/5, 10 %": (gitt(CELL, rate=0.2, rest_s=3600.0), 1.0, Logger(1.0)),
     "C/10, 10 %": (gitt(CELL, rate=0.1, rest_s=3600.0), 1.0, Logger(1.0)),
     "C/2 by change of value": (gitt(CELL, rest_s=3600.0), 1.0, Logger(0.1, change_V=2e-3)),
     "C/2 up from empty": (gitt(CELL, rest_s=3600.0, charge=True), 0.0, Logger(1.0)),
-    "C/2 up, rows of 10 s": (gitt(CELL, rest_s=3600.0, charge=True), 0.0, Logger(10.0)),
     "charge pulses up from empty": (climbing_pulses(), 0.0, Logger(1.0)),
-    "pulses up from empty": (climbing_pulses(both=True), 0.0, Logger(1.0)),
-    "discharge pulses only": (hppc(CELL, pairs=False), 1.0, Logger(1.0)),
     "pulses by change of value": (hppc(CELL), 1.0, Logger(0.1, change_V=2e-3)),
     "1 s at 10 Hz": (pulses_of(1.0), 1.0, Logger(0.1)),
-    "1 s at 1 Hz": (pulses_of(1.0), 1.0, Logger(1.0)),
-    "5 s at 1 Hz": (pulses_of(5.0), 1.0, Logger(1.0)),
     "30 s at 0.1 Hz": (pulses_of(30.0), 1.0, Logger(10.0)),
-    "120 s at 0.1 Hz": (pulses_of(120.0), 1.0, Logger(10.0)),
 }
 
 
@@ -125,32 +114,11 @@ def test_a_stated_start_is_where_an_incremental_test_begins(drives, of_pulses):
     assert missed_V(found, drives) < WORSE * of_pulses
 
 
-def test_without_a_nominal_capacity_a_part_of_the_range_is_said():
-    found = identified(gitt(CELL)[:-4], settings=replace(SETTINGS, nominal_Ah=None))
-    assert any("nominal" in n for n in found.notices)
-
-
-def test_late_rows_are_said():
-    notices = identified(gitt(CELL, rest_s=3600.0), logger=Logger(60.0)).notices
-    assert any("60 s after a switch" in n for n in notices)
-    assert not any("after a switch" in n for n in identified(hppc(CELL)).notices)
-
-
 @pytest.mark.slow
 def test_a_c100_discharge_serves_as_ocv(drives, of_pulses):
     slow = run(CELL, low_rate(CELL, 0.01, charge=False), 1.0, Logger(60.0), name="c100").log
     found = identified(hppc(CELL), ocv=(slow,))
     assert found.capacity_choice == "rate:C/100"
-    assert missed_V(found, drives) < WORSE * of_pulses
-
-
-def test_an_offset_of_the_low_rate_sensor_is_taken_out_and_said(drives, of_pulses):
-    slow = run(CELL, low_rate(CELL), 1.0, Logger(10.0, offset_A=0.016), seed=1, name="c20").log
-    half = run(CELL, [(0.0, 1800.0), (1.5, 9000.0), (0.0, 3600.0)], 1.0, Logger(10.0), name="c2")
-    found = identified(hppc(CELL), ocv=(slow,), capacity=(half.log,))
-    assert found.model.capacity_Ah == pytest.approx(3.0235, rel=0.003)
-    assert any("+16.0 mA" in n for n in found.notices)
-    assert not any("incomplete" in n for n in found.notices)
     assert missed_V(found, drives) < WORSE * of_pulses
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.identify.fitted_pulses import pulse_from_arrays
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
 
 Array = NDArray[np.float64]
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class Groups(NamedTuple):
@@ -36,7 +34,6 @@ class Groups(NamedTuple):
 
 
 GROUPS = Groups()
-FALLEN = math.exp(-1.0)
 
 
 def residual_analysis(
@@ -63,11 +60,7 @@ def residual_analysis(
         ``by_period_s``: ``from``, ``to``, ``rms_V`` and ``share``; with ``constant`` (the mean)
         they make up the whole squared error, because means over 1, 10, 100, 1000 s are nested;
 
-        ``whiteness``: autocorrelation from row to row ``lag1``, time ``correlation_s`` after which
-        it has fallen to 1/e, ``white``;
-
-        ``drift``: slopes ``V_per_h`` and ``V_per_Ah`` with standard deviations that know how long
-        the error persists; ``noise``: what jumps from row to row, ``floor_V``, and its ``share``.
+        ``noise``: what jumps from row to row, ``floor_V``, and its ``share``.
 
     Raises
     ------
@@ -82,7 +75,6 @@ def residual_analysis(
     elapsed = log.time_s - log.time_s[0]
     one_C = model.capacity_Ah
     e, seconds = error[known], elapsed[known]
-    correlation = correlation_time(error, known, log.time_s)
     return {
         "rows": int(known.sum()),
         "rmse_V": _root(float(np.mean(e * e))) if e.size else None,
@@ -94,12 +86,6 @@ def residual_analysis(
         "by_time_s": groups(error, elapsed, *_parts(elapsed)),
         "by_charge_Ah": groups(error, moved, *_parts(moved)),
         **periods(e, seconds),
-        "whiteness": {
-            "lag1": _lag1(error, known),
-            "correlation_s": correlation,
-            "white": _white(error, known),
-        },
-        "drift": drift(e, seconds, moved[known], correlation or 0.0),
         "noise": noise_floor(error),
     }
 
@@ -176,20 +162,6 @@ def periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
     return {"constant": {"mean_V": mean, "share": mean * mean / scale}, "by_period_s": result}
 
 
-def drift(
-    error_V: FloatArray, seconds: FloatArray, moved_Ah: FloatArray, correlation_s: float
-) -> dict[str, float | None]:
-    """Straight lines through the error over time and over charge moved."""
-    by_h, std_h = _slope(seconds / 3600.0, error_V, seconds, correlation_s)
-    by_Ah, std_Ah = _slope(moved_Ah, error_V, seconds, correlation_s)
-    return {
-        "V_per_h": by_h,
-        "V_per_h_std": std_h,
-        "V_per_Ah": by_Ah,
-        "V_per_Ah_std": std_Ah,
-    }
-
-
 def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     """Standard deviation of what is new in every row, from successive differences [V]."""
     jump = np.abs(np.diff(error_V))
@@ -206,46 +178,6 @@ def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     return {"floor_V": floor, "share": min(floor * floor / whole, 1.0) if whole > 0.0 else 1.0}
 
 
-def correlation_time(error_V: FloatArray, known: BoolArray, time_s: FloatArray) -> float | None:
-    """Time after which the error's autocorrelation has fallen to 1/e [s]."""
-    n = error_V.size
-    lags = np.unique(np.geomspace(1, max(n // 3, 1), 30).astype(np.int64))
-    usual_s = float(np.median(np.diff(time_s))) if n > 1 else 0.0
-    before, at = 1.0, 0.0
-    for lag, after in zip(lags, autocorrelation(error_V, known, lags), strict=False):
-        lag_s = float(lag) * usual_s
-        if after < FALLEN:
-            return at + (before - FALLEN) / max(before - after, 1e-12) * (lag_s - at)
-        before, at = after, lag_s
-    return at or None
-
-
-def autocorrelation(
-    error_V: FloatArray, known: BoolArray, lags: NDArray[np.int64]
-) -> Iterator[float]:
-    """Autocorrelation between rows so far from each other, as long as there are any."""
-    if known.sum() < 3:
-        return
-    e = np.where(known, error_V - np.mean(error_V[known]), 0.0)
-    variance = float(e @ e) / int(known.sum())
-    complete = bool(known.all())
-    for lag in lags[lags < e.size].tolist():
-        pairs = e.size - lag if complete else np.count_nonzero(known[lag:] & known[:-lag])
-        if pairs == 0 or variance <= 0.0:
-            return
-        yield float(e[lag:] @ e[:-lag]) / int(pairs) / variance
-
-
-def _lag1(error_V: FloatArray, known: BoolArray) -> float | None:
-    return next(autocorrelation(error_V, known, np.array([1])), None)
-
-
-def _white(error_V: FloatArray, known: BoolArray) -> bool:
-    """Whether successive rows are uncorrelated: Bartlett's bound of three standard deviations."""
-    first = _lag1(error_V, known)
-    return first is None or bool(abs(first) < 3.0 / np.sqrt(known.sum()))
-
-
 def _block_means(error_V: FloatArray, seconds: FloatArray, width_s: float) -> FloatArray:
     """Of every row the mean over its block of time, shape as the error's."""
     if np.isinf(width_s):
@@ -256,21 +188,6 @@ def _block_means(error_V: FloatArray, seconds: FloatArray, width_s: float) -> Fl
     place = np.cumsum(new)
     means = np.bincount(place, error_V) / np.bincount(place)
     return np.asarray(means[place])
-
-
-def _slope(
-    x: FloatArray, y: FloatArray, seconds: FloatArray, correlation_s: float
-) -> tuple[float | None, float | None]:
-    """Slope of a line and its standard deviation; errors are correlated over ``correlation_s``."""
-    if x.size < 3 or np.ptp(x) <= 0.0:
-        return None, None
-    dx = x - np.mean(x)
-    square = float(dx @ dx)
-    slope = float(dx @ y) / square
-    left = y - np.mean(y) - slope * dx
-    independent = max(min(float(np.ptp(seconds)) / max(2.0 * correlation_s, 1e-9), x.size), 3.0)
-    variance = float(left @ left) / square / max(independent - 2.0, 1.0)
-    return slope, _root(variance)
 
 
 def _by_current(error_V: FloatArray, rate_C: FloatArray) -> list[dict[str, Any]]:

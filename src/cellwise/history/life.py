@@ -22,8 +22,19 @@ SAME_KEYS = (
     "capacity_Ah", "capacity_std_Ah", "resistance_scale", "resistance_std", "soc_start", "soc_end",
     "throughput_Ah",
 )  # fmt: skip
-COMPLETE = 0.85  # of the model's capacity: a stretch that moves more counts as a capacity test
-REFERENCE_STD = 0.015  # of the capacity: beyond it a reference test is asked for
+
+
+class _CapacityTests(NamedTuple):
+    """Of the capacity: a stretch that moves ``complete`` of it counts as a test of it.
+
+    From a standard deviation of ``unsure`` on a reference test is asked for.
+    """
+
+    complete: float = 0.85
+    unsure: float = 0.015
+
+
+TESTED = _CapacityTests()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +137,7 @@ class Life:
     def next_reference(self) -> str:
         """The test that would make the trend known, where it is not."""
         std = float(self.trend.std[-1])
-        if std <= REFERENCE_STD and any(one.counted for one in self.logs):
+        if std <= TESTED.unsure and any(one.counted for one in self.logs):
             return f"none: the share of the new cell's capacity is known to {100 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
         as_before = f", as '{load.log.name}'" if load is not None else ""
@@ -286,7 +297,7 @@ def _by_stretch(
             last = before[-1]
             measured = float(np.linalg.norm(last.deviations))
             known = Reference(one, last.share, last.share_std, measured)
-        complete = one.moved_Ah > COMPLETE * known.share * model.capacity_Ah
+        complete = one.moved_Ah > TESTED.complete * known.share * model.capacity_Ah
         if not complete:
             return None
         references.append(known)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,11 +25,19 @@ from cellwise.identify.refinement.splines import spline_rows, spline_values
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
 from cellwise.typing import FloatArray
 
-LEAST_RISE_V = 1e-6  # per grid step, so that the OCV can be inverted everywhere
-LEAST_M_V = 1e-4
-LARGEST_OCV_MOVE_V = 0.03  # a cell of the same kind, hysteresis and temperature leave less
-LEAST_SKEW_S = 0.005
-STEP_K = 5.0  # at 5,000 K and -20 degC a straight line is within about 1 % of the exponential
+
+class _Kept(NamedTuple):
+    """What of a refinement becomes part of a model."""
+
+    rise_V: float = 1e-6  # per grid step, so that the OCV can be inverted everywhere
+    m_V: float = 1e-4  # less is no hysteresis
+    skew_s: float = 0.005  # less is no delay
+    step_K: float = 5.0  # at 5,000 K and -20 degC a line is within 1 % of the exponential
+    # More than a cell of the same kind, hysteresis and temperature leave is said.
+    ocv_move_V: float = 0.03
+
+
+KEPT = _Kept()
 
 
 def refined_model(
@@ -37,7 +45,7 @@ def refined_model(
 ) -> CellModel:
     """The fitted tables and effects as a model.
 
-    With several temperatures it has a row of tables at least every STEP_K, because a model is
+    With several temperatures it has a row of tables at least every five kelvin, because a model is
     straight over temperature between its rows and a resistance is not.
 
     Parameters
@@ -79,7 +87,7 @@ def temperatures_of(result: RefineResult) -> FloatArray:
     ends += [last] if last > grid[-1] + 1.0 else []
     rows = [np.array(ends[:1])]
     for a, b in pairwise(ends):
-        rows.append(np.linspace(a, b, int(np.ceil((b - a) / STEP_K)) + 1)[1:])
+        rows.append(np.linspace(a, b, int(np.ceil((b - a) / KEPT.step_K)) + 1)[1:])
     return np.concatenate(rows)
 
 
@@ -123,13 +131,13 @@ def refined_effects(
     if lay.hysteresis:
         knots = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), result.knots)
         m = [spline_values(knots, row.theta[lay.m : lay.m + lay.knots]) for row in rows]
-        if float(np.max(m)) > LEAST_M_V:
+        if float(np.max(m)) > KEPT.m_V:
             found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))
     if hot and result.layout.temperatures == 1:
         found.append(result.temperature_dependence())
     if result.asinh_per_V > 0.0:
         found.append(ChargeTransfer(result.asinh_per_V))
-    if skewed and result.skew_s > LEAST_SKEW_S:
+    if skewed and result.skew_s > KEPT.skew_s:
         found.append(TimeSkew(result.skew_s))
     return tuple(found)
 
@@ -154,7 +162,7 @@ def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
     rows = spline_rows(soc, result.ocv_knots)
     moved = spline_values(rows, result.theta[: result.layout.knots_ocv])
     size = float(np.sqrt(np.mean(moved**2)))
-    if size <= LARGEST_OCV_MOVE_V:
+    if size <= KEPT.ocv_move_V:
         return ()
     return (
         f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which "
@@ -184,7 +192,7 @@ def monotone(voltage_V: FloatArray) -> FloatArray:
     from scipy.optimize import isotonic_regression
 
     level = np.asarray(isotonic_regression(voltage_V).x)
-    steps = np.maximum(np.diff(level), LEAST_RISE_V)
+    steps = np.maximum(np.diff(level), KEPT.rise_V)
     return np.concatenate(([level[0]], level[0] + np.cumsum(steps)))
 
 

@@ -1,7 +1,8 @@
-"""First station: logs that no cell can have are refused, temperatures that disagree are said."""
+"""First station: logs that no cell can have are refused, the others sorted by what they are."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
@@ -11,8 +12,13 @@ import numpy as np
 from cellwise.cell.plausibility.cells_in_series import check_one_cell
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import LowRateTest, without_offsets
-from cellwise.identify.identification import REFERENCE_C, IdentifySettings, TestLogs
+from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
+from cellwise.identify.identification import (
+    REFERENCE_C,
+    IdentifySettings,
+    TestLogs,
+    log_temperature_C,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.measured_log import cut_at_pauses
@@ -24,8 +30,21 @@ OTHER_VOLTAGE = 1.9
 VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the order of notices
 
 
+class _Together(NamedTuple):
+    """Which logs are of one test, or of one temperature."""
+
+    same_C: float = 3.0  # what a chamber and a measured median differ by
+    own_tables_C: float = 5.0  # without pulses: logs nearer than this share their tables
+    loads: int = 2  # that a temperature without pulses needs for tables of its own
+    whole: float = 0.5  # of the largest discharge: a test's last per cent is no test of its own
+
+
+LIMITS = _Together()
+LowRateTest = tuple[CellLog, ...]
+
+
 class CheckedLogs(NamedTuple):
-    """The tests, a current sensor's offset taken out of the low-rate ones; what was found.
+    """The tests, and what was found.
 
     ``low_rate`` has the logs of a low-rate test together; ``default_C`` is the temperature of a log
     that measured none.
@@ -60,11 +79,13 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
             contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
-    tests, low_rate, notices = without_offsets(replace(tests, drive=drives), default)
-    return CheckedLogs(tests, tuple(low_rate), default, tuple(contradictions), tuple(notices))
+    low_rate = tuple(low_rate_tests(tests.ocv, default))
+    tests = replace(tests, drive=drives)
+    read = tuple(_reading_notices(tests))
+    return CheckedLogs(tests, low_rate, default, tuple(contradictions), read)
 
 
-def reading_notices(tests: TestLogs) -> list[str]:
+def _reading_notices(tests: TestLogs) -> list[str]:
     """What reading the logs has noted, each with the name of its log."""
     return [
         n if log.name and log.name in n else f"'{log.name}': {n}"
@@ -106,3 +127,120 @@ def _check_voltages(logs: tuple[CellLog, ...]) -> None:
                 "Other cells in series? Read that log alone with its own `series=N`, and write it "
                 "as a log of one cell (write_log, cellwise convert).",
             )
+
+
+def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> list[LowRateTest]:
+    """Low-rate logs by test, in the order given.
+
+    A test may come in parts (discharge, its last per cent at another temperature, charge). The next
+    one begins where a whole discharge at another temperature does.
+    """
+    sizes = [_discharged_Ah(log) for log in logs]
+    most = max(sizes, default=0.0)
+    found: list[list[CellLog]] = []
+    head_C = default_C
+    for log, size in zip(logs, sizes, strict=True):
+        at = log_temperature_C(log, None, default_C)
+        whole = most > 0.0 and size >= LIMITS.whole * most
+        if not found or (whole and abs(at - head_C) > LIMITS.same_C):
+            found.append([log])
+            head_C = at
+        else:
+            found[-1].append(log)
+    return [tuple(test) for test in found]
+
+
+def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateTest:
+    """The low-rate test whose temperature is nearest; nothing without one."""
+    return min(
+        tests,
+        key=lambda t: abs(log_temperature_C(t[0], None, temperature_C) - temperature_C),
+        default=(),
+    )
+
+
+def grouped_by_temperature(
+    tests: TestLogs, low_rate: Sequence[LowRateTest], default: float
+) -> dict[float, TestLogs]:
+    """The logs by temperature: those given one, else by what they measured.
+
+    HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
+    capacity tests do, where a temperature has two of them.
+    """
+    merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, low_rate, default)
+    home = min(merged, key=lambda x: abs(x - REFERENCE_C))
+
+    def nearest(at: float) -> float:
+        return min(merged, key=lambda t: abs(t - at))
+
+    def steady(log: CellLog) -> float:
+        # Beside pulses the low-rate and capacity tests are those of the reference temperature.
+        return home if tests.hppc else nearest(log_temperature_C(log, None, default))
+
+    slow = {id(log): steady(test[0]) for test in low_rate for log in test}
+    return {
+        t: TestLogs(
+            hppc=tuple(
+                (log, at)
+                for log, at in tests.hppc
+                if nearest(log_temperature_C(log, at, default)) == t
+            ),
+            drive=tuple(
+                (log, at)
+                for log, at in tests.drive
+                if nearest(log_temperature_C(log, at, default)) == t
+            ),
+            capacity=tuple(log for log in tests.capacity if steady(log) == t),
+            ocv=tuple(log for log in tests.ocv if slow[id(log)] == t),
+        )
+        for t in merged
+    }
+
+
+def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
+    """Temperatures of the HPPC logs; measured ones that are alike are one."""
+    stated = {t for _, t in tests.hppc if t is not None}
+    measured = {
+        float(round(log_temperature_C(log, t, default_C))) for log, t in tests.hppc if t is None
+    }
+    merged: list[float] = []
+    for t in sorted(stated | measured):
+        if not merged or t - merged[-1] > LIMITS.same_C or t in stated:
+            merged.append(t)
+    return merged
+
+
+def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
+    """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
+
+    Tables of its own has a temperature with several loads. Where fewer than two have, all logs
+    share those of the first drive's, with an activation energy.
+    """
+    known: list[tuple[CellLog, float | None]] = [
+        *((test[0], None) for test in low_rate),
+        *tests.drive,
+        *((log, None) for log in tests.capacity),
+    ]
+    found: dict[float, int] = {}
+    for log, stated in known:
+        if stated is None and log.temperature_C is None:
+            continue  # nothing is known of it
+        at = log_temperature_C(log, stated, default_C)
+        near = min(found, key=lambda t: abs(t - at), default=at)
+        if abs(at - near) > LIMITS.own_tables_C or not found:
+            near = float(round(at))
+        found[near] = found.get(near, 0) + 1
+    several = sorted(t for t, loads in found.items() if loads >= LIMITS.loads)
+    if len(several) > 1:
+        return several
+    first = [log_temperature_C(log, t, default_C) for log, t in tests.drive[:1]]
+    return [float(round(t)) for t in first] or [default_C]
+
+
+def _discharged_Ah(log: CellLog) -> float:
+    """The largest discharge of a log [Ah]."""
+    try:
+        halves = find_half_cycles(join_logs(log))
+    except InputError:
+        return 0.0
+    return max((h.charge_Ah for h in halves), default=0.0)

@@ -9,15 +9,13 @@ import numpy as np
 
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
-from cellwise.identify.by_temperature import nearest_test
-from cellwise.identify.checked_logs import CheckedLogs
+from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
 from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
+from cellwise.identify.ocv.ocv_points import POINTS
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
-
-FEWEST_POINTS = 4  # of a cubic
 
 
 class MeasuredOcv(NamedTuple):
@@ -45,7 +43,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
         low_rate = ocv_from_low_rate(slow if len(slow) > 1 else slow[0], capacity_Ah=capacity_Ah)
         notices.extend(low_rate.notes)
     rests = _of_rests(tests, capacity_Ah, notices)
-    if low_rate is not None and rests is not None and rests.points_soc.size >= FEWEST_POINTS:
+    if low_rate is not None and rests is not None and rests.points_soc.size >= POINTS.fewest:
         unlike = sample_notice(rests, low_rate, capacity_Ah)
         both = combine_ocv(rests, low_rate)
         return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
@@ -82,9 +80,7 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCur
         return None
     log, _ = min(tests.hppc, key=lambda item: abs(log_temperature_C(*item) - REFERENCE_C))
     try:
-        return ocv_from_rests(
-            log, capacity_Ah=capacity_Ah, anchor="auto", soc_start=log.soc0, extrapolate=True
-        )
+        return ocv_from_rests(log, capacity_Ah)
     except InputError as error:
         notices.append(f"no OCV from the rests of '{log.name}': {error}")
         return None
@@ -110,7 +106,7 @@ def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
         if np.count_nonzero(inside) >= 3:
             points.append(float(np.mean(soc[inside])))
             level.append(float(np.percentile(log.voltage_V[inside], 75)))
-    if len(points) < FEWEST_POINTS:
+    if len(points) < POINTS.fewest:
         raise InputError(
             "no OCV test, no rest and too little charge moved",
             "a low-rate discharge or an HPPC log with rests",

@@ -20,7 +20,7 @@ from cellwise.cell.metrics import error_metrics
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import moved_ocv_notice, plain_model, table_summary
-from cellwise.identify.checked_logs import CheckedLogs, check_logs, reading_notices
+from cellwise.identify.checked_logs import CheckedLogs, check_logs
 from cellwise.identify.fitted_pulses import FittedPulses, Group, fit_all_pulses
 from cellwise.identify.identification import (
     Fitted,
@@ -103,7 +103,7 @@ def identify_cell(
     found = own_log_notices(own)
     check_serves(error.rmse_V, wrong)
     contradictory = in_order(wrong)
-    said = (*checked.notices, *capacity.notices, *fitted.notices, *reading_notices(tests))
+    said = (*capacity.notices, *fitted.notices, *checked.notices)
     if "prior" in fitted.provenance:
         said = (*said, *start_notices(own))
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]

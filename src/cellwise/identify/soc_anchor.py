@@ -42,9 +42,15 @@ class FullTest(NamedTuple):
     std: float = 0.01
 
 
-ERRORS, FULL_TEST = AnchorErrors(), FullTest()
-REST_SHARE = 0.01  # below C/100 a cell counts as resting
-LONG_REST_S, FIRST_S = 600.0, 60.0  # a rest that says something; what is looked at without one
+class LookedAt(NamedTuple):
+    """What shows a start: rests below a rate [1/h] of a length, without one the first rows [s]."""
+
+    rest_rate: float = 0.01
+    rest_s: float = 600.0
+    first_s: float = 60.0
+
+
+ERRORS, FULL_TEST, LOOKED_AT = AnchorErrors(), FullTest(), LookedAt()
 
 
 def anchor_soc(
@@ -139,12 +145,12 @@ def _evidence(
             f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
         )
     try:
-        found_rests = find_ocv_rests(log, min_rest_s=LONG_REST_S)
-        rests = [r for r in found_rests if r.duration_s >= LONG_REST_S]
+        found_rests = find_ocv_rests(log, min_rest_s=LOOKED_AT.rest_s)
+        rests = [r for r in found_rests if r.duration_s >= LOOKED_AT.rest_s]
     except InputError:
         rests = []
     found = [(r.charge_Ah, r.final_V, ERRORS.ocv_V + 0.5 * abs(r.remaining_V)) for r in rests]
-    loaded = np.abs(current) >= REST_SHARE * capacity_Ah
+    loaded = np.abs(current) >= LOOKED_AT.rest_rate * capacity_Ah
     resting = finite[: int(np.argmax(loaded)) if loaded.any() else len(log)]
     last = int(np.flatnonzero(resting)[-1]) if resting.any() else 0
     # One row without current is no rest: a car at a light has come from a load. A rest lasts.
@@ -153,7 +159,7 @@ def _evidence(
     if found:
         q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"
-    head = finite & (log.time_s <= log.time_s[0] + FIRST_S)
+    head = finite & (log.time_s <= log.time_s[0] + LOOKED_AT.first_s)
     lifted = log.voltage_V[head] + resistance_ohm * current[head]
     drop = resistance_ohm * float(np.mean(np.abs(current[head])))
     return (

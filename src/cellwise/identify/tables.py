@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -24,11 +24,19 @@ TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
 GRID_POINTS = 201
-LEAST_SHARE = 0.01
-SPREAD = 0.05  # pulses of one level differ by rate and direction: no weight beyond this error
-STIFFNESS = 0.02
-LEAST_RATIO = 1.5
-LOWEST_SHARE = 0.05  # a cubic may dip below zero outside its data: held at this share of the least
+
+
+class _Smoothing(NamedTuple):
+    """From single pulses to a table."""
+
+    spread: float = 0.05  # pulses of one level differ by rate and direction: no less is an error
+    stiffness: float = 0.02  # of the spline: a bend of one costs as much as this misfit
+    ratio: float = 1.5  # between the time constants
+    unseen: float = 0.01  # of the other resistances: one that no pulse shows
+    lowest: float = 0.05  # of the least value: a cubic may dip below zero outside its data
+
+
+SMOOTHING = _Smoothing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +81,17 @@ def pulse_tables(
         if name in RESISTANCES and not np.any(value > 0):
             # Every fit put the whole answer into the other branches: a model still needs a
             # resistance here, small against theirs.
-            value = np.array([LEAST_SHARE * sum(f.value[k] for k in (0, 1, 3)) for f in known])
+            value = np.array([SMOOTHING.unseen * sum(f.value[k] for k in (0, 1, 3)) for f in known])
         error = np.array([getattr(f.error, name) for f in known])
         s, v, w = _usable(soc, value, error, name)
         if kind == "cubic":
             coefficients = cubic_fit(s, v, w)
             cubic[name] = coefficients
             table = np.polynomial.polynomial.polyval(grid, coefficients)
-            values[name] = np.maximum(table, LOWEST_SHARE * float(np.min(v)))
+            values[name] = np.maximum(table, SMOOTHING.lowest * float(np.min(v)))
         else:
             values[name] = np.exp(_smooth(s, np.log(v), w, grid))
-    values["tau2_s"] = np.maximum(values["tau2_s"], LEAST_RATIO * values["tau1_s"])
+    values["tau2_s"] = np.maximum(values["tau2_s"], SMOOTHING.ratio * values["tau1_s"])
     return PulseTables(grid, values, cubic)
 
 
@@ -117,7 +125,7 @@ def _usable(
     soc: FloatArray, value: FloatArray, error: FloatArray, name: str
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values above zero and their weights; a value without a standard error counts as one."""
-    relative = np.where(np.isnan(error), SPREAD, error / np.maximum(value, 1e-300))
+    relative = np.where(np.isnan(error), SMOOTHING.spread, error / np.maximum(value, 1e-300))
     good = (value > 0) & np.isfinite(value) & np.isfinite(relative) & (relative < 1.0)
     if not good.any():
         good = (value > 0) & np.isfinite(value)
@@ -128,7 +136,7 @@ def _usable(
             "at least one pulse that shows it",
             "Give pulses with a longer relaxation, or another method.",
         )
-    return soc[good], value[good], 1.0 / (relative[good] ** 2 + SPREAD**2)
+    return soc[good], value[good], 1.0 / (relative[good] ** 2 + SMOOTHING.spread**2)
 
 
 def _smooth(soc: FloatArray, value: FloatArray, weight: FloatArray, grid: FloatArray) -> FloatArray:
@@ -139,7 +147,7 @@ def _smooth(soc: FloatArray, value: FloatArray, weight: FloatArray, grid: FloatA
     matrix[np.arange(soc.size)[:, None], rows.first[:, None] + np.arange(4)] = rows.values
     share = weight / weight.sum()
     system = matrix.T @ (share[:, None] * matrix)
-    system += STIFFNESS / max(soc.size, 1) * curvature_penalty(knots)
+    system += SMOOTHING.stiffness / max(soc.size, 1) * curvature_penalty(knots)
     # What no pulse reaches stays level with the nearest one, rather than run off along a slope.
     nearest = np.interp(greville(knots), *_sorted_mean(soc, value))
     hold = 1e-4 / max(soc.size, 1)

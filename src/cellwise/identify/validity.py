@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +13,15 @@ from cellwise.identify.identification import OwnLog, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-# At each end: a pulse of a few rows in hours of rest counts, a sensor's single spike does not.
-TRIMMED_ROWS = 2
-TRIMMED_SHARE = 2e-5
+
+class _Trimmed(NamedTuple):
+    """At each end: a pulse of a few rows in hours of rest counts, a sensor's single spike not."""
+
+    rows: int = 2
+    share: float = 2e-5
+
+
+TRIMMED = _Trimmed()
 
 
 def log_validity(
@@ -32,7 +39,7 @@ def log_validity(
     rows : (n,) bool or None      those that took part; None: all
     """
     part = np.ones(len(log), dtype=np.bool_) if rows is None else rows
-    trim = max(TRIMMED_ROWS, round(TRIMMED_SHARE * np.count_nonzero(part)))
+    trim = max(TRIMMED.rows, round(TRIMMED.share * np.count_nonzero(part)))
     warm = None if log.temperature_C is None else covered(log.temperature_C[part], trim)
     if warm is None and stated_C is not None:
         warm = float(stated_C), float(stated_C)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +16,15 @@ from cellwise.logs.stated import check_order, day_of_name
 from cellwise.pack.differences import MeanCell, OcvSlope, Regressors, mean_cell, regressors
 from cellwise.pack.evidence import USUAL, PackEvidence, pack_evidence
 
-PERIOD_DAYS = 30.0
-MOST_ROWS = 200_000  # of one period that are compared: more say no more
+
+class _Period(NamedTuple):
+    """Logs of so many days are one period, of which so many rows are compared: more say no more."""
+
+    days: float = 30.0
+    rows: int = 200_000
+
+
+PERIOD = _Period()
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +80,7 @@ def periods(days: Sequence[PackDay]) -> tuple[tuple[PackDay, ...], ...]:
         return (tuple(days),)
     found: list[list[PackDay]] = [[days[0]]]
     for day in days[1:]:
-        if day.ordinal - found[-1][0].ordinal >= PERIOD_DAYS:
+        if day.ordinal - found[-1][0].ordinal >= PERIOD.days:
             found.append([])
         found[-1].append(day)
     return tuple(tuple(part) for part in found)
@@ -82,7 +90,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
     """What the logs of one period say of the cells."""
     middle = 0.5 * (days[0].ordinal + days[-1].ordinal)
     rows = sum(len(d.log) for d in days)
-    stride = max(-(-rows // MOST_ROWS), 1)
+    stride = max(-(-rows // PERIOD.rows), 1)
     parts, differences, known, blocks, logs = [], [], [], [], []
     count = 0
     for number, day in enumerate(days):

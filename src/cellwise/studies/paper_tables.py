@@ -24,7 +24,7 @@ from cellwise.identify.capacity.capacity_choice import CapacityRow, capacity_tab
 from cellwise.identify.hppc.pulse_quality import PulseQuality
 from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
-from cellwise.identify.papers.segments import TAUS_PER_SEGMENT, SegmentOptions
+from cellwise.identify.papers.segments import SEGMENTS
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
@@ -163,7 +163,7 @@ def lfp_tables(
     pulses = first.temperatures[0].pulse_sets[0]
     soc = pulses.anchor.soc - hppc.counted_charge_Ah() / first.model.capacity_Ah
     return LfpTables(
-        capacities=capacity_table(usable_tests(first.capacity_tests)[0]),
+        capacities=capacity_table(usable_tests(first.capacity_tests)),
         tests=split_tests(hppc, pulses.pulses, soc),
         polynomials=polynomials(pulses.fits),
         errors=tuple(errors),
@@ -292,9 +292,7 @@ def _on_relaxation(paper: Identification, hppc: CellLog) -> ErrorMetrics:
 
 
 def relaxation_segments(
-    log: CellLog,
-    edges: Sequence[tuple[int, int, float, float]],
-    options: SegmentOptions | None = None,
+    log: CellLog, edges: Sequence[tuple[int, int, float, float]]
 ) -> list[PulseFit]:
     """Equations (6) to (9) on what follows each pulse.
 
@@ -307,22 +305,21 @@ def relaxation_segments(
     edges : sequence of (stop, relax_stop, current_A, soc)     first row after the pulse, first row
                         of the next current, current of the pulse [A], SOC at rest
     """
-    options = options or SegmentOptions()
     time, voltage = log.time_s, log.voltage_V
     fits = []
     for row1, stop, current_A, soc in edges:
         row0, row3 = row1 - 1, stop - 1
         if row3 - row1 < LEAST_RELAXATION_ROWS:
             continue
-        wanted = time[row1] + options.fast_part * (time[row3] - time[row1])
+        wanted = time[row1] + SEGMENTS.fast_part * (time[row3] - time[row1])
         row2 = int(np.argmin(np.abs(time[row1 + 1 : row3] - wanted))) + row1 + 1
         current = abs(current_A)
         value = PulseParameters(
             r0_ohm=abs(voltage[row0] - voltage[row1]) / current,
             r1_ohm=abs(voltage[row1] - voltage[row2]) / current,
-            tau1_s=(time[row2] - time[row1]) / TAUS_PER_SEGMENT,
+            tau1_s=(time[row2] - time[row1]) / SEGMENTS.taus,
             r2_ohm=abs(voltage[row1] - voltage[row3]) / current,
-            tau2_s=(time[row3] - time[row1]) / TAUS_PER_SEGMENT,
+            tau2_s=(time[row3] - time[row1]) / SEGMENTS.taus,
             ocv_V=float(voltage[row3]),
             ocv_slope_V=0.0,
         )
@@ -332,7 +329,6 @@ def relaxation_segments(
                 soc=soc,
                 current_A=current_A,
                 duration_s=NAN,
-                window_s=float(time[row3] - time[row0]),
                 value=value,
                 error=PulseParameters(*[NAN] * 7),
                 rmse_V=NAN,

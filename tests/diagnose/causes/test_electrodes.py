@@ -35,12 +35,6 @@ def test_an_ocv_of_no_published_half_cells_has_none():
     assert electrodes_of(SOC, 1.2 + 0.9 * SOC) is None
 
 
-def test_without_a_loss_nothing_changes():
-    change, share = CELL.aged(SOC, 0.0, 0.0, 0.0)
-    assert change == pytest.approx(np.zeros(SOC.size), abs=1e-9)
-    assert share == pytest.approx(1.0, abs=1e-9)
-
-
 @pytest.mark.parametrize("losses", [(0.1, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.1)])
 def test_full_and_empty_keep_their_voltages_and_lithium_is_conserved(losses):
     """The aged window, worked out here from the aged OCV alone: its ends and its lithium."""
@@ -61,11 +55,6 @@ def test_full_and_empty_keep_their_voltages_and_lithium_is_conserved(losses):
     assert share == pytest.approx(q_n * (ends[1] - ends[0]), abs=1e-4)
     aged = np.interp(ends[0] + SOC * (ends[1] - ends[0]), x, full_cell)
     assert CELL.ocv(SOC) + change == pytest.approx(aged, abs=1e-4)
-
-
-def test_lost_lithium_lowers_the_capacity_of_a_cell_whose_negative_electrode_empties_first():
-    shares = [CELL.aged(SOC, loss, 0.0, 0.0)[1] for loss in (0.0, 0.05, 0.1)]
-    assert np.all(np.diff(shares) < -0.05)
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellwise.cell.effects import Hysteresis, RateDependence, SelfHeating, SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import CAUSES, UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import R_NAMES, Coordinates
 from cellwise.diagnose.fit.rows import gather
@@ -41,10 +39,3 @@ def test_derivatives_are_those_of_the_simulation():
         expected = (ends[0] - ends[1]) / (2.0 * step)
         near = 1e-3 * (np.abs(expected).max() + 1e-9)
         np.testing.assert_allclose(found, expected, rtol=1e-3, atol=near, err_msg=name)
-
-
-def test_a_neutral_point_is_the_plain_simulation():
-    log = random_log(np.random.default_rng(4), 400)
-    model = model_with_effects()
-    voltage, _ = gather(model, [(log, START)]).simulate(Coordinates(model), {})
-    assert voltage == pytest.approx(simulate(model, log, 0.8).voltage_V, abs=1e-12)

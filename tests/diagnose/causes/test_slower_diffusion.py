@@ -9,17 +9,14 @@ import pytest
 
 from cellwise import simulate
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES, forms_of
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import extend_model, parameters_of
-from cellwise.diagnose.fit.priors import tolerances, widened_for
-from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from emulator_drives import random_load
-from example_cells import curved_cell, random_log
+from example_cells import curved_cell
 
 SOC0, R3_OHM, TAU3_S = 0.9, 0.015, 900.0
 GROWN, LONGER = 1.8, 1.5
@@ -51,17 +48,6 @@ def test_a_model_without_a_slow_branch_gets_one():
 
 def test_at_a_temperature_that_nobody_has_measured_it_is_what_the_cold_does():
     assert forms_of(SLOW, Coordinates(MODEL, unseen_C=-5.0)) == (SLOW,)
-
-
-def test_diffusion_becomes_slower_and_not_faster():
-    """Beside all resistances by one factor it would take back what the slow ones have too much."""
-    coordinates = Coordinates(MODEL)
-    log = random_log(np.random.default_rng(3), 400)
-    evidence = gather(MODEL, [(log, InitialSoc(SOC0, 0.01, "given"))])
-    slower = forms_of(SLOW, coordinates)[1]
-    wide = widened_for(tolerances(coordinates, evidence), slower, coordinates, evidence)
-    for name in slower.coordinates:
-        assert wide.low[name] == 0.0 < wide.high[name]
 
 
 @pytest.mark.slow

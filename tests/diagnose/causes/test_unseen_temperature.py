@@ -52,13 +52,6 @@ def at_the_cold() -> tuple[Coordinates, CellLog]:
     return Coordinates(curved_cell(effects=EFFECTS), unseen_C=COLD_C), drive(1, COLD_C)
 
 
-def test_where_nothing_differs_the_model_is_as_it_was() -> None:
-    coordinates, log = at_the_cold()
-    voltage, _ = gather(coordinates.model, [(log, START)]).simulate(coordinates, {})
-    plain = simulate(coordinates.model, log, 0.9).voltage_V
-    assert voltage == pytest.approx(plain, abs=1e-12)
-
-
 @pytest.mark.parametrize("name", UNSEEN_NAMES)
 def test_derivatives_are_those_of_the_simulation(name: str) -> None:
     coordinates, log = at_the_cold()
@@ -85,11 +78,6 @@ def test_the_extended_model_is_what_the_fit_has_seen_and_stays_what_it_was_elsew
     warm = drive(2, 30.0)
     as_before = simulate(model, warm, 0.9).voltage_V
     np.testing.assert_allclose(simulate(extended, warm, 0.9).voltage_V, as_before, atol=1e-12)
-
-
-def test_another_cause_leaves_no_further_temperature_in_the_model() -> None:
-    coordinates, _ = at_the_cold()
-    assert extend_model(coordinates, {"ln_scale": 0.1}, {}).temperature_C.size == 1
 
 
 @pytest.mark.parametrize(

@@ -67,15 +67,6 @@ def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short)
     assert found.sizes["capacity"]["capacity_Ah"] > fits.prior.std["ln_capacity"] * CELL.capacity_Ah
 
 
-def test_more_noise_shows_less(short):
-    fits, base, found = short
-    loud = Noise(10.0 * NOISE.scale)
-    worse = limits(fits, [CAUSES[n] for n in NAMES], base, loud, RARE.one_cause)
-    for name in NAMES:
-        for key, size in found.sizes[name].items():
-            assert worse.sizes.get(name, {}).get(key, np.inf) > size, name
-
-
 def test_a_change_at_its_limit_has_the_evidence_that_is_asked_for(short):
     """By the likelihood itself, fitted: half the limit is too little, twice of it is enough."""
     _, _, found = short

@@ -46,12 +46,6 @@ def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
     assert np.sum(along) == pytest.approx(1.0 + 4000.0 / 400.0 + 0.8 / 0.08)
 
 
-def test_a_row_is_one_error_at_most():
-    assert np.all(
-        row_weights(evidence(), ModelError.of_white_and_slow(correlation_s=1e-3), SOC) <= 1.0
-    )
-
-
 def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
     size, weight = np.full(ROWS, 2e-3), np.full(ROWS, 200.0 / ROWS)
     none = with_shape(evidence(), size, weight, 0.0)
@@ -105,11 +99,3 @@ def test_the_scale_is_the_most_likely_one_under_its_prior():
     assert known.ln_density(2.0) - known.ln_density(3.0) == pytest.approx(
         float(np.diff(invgamma.logpdf([9.0, 4.0], 5.0 - 1.0, scale=5.0))[0]), rel=1e-6
     )
-
-
-def test_the_scale_is_never_below_what_is_stated():
-    """Good rows may show that more is left; a load that suits the model shows nothing of others."""
-    assert KnownScale().scale(0.0, 50.0) == 1.0
-    assert KnownScale().with_more(0.0, 10.0).scale(0.0, 50.0) == 1.0
-    worse = KnownScale().with_more(70.0, 10.0)
-    assert worse.scale(0.0, 0.0) == pytest.approx(2.0)

@@ -47,16 +47,6 @@ def test_without_its_offset_a_rest_is_read_as_predicted(offset_V):
     assert read * offset_V == pytest.approx(right - evidence.logs[0].start.soc, rel=0.1)
 
 
-def test_with_another_ocv_a_rest_is_read_as_predicted():
-    log, coordinates = rested_log(2), Coordinates(MODEL)
-    evidence = gathered(log)
-    moved = dict(zip(OCV_NAMES, np.linspace(-0.004, 0.012, len(OCV_NAMES)), strict=True))
-    read = start_readings(OCV_NAMES, coordinates, evidence)["soc0:0"]
-    right = initial_soc(extend_model(coordinates, moved, {}), log).soc
-    predicted = sum(read[n] * x for n, x in moved.items())
-    assert predicted == pytest.approx(right - evidence.logs[0].start.soc, rel=0.1)
-
-
 @pytest.mark.parametrize(("soc", "branch"), [(0.82, 1.0), (0.3, -1.0)])
 def test_with_a_hysteresis_a_rest_is_read_as_predicted(soc, branch):
     """A full cell was charged, an empty one discharged, as every simulation starts."""
@@ -75,11 +65,6 @@ def test_a_start_that_was_given_was_not_read():
     prior = tolerances(Coordinates(MODEL), evidence)
     wide = widened_for(prior, CAUSES["voltage_offset"], Coordinates(MODEL), evidence)
     assert wide.mean_with("soc0:0", {"offset_V": 0.03}) == 0.0
-
-
-def test_what_causes_leave_alone_is_no_reading():
-    names = ["ln_r0", "ln_capacity", "offset_A"]
-    assert start_readings(names, Coordinates(MODEL), gathered(rested_log(3))) == {}
 
 
 def test_the_prior_is_that_of_the_reading():

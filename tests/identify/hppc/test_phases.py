@@ -95,20 +95,6 @@ def test_phases_tile_the_log_and_keep_its_charge(plan):
             assert 3600.0 * p.charge_Ah == pytest.approx(p.current_A * p.duration_s, rel=0.01)
 
 
-def test_every_load_of_an_hppc_starts_a_phase_and_rests_lie_between():
-    made = hppc_log(nmc_cell(), HppcPlan(noise_V=1e-3, noise_A=0.003, limit="none"))
-    phases = find_phases(made.log)
-    assert [p.start for p in phases if p.kind == "cc"] == [p.start for p in made.pulses]
-    assert kinds(phases)[0::2] == ["rest"] * (len(made.pulses) + 1)
-
-
-def test_the_testers_counter_counts_where_there_is_one():
-    made = hppc_log(nmc_cell(), HppcPlan())
-    doubled = replace(made.log, charge_Ah=2.0 * made.log.charge_Ah)
-    for one, two in zip(find_phases(made.log), find_phases(doubled), strict=True):
-        assert two.charge_Ah == pytest.approx(2.0 * one.charge_Ah)
-
-
 def test_glitches_of_the_sensor_split_nothing():
     made = hppc_log(nmc_cell(), HppcPlan(pulse_s=30.0, limit="none"))
     current = made.log.current_A.copy()
@@ -119,11 +105,6 @@ def test_glitches_of_the_sensor_split_nothing():
     assert [(p.kind, p.start, p.stop) for p in find_phases(glitched)] == bounds
 
 
-def test_noise_alone_is_one_rest():
-    current = np.random.default_rng(2).normal(0.0, 0.01, 20_000)
-    assert kinds(find_phases(driven_log(nmc_cell(), current, 10.0))) == ["rest"]
-
-
 @pytest.mark.parametrize("hz", [1.0, 10.0])
 def test_a_drive_is_dynamic_between_its_stops(hz):
     rng = np.random.default_rng(3)
@@ -132,38 +113,6 @@ def test_a_drive_is_dynamic_between_its_stops(hz):
     moving = sum(p.duration_s for p in phases if p.kind == "dynamic")
     loaded = sum(p.duration_s for p in phases if p.kind != "rest")
     assert moving > 0.9 * loaded  # at full power it holds a level for seconds, too
-
-
-def test_a_sine_is_dynamic():
-    t = np.arange(30_000) * 0.1
-    log = driven_log(nmc_cell(), 3.0 * np.sin(2.0 * np.pi * t / 60.0), 10.0)
-    phases = find_phases(log)
-    assert sum(p.duration_s for p in phases if p.kind == "dynamic") > 0.95 * log.duration_s
-
-
-def test_the_direction_of_the_current_does_not_matter():
-    made = hppc_log(nmc_cell(), HppcPlan(noise_V=1e-3, noise_A=0.003))
-    log = made.log
-    mirrored = CellLog(log.time_s, -log.current_A, 7.0 - log.voltage_V)
-    bounds = [(p.kind, p.start, p.stop) for p in find_phases(log)]
-    assert [(p.kind, p.start, p.stop) for p in find_phases(mirrored)] == bounds
-
-
-def test_a_gap_at_rest_stays_a_rest():
-    made = hppc_log(nmc_cell(), HppcPlan(levels=(0.9,), rates_c=(1.0,)))
-    log = made.log
-    row = made.pulses[-1].stop + 200
-    shifted = log.time_s + np.where(np.arange(len(log)) >= row, 1e5, 0.0)
-    assert kinds(find_phases(replace(log, time_s=shifted))) == kinds(find_phases(log))
-
-
-def test_missing_samples_are_bridged_by_the_last_known():
-    made = hppc_log(nmc_cell(), HppcPlan())
-    current, voltage = made.log.current_A.copy(), made.log.voltage_V.copy()
-    current[500:503] = np.nan
-    voltage[700:704] = np.nan
-    log = replace(made.log, current_A=current, voltage_V=voltage)
-    assert kinds(find_phases(log)) == kinds(find_phases(made.log))
 
 
 def real(folder, name):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cellwise.identify.hppc.passive_misfit import Load, channels_of, passive_misfit
-from cellwise.identify.hppc.phases import find_phases
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.logs.cell_log import CellLog
 from synthetic import HppcPlan, driven_log, hppc_log, lfp_cell, nmc_cell
@@ -65,18 +64,6 @@ def test_a_linear_circuit_leaves_nothing_unexplained():
                 assert passive_misfit(channels_of(made.log), load).relative < 2e-3
 
 
-def test_diffusion_is_passive_too():
-    """Many time constants at once, as a Warburg element has, are no distortion."""
-    t = np.arange(0.0, 4000.0, 0.1)
-    current = np.where((t > 600.0) & (t <= 660.0), 3.0, 0.0)
-    since, after = np.clip(t - 600.0, 0.0, 60.0), np.maximum(t - 660.0, 0.0)
-    root = np.sqrt(since + after) - np.sqrt(after)
-    log = CellLog(t, current, 3.7 - 0.03 * current - 6e-3 * 3.0 * root)
-    (pulse,) = find_pulses(log)
-    assert pulse.quality == "healthy"
-    assert pulse.score > 0.95
-
-
 def test_the_further_the_ocv_bends_the_lower_the_score():
     scores, verdicts = [], []
     for bend in (0.0, 0.02, 0.1, 0.3):
@@ -89,14 +76,6 @@ def test_the_further_the_ocv_bends_the_lower_the_score():
     assert scores == sorted(scores, reverse=True)
     assert verdicts[0] == "healthy"
     assert verdicts[-1] == "distorted"
-
-
-def test_a_voltage_that_falls_faster_and_faster_bends_against_a_passive_circuit():
-    made, pulses = pulses_of(
-        linear_cell(bend_V=0.6), levels=(0.3,), rates_c=(2.0,), order="discharge-only", pulse_s=60.0
-    )
-    assert "bends against" in pulses[-1].reason or "does not mirror" in pulses[-1].reason
-    assert passive_misfit(channels_of(made.log), loads_of(pulses)[-1]).growth > 1.0
 
 
 def test_a_relaxation_that_is_not_the_pulse_again_is_named():
@@ -153,17 +132,6 @@ def test_the_reason_of_a_trimmed_pulse_has_the_limit_the_time_and_the_current():
     assert cut.score < 0.5
 
 
-def test_given_limits_count_more_than_inferred_ones():
-    """One short pulse tells nothing by itself; with the limit given it is trimmed."""
-    current = np.zeros(9000)
-    for k, rows in enumerate((300, 300, 120)):
-        current[1000 + 2500 * k : 1000 + 2500 * k + rows] = 4.0
-    log = driven_log(nmc_cell(), current, 10.0)
-    end = float(log.voltage_V[1000 + 5000 + 119])
-    assert find_pulses(log, lower_V=end)[-1].quality == "trimmed"
-    assert find_pulses(log, lower_V=2.0)[-1].quality == "spurious"
-
-
 def test_a_blip_among_pulses_is_spurious_and_says_so():
     current = np.zeros(20_000)
     for at in (1000, 5000, 9000, 13_000):
@@ -206,27 +174,6 @@ def test_gaps_and_missing_voltages_in_a_pulse_are_named():
     reasons = {p.start: p.reason for p in find_pulses(log) if p.quality == "spurious"}
     assert "missing" in reasons[first.start]
     assert "gap" in reasons[second.start]
-
-
-def test_a_missing_voltage_or_two_do_not_spoil_a_pulse():
-    made = hppc_log(nmc_cell(), HppcPlan(limit="none", order="discharge-only"))
-    voltage = made.log.voltage_V.copy()
-    for pulse in made.pulses:
-        voltage[[pulse.start - 1, pulse.start + 7, pulse.stop - 1]] = np.nan
-    verdicts = [p.quality for p in find_pulses(made.log)]
-    assert [p.quality for p in find_pulses(replace(made.log, voltage_V=voltage))] == verdicts
-
-
-def test_the_score_falls_before_the_time_constants_are_lost():
-    """At the ends of the range the resistances and the OCV of a real cell bend the response."""
-    made, pulses = pulses_of(
-        nmc_cell(), levels=(0.6, 0.3, 0.1, 0.05), rates_c=(2.0,), order="discharge-only",
-        pulse_s=60.0, rest_s=900.0, limit="none",
-    )  # fmt: skip
-    assert len(find_phases(made.log)) == 17
-    scores = [p.score for p in pulses if p.role == "pulse"]
-    assert min(scores[:2]) > 0.95
-    assert max(scores[2:]) < 0.9
 
 
 def test_panasonic_pulses_are_distorted_at_the_ends_of_the_range_only(real_data):

@@ -73,21 +73,6 @@ def test_rows_every_second_or_less_are_no_single_point(rows):
     assert curve.function.evaluate(MIDDLE) == pytest.approx(known, abs=1e-3)
 
 
-def test_order_of_the_branches_does_not_matter():
-    one = ocv_from_low_rate([down(), up()])
-    other = ocv_from_low_rate([up(), down()])
-    assert other.function.evaluate(MIDDLE) == pytest.approx(one.function.evaluate(MIDDLE), abs=1e-3)
-
-
-def test_one_log_or_several_that_follow_one_another():
-    whole = ocv_from_low_rate([down(), up()])
-    parts = ocv_from_low_rate([down(1.0, 0.03), down(0.03, 0.0), up(0.0, 0.97), up(0.97, 1.0)])
-    assert parts.capacity_Ah == pytest.approx(whole.capacity_Ah)
-    assert parts.function.evaluate(MIDDLE) == pytest.approx(
-        whole.function.evaluate(MIDDLE), abs=1e-3
-    )
-
-
 def test_incomplete_charge_is_kept_but_not_averaged_in():
     curve = ocv_from_low_rate([down(), up(0.0, 0.85)])
     assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
@@ -117,23 +102,6 @@ def test_branches_at_different_rates_are_not_averaged():
     curve = ocv_from_low_rate([down(), fast])
     assert curve.source.startswith("discharge branch")
     assert any("another rate" in note for note in curve.notes)
-
-
-def test_soc_is_counted_from_full_by_the_chosen_capacity():
-    curve = ocv_from_low_rate(down(gap=0.0), capacity_Ah=1.25 * CAPACITY_AH)
-    s = np.linspace(0.3, 0.95, 50)
-    assert curve.function.evaluate(s) == pytest.approx(ocv(1.0 - 1.25 * (1.0 - s)), abs=2e-3)
-
-
-def test_charge_alone():
-    curve = ocv_from_low_rate(up())
-    assert curve.source.startswith("charge branch")
-    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) + 0.02, abs=1e-3)
-
-
-def test_discharge_that_stops_early_says_so():
-    curve = ocv_from_low_rate(down(1.0, 0.47))
-    assert any("give capacity_Ah" in note for note in curve.notes)
 
 
 def test_fast_logs_and_rests_are_refused():

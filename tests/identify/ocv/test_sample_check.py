@@ -18,7 +18,7 @@ def slow():
 
 def compared(slow_log, pulse_log):
     curve = ocv_from_low_rate(slow_log)
-    rests = ocv_from_rests(pulse_log, capacity_Ah=curve.capacity_Ah, extrapolate=True)
+    rests = ocv_from_rests(pulse_log, capacity_Ah=curve.capacity_Ah)
     return check_samples(rests, curve), sample_notice(rests, curve, curve.capacity_Ah)
 
 
@@ -56,3 +56,12 @@ def test_another_make_is_told_by_the_shape(real_data):
     found, _ = compared(curve, pulses)
     assert not found.one_cell
     assert found.left_V > 0.015
+
+
+def test_a_low_rate_sensor_with_an_offset_is_no_sample_of_this_cell(slow):
+    """16 mA of 150: the counter makes 3.36 of 3.02 Ah, and the rests of the pulses say so."""
+    cell = rich_nmc(3.0)
+    off = run(cell, low_rate(cell), 1.0, Logger(10.0, offset_A=0.016), seed=1, name="off").log
+    found, notice = compared(off, run(cell, hppc(cell), 1.0, Logger(1.0), seed=2).log)
+    assert not found.one_cell
+    assert "a current sensor that is off" in notice.text

@@ -4,21 +4,20 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.papers.segments import SegmentOptions, fit_segments
-from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
+from cellwise.identify.fitted_pulses import pulse_from_arrays
+from cellwise.identify.papers.segments import fit_segments
 from closed_form import Circuit, closed_pulse, stamps
 
 ONE_BRANCH = Circuit(r1=1.0e-3, tau1=5.0, r2=0.0, slope=0.0)
 
 
-@pytest.mark.parametrize("part", [0.1, 0.25, 0.5])
 @pytest.mark.parametrize("current", [-20.0, 20.0])
-def test_single_branch_step_gives_the_closed_form(part, current):
-    # Rows from 0.1 s to 60 s: t1 = 0.1, t3 = 60, t2 the row nearest part of the way.
+def test_single_branch_step_gives_the_closed_form(current):
+    # Rows from 0.1 s to 60 s: t1 = 0.1, t3 = 60, t2 the row nearest a tenth of the way.
     data = closed_pulse(ONE_BRANCH, stamps(pulse_hz=10.0), current)
-    fit = fit_segments(data, SegmentOptions(fast_part=part))
+    fit = fit_segments(data)
     t1, t3 = 0.1, 60.0
-    t2 = round((t1 + part * (t3 - t1)) * 10.0) / 10.0
+    t2 = round((t1 + 0.1 * (t3 - t1)) * 10.0) / 10.0
 
     def left(t):
         return np.exp(-t / 5.0)
@@ -91,9 +90,3 @@ def test_a_pulse_without_rest_before_or_of_two_rows_is_refused():
     )
     with pytest.raises(InputError, match="settled rows"):
         fit_segments(short)
-
-
-@pytest.mark.parametrize("part", [0.0, 1.0, -0.1, float("nan")])
-def test_a_part_outside_the_pulse_is_refused(part):
-    with pytest.raises(InputError, match="between 0 and 1"):
-        SegmentOptions(fast_part=part)

@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.errors import InputError
 from cellwise.identify.papers.swarm import BOX, SwarmOptions, costs_of, fit_swarm
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
-
-FLAT = Circuit(slope=0.0)
 
 
 def test_defaults_are_the_papers():
@@ -39,43 +36,6 @@ def test_comes_close_to_the_optimum_with_five_free_parameters():
         ratio.append(fit.rmse_V / 1e-3)
         assert fit.r0_ohm == pytest.approx(circuit.r0, rel=0.5)
     assert np.median(ratio) < 1.1
-
-
-@pytest.mark.slow
-def test_more_iterations_come_closer():
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-
-    def typical(iterations):
-        options = SwarmOptions(iterations=iterations)
-        return np.median(
-            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(8)]
-        )
-
-    assert typical(10) > typical(60) > typical(400)
-
-
-def test_the_swarm_is_informed_by_its_neighbours():
-    """64 particles on a ring come further than as many that hear of next to nobody."""
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-
-    def typical(neighbours):
-        options = SwarmOptions(neighbours=neighbours, iterations=60)
-        return np.median(
-            [fit_swarm(data, options, np.random.default_rng(s)).rmse_V for s in range(12)]
-        )
-
-    assert typical(8) < typical(2)
-
-
-def test_the_generator_decides_and_nothing_else():
-    data = closed_pulse(FLAT, stamps(pulse_hz=5.0))
-    options = SwarmOptions(iterations=20)
-    a = fit_swarm(data, options, np.random.default_rng(3))
-    b = fit_swarm(data, options, np.random.default_rng(3))
-    c = fit_swarm(data, options, np.random.default_rng(4))
-    assert a.value == b.value
-    assert a.value != c.value
-    assert fit_swarm(data, options).value == fit_swarm(data, options).value
 
 
 def test_costs_are_those_of_the_model():
@@ -139,18 +99,3 @@ def test_bounds_and_the_ocv_before_the_pulse():
     assert fit.ocv_slope_V == 0.0
     free = fit_swarm(data, SwarmOptions(free=7))
     assert free.ocv_slope_V != 0.0
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"neighbours": 7},
-        {"neighbours": 64},
-        {"cognition": 4.0},
-        {"iterations": 0},
-        {"free": 6},
-    ],
-)
-def test_settings_that_no_swarm_can_run_with_are_refused(wrong):
-    with pytest.raises(InputError):
-        SwarmOptions(**wrong)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from cellwise.identify.fitted_pulses import cut_pulses, fitted_stop
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
-from cellwise.identify.pulse_fit.pulse_window import cut_pulses, fitted_stop
-from rich_cell import Logger, gitt, hppc, rich_nmc, run
+from rich_cell import Logger, gitt, rich_nmc, run
 
 CELL = rich_nmc(3.0)
 
@@ -37,9 +37,3 @@ def test_the_point_of_a_step_is_where_its_window_lies():
         stop = fitted_stop(log, pulse)
         assert log.time_s[stop - 1] - log.time_s[pulse.start - 1] == pytest.approx(300.0, abs=1.5)
         assert one.soc == pytest.approx(0.5 * (soc[pulse.start - 1] + soc[stop - 1]), abs=1e-4)
-
-
-def test_short_pulses_are_cut_as_ever():
-    log = run(CELL, hppc(CELL), 1.0, Logger(1.0), seed=3).log
-    for pulse in pulses_to_fit(find_pulses(log)):
-        assert fitted_stop(log, pulse) == pulse.stop

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from cellwise.errors import InputError
+from cellwise.identify.fitted_pulses import pulse_from_arrays
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
-from cellwise.identify.pulse_fit.circuit import TauBounds
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_data import PulseData, row_weights
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
-from cellwise.identify.pulse_fit.pulse_window import pulse_from_arrays
 from closed_form import Circuit, closed_form, closed_pulse, random_circuit, stamps
 
 
@@ -31,13 +29,6 @@ def test_recovers_closed_form_exactly(seed):
     np.testing.assert_allclose(values(fit), circuit.values, rtol=1e-3)
     assert fit.at_bound == ()
     assert all(fit.identified)
-
-
-def test_rows_of_a_tenth_and_of_sixty_seconds():
-    t = stamps(pulse_hz=10.0, rest_hz=1 / 60, fast_s=20.0, rest_s=3600.0, before_s=300.0)
-    assert np.diff(t).max() > 500 * np.diff(t).min()
-    fit = fit_varpro(closed_pulse(Circuit(), t))
-    np.testing.assert_allclose(values(fit), Circuit().values, rtol=1e-3)
 
 
 def test_current_that_changes_inside_the_pulse_is_exact():
@@ -139,23 +130,6 @@ def test_scipy_reaches_no_lower_cost():
             assert fit.rmse_V**2 * np.sum(row_weights(data)) <= 2e-6 * found.cost * (1.0 + 1e-4)
 
 
-def test_a_finer_search_finds_nothing_lower_on_pure_noise():
-    """Data without any circuit have many minima; the grid of starts must not miss the lowest."""
-    rng = np.random.default_rng(5)
-    t = stamps(pulse_s=20.0, rest_s=100.0, pulse_hz=5.0)
-    worse = 0
-    for _ in range(10):
-        data = closed_pulse(
-            Circuit(r1=0.0, r2=0.0), t, 20.0, 20.0, 40.0, 1e-3 * rng.standard_normal(t.size)
-        )
-        fit = fit_varpro(data)
-        b = Window(data).tau_bounds()
-        edges = np.geomspace(b.fastest_s, b.slowest_s, 5)
-        parts = [fit_varpro(data, TauBounds(a, c)) for a, c in zip(edges, edges[2:], strict=False)]
-        worse += fit.rmse_V > min(x.rmse_V for x in parts) * (1.0 + 1e-4)
-    assert worse <= 1
-
-
 # --- invariances -------------------------------------------------------------------------------
 
 
@@ -167,40 +141,6 @@ def noisy():
 
 def changed(data, **fields):
     return PulseData(**{**vars(data), **fields})
-
-
-def test_scaling_the_current_scales_the_resistances(noisy):
-    k = 2.5
-    scaled = changed(
-        noisy, current_A=k * noisy.current_A, charge_Ah=k * noisy.charge_Ah,
-        capacity_Ah=k * noisy.capacity_Ah,
-    )  # fmt: skip
-    a, b = values(fit_varpro(noisy)), values(fit_varpro(scaled))
-    np.testing.assert_allclose(b, a * [1 / k, 1 / k, 1, 1 / k, 1, 1, 1], rtol=2e-3)
-
-
-def test_shifting_the_voltage_shifts_the_ocv_only(noisy):
-    moved = changed(noisy, voltage_V=noisy.voltage_V + 0.25)
-    a, b = values(fit_varpro(noisy)), values(fit_varpro(moved))
-    np.testing.assert_allclose(b - a, [0, 0, 0, 0, 0, 0.25, 0], atol=2e-2)
-
-
-def test_a_charge_pulse_gives_the_same_parameters(noisy):
-    mirrored = changed(
-        noisy, current_A=-noisy.current_A, charge_Ah=-noisy.charge_Ah,
-        voltage_V=2 * 3.6 - noisy.voltage_V,
-    )  # fmt: skip
-    a, b = fit_varpro(noisy), fit_varpro(mirrored)
-    np.testing.assert_allclose(
-        values(b)[[0, 1, 2, 3, 4, 6]], values(a)[[0, 1, 2, 3, 4, 6]], rtol=2e-3
-    )
-    assert b.current_A == -a.current_A
-    np.testing.assert_allclose(b.error[:5], a.error[:5], rtol=1e-2)
-
-
-def test_shifting_the_clock_changes_nothing(noisy):
-    later = changed(noisy, time_s=noisy.time_s + 1e6)
-    np.testing.assert_allclose(values(fit_varpro(later)), values(fit_varpro(noisy)), rtol=2e-3)
 
 
 def test_stretching_the_clock_stretches_the_time_constants(noisy):
@@ -221,20 +161,6 @@ def test_the_branches_cannot_be_swapped(seed):
 
 
 # --- standard errors -----------------------------------------------------------------------------
-
-
-def test_standard_errors_agree_with_the_scatter():
-    rng = np.random.default_rng(21)
-    t = stamps(pulse_s=30.0, rest_s=400.0, fast_s=5.0)
-    fits = [
-        fit_varpro(closed_pulse(Circuit(), t, 40.0, 30.0, 40.0, 1e-3 * rng.standard_normal(t.size)))
-        for _ in range(300)
-    ]
-    scatter = np.std([values(f) for f in fits], axis=0)
-    stated = np.median([np.array(f.error) for f in fits], axis=0)
-    assert np.all(stated / scatter > 0.7)
-    assert np.all(stated / scatter < 1.3)
-    assert np.median([f.noise_V for f in fits]) == pytest.approx(1e-3, rel=0.02)
 
 
 def test_standard_errors_respect_correlated_noise():
@@ -267,12 +193,10 @@ def test_a_short_window_says_that_it_does_not_see_tau2():
     assert not fit.identified.tau2_s
     assert fit.identified.r0_ohm
     assert not fit.identified.ocv_slope_V
-    assert any("tau2" in said for said in fit.notices)
     long = fit_varpro(
         closed_pulse(Circuit(), stamps(), noise=5e-4 * rng.standard_normal(stamps().size))
     )
     assert all(long.identified)
-    assert long.notices == ()
 
 
 @pytest.mark.parametrize(("pulse_s", "rest_s"), [(30.0, 40.0), (10.0, 300.0), (60.0, 1200.0)])
@@ -287,29 +211,3 @@ def test_two_standard_errors_hold_the_truth(pulse_s, rest_s):
         fit = fit_varpro(closed_pulse(Circuit(), t, 40.0, pulse_s, 40.0, noise))
         held += np.abs(values(fit) - Circuit().values) < 2.0 * np.array(fit.error)
     assert np.all(held[:5] > 0.82 * trials)
-
-
-def test_a_branch_that_is_not_there_is_not_identified():
-    noise = 1e-4 * np.random.default_rng(3).standard_normal(stamps().size)
-    fit = fit_varpro(closed_pulse(Circuit(r1=0.0, r2=0.0), stamps(), noise=noise))
-    assert fit.r1_ohm + fit.r2_ohm < 5e-5
-    assert fit.r0_ohm == pytest.approx(2e-3, rel=5e-3)
-    assert not fit.identified.r1_ohm or not fit.identified.r2_ohm
-
-
-# --- options and bad input -----------------------------------------------------------------------
-
-
-def test_bounds_hold():
-    fit = fit_varpro(closed_pulse(Circuit(), stamps()), TauBounds(0.5, 45.0))
-    assert fit.tau2_s <= 45.0 + 1e-9
-    assert "tau2_s" in fit.at_bound
-    assert not fit.identified.tau2_s
-
-
-@pytest.mark.parametrize(
-    "bounds", [(5.0, 1.0), (-1.0, 1.0), (5.0, 6.0), (1.0, np.inf), (1, 9, 0.5)]
-)
-def test_bounds_without_room_are_refused(bounds):
-    with pytest.raises(InputError, match="time constants"):
-        TauBounds(*bounds)

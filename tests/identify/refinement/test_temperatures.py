@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.identify.assemble import STEP_K, refined_model
+from cellwise.identify.assemble import KEPT, refined_model
 from cellwise.identify.refinement.problem import RefineSettings
 from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import RefineLog, lagged, prepare_log
@@ -54,7 +54,7 @@ def test_resistances_at_and_between_the_temperatures(result, temperature_C):
 def test_the_model_has_rows_close_enough_and_the_cells_resistance(result):
     model = refined_model(result, start_tables(2, 1.2), CAPACITY_AH, skewed=False, hot=True)
     assert set(GRID_C) <= set(model.temperature_C)
-    assert np.diff(model.temperature_C).max() <= STEP_K
+    assert np.diff(model.temperature_C).max() <= KEPT.step_K
     for t in (3.0, 9.0, 20.0):
         r0 = model.at_temperature(t).r0_ohm[0, 50:180]
         np.testing.assert_allclose(r0, 0.025 * factor(t), rtol=0.05)

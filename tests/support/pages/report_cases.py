@@ -112,7 +112,6 @@ def pulse_fit(pulse, soc, method="varpro"):
         soc=soc,
         current_A=pulse.current_A,
         duration_s=10.0,
-        window_s=60.0,
         value=value,
         error=error,
         rmse_V=1e-3,

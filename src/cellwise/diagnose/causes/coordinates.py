@@ -33,8 +33,12 @@ from cellwise.cell.point_kernels import (
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.typing import FloatArray
 
-OCV_KNOTS = 9
-R_KNOTS = 5
+
+class Knots(NamedTuple):
+    """Places over SOC at which the OCV, and resistances, may be off by different amounts."""
+
+    ocv: int = 9
+    r: int = 5
 
 
 class Shapes(NamedTuple):
@@ -59,16 +63,16 @@ class Range(NamedTuple):
     loss_step: float = 1e-4
 
 
-STARTS, RANGE = Shapes(), Range()
+KNOTS, STARTS, RANGE = Knots(), Shapes(), Range()
 REFERENCE_C = 25.0
 
-OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
-R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
+OCV_NAMES = tuple(f"ocv_{k}" for k in range(KNOTS.ocv))
+R_NAMES = tuple(f"ln_r_{k}" for k in range(KNOTS.r))
 LOSS_NAMES = ("lithium_loss", "negative_loss", "positive_loss")
 # At a temperature that the model was not measured at, beside what its own law says: activation of
 # all resistances and slope of the OCV, at knots over SOC.
-UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(R_KNOTS))
-UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(R_KNOTS))
+UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(KNOTS.r))
+UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(KNOTS.r))
 UNSEEN_NAMES = (*UNSEEN_R_NAMES, *UNSEEN_OCV_NAMES)
 BRANCH_NAMES = ("r0_K", "tau_K")
 # Where each enters: the current, the table or the scalars of the cell.
@@ -125,8 +129,8 @@ class Coordinates:
         object.__setattr__(self, "_grid", grid)
         object.__setattr__(self, "_scalars", scalars)
         object.__setattr__(self, "r_typical_ohm", float(np.median(table[..., R0])))
-        object.__setattr__(self, "hats", _hats(table.shape[1], OCV_KNOTS))
-        object.__setattr__(self, "r_hats", _hats(table.shape[1], R_KNOTS))
+        object.__setattr__(self, "hats", _hats(table.shape[1], KNOTS.ocv))
+        object.__setattr__(self, "r_hats", _hats(table.shape[1], KNOTS.r))
 
     has_slow: bool = field(init=False)
     has_hysteresis: bool = field(init=False)

@@ -81,17 +81,6 @@ class Prior:
         both = {s: {**self.read.get(s, {}), **read.get(s, {})} for s in {**self.read, **read}}
         return replace(self, read=both)
 
-    def together(self, names: Sequence[str], correlation: float) -> Prior:
-        """The prior with coordinates that are no more linked than to each other: they correlate."""
-        both = (*self.linked, *names)
-        cross = np.zeros((len(both), len(both)))
-        known = len(self.linked)
-        if self.cross is not None:
-            cross[:known, :known] = self.cross
-        std = np.array([self.std[n] for n in names])
-        cross[known:, known:] = correlation * (np.outer(std, std) - np.diag(std**2))
-        return replace(self, linked=both, cross=cross)
-
     def precision(self) -> FloatArray:
         """Inverse covariance of the coordinates, in the order of ``names``."""
         names = self.names

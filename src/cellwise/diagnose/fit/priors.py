@@ -23,7 +23,7 @@ from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES,
 from cellwise.diagnose.causes.directions import table_direction
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.rests import OCV_KNOWN
-from cellwise.diagnose.fit.rows import START_H, Evidence
+from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import FloatArray
 
 
@@ -32,9 +32,7 @@ class Laboratory(NamedTuple):
 
     ``r_share``: of the model's share of the polarisation, at any knot of the resistances, at least
     ``r_least``; ``soc0_std``: a start that was given is right to this, one that was found to its
-    own standard deviation; ``stated_alike``: correlation of stated starts that are wrong (one
-    source: each alone is wrong by a third); ``off_branch``: how far a log may start from its own
-    branch of a hysteresis to the other;
+    own standard deviation;
     ``ends``: standard deviations at which a tolerance ends; ``still_open``: share that stays
     uncertain of what was calibrated, since the next log is another day. A rest is read over
     ``about_soc``, on a flatter plateau than ``least_slope_V`` it reads nothing; ``wrong_class``:
@@ -44,8 +42,6 @@ class Laboratory(NamedTuple):
     r_share: float = 0.5
     r_least: float = 0.015
     soc0_std: float = 0.0015
-    stated_alike: float = 8.0 / 9.0
-    off_branch: float = 0.5
     ends: float = 4.0
     still_open: float = 0.3
     about_soc: float = 0.01
@@ -123,9 +119,7 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         first = log.start.beginning or log.start
         std[name] = max(first.std, GOOD.soc0_std)
         mean[name] = first.soc - log.start.soc
-    known = bounded(Prior(std, mean, {}, {}), std)
-    ends = {START_H: 0.0}, {START_H: GOOD.off_branch}
-    return known.widened({START_H: GOOD.off_branch}, {}, *ends)
+    return bounded(Prior(std, mean, {}, {}), std)
 
 
 def bounded(prior: Prior, names: Iterable[str]) -> Prior:
@@ -167,12 +161,7 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
         if name in readings:  # where the reading goes, the start may go
             low[name], high[name] = -0.05 - log.start.soc, 1.05 - log.start.soc
-    wide_prior = prior.widened(std, mean, low, high).with_readings(readings)
-    if cause.kind == "start":
-        named = zip(evidence.starts(), evidence.logs, strict=True)
-        stated = [n for n, g in named if g.start.how == "given"]
-        return wide_prior.together(stated, GOOD.stated_alike) if len(stated) > 1 else wide_prior
-    return wide_prior
+    return prior.widened(std, mean, low, high).with_readings(readings)
 
 
 def needs_activation(coordinates: Coordinates) -> bool:
@@ -200,7 +189,7 @@ def calibrated(prior: Prior, found: Fit) -> Prior:
     np.fill_diagonal(covariance, 0.0)
     std = {**prior.std, **dict(zip(names, (float(v) for v in deviation), strict=True))}
     mean = {n: found.z[n] for n in names}
-    wider = bounded(prior.widened(std, mean, {}, {}), [n for n in std if n != START_H])
+    wider = bounded(prior.widened(std, mean, {}, {}), std)
     return replace(wider, linked=tuple(names), cross=covariance)
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
-from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
 from cellwise.diagnose.causes.directions import directions
@@ -40,9 +39,6 @@ class Split(NamedTuple):
 
 
 SPLIT = Split()
-
-# By how much of the way to the other branch of a hysteresis the logs start off theirs.
-START_H = "start:h"
 
 IGNORED, FITTED, HELD, START = range(4)
 
@@ -86,13 +82,9 @@ class LogRows:
             self.clock_s[:scored],
         )
 
-    def state(self, soc_shift: float, way: float = 0.0) -> CellState:
-        """The cell at rest at the start, ``soc_shift`` away from its stated SOC.
-
-        ``way``: how far from its branch of a hysteresis to the other one.
-        """
-        soc = self.start.soc + soc_shift
-        return empty_state(soc, (1.0 - 2.0 * way) * start_hysteresis(self.start.soc))
+    def state(self, soc_shift: float) -> CellState:
+        """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
+        return empty_state(self.start.soc + soc_shift, start_hysteresis(self.start.soc))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +160,7 @@ class Evidence:
             rows = slice(place, place + log.scored)
             voltage_rows(
                 inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
+                log.state(z.get(f"soc0:{k}", 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
                 inputs.added_V,
                 log.stride,
@@ -196,7 +188,7 @@ class Evidence:
             part = np.empty((log.scored, len(mine)))
             derivative_rows(
                 inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0), z.get(START_H, 0.0)),
+                log.state(z.get(f"soc0:{k}", 0.0)),
                 Flow(log.dt_s, flow, log.temperature_C),
                 by_name,
                 log.stride,
@@ -204,10 +196,6 @@ class Evidence:
             )
             result[place : place + log.scored, mine] = part
             place += log.scored
-        if START_H in names and np.any(inputs.table[..., M]):  # a straight line
-            way = z.get(START_H, 0.0)
-            ends = (self.simulate(coordinates, {**z, START_H: way + x})[0] for x in (0.5, 0.0))
-            result[:, names.index(START_H)] = np.subtract(*ends) / 0.5
         return result
 
 

@@ -9,20 +9,27 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
+from cellwise.identify.identification import REFERENCE_C
 
 # Rates that laboratories write down; a measured one is called by the nearest of them.
 FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
 MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-SNAP = 0.12
-REFERENCE_C = 25.0
-# Tests whose starting temperatures follow one another within this are of one temperature.
-SAME_TEMPERATURE_C = 4.0
-FAR_FROM_REFERENCE_C = 7.5
+
+
+class _Near(NamedTuple):
+    """What is called alike."""
+
+    rate: float = 0.12  # of a usual rate: a cell hardly ever has its nominal capacity
+    same_C: float = 4.0  # starting temperatures that follow one another within it are one
+
+
+NEAR = _Near()
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ def rate_name(rate_C: float) -> str:
     """
     usual = [(1.0 / n, f"C/{n}") for n in FRACTIONS] + [(m, f"{m:g}C") for m in MULTIPLES]
     value, name = min(usual, key=lambda pair: abs(np.log(rate_C / pair[0])))
-    if abs(rate_C / value - 1.0) <= SNAP:
+    if abs(rate_C / value - 1.0) <= NEAR.rate:
         return name
     if rate_C >= 1.0:
         return f"{_two_digits(rate_C)}C"
@@ -78,8 +85,8 @@ def parse_rate(name: str) -> float:
 
 def usable_tests(
     tests: Iterable[CapacityTest], *, temperature_C: float = REFERENCE_C
-) -> tuple[tuple[CapacityTest, ...], tuple[str, ...]]:
-    """The complete tests at one temperature, and a notice for each one left out.
+) -> tuple[CapacityTest, ...]:
+    """The complete tests at one temperature.
 
     Parameters
     ----------
@@ -87,20 +94,16 @@ def usable_tests(
     temperature_C : float        of the model; the tests nearest to it are taken. Tests of
                                  unknown temperature count as being at it.
 
-    Returns
-    -------
-    tests, notices
-
     Raises
     ------
     InputError        no complete test
     """
     everything = tuple(tests)
     whole = [t for t in everything if t.complete]
-    notices = [t.left_out for t in everything if not t.complete]
     if not whole:
         raise InputError(
-            f"no capacity test that goes from full to the lower limit ({'; '.join(notices)})",
+            "no capacity test that goes from full to the lower limit "
+            f"({'; '.join(t.left_out for t in everything)})",
             "at least one complete discharge",
             "Use a complete test, give the limits of the cell, or leave the capacity tests out.",
         )
@@ -108,20 +111,7 @@ def usable_tests(
         temperature_C if t.temperature_start_C is None else t.temperature_start_C for t in whole
     ]
     steady = [i for i, t in enumerate(whole) if not t.cooled] or list(range(len(whole)))
-    group = _nearest_group(start, steady, temperature_C)
-    middle = float(np.median([start[i] for i in group]))
-    if abs(middle - temperature_C) > FAR_FROM_REFERENCE_C:
-        notices.append(
-            f"no capacity test near {temperature_C:g} degC: those at {middle:.0f} degC count"
-        )
-    used = tuple(whole[i] for i in group)
-    notices += [
-        f"{t.name}: not used (at {start[i]:.0f} degC)"
-        for i, t in enumerate(whole)
-        if i not in group
-    ]
-    notices += [f"{t.name}: {notice}" for t in used for notice in t.notices]
-    return used, tuple(notices)
+    return tuple(whole[i] for i in _nearest_group(start, steady, temperature_C))
 
 
 def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
@@ -174,7 +164,7 @@ def capacity_choices(
     if nominal_Ah is not None:
         choices["nominal"] = float(nominal_Ah)
     if tests:
-        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C)[0])
+        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C))
         choices["cc-average"] = float(np.mean([r.cc_Ah for r in rows]))
         choices["cc-cv-average"] = float(np.mean([r.total_Ah for r in rows]))
         choices |= {f"rate:{r.rate}": r.total_Ah for r in rows}
@@ -249,7 +239,7 @@ def _nearest_group(
 ) -> list[int]:
     """Those tests whose cluster of starting temperatures is nearest to the wanted one."""
     order = np.array(sorted(among, key=lambda i: start_C[i]))
-    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > SAME_TEMPERATURE_C) + 1
+    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > NEAR.same_C) + 1
     groups = np.split(order, cuts)
     nearest = min(
         groups, key=lambda g: abs(float(np.median([start_C[i] for i in g])) - temperature_C)

@@ -127,24 +127,17 @@ class CapacityTest:
 
 
 def measure_capacities(
-    logs: Iterable[CellLog | Sequence[CellLog]],
-    *,
-    nominal_Ah: float | None = None,
-    voltage_min_V: float | None = None,
-    voltage_max_V: float | None = None,
-    temperature_C: float | None = None,
+    logs: Iterable[CellLog | Sequence[CellLog]], *, nominal_Ah: float | None = None
 ) -> tuple[CapacityTest, ...]:
     """Every discharge at constant current in a set of logs of one cell, with common limits.
 
-    Limits that are not given are those that the set shows: the highest voltage, and the lowest
-    at which a discharge ended.
+    The limits are those that the set shows: the highest voltage, and the lowest at which a
+    discharge ended.
 
     Parameters
     ----------
     logs : of CellLog, or of several that are one test in parts: discharge, its last per cent, ...
     nominal_Ah : float             what a rate of 1C refers to; default the largest measured
-    voltage_min_V, voltage_max_V : float     the limits; default from the logs themselves
-    temperature_C : float          of the tests, where a log has no such column
 
     Returns
     -------
@@ -171,10 +164,9 @@ def measure_capacities(
             "Name a capacity test, or leave `capacity=...` out: then the HPPC's or the nominal "
             "capacity is used.",
         )
-    v_min = min(ends) if voltage_min_V is None else voltage_min_V
-    v_max = voltage_max_V or max(float(np.max(trace.voltage_V)) for trace in traces)
+    v_min, v_max = min(ends), max(float(np.max(trace.voltage_V)) for trace in traces)
     near = max(map(_tolerance_V, traces))
-    shared = voltage_min_V is not None or sum(e <= v_min + near for e in ends) > 1
+    shared = sum(e <= v_min + near for e in ends) > 1
     tests = [
         _measure(trace, halves, k, name, v_min, v_max, shared)
         for trace, halves, name in zip(traces, cycles, names, strict=True)
@@ -183,17 +175,7 @@ def measure_capacities(
     ]
     whole = [t.total_Ah for t in tests if t.complete] or [t.total_Ah for t in tests]
     capacity = nominal_Ah or max(whole)
-    return tuple(
-        replace(
-            t,
-            rate_C=t.current_A / capacity,
-            temperature_C=t.temperature_C if t.temperature_C is not None else temperature_C,
-            temperature_start_C=t.temperature_start_C
-            if t.temperature_start_C is not None
-            else temperature_C,
-        )
-        for t in tests
-    )
+    return tuple(replace(t, rate_C=t.current_A / capacity) for t in tests)
 
 
 def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:

@@ -29,10 +29,15 @@ class _Limits(NamedTuple):
     run: float = 0.02  # of its charge: a shorter run at the main current is met in passing
 
 
-LIMITS = _Limits()
-# What shows the end of a discharge where the limit is not given: see looks_like_end.
-KNEE = 1.3
-ROUND_V, ROUND_TOLERANCE_V = 0.1, 0.004
+class _End(NamedTuple):
+    """What shows the end of a discharge where the limit is not given."""
+
+    knee: float = 1.3  # slope over the last 3 % over that of the middle
+    round_V: float = 0.1  # limits are set to a multiple of it ...
+    tolerance_V: float = 0.004  # ... and met within it
+
+
+LIMITS, END = _Limits(), _End()
 
 
 class Trace(NamedTuple):
@@ -176,9 +181,9 @@ def looks_like_end(trace: Trace, start: int, stop: int) -> bool:
     if q.size < 2 or q[-1] <= q[0]:
         return False
     at_10, at_90, at_97 = np.interp((0.1, 0.9, 0.97), (q - q[0]) / (q[-1] - q[0]), v)
-    bends = (at_97 - v[-1]) / 0.03 >= KNEE * (at_10 - at_90) / 0.8
-    off_round = abs(float(v[-1]) - ROUND_V * round(float(v[-1]) / ROUND_V))
-    return bool(bends or off_round <= ROUND_TOLERANCE_V)
+    bends = (at_97 - v[-1]) / 0.03 >= END.knee * (at_10 - at_90) / 0.8
+    off_round = abs(float(v[-1]) - END.round_V * round(float(v[-1]) / END.round_V))
+    return bool(bends or off_round <= END.tolerance_V)
 
 
 def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -93,20 +94,26 @@ class _Signals(NamedTuple):
         return bool(np.max(np.abs(v - at_V)) <= 2.0 * self.tolerance_V)
 
 
+_FOUND: WeakKeyDictionary[CellLog, tuple[Phase, ...]] = WeakKeyDictionary()
+
+
 def find_phases(log: CellLog) -> tuple[Phase, ...]:
-    """Cut a log into phases that follow one another without gap or overlap.
+    """Cut a log into phases that follow one another without gap or overlap; each log once.
 
     Returns
     -------
     tuple of Phase, in order; together they hold every row
     """
+    if log in _FOUND:
+        return _FOUND[log]
     current = log.known_current_A()
     scale = current_scale(current)
     voltage = filled(log.voltage_V)
     signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
     plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
     spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
-    return _finish(spans, signals, log)
+    _FOUND[log] = _finish(spans, signals, log)
+    return _FOUND[log]
 
 
 def voltage_tolerance(log: CellLog) -> float:

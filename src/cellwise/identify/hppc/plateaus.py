@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,6 +35,9 @@ class _Limits(NamedTuple):
     coarse: float = 0.05
     coarse_rows: float = 0.02
     fine_rows: float = 0.005
+    white_growth: float = 1.3  # of second differences at twice the distance: more is no noise
+    chunks: int = 8  # a level is flat whose eighths have one mean; blocks of noise are as long
+    level_rows: int = 64  # more of a level say nothing new
 
 
 class _NoisyLevel(NamedTuple):
@@ -47,13 +51,9 @@ class _NoisyLevel(NamedTuple):
 
 
 LIMITS, NOISY = _Limits(), _NoisyLevel()
-WHITE_GROWTH = 1.3  # of second differences at twice the distance: more is no white noise
-# Mean size of a second difference of white noise of unit sigma: sqrt(6) sqrt(2 / pi).
-MEAN_BEND = 1.954
-CHUNKS = 8  # a level is flat whose eighths have one mean; noise is looked for in blocks of as many
+MEAN_BEND = math.sqrt(12.0 / math.pi)  # mean size of a second difference of noise of unit sigma
 # Up to this long, what lies between two plateaus is the tester's rise.
 RISE_ROWS, RISE_S = 8, 3.0
-LEVEL_ROWS = 64  # more rows than these say nothing new of a level
 
 
 class CurrentScale(NamedTuple):
@@ -195,10 +195,10 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
     of a drive hold steps; at two distances of the samples, because the differences of noise do
     not grow with it and those of a moving current do.
     """
-    n = current_A.size // CHUNKS * CHUNKS
+    n = current_A.size // LIMITS.chunks * LIMITS.chunks
     if n == 0:
         return 0.0
-    blocks = current_A[:n].reshape(-1, CHUNKS)
+    blocks = current_A[:n].reshape(-1, LIMITS.chunks)
     near, far = (_bends(blocks, lag) for lag in (1, 2))
     middle = (near.shape[1] - 1) // 2
     typical = np.partition(near, middle, axis=1)[:, middle]
@@ -216,7 +216,7 @@ def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
             calm = whole
         one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
         sigma = one / MEAN_BEND
-        if two < WHITE_GROWTH * one and sigma < LIMITS.noise * top:
+        if two < LIMITS.white_growth * one and sigma < LIMITS.noise * top:
             found = max(found, sigma)
     return found
 
@@ -261,11 +261,11 @@ def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
     ceiling = 10.0 * float(np.median(near))
     one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
     sigma = one / MEAN_BEND
-    cuts = np.arange(CHUNKS + 1) * part.size // CHUNKS
+    cuts = np.arange(LIMITS.chunks + 1) * part.size // LIMITS.chunks
     means = np.add.reduceat(part, cuts[:-1]) / np.diff(cuts)
-    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / CHUNKS)
+    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / LIMITS.chunks)
     noisier = scale.noise_A < sigma < NOISY.scatter * level
-    white = two < (WHITE_GROWTH + 1.5 / np.sqrt(part.size)) * one
+    white = two < (LIMITS.white_growth + 1.5 / np.sqrt(part.size)) * one
     return sigma if flat and noisier and white else 0.0
 
 
@@ -291,19 +291,19 @@ def _flat_pieces(
     high = np.maximum.reduceat(x, start)
     allowed = np.maximum(scale.step_A, LIMITS.flat * np.abs(0.5 * (low + high)))
     flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
-    uncertain = np.flatnonzero(~flat & (rows >= CHUNKS))
+    uncertain = np.flatnonzero(~flat & (rows >= LIMITS.chunks))
     if uncertain.size:
         # Noise widens the range of a long run without bending it: compare means of eighths.
-        parts = np.arange(CHUNKS + 1) * rows[uncertain, None] // CHUNKS
+        parts = np.arange(LIMITS.chunks + 1) * rows[uncertain, None] // LIMITS.chunks
         cuts = start[uncertain, None] + parts
         means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
         bound = np.maximum(
-            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / CHUNKS),
+            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / LIMITS.chunks),
             LIMITS.flat * np.abs(means).max(axis=1),
         )
         flat[uncertain] = np.ptp(means, axis=1) <= bound
     pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= 2 * CHUNKS)).tolist():
+    for k in np.flatnonzero(~flat & (rows >= 2 * LIMITS.chunks)).tolist():
         a, b = int(start[k]), int(stop[k])
         head = a + _flat_head(x[a:b], scale)
         tail = b - _flat_head(x[head:b][::-1], scale)
@@ -316,19 +316,19 @@ def _flat_pieces(
 
 def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
     """Number of rows from the first on that stay at the level they begin with (0: none)."""
-    if x.size < CHUNKS:
+    if x.size < LIMITS.chunks:
         return 0
-    level = float(np.median(x[: CHUNKS + 1]))
+    level = float(np.median(x[: LIMITS.chunks + 1]))
     off = np.abs(x - level) > max(4.0 * scale.noise_A, LIMITS.flat * abs(level))
     left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
     head = int(left[0]) if left.size else x.size
-    if head < CHUNKS:
+    if head < LIMITS.chunks:
         return 0
     # The knee lies before the row at which the drift has grown to the tolerance.
     level = float(np.median(x[:head]))
     close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
     knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
-    return knee if knee >= max(CHUNKS, head // 2) else head
+    return knee if knee >= max(LIMITS.chunks, head // 2) else head
 
 
 def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
@@ -337,7 +337,7 @@ def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
         return p
     between = p.start[1:] - p.stop[:-1]
     difference = np.abs(np.diff(p.level_A))
-    n = np.minimum(p.stop - p.start, LEVEL_ROWS)
+    n = np.minimum(p.stop - p.start, LIMITS.level_rows)
     noise = noise_A[p.start]
     noise = np.maximum(noise[1:], noise[:-1])
     error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])

@@ -64,32 +64,19 @@ class Verdict(NamedTuple):
     score: float
 
 
-def judge_loads(
-    log: CellLog,
-    loads: Sequence[Load],
-    *,
-    lower_V: float | None = None,
-    upper_V: float | None = None,
-) -> tuple[Verdict, ...]:
+def judge_loads(log: CellLog, loads: Sequence[Load]) -> tuple[Verdict, ...]:
     """Judge every load of a log against its siblings and against a passive circuit.
 
     Parameters
     ----------
     log : CellLog
     loads : sequence of Load     all of the log's, because durations and limits come from the set
-    lower_V, upper_V : float     voltage limits [V]; default: inferred
     """
     v = log.voltage_V
     durations = np.array([_seconds(log, x.start, x.stop) for x in loads])
     held = np.array([x.cc_stop < x.stop for x in loads], dtype=np.bool_)
     expected = _expected(v, loads, durations)
-    stated = {True: lower_V, False: upper_V}
-    limits = {
-        discharge: _limit(v, loads, durations, expected, held, discharge)
-        if known is None
-        else known
-        for discharge, known in stated.items()
-    }
+    limits = {way: _limit(v, loads, durations, expected, held, way) for way in (True, False)}
     gaps = log.gap_rows
     found: list[Verdict | None] = []
     for x, t, e in zip(loads, durations.tolist(), expected.tolist(), strict=True):

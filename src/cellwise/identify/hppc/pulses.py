@@ -19,13 +19,12 @@ from cellwise.identify.hppc.pulse_quality import (
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-RESTED_VOLTAGE_S = 10.0  # before the pulse, averaged, as in the LFP paper
-
 
 class _Limits(NamedTuple):
     """What a pulse is, and what a move."""
 
     rest_s: float = 5.0  # before it
+    average_s: float = 10.0  # of its voltage, as in the LFP paper
     # In a log that is mostly a drive, idling and cruising look like pulses.
     drive: float = 0.5
     drive_pulse_s: float = 5.0
@@ -81,9 +80,6 @@ class Pulse:
 
 def find_pulses(
     log: CellLog,
-    *,
-    lower_V: float | None = None,
-    upper_V: float | None = None,
     phases: Sequence[Phase] | None = None,
 ) -> tuple[Pulse, ...]:
     """Find and judge the pulses of a log, short ones and moves, in order.
@@ -94,14 +90,12 @@ def find_pulses(
     Parameters
     ----------
     log : CellLog
-    lower_V, upper_V : float      voltage limits of the test [V]; default: inferred from pulses
-                                  that were cut
     phases : sequence of Phase    of this log, where they are known already
     """
     found = find_phases(log) if phases is None else tuple(phases)
     flow = log.known_current_A() * log.interval_s / 3600.0
     loads = _loads(log, found, flow)
-    verdicts = judge_loads(log, loads, lower_V=lower_V, upper_V=upper_V)
+    verdicts = judge_loads(log, loads)
     return tuple(_pulse(log, flow, x, verdict) for x, verdict in zip(loads, verdicts, strict=True))
 
 
@@ -235,7 +229,7 @@ def _level(current: FloatArray) -> float:
 
 def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Pulse:
     t, v = log.time_s, log.voltage_V
-    last = max(x.rest_start, int(np.searchsorted(t, t[x.start - 1] - RESTED_VOLTAGE_S)))
+    last = max(x.rest_start, int(np.searchsorted(t, t[x.start - 1] - KINDS.average_s)))
     rested = v[min(last, x.start - 1) : x.start]
     known = rested[np.isfinite(rested)]
     return Pulse(

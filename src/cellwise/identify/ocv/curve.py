@@ -9,19 +9,77 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
-from cellwise.errors import InputError
-from cellwise.identify.ocv.ocv_fit import OcvFit, fit_ocv_function
-from cellwise.identify.ocv.ocv_functions import OcvFunction, OcvKind, uniform_grid
-from cellwise.identify.ocv.ocv_points import MIN_POINTS, leave_out_turns
+from cellwise.identify.ocv.ocv_function import OcvFunction, OcvKind, fit_monotone_spline
+from cellwise.identify.ocv.ocv_points import POINTS, checked_points, leave_out_turns
+from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.typing import FloatArray
 
 GRID_INTERVALS = 200
-CORRECTION_CELLS = 20
-STIFFNESS = 10.0 ** np.arange(-3.0, 3.0)  # of the correction: one is chosen by rests left out
-USUAL_STIFFNESS = 1.0  # with too few rests to leave any out
-# V per unit of SOC: a rest is good for 2 mV and 0.003 of SOC, so beyond this slope its SOC decides.
-STEEP_V = 0.67
-SAME_CAPACITY = 1e-3
+
+
+class _Moved(NamedTuple):
+    """How a low-rate curve is moved onto rests."""
+
+    cells: int = 20  # of the correction over SOC
+    stiffness: tuple[float, ...] = (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)  # one is chosen by rests
+    usual: float = 1.0  # with too few rests to leave any out
+    # V per unit of SOC: a rest is good for 2 mV and 0.003 of SOC, so beyond this its SOC decides.
+    steep_V: float = 0.67
+
+
+MOVED = _Moved()
+
+
+@dataclass(frozen=True, eq=False)
+class OcvFit:
+    """A fitted OCV function and how well it says the points again."""
+
+    function: OcvFunction
+    soc: FloatArray
+    weight: FloatArray
+    residual_V: FloatArray
+
+    @property
+    def kind(self) -> OcvKind:
+        """Which form was fitted."""
+        return self.function.kind
+
+    @property
+    def rmse_V(self) -> float:
+        """Root mean square of the residual at the points [V]."""
+        return float(np.sqrt(np.mean(self.residual_V**2)))
+
+
+def fit_ocv_function(
+    soc: FloatArray,
+    voltage_V: FloatArray,
+    kind: OcvKind = "spline",
+    *,
+    weight: FloatArray | None = None,
+) -> OcvFit:
+    """Fit one form of OCV function to points.
+
+    The spline is the usual one: over low-rate curves of four chemistries, sampled as rests at every
+    5 % or 10 % or densely, its median error between the points was the smallest each time.
+
+    Parameters
+    ----------
+    soc, voltage_V : (n,) float      points in any order; missing values are left out
+    kind : str                       ``spline``, or the LFP paper's ``log-linear-exp``
+    weight : (n,) float              how much each point counts, default equally
+
+    Returns
+    -------
+    OcvFit        residuals are measured minus fitted, at the points given
+
+    Raises
+    ------
+    InputError    fewer than four points, SOC far outside 0..1, all at one SOC, voltage that does
+                  not rise with SOC
+    """
+    s, v, w = checked_points(soc, voltage_V, weight)
+    function = (fit_monotone_spline if kind == "spline" else fit_log_linear_exp)(s, v, w)
+    return OcvFit(function, s, w, v - function.evaluate(s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +123,6 @@ class OcvCurve:
             return None
         return self.charge_V - self.discharge_V
 
-    def grid(self, intervals: int) -> tuple[FloatArray, FloatArray]:
-        """SOC and voltage at ``intervals + 1`` uniform steps from 0 to 1."""
-        return uniform_grid(self.function, intervals)
-
 
 def curve_from_points(
     soc: FloatArray,
@@ -76,23 +130,18 @@ def curve_from_points(
     *,
     capacity_Ah: float,
     weight: FloatArray | None = None,
-    kind: OcvKind | None = None,
     discharge_V: FloatArray | None = None,
     charge_V: FloatArray | None = None,
     source: str = "",
     notes: tuple[str, ...] = (),
     temperature_C: float | None = None,
 ) -> OcvCurve:
-    """Fit points of OCV over SOC and hold the result on the uniform grid.
-
-    ``kind`` None is the spline: over low-rate curves of four chemistries, sampled as rests at
-    every 5 % or 10 % or densely, its median error between the points was the smallest each time.
-    """
-    fit = fit_ocv_function(soc, voltage_V, kind or "spline", weight=weight)
-    grid, level = uniform_grid(fit.function, GRID_INTERVALS)
+    """Fit points of OCV over SOC and hold the result on the uniform grid."""
+    fit = fit_ocv_function(soc, voltage_V, weight=weight)
+    grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
     return OcvCurve(
         soc=grid,
-        voltage_V=level,
+        voltage_V=fit.function.evaluate(grid),
         capacity_Ah=capacity_Ah,
         fit=fit,
         points_soc=fit.soc,
@@ -125,21 +174,11 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
     Returns
     -------
     OcvCurve        over the SOC of the rests
-
-    Raises
-    ------
-    InputError      SOC of the two refers to different capacities
     """
-    if abs(rests.capacity_Ah / low_rate.capacity_Ah - 1.0) > SAME_CAPACITY:
-        raise InputError(
-            f"OCV curves over {rests.capacity_Ah:.4f} Ah and over {low_rate.capacity_Ah:.4f} Ah",
-            "one capacity for both",
-            "Make both with the same capacity_Ah.",
-        )
     s = rests.points_soc
     difference = rests.points_V - low_rate.function.evaluate(s)
     # Unweighted, the steep ends move by up to 90 mV (Samsung) and the middle by 4 (Panasonic).
-    weight = rests.points_weight / (1.0 + (rests.function.slope(s) / STEEP_V) ** 2)
+    weight = rests.points_weight / (1.0 + (rests.function.slope(s) / MOVED.steep_V) ** 2)
     stiffness = _stiffness(s, difference, weight)
     nodes, correction = _correction(s, difference, weight, stiffness)
     grid = low_rate.soc
@@ -165,16 +204,16 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
 
 def _stiffness(s: FloatArray, difference: FloatArray, weight: FloatArray) -> float:
     """Stiffness of the correction with the least error at rests that are left out."""
-    if s.size < MIN_POINTS + 2:
-        return USUAL_STIFFNESS
-    turn = leave_out_turns(s, keep_ends=False)
-    squares = np.zeros(STIFFNESS.size)
+    if s.size < POINTS.fewest + 2:
+        return MOVED.usual
+    turn = leave_out_turns(s)
+    squares = np.zeros(len(MOVED.stiffness))
     for left in (turn == fold for fold in range(int(turn.max()) + 1)):
-        for j, stiffness in enumerate(STIFFNESS):
+        for j, stiffness in enumerate(MOVED.stiffness):
             nodes, line = _correction(s[~left], difference[~left], weight[~left], stiffness)
             missed = difference[left] - np.interp(s[left], nodes, line)
             squares[j] += np.sum(weight[left] * missed**2)
-    return float(STIFFNESS[int(np.argmin(squares))])
+    return MOVED.stiffness[int(np.argmin(squares))]
 
 
 def _correction(
@@ -186,11 +225,11 @@ def _correction(
     -------
     nodes, values : (m,) float
     """
-    nodes = np.linspace(0.0, 1.0, CORRECTION_CELLS + 1)
-    hats = np.maximum(0.0, 1.0 - CORRECTION_CELLS * np.abs(np.clip(s, 0, 1)[:, None] - nodes))
+    nodes = np.linspace(0.0, 1.0, MOVED.cells + 1)
+    hats = np.maximum(0.0, 1.0 - MOVED.cells * np.abs(np.clip(s, 0, 1)[:, None] - nodes))
     change = np.diff(np.eye(nodes.size), axis=0)
     weighted = hats.T * (w / np.mean(w))
-    normal = weighted @ hats + stiffness * CORRECTION_CELLS * change.T @ change
+    normal = weighted @ hats + stiffness * MOVED.cells * change.T @ change
     return nodes, np.asarray(np.linalg.solve(normal, weighted @ y))
 
 

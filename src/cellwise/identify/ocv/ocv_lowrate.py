@@ -23,7 +23,7 @@ from cellwise.identify.capacity.half_cycles import (
     steady_rows,
 )
 from cellwise.identify.ocv.curve import GRID_INTERVALS, OcvCurve, curve_from_points
-from cellwise.identify.ocv.ocv_spline import fit_monotone_spline
+from cellwise.identify.ocv.ocv_function import fit_monotone_spline
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -46,11 +46,11 @@ class _Limits(NamedTuple):
     middle: tuple[float, float] = (0.25, 0.75)
     end_gap: float = 1.3
     rested_s: float = 600.0  # a voltage after so long without current gives the SOC
+    no_current: float = 0.02  # of the main current
+    outside: float = 0.02  # of the SOC range: rows beyond the ends that are still taken
 
 
 LIMITS = _Limits()
-OUTSIDE = 0.02  # of the SOC range: rows beyond the ends that are still taken
-NO_CURRENT = 0.02  # of the main current
 
 
 class Branch(NamedTuple):
@@ -203,7 +203,7 @@ def _filled_to(
         return 1.0
     counted = min(ratio, 1.0)
     before, after = _begin(taken.half), returned.end
-    rested = np.abs(trace.current_A) <= NO_CURRENT * abs(returned.half.main_current_A)
+    rested = np.abs(trace.current_A) <= LIMITS.no_current * abs(returned.half.main_current_A)
     moving = np.flatnonzero(~rested[: after + 1])
     rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
     if rest_s < LIMITS.rested_s or not rested[before]:
@@ -226,7 +226,7 @@ def _begin(half: HalfCycle) -> int:
 
 def _branch(trace: Trace, moved: _Moved, rows: BoolArray, soc: FloatArray) -> Branch:
     level = trace.voltage_V[rows]
-    inside = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
+    inside = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
     order = np.argsort(soc[inside], kind="stable")
     s, v = soc[inside][order], level[inside][order]
     grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)

@@ -12,11 +12,16 @@ from scipy.optimize import isotonic_regression
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
-MIN_SLOPE_V = 1e-3  # per unit of SOC: flatter carries no information, the floor keeps the sign
-MIN_POINTS = 4
-MAX_POINTS = 400  # a low-rate log has thousands of rows that say the same: so many are kept
-SAME_SOC = 1e-4
-FOLDS = 5
+
+class _Points(NamedTuple):
+    """What a curve is fitted to."""
+
+    slope_V: float = 1e-3  # per unit of SOC: flatter carries no information, it keeps the sign
+    fewest: int = 4
+    most: int = 400  # a low-rate log has thousands of rows that say the same: so many are kept
+    same_soc: float = 1e-4
+    folds: int = 5
+    stretch: float = 0.05  # below the lowest point: over so much SOC the slope may double
 
 
 class _Levels(NamedTuple):
@@ -26,9 +31,7 @@ class _Levels(NamedTuple):
     close: float = 0.3  # of the widest step between rests
 
 
-LEVELS = _Levels()
-# Below the lowest point the slope may go on growing, up to twofold over this stretch of SOC.
-END_STRETCH = 0.05
+POINTS, LEVELS = _Points(), _Levels()
 
 
 def checked_points(
@@ -52,10 +55,10 @@ def checked_points(
         )
     good = np.isfinite(s) & np.isfinite(v) & (w > 0)
     s, v, w = s[good], v[good], w[good]
-    if s.size < MIN_POINTS:
+    if s.size < POINTS.fewest:
         raise InputError(
             f"{s.size} usable point(s) of OCV over SOC",
-            f"at least {MIN_POINTS}",
+            f"at least {POINTS.fewest}",
             "Use a log with rests at more levels of SOC, or a low-rate discharge.",
         )
     order = np.argsort(s, kind="stable")
@@ -78,23 +81,23 @@ def checked_points(
 def condense(
     s: FloatArray, v: FloatArray, w: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means of points that say the same: equal SOC, or more than ``MAX_POINTS`` along the curve."""
-    group: NDArray[np.intp] = np.append(0, np.cumsum(np.diff(s) > SAME_SOC))
+    """Means of points that say the same: equal SOC, or more than 400 along the curve."""
+    group: NDArray[np.intp] = np.append(0, np.cumsum(np.diff(s) > POINTS.same_soc))
     starts = np.flatnonzero(np.diff(group, prepend=-1))
-    if np.max(s[np.append(starts[1:], s.size) - 1] - s[starts]) > 10.0 * SAME_SOC:
+    if np.max(s[np.append(starts[1:], s.size) - 1] - s[starts]) > 10.0 * POINTS.same_soc:
         # Rows of a slow log lie so close that each says the same as the next, and all as one.
-        group = np.append(0, np.cumsum(np.diff(np.floor((s - s[0]) / SAME_SOC)) > 0))
-    if group[-1] >= MAX_POINTS:
+        group = np.append(0, np.cumsum(np.diff(np.floor((s - s[0]) / POINTS.same_soc)) > 0))
+    if group[-1] >= POINTS.most:
         rising = isotonic_regression(v, weights=w).x
         length = np.append(0.0, np.cumsum(np.hypot(np.diff(s), np.diff(rising) / np.ptp(rising))))
-        bins = (length / length[-1] * (MAX_POINTS - 1)).astype(np.intp)
+        bins = (length / length[-1] * (POINTS.most - 1)).astype(np.intp)
         group = np.append(0, np.cumsum((np.diff(bins) > 0) & (np.diff(s) > 0.0)))
     total: FloatArray = np.bincount(group, w).astype(np.float64)
     return np.bincount(group, w * s) / total, np.bincount(group, w * v) / total, total
 
 
-def leave_out_turns(s: FloatArray, *, keep_ends: bool = True) -> NDArray[np.intp]:
-    """Turn at which each point is left out, shape (n,); -1 for the ends, if they are kept.
+def leave_out_turns(s: FloatArray) -> NDArray[np.intp]:
+    """Turn at which each point is left out, shape (n,).
 
     Rests that lie close together, as those between the pulses of one level do, take one turn
     together: a neighbour a millivolt away would predict anything.
@@ -103,11 +106,8 @@ def leave_out_turns(s: FloatArray, *, keep_ends: bool = True) -> NDArray[np.intp
     if s.size <= LEVELS.most:
         step = np.diff(s)
         levels = np.append(0, np.cumsum(step > LEVELS.close * np.max(step)))
-        group = levels if levels[-1] >= MIN_POINTS + 1 else group
-    turn = group % min(FOLDS, int(group[-1]) - 1)
-    if keep_ends:
-        turn[(group == 0) | (group == group[-1])] = -1
-    return turn
+        group = levels if levels[-1] >= POINTS.fewest + 1 else group
+    return np.asarray(group % min(POINTS.folds, int(group[-1]) - 1))
 
 
 def beyond_ends(
@@ -116,10 +116,10 @@ def beyond_ends(
     """Points that carry a curve known over [first, last] on to SOC 0 and 1.
 
     Upward straight on. Downward the slope goes on growing as it does at the end, up to twofold
-    per ``END_STRETCH``: on measured low-rate curves of NCA, NMC, LMO and LFP, cut off at 5 %,
+    per 5 % of SOC: on measured low-rate curves of NCA, NMC, LMO and LFP, cut off at 5 %,
     that halves the straight line's error.
     """
-    h = min(END_STRETCH, (last - first) / 3.0)
+    h = min(POINTS.stretch, (last - first) / 3.0)
     s_end, v_end = np.zeros(0), np.zeros(0)
     if first > 0.0:
         v0, v1, v2 = evaluate(first + h * np.arange(3.0))
@@ -136,11 +136,11 @@ def beyond_ends(
             / np.ceil((1.0 - last) / 0.01)
         )
         s_end = np.append(s_end, last + d)
-        v_end = np.append(v_end, v1 + d * max((v1 - v0) / h, MIN_SLOPE_V))
+        v_end = np.append(v_end, v1 + d * max((v1 - v0) / h, POINTS.slope_V))
     return s_end, v_end
 
 
 def strictly_rising(s: FloatArray, v: FloatArray, w: FloatArray | None = None) -> FloatArray:
     """The rising sequence nearest to ``v``, rising by at least the least slope."""
-    level = MIN_SLOPE_V * s
+    level = POINTS.slope_V * s
     return np.asarray(isotonic_regression(v - level, weights=w).x + 1.001 * level)

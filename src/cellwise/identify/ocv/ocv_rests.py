@@ -14,10 +14,6 @@ from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-Anchor = Literal["full", "empty", "auto"]
-
-AVERAGE_S = 10.0  # at a rest's end, as in the LFP paper
-
 
 class _Limits(NamedTuple):
     """Which rests say something of OCV, and how much."""
@@ -25,6 +21,7 @@ class _Limits(NamedTuple):
     # Shorter rests show relaxation more than OCV, unless there are not as many longer ones.
     rest_s: float = 300.0
     enough: int = 4
+    average_s: float = 10.0  # at a rest's end, as in the LFP paper
     current: float = 0.01  # of the largest: a phase called rest that moved more was none
     unrelaxed_V: float = 5e-3  # a rest that is this far from its end counts half
     outside: float = 0.02  # of the SOC range, beyond its ends
@@ -106,52 +103,33 @@ def find_ocv_rests(log: CellLog, *, min_rest_s: float | None = None) -> tuple[Oc
     )
 
 
-def ocv_from_rests(
-    log: CellLog,
-    *,
-    capacity_Ah: float | None = None,
-    anchor: Anchor = "full",
-    soc_start: float | None = None,
-    extrapolate: bool = False,
-) -> OcvCurve:
-    """OCV curve through the rests of an HPPC or similar log.
+def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
+    """OCV curve through the rests of an HPPC or similar log, each where it tends to.
 
-    SOC is counted by the tester's counter where there is one. It is known at one moment: the
-    fullest rest of the log is full (``anchor="full"``: a log may begin empty and be charged first),
-    or the emptiest is empty, or the log begins at ``soc_start``. ``auto`` takes full, save for a
-    log that climbs and was not held at the limit until the current had fallen: it ends short of
-    full, and where it began the OCV is steep.
+    SOC is counted by the tester's counter where there is one. It is known at one moment: at the
+    first row, where the log states it; else the fullest rest of the log is full (a log may begin
+    empty and be charged first), save for a log that climbs and was not held at the limit until the
+    current had fallen: it ends short of full, and where it began the OCV is steep.
 
     Parameters
     ----------
     log : CellLog
-    capacity_Ah : float     that SOC refers to [Ah]; default the net charge of the whole log from
-                            its fullest to its emptiest moment, as the LFP paper takes it
-    anchor : str            ``full``, ``empty`` or ``auto``
-    soc_start : float       SOC at the first row, 0..1; overrides ``anchor``
-    extrapolate : bool      take each rest's extrapolated voltage in place of its last ten
-                            seconds. On measured rests cut to a third it about halves the error.
+    capacity_Ah : float     that SOC refers to [Ah]
 
     Raises
     ------
-    InputError              no rest, too few rests, all at one SOC, soc_start outside 0..1
+    InputError              no rest, too few rests, all at one SOC
     """
     rests = find_ocv_rests(log)
     charge = np.array([r.charge_Ah for r in rests])
-    q = log.counted_charge_Ah()
-    if capacity_Ah is None:
-        capacity_Ah = float(np.max(q - np.minimum.accumulate(q)))
-    if capacity_Ah <= 0.0:
-        raise InputError(
-            f"a capacity of {capacity_Ah:g} Ah for log '{log.name or log.source}'",
-            "a positive capacity, or a log that discharges",
-            "Give capacity_Ah.",
-        )
-    if anchor == "auto":
-        anchor = "empty" if _climbs_short_of_full(log, q, capacity_Ah) else "full"
-    full_at = _charge_when_full(charge, capacity_Ah, anchor, soc_start)
+    # The first row counts as well: a log may begin full and under load.
+    full_at = min(0.0, float(np.min(charge)))
+    if log.soc0 is not None:
+        full_at = -(1.0 - log.soc0) * capacity_Ah
+    elif _climbs_short_of_full(log, log.counted_charge_Ah(), capacity_Ah):
+        full_at = max(0.0, float(np.max(charge))) - capacity_Ah
     soc = 1.0 - (charge - full_at) / capacity_Ah
-    voltage = np.array([r.final_V if extrapolate else r.voltage_V for r in rests])
+    voltage = np.array([r.final_V for r in rests])
     remaining = np.array([r.remaining_V for r in rests])
     inside: BoolArray = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
     return curve_from_points(
@@ -174,22 +152,6 @@ def _climbs_short_of_full(log: CellLog, charge_Ah: FloatArray, capacity_Ah: floa
     return not charging or charging[-1].kind != "cv"
 
 
-def _charge_when_full(
-    charge: FloatArray, capacity_Ah: float, anchor: Anchor, soc_start: float | None
-) -> float:
-    """Reading of the counter, from the log's start, at SOC 1 [Ah]."""
-    if soc_start is not None:
-        if not 0.0 <= soc_start <= 1.0:
-            raise InputError(
-                f"soc_start = {soc_start:g}", "a SOC within 0..1", "Give a fraction, not percent."
-            )
-        return -(1.0 - soc_start) * capacity_Ah
-    # The first row counts as well: a log may begin full and under load.
-    if anchor == "full":
-        return min(0.0, float(np.min(charge)))
-    return max(0.0, float(np.max(charge))) - capacity_Ah
-
-
 def _rest(log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray) -> OcvRest:
     rows = np.arange(phase.start, phase.stop)
     t, v = log.time_s[rows], log.voltage_V[rows]
@@ -197,7 +159,7 @@ def _rest(log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray) 
     if not known.any():
         known[-1:], v = True, np.full(v.size, phase.voltage_end_V)
     t, v = t[known], v[known]
-    last = t >= t[-1] - AVERAGE_S
+    last = t >= t[-1] - LIMITS.average_s
     return OcvRest(
         charge_Ah=float(charge[phase.stop - 1]),
         voltage_V=float(np.mean(v[last])),

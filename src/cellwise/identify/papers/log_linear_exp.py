@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from cellwise.identify.ocv.ocv_functions import OcvKind, inside_of
-from cellwise.identify.ocv.ocv_points import MIN_SLOPE_V, checked_points, condense
+from cellwise.identify.ocv.ocv_function import OcvKind, inside_of
+from cellwise.identify.ocv.ocv_points import POINTS, checked_points, condense
 from cellwise.typing import FloatArray
 
 
@@ -89,7 +89,7 @@ def fit_log_linear_exp(
         return LogLinearExp(float(a), float(b), c, float(d), e, float(f))
 
     found = search(d_positive=False)
-    if np.min(found.slope(np.linspace(0.0, 1.0, 201))) < MIN_SLOPE_V:
+    if np.min(found.slope(np.linspace(0.0, 1.0, 201))) < POINTS.slope_V:
         found = search(d_positive=True)
     return found
 
@@ -106,7 +106,7 @@ def _log_linear_exp_linear_part(
     for free in ([0, 1, 2, 3], [0, 1, 2], [0, 2, 3], [0, 1, 3], [0, 2], [0, 1], [0, 3]):
         x = np.zeros(4)
         x[free] = np.linalg.lstsq(a[:, free], y, rcond=None)[0]
-        if x[1] < 0 or x[3] < 0 or (d_positive and x[2] < MIN_SLOPE_V and 2 in free):
+        if x[1] < 0 or x[3] < 0 or (d_positive and x[2] < POINTS.slope_V and 2 in free):
             continue
         cost = float(np.sum((a @ x - y) ** 2))
         if cost < best_cost:

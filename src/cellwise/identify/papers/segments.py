@@ -13,7 +13,7 @@ OCV that moves during the pulse counts as resistance, and R2 holds what R1 holds
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,29 +22,22 @@ from cellwise.identify.pulse_fit.circuit import Circuit
 from cellwise.identify.pulse_fit.pulse_data import PulseData, voltage_noise
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 
-TAUS_PER_SEGMENT = 5.0
 
+class _Segments(NamedTuple):
+    """Equation (8), and the choice of the points.
 
-@dataclass(frozen=True)
-class SegmentOptions:
-    """Choice of the points.
-
-    Parameters
-    ----------
-    fast_part : float         t2 - t1 over t3 - t1: where the fast segment ends. The paper reads it
-                              off by eye; a tenth puts a decade between tau1 and tau2.
+    ``fast_part``: t2 - t1 over t3 - t1, where the fast segment ends. The paper reads it off by eye;
+    a tenth puts a decade between tau1 and tau2.
     """
 
+    taus: float = 5.0
     fast_part: float = 0.1
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.fast_part < 1.0:
-            raise InputError(
-                f"fast_part = {self.fast_part}", "a number between 0 and 1", "Choose such a part."
-            )
+
+SEGMENTS = _Segments()
 
 
-def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> PulseFit:
+def fit_segments(data: PulseData) -> PulseFit:
     """Parameters of one pulse from four of its rows, equations (6) to (9).
 
     t0 is the last row before the pulse, t1 the first row in it (after `settling_rows`, if the
@@ -57,7 +50,7 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
     ------
     InputError        no row before the pulse, or no three settled rows in it
     """
-    options, data = options or SegmentOptions(), data.alone()
+    data = data.alone()
     row0, row3 = data.start - 1, data.stop - 1
     settled = np.flatnonzero(~data.settling_rows[data.start : data.stop])
     row1 = data.start + int(settled[0]) if settled.size else row3
@@ -68,14 +61,14 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
             "Cut the pulse with some rest before it, or leave it out.",
         )
     time, voltage = data.time_s, data.voltage_V
-    wanted = time[row1] + options.fast_part * (time[row3] - time[row1])
+    wanted = time[row1] + SEGMENTS.fast_part * (time[row3] - time[row1])
     row2 = int(np.argmin(np.abs(time[row1 + 1 : row3] - wanted))) + row1 + 1
     current = abs(data.pulse_current_A)
     r0 = abs(voltage[row0] - voltage[row1]) / current  # (6)
     r1 = abs(voltage[row1] - voltage[row2]) / current  # (7)
     r2 = abs(voltage[row1] - voltage[row3]) / current  # (7) on the longer segment
-    tau1 = (time[row2] - time[row1]) / TAUS_PER_SEGMENT  # (8)
-    tau2 = (time[row3] - time[row1]) / TAUS_PER_SEGMENT
+    tau1 = (time[row2] - time[row1]) / SEGMENTS.taus  # (8)
+    tau2 = (time[row3] - time[row1]) / SEGMENTS.taus
     value = PulseParameters(
         float(r0), float(r1), float(tau1), float(r2), float(tau2), float(voltage[row0]), 0.0
     )
@@ -87,7 +80,6 @@ def fit_segments(data: PulseData, options: SegmentOptions | None = None) -> Puls
         soc=data.soc,
         current_A=data.pulse_current_A,
         duration_s=data.pulse_duration_s,
-        window_s=float(time[-1] - time[0]),
         value=value,
         error=PulseParameters(error, error, nan, error, nan, noise, nan),
         rmse_V=circuit.rmse_V(value._replace(ocv_V=float(circuit.known[row0]))),

@@ -14,15 +14,12 @@ the four particles on either side. Kept as the paper's method and as a reference
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import cached
-from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.circuit import SAME_INTERVAL, Circuit
+from cellwise.identify.pulse_fit.circuit import Circuit
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
@@ -60,20 +57,6 @@ class SwarmOptions:
     iterations: int = 180
     cognition: float = 4.1
     free: Literal[5, 7] = 5
-
-    def __post_init__(self) -> None:
-        if not (2 <= self.neighbours < self.particles and self.neighbours % 2 == 0):
-            raise InputError(
-                f"{self.neighbours} neighbours among {self.particles} particles",
-                "an even number of neighbours, at least 2 and below the number of particles",
-                "Change one of the two.",
-            )
-        if not self.cognition > 4.0 or self.iterations < 1 or self.free not in (5, 7):
-            raise InputError(
-                f"cognition {self.cognition}, {self.iterations} iterations, {self.free} free",
-                "cognition above 4, at least 1 iteration, 5 or 7 free parameters",
-                "Change the setting.",
-            )
 
 
 def fit_swarm(
@@ -166,50 +149,12 @@ def _swarm(
 
 
 def costs_of(circuit: Circuit, position: FloatArray) -> FloatArray:
-    """Weighted sum of squared residuals of every particle [V^2], shape (m, 7) -> (m,)."""
-    costs = np.empty(len(position))
-    swarm_costs(
-        circuit.dt_s, circuit.current_A, circuit.known, circuit.x, circuit.weight, position, costs
-    )
-    return costs
+    """Weighted sum of squared residuals of every particle [V^2], shape (m, 7) -> (m,).
 
-
-@cached()
-def swarm_costs(
-    dt: FloatArray,
-    current: FloatArray,
-    known: FloatArray,
-    x: FloatArray,
-    weight: FloatArray,
-    positions: FloatArray,
-    costs: FloatArray,
-) -> None:
-    """Weighted sum of squared residuals of every particle [V^2].
-
-    Parameters
-    ----------
-    dt, current, known, x, weight : (n,) float       of a `Circuit`
-    positions : (m, 7) float          R0, R1, tau1, R2, tau2, OCV, OCV slope
-    costs : (m,) float                result; infinite where tau1 >= tau2
+    Infinite where tau1 >= tau2.
     """
-    for p in range(positions.shape[0]):
-        r0, r1, tau1 = positions[p, 0], positions[p, 1], positions[p, 2]
-        r2, tau2, ocv, slope = (
-            positions[p, 3], positions[p, 4], positions[p, 5], positions[p, 6],
-        )  # fmt: skip
-        if tau1 >= tau2:
-            costs[p] = math.inf
-            continue
-        v1 = v2 = total = 0.0
-        a1 = a2 = 0.0
-        last_dt = -1.0
-        for k in range(dt.size):
-            if abs(dt[k] - last_dt) > SAME_INTERVAL * dt[k]:
-                last_dt = dt[k]
-                a1 = math.exp(-dt[k] / tau1)
-                a2 = math.exp(-dt[k] / tau2)
-            v1 = r1 * current[k] + a1 * (v1 - r1 * current[k])
-            v2 = r2 * current[k] + a2 * (v2 - r2 * current[k])
-            error = known[k] - (ocv + slope * x[k] - r0 * current[k] - v1 - v2)
-            total += weight[k] * error * error
-        costs[p] = total
+    r0, r1, tau1, r2, tau2, ocv, slope = position.T[..., None]
+    u1, u2 = (circuit.responses(tau[:, 0]) for tau in (tau1, tau2))
+    model = ocv + slope * circuit.x - r0 * circuit.current_A - r1 * u1 - r2 * u2
+    costs = (circuit.known - model) ** 2 @ circuit.weight
+    return np.where(position[:, 2] < position[:, 4], costs, np.inf)

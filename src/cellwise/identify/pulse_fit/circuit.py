@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from cellwise.cell.compiled import cached
 from cellwise.cell.equations.states import decay, relaxed
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.pulse_data import (
-    LEAST_SETTLED_ROWS,
+    ROWS,
     PulseData,
     row_weights,
 )
@@ -33,9 +32,19 @@ from cellwise.typing import FloatArray
 # Sampling intervals closer than this share one exponential: float64 stamps of a log that runs
 # for days jitter in the last digits.
 SAME_INTERVAL = 1e-7
-FASTEST_TAU_S = 0.5  # a pulse is searched down to it, where sampling allows
-DERIVATIVE_STEP = 1e-3  # of ln tau
-SMALLEST_EIGENVALUE = 1e-15  # of the scaled normal equations: below is rounding
+
+
+class _Numerics(NamedTuple):
+    """Time constants that are searched, and what rounding allows."""
+
+    fastest_s: float = 0.5  # a pulse is searched down to it, where sampling allows
+    step: float = 1e-3  # of ln tau, for a derivative
+    eigenvalue: float = 1e-15  # of the scaled normal equations: below is rounding
+    ridge: float = 1e-13  # of them: two branches may be alike
+    at_bound: float = 1e-3  # of the range of ln tau
+
+
+NUMERICS = _Numerics()
 
 
 class _Thinned(NamedTuple):
@@ -49,29 +58,15 @@ class _Thinned(NamedTuple):
 THINNED = _Thinned()
 
 
-@dataclass(frozen=True)
-class TauBounds:
+class TauBounds(NamedTuple):
     """Search range of the time constants [s].
 
     ``ratio`` keeps the branches apart: tau2 >= ratio * tau1, so they can never be swapped.
-
-    Raises
-    ------
-    InputError        bounds that leave no room
     """
 
     fastest_s: float
     slowest_s: float
     ratio: float = 1.5
-
-    def __post_init__(self) -> None:
-        ordered = self.fastest_s > 0.0 and np.isfinite(self.slowest_s) and self.ratio > 1.0
-        if not (ordered and self.fastest_s * self.ratio < self.slowest_s):
-            raise InputError(
-                f"time constants of {self.fastest_s} to {self.slowest_s} s, ratio {self.ratio}",
-                "0 < fastest, ratio > 1, and room for tau2 >= ratio * tau1",
-                "Widen the bounds.",
-            )
 
 
 class Circuit:
@@ -90,10 +85,10 @@ class Circuit:
         self.data = data
         self.weight = row_weights(data)
         settled = np.count_nonzero(self.weight)
-        if settled < LEAST_SETTLED_ROWS:
+        if settled < ROWS.settled:
             raise InputError(
                 f"{settled} settled rows of {len(data)} in pulse '{data.name}'",
-                f"at least {LEAST_SETTLED_ROWS} rows for 7 unknowns",
+                f"at least {ROWS.settled} rows for 7 unknowns",
                 "Log the pulse faster or longer, or leave it out.",
             )
         self.dt_s, self.current_A = data.interval_s, data.current_A.copy()
@@ -143,12 +138,12 @@ class Circuit:
     def tau_bounds(self) -> TauBounds:
         """Time constants that the window can show.
 
-        From two sampling intervals (at most `FASTEST_TAU_S`, where sampling allows) to the time
+        From two sampling intervals (at most half a second, where sampling allows) to the time
         from the pulse's start to the window's end, or twice the pulse where no relaxation follows.
         """
         data = self.data
         sampling = float(np.median(self.dt_s[data.start : data.stop]))
-        fastest = max(min(2.0 * sampling, FASTEST_TAU_S), 0.5 * sampling, 1e-3)
+        fastest = max(min(2.0 * sampling, NUMERICS.fastest_s), 0.5 * sampling, 1e-3)
         seen = float(data.time_s[-1] - data.time_s[max(data.start - 1, 0)])
         return TauBounds(fastest, max(seen, 2.0 * data.pulse_duration_s, 4.0 * fastest))
 
@@ -182,7 +177,7 @@ class Circuit:
         scale = np.sqrt(weight @ columns**2)
         columns /= scale
         size, vectors = np.linalg.eigh(columns.T @ (weight[:, None] * columns))
-        inverse = (vectors / np.maximum(size, SMALLEST_EIGENVALUE * size[-1])) @ vectors.T
+        inverse = (vectors / np.maximum(size, NUMERICS.eigenvalue * size[-1])) @ vectors.T
         spread = inverse @ (columns.T @ (weight[:, None] ** 2 * columns)) @ inverse
         std = noise * np.sqrt(memory * np.maximum(np.diag(spread), 0.0)) / scale
         error = {name: np.inf if name in free else 0.0 for name in PulseParameters._fields}
@@ -193,7 +188,6 @@ class Circuit:
             soc=data.soc,
             current_A=data.pulse_current_A,
             duration_s=data.pulse_duration_s,
-            window_s=float(data.time_s[-1] - data.time_s[data.first]),
             value=value,
             error=PulseParameters(**error),
             rmse_V=self.rmse_V(value),
@@ -207,11 +201,11 @@ class Circuit:
     def _jacobian(self, value: PulseParameters) -> dict[str, FloatArray]:
         """Change of the modelled voltage with each parameter, shape (n,) each."""
         tau = np.array([value.tau1_s, value.tau2_s])
-        fold = np.exp(DERIVATIVE_STEP)
+        fold = np.exp(NUMERICS.step)
         u1, u2, up1, up2, down1, down2 = self.responses(
             np.concatenate((tau, tau * fold, tau / fold))
         )
-        per_s = 1.0 / (2.0 * DERIVATIVE_STEP * tau)
+        per_s = 1.0 / (2.0 * NUMERICS.step * tau)
         return {
             "r0_ohm": -self.current_A,
             "r1_ohm": -u1,

@@ -17,16 +17,14 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.papers.segments import fit_segments
 from cellwise.identify.papers.swarm import fit_swarm
-from cellwise.identify.pulse_fit.circuit import Circuit, TauBounds
+from cellwise.identify.pulse_fit.circuit import NUMERICS, Circuit, TauBounds
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
 Method = Literal["varpro", "segments", "pso"]
 GRID = 10  # time constants from which the search begins, in every pair
-RIDGE = 1e-13  # of the scaled normal equations: two branches may be alike
 SEARCH = {"xatol": 1e-4, "fatol": 1e-10, "maxfev": 200}  # of the range of ln tau; of the variance
-AT_BOUND = 1e-3  # of the range of ln tau
 
 
 def fit_pulse(
@@ -125,7 +123,7 @@ class _Search:
 
     @cached_property
     def valley(self) -> list[_Point]:
-        """At each of `GRID` values of tau2 the best tau1, and all else fitted."""
+        """At each of ten values of tau2 the best tau1, and all else fitted."""
         ln_tau = np.linspace(self.low, self.low + self.room + self.apart, GRID)
         gram, _ = self._normal(np.exp(ln_tau))
         head = len(self.plain)
@@ -199,7 +197,7 @@ class _Search:
         )
         free = [n for n in value._fields if n != "ocv_slope_V" or slope is None]
         held = [n for n in free if n not in ("tau1_s", "tau2_s") and getattr(value, n) <= 0.0]
-        low, high = np.asarray(at) < AT_BOUND, np.asarray(at) > 1.0 - AT_BOUND
+        low, high = np.asarray(at) < NUMERICS.at_bound, np.asarray(at) > 1.0 - NUMERICS.at_bound
         held += ["tau1_s"] if low[1] or high[1] or low[0] else []
         held += ["tau2_s"] if low[0] or high[0] or high[1] else []
         return value, free, held
@@ -232,7 +230,7 @@ def _solved(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
     scale = np.sqrt(np.maximum(np.diagonal(part, axis1=-2, axis2=-1), 1e-300))[..., None, :]
     products = gram[..., None, 0, 1:] / scale * free
     scaled = (part / scale / np.swapaxes(scale, -1, -2))[..., None, :, :]
-    system = scaled * (free[:, :, None] * free[:, None, :]) + (1.0 + RIDGE - free)[
+    system = scaled * (free[:, :, None] * free[:, None, :]) + (1.0 + NUMERICS.ridge - free)[
         ..., None
     ] * np.eye(k)
     tried = np.linalg.solve(system, products[..., None])[..., 0]

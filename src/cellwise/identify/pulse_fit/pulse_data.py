@@ -10,10 +10,19 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.typing import BoolArray, FloatArray
 
-MINIMUM_ROWS = 12
-LEAST_SETTLED_ROWS = 10  # for seven unknowns
-# A relaxation row may count at most so much more or less than a pulse row.
-BALANCE_LIMITS = (0.02, 5.0)
+
+class _Rows(NamedTuple):
+    """Rows of a window, settled ones of them for seven unknowns, and what a row may count.
+
+    A relaxation row may count at most so much less or more than a pulse row.
+    """
+
+    window: int = 12
+    settled: int = 10
+    balance: tuple[float, float] = (0.02, 5.0)
+
+
+ROWS = _Rows()
 
 
 class _Settling(NamedTuple):
@@ -59,12 +68,11 @@ class PulseData:
 
     Raises
     ------
-    InputError        lengths that differ, values that are not finite, time running backwards, a
-                      pulse without current, too few rows
+    InputError        too few rows
 
     See Also
     --------
-    cellwise.identify.pulse_fit.pulse_window : cuts one out of a log
+    cellwise.identify.fitted_pulses : cuts one out of a log
     """
 
     time_s: FloatArray
@@ -80,23 +88,22 @@ class PulseData:
     name: str = ""
 
     def __post_init__(self) -> None:
-        n = np.asarray(self.time_s).size
         for field in ("time_s", "current_A", "voltage_V", "charge_Ah", "ocv_change_V"):
             value = getattr(self, field)
-            if value is None:
-                continue
-            array = np.ascontiguousarray(value, dtype=np.float64)
-            check_channel(array, n, f"{field} of {self._where}")
-            array.setflags(write=False)
-            object.__setattr__(self, field, array)
-        self._check_pulse(n)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.setflags(write=False)
+                object.__setattr__(self, field, array)
+        rows = len(self) - self.first
+        if rows < ROWS.window:
+            raise InputError(
+                f"{rows} rows in pulse '{self.name}'",
+                f"at least {ROWS.window}",
+                "Log the pulse faster, or leave it out.",
+            )
 
     def __len__(self) -> int:
         return self.time_s.size
-
-    @property
-    def _where(self) -> str:
-        return f"pulse '{self.name}'" if self.name else "the pulse"
 
     def _moved_early(self, before: int, edge: int) -> bool:
         """Whether the voltage stepped at row ``before`` already, ahead of the current.
@@ -108,38 +115,6 @@ class PulseData:
         v = self.voltage_V
         whole = abs(v[edge] - v[before - 1])
         return bool(abs(v[before] - v[before - 1]) > SETTLING.early * whole)
-
-    def _check_pulse(self, n: int) -> None:
-        if np.any(np.diff(self.time_s) < 0):
-            raise InputError(
-                f"time running backwards in {self._where}",
-                "time that never decreases",
-                "Sort the rows, or split the log where its clock was reset.",
-            )
-        if not 0 <= self.first <= self.start < self.stop <= n:
-            raise InputError(
-                f"edges at rows {self.start} and {self.stop} of {n} in {self._where}",
-                "0 <= first <= start < stop <= number of rows",
-                "Give the first row of the pulse and the first row after it.",
-            )
-        if n - self.first < MINIMUM_ROWS:
-            raise InputError(
-                f"{n - self.first} rows in {self._where}",
-                f"at least {MINIMUM_ROWS}",
-                "Log the pulse faster, or leave it out.",
-            )
-        if not np.any(self.current_A[self.start : self.stop] != 0.0):
-            raise InputError(
-                f"no current between the edges of {self._where}",
-                "a current pulse",
-                "Check the current column and the rows of the edges.",
-            )
-        if not (np.isfinite(self.capacity_Ah) and self.capacity_Ah > 0.0):
-            raise InputError(
-                f"capacity_Ah = {self.capacity_Ah} for {self._where}",
-                "a capacity above zero [Ah]",
-                "Give the capacity of the cell that was pulsed.",
-            )
 
     @property
     def interval_s(self) -> FloatArray:
@@ -242,7 +217,7 @@ def voltage_noise(data: PulseData) -> float:
 def row_weights(data: PulseData) -> FloatArray:
     """How much each row counts in a fit, shape (n,), mean 1 over the rows that count.
 
-    The relaxation as a whole counts as much as the pulse as a whole, within `BALANCE_LIMITS` per
+    The relaxation as a whole counts as much as the pulse as a whole, within limits per
     row. A tester may log 100 rows in a 10 s pulse and 1,700 in the rest that follows, or 600 rows
     of 0.1 s and then 20 of 60 s; as no cell is exactly a 2-RC circuit, the side with more rows
     would decide alone, and the result would depend on the tester's settings.
@@ -253,7 +228,7 @@ def row_weights(data: PulseData) -> FloatArray:
     weight = np.ones(len(data))
     pulse, relaxation = data.stop - data.start, len(data) - data.stop
     if relaxation > 0:
-        weight[data.stop :] = np.clip(pulse / relaxation, *BALANCE_LIMITS)
+        weight[data.stop :] = np.clip(pulse / relaxation, *ROWS.balance)
     weight[: data.first] = 0.0
     weight[data.settling_rows] = 0.0
     return weight * (np.count_nonzero(weight) / max(float(np.sum(weight)), 1e-300))
@@ -261,21 +236,4 @@ def row_weights(data: PulseData) -> FloatArray:
 
 def has_enough_rows(data: PulseData) -> bool:
     """Whether a fit finds the rows that it needs."""
-    return int(np.count_nonzero(row_weights(data))) >= LEAST_SETTLED_ROWS
-
-
-def check_channel(array: FloatArray, rows: int, what: str) -> None:
-    """Refuse a channel of another length, or with a value that is not finite."""
-    if array.ndim != 1 or array.size != rows:
-        raise InputError(
-            f"{what} of shape {array.shape}",
-            f"one value per row, shape ({rows},)",
-            "Give every channel the length of time_s.",
-        )
-    if not np.all(np.isfinite(array)):
-        row = int(np.flatnonzero(~np.isfinite(array))[0])
-        raise InputError(
-            f"{array[row]} in row {row} of {what}",
-            "finite values",
-            "Drop or repair the row; pulse_from_arrays drops rows without a voltage.",
-        )
+    return int(np.count_nonzero(row_weights(data))) >= ROWS.settled

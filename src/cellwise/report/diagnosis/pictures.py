@@ -16,7 +16,6 @@ from cellwise.report.page.numerals import (
     capitalised,
     counted,
     duration,
-    listed,
     millivolt,
     percent,
     plural,
@@ -293,8 +292,8 @@ def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], wor
 
 
 def residual_text(residual: Mapping[str, Any]) -> Markup:
-    """Noise, correlation and drift as text."""
-    noise, white, drift = residual["noise"], residual["whiteness"], residual["drift"]
+    """Size and noise as text."""
+    noise = residual["noise"]
     lines = [
         f"{counted(residual['rows'])} rows, {millivolt(residual['rmse_V'])} RMSE, mean "
         f"{millivolt(residual['mean_V'])}."
@@ -304,16 +303,6 @@ def residual_text(residual: Mapping[str, Any]) -> Markup:
             f"The noise from row to row, which no model can predict, is "
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
-    if white["white"]:
-        lines.append("The residual is white: successive rows are uncorrelated.")
-    elif white["correlation_s"] is not None:
-        lines.append(f"Errors are correlated over {duration(white['correlation_s'])}.")
-    sure = [
-        f"{millivolt(drift[key])} per {unit}"
-        for key, unit in (("V_per_h", "hour"), ("V_per_Ah", "ampere-hour"))
-        if drift[key] is not None and abs(drift[key]) > 2.0 * (drift[f"{key}_std"] or 0.0)
-    ]
-    lines.append(f"It drifts by {listed(sure)}." if sure else "No drift is certain.")
     return paragraph(" ".join(lines))
 
 

@@ -9,9 +9,8 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import CapacityRow, capacity_table, usable_tests
 from cellwise.identify.identification import Identification
-from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.ocv.ocv_fit import OcvFit, fit_ocv_function
-from cellwise.identify.ocv.ocv_functions import OCV_KINDS
+from cellwise.identify.ocv.curve import OcvCurve, OcvFit, fit_ocv_function
+from cellwise.identify.ocv.ocv_function import OCV_KINDS
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, beside, bullets, details, record_table, table
@@ -23,7 +22,7 @@ from cellwise.typing import FloatArray
 def capacity_rows(identification: Identification) -> tuple[CapacityRow, ...]:
     """Means per rate over the tests that count; none without a complete test."""
     try:
-        return capacity_table(usable_tests(identification.capacity_tests)[0])
+        return capacity_table(usable_tests(identification.capacity_tests))
     except InputError:
         return ()
 
@@ -156,12 +155,11 @@ REFERENCE_C = 25.0
 FORM_STYLE = {
     "log-linear-exp": (style.AMBER, (0, (4, 2))),
     "spline": (style.BLUE, "solid"),
-    "table": (style.PURPLE, (0, (1, 1.5))),
 }
 
 
 class OcvEvidence(NamedTuple):
-    """The curve, all forms of function fitted to its points, and the rests it was moved to.
+    """The curve, both forms of function fitted to its points, and the rests it was moved to.
 
     ``rests_soc`` and ``rests_V`` (n,) are measured voltages at rest; empty without an HPPC log.
     """
@@ -173,7 +171,7 @@ class OcvEvidence(NamedTuple):
 
 
 def ocv_evidence(identification: Identification) -> OcvEvidence:
-    """What the OCV stands on: fits of every form, and the rests of the HPPC log it was made of."""
+    """What the OCV stands on: fits of both forms, and the rests of the HPPC log it was made of."""
     curve = identification.ocv
     fits: list[OcvFit] = []
     for kind in OCV_KINDS:
@@ -196,9 +194,7 @@ def ocv_evidence(identification: Identification) -> OcvEvidence:
     if near is not None:
         try:
             log = near.pulse_sets[0].log
-            rests = ocv_from_rests(
-                log, capacity_Ah=identification.model.capacity_Ah, extrapolate=True
-            )
+            rests = ocv_from_rests(log, identification.model.capacity_Ah)
             soc, level = rests.points_soc, rests.points_V
         except InputError:
             pass  # a log without rests: the curve came from elsewhere
@@ -208,14 +204,14 @@ def ocv_evidence(identification: Identification) -> OcvEvidence:
 def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup:
     """Table of the forms of function, and the notes of the curve."""
     curve, model = evidence.curve, identification.model
-    head = ["function", "RMSE", "largest error", "left-out RMSE"]
+    head = ["function", "RMSE", "largest error"]
     rows = [
-        [fit.kind, *map(millivolt, (fit.rmse_V, fit.max_error_V, fit.held_out_rmse_V))]
+        [fit.kind, millivolt(fit.rmse_V), millivolt(float(np.max(np.abs(fit.residual_V))))]
         for fit in evidence.fits
     ]
     if evidence.rests_soc.size:
         head += ["rests: RMSE", "median"]
-        rows.append(["in the model, refined", "", "", ""])
+        rows.append(["in the model, refined", "", ""])
         refined = np.interp(evidence.rests_soc, model.soc, _model_ocv(identification))
         levels = [fit.function.evaluate(evidence.rests_soc) for fit in evidence.fits]
         for row, level in zip(rows, [*levels, refined], strict=True):
@@ -223,9 +219,8 @@ def ocv_content(identification: Identification, evidence: OcvEvidence) -> Markup
             row += [millivolt(_rms(error)), millivolt(_median_size(error))]
     chosen = next(k for k, fit in enumerate(evidence.fits) if fit is curve.fit)
     text = (
-        f"Fits to {plural(curve.points_soc.size, 'point')}; the marked one was chosen. Left-out: "
-        "every fifth point in turn predicted from the others. Rests: against the voltages at rest, "
-        "where a steep end turns errors of SOC into volts."
+        f"Fits to {plural(curve.points_soc.size, 'point')}; the marked one is taken. Rests: "
+        "against the voltages at rest, where a steep end turns errors of SOC into volts."
     )
     notes = bullets(curve.notes)
     return Markup(

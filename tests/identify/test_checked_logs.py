@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from cellwise.identify.by_temperature import (
+from cellwise.identify.checked_logs import (
     grouped_by_temperature,
     low_rate_tests,
     nearest_test,
-    without_offsets,
 )
 from cellwise.identify.identification import TestLogs
 from cellwise.logs.cell_log import CellLog
@@ -49,11 +47,6 @@ def test_parts_of_one_test_stay_together():
     assert [names(t) for t in low_rate_tests((*parts, WARM))] == [names(parts), ["warm"]]
 
 
-def test_none_at_all():
-    assert low_rate_tests(()) == []
-    assert nearest_test([], 25.0) == ()
-
-
 def test_without_pulses_a_temperature_with_several_tests_has_tables():
     def capacity(at):
         return (log("0.5C", at, 1.4, hours=2.0), log("1C", at, 2.8, hours=1.0))
@@ -89,11 +82,3 @@ def test_beside_pulses_steady_tests_are_those_of_the_reference():
     assert list(found) == [0.0, 25.0]
     assert names(found[25.0].ocv) == ["warm", "cold"]
     assert found[0.0].ocv == ()
-
-
-@pytest.mark.parametrize("given", [(WARM, COLD), (COLD, WARM)])
-def test_tests_of_two_temperatures_are_not_one_with_an_offset(given):
-    # 3.0 Ah out at 25 degC and 2.4 Ah at -20 degC are no sensor's offset.
-    tests, _, notices = without_offsets(TestLogs(ocv=given), 25.0)
-    assert names(tests.ocv) == names(given)
-    assert notices == []
