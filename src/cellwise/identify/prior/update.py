@@ -13,6 +13,8 @@ from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
+from cellwise.identify.prior.cutoff import LEFT, empty_ends, left_at
+from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
@@ -122,6 +124,7 @@ def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     x = np.zeros(problem.size + len(logs))
     problem.judge(problem.residuals(x), first=True)
     for steps in PASSES:
+        problem.look_at_ends(x)
         found = least_squares(problem.weighted, x, problem.slopes, method="lm", max_nfev=steps)
         x = found.x
         residuals = problem.residuals(x)
@@ -154,6 +157,10 @@ class _Problem:
         self.stds = np.array([item.soc0_std for item in logs])
         self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
         self.roots: list[FloatArray] = []
+        limit_V = corrections.prior.voltage_min_V
+        limit_V = float(corrections.prior.ocv_V.min()) if limit_V is None else limit_V
+        self.ends = empty_ends([item.log for item in logs], limit_V)
+        self.left = [(0.0, 1.0) for _ in self.ends]
 
     def soc0(self, x: FloatArray) -> FloatArray:
         """Initial SOC of every log."""
@@ -179,7 +186,74 @@ class _Problem:
     def weighted(self, x: FloatArray) -> FloatArray:
         """The variables and the residuals as they count."""
         each = zip(self.roots, self.residuals(x), strict=True)
-        return np.concatenate((x, *(root * r for root, r in each)))
+        return np.concatenate((x, *(root * r for root, r in each), self._at_ends(x)))
+
+    def look_at_ends(self, x: FloatArray) -> None:
+        """Take what each load that ends at the lower limit leaves, by the model so far."""
+        model = self.corrections.model(x[: self.size])
+        tables = model.parameters()
+        for k, end in enumerate(self.ends):
+            rows = self.rows[end.log]
+            # The same load, moved to where it ends in the middle of the range.
+            start = LEFT.middle + end.charge_Ah / model.capacity_Ah
+            moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
+            voltage = -_residual(tables, moved, start)
+            warm = rows.temperature_C[moved.compared]
+            drop = polarisation_V(model, np.array([LEFT.middle]), warm, voltage)
+            self.left[k] = left_at(end, float(drop[0]))
+
+    def _at_ends(self, x: FloatArray) -> FloatArray:
+        """SOC at the ends against what is left there; a cell differs at all of them alike.
+
+        So all of them together count as the surest one.
+        """
+        if not self.ends:
+            return np.empty(0)
+        corrections, soc0 = self.corrections, self.soc0(x)
+        capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
+        left, std = np.array(self.left).T
+        found = np.array([soc0[end.log] - end.charge_Ah / capacity for end in self.ends])
+        return np.asarray((found - left) / std / (std.min() * np.linalg.norm(1.0 / std)))
+
+    def judge(self, residuals: Sequence[FloatArray], *, first: bool = False) -> None:
+        """Take the size of every log's residual, and how many independent errors it holds."""
+        self.roots = []
+        for r, most in zip(residuals, self.most, strict=True):
+            sigma, number = OF_A_LOG.first_V, most
+            if not first:
+                sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
+                number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
+            robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
+            self.roots.append(np.sqrt(number / r.size / robust) / sigma)
+
+    def weighted(self, x: FloatArray) -> FloatArray:
+        """The variables and the residuals as they count."""
+        each = zip(self.roots, self.residuals(x), strict=True)
+        return np.concatenate((x, *(root * r for root, r in each), self._at_ends(x)))
+
+    def look_at_ends(self, x: FloatArray) -> None:
+        """Take what each load that ends at the lower limit leaves, by the model so far."""
+        model = self.corrections.model(x[: self.size])
+        tables = model.parameters()
+        for k, end in enumerate(self.ends):
+            rows = self.rows[end.log]
+            # The same load, moved to where it ends in the middle of the range.
+            start = LEFT.middle + end.charge_Ah / model.capacity_Ah
+            moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
+            voltage = -_residual(tables, moved, start)
+            warm = rows.temperature_C[moved.compared]
+            drop = polarisation_V(model, np.array([LEFT.middle]), warm, voltage)
+            self.left[k] = left_at(end, float(drop[0]))
+
+    def _at_ends(self, x: FloatArray) -> FloatArray:
+        """SOC at the ends against what is left there; a cell differs at all of them alike."""
+        corrections, soc0 = self.corrections, self.soc0(x)
+        capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
+        found = [
+            (soc0[end.log] - end.charge_Ah / capacity - left) / std
+            for end, (left, std) in zip(self.ends, self.left, strict=True)
+        ]
+        return np.array(found) / np.sqrt(max(len(found), 1))
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """Derivatives of :meth:`weighted`, by differences; an initial SOC moves its own log."""
