@@ -57,7 +57,7 @@ def empty_ends(logs: Sequence[CellLog], limit_V: float) -> list[EmptyEnd]:
     used_V = min(lowest)
     found = []
     for k, (log, low_V) in enumerate(zip(logs, lowest, strict=True)):
-        if low_V <= max(limit_V, used_V) + LEFT.above_V:
+        if low_V <= limit_V + LEFT.above_V:
             charge = log.counted_charge_Ah()
             near = np.flatnonzero(log.voltage_V <= low_V + LEFT.near_V)
             row = int(near[np.argmax(charge[near])])

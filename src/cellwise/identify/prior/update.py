@@ -30,6 +30,8 @@ class Evidence(NamedTuple):
     first_V : float         of the residuals before any fit [V]
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
+    share : float           of the voltage drop: what no table of one temperature and rate says of
+                            another
     memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
                             wrong for as long as the SOC stays near. The filters' default noise has
                             the same time [s]
@@ -40,6 +42,7 @@ class Evidence(NamedTuple):
     first_V: float = 0.02
     robust: float = 4.0
     fewest: float = 4.0
+    share: float = 0.05
     memory_s: float = 300.0
     rows: float = 20.0
     most: float = 50.0
@@ -104,6 +107,13 @@ class _Rows(NamedTuple):
     measured_V: FloatArray
     h0: float
 
+    def drop_V(self, model: CellModel, soc0: float, residual_V: FloatArray) -> FloatArray:
+        """What the load takes off the OCV at the compared rows [V]."""
+        charge = np.cumsum(self.current_A * self.interval_s) / 3600.0
+        soc = np.clip(soc0 - charge[self.compared] / model.capacity_Ah, 0.0, 1.0)
+        warm = self.temperature_C[self.compared]
+        return polarisation_V(model, soc, warm, self.measured_V - residual_V)
+
 
 def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     """Fit corrections and initial SOCs to the logs' voltages, held by the prior.
@@ -122,13 +132,12 @@ def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     """
     problem = _Problem(corrections, logs)
     x = np.zeros(problem.size + len(logs))
-    problem.judge(problem.residuals(x), first=True)
+    problem.judge(x, first=True)
     for steps in PASSES:
-        problem.look_at_ends(x)
         found = least_squares(problem.weighted, x, problem.slopes, method="lm", max_nfev=steps)
         x = found.x
-        residuals = problem.residuals(x)
-        problem.judge(residuals)
+        problem.judge(x)
+    residuals = problem.residuals(x)
     slope = problem.slopes(x)
     covariance = np.asarray(np.linalg.inv(slope.T @ slope), dtype=np.float64)
     z, size = x[: problem.size], problem.size
@@ -172,34 +181,35 @@ class _Problem:
         each = zip(self.rows, self.soc0(x), strict=True)
         return [_residual(tables, one, float(soc0)) for one, soc0 in each]
 
-    def judge(self, residuals: Sequence[FloatArray], *, first: bool = False) -> None:
+    def judge(self, x: FloatArray, *, first: bool = False) -> None:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
-        for r, most in zip(residuals, self.most, strict=True):
+        model, each = self.corrections.model(x[: self.size]), self.residuals(x)
+        for r, rows, soc0, most in zip(each, self.rows, self.soc0(x), self.most, strict=True):
             sigma, number = OF_A_LOG.first_V, most
             if not first:
                 sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
-            self.roots.append(np.sqrt(number / r.size / robust) / sigma)
+            drop = rows.drop_V(model, float(soc0), r)
+            wide = np.hypot(sigma, OF_A_LOG.share * drop)
+            self.roots.append(np.sqrt(number / r.size / robust) / wide)
+        self._look_at_ends(model)
 
     def weighted(self, x: FloatArray) -> FloatArray:
         """The variables and the residuals as they count."""
         each = zip(self.roots, self.residuals(x), strict=True)
         return np.concatenate((x, *(root * r for root, r in each), self._at_ends(x)))
 
-    def look_at_ends(self, x: FloatArray) -> None:
+    def _look_at_ends(self, model: CellModel) -> None:
         """Take what each load that ends at the lower limit leaves, by the model so far."""
-        model = self.corrections.model(x[: self.size])
         tables = model.parameters()
         for k, end in enumerate(self.ends):
             rows = self.rows[end.log]
             # The same load, moved to where it ends in the middle of the range.
             start = LEFT.middle + end.charge_Ah / model.capacity_Ah
             moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
-            voltage = -_residual(tables, moved, start)
-            warm = rows.temperature_C[moved.compared]
-            drop = polarisation_V(model, np.array([LEFT.middle]), warm, voltage)
+            drop = moved.drop_V(model, start, _residual(tables, moved, start))
             self.left[k] = left_at(end, float(drop[0]))
 
     def _at_ends(self, x: FloatArray) -> FloatArray:
@@ -214,46 +224,6 @@ class _Problem:
         left, std = np.array(self.left).T
         found = np.array([soc0[end.log] - end.charge_Ah / capacity for end in self.ends])
         return np.asarray((found - left) / std / (std.min() * np.linalg.norm(1.0 / std)))
-
-    def judge(self, residuals: Sequence[FloatArray], *, first: bool = False) -> None:
-        """Take the size of every log's residual, and how many independent errors it holds."""
-        self.roots = []
-        for r, most in zip(residuals, self.most, strict=True):
-            sigma, number = OF_A_LOG.first_V, most
-            if not first:
-                sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
-                number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
-            robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
-            self.roots.append(np.sqrt(number / r.size / robust) / sigma)
-
-    def weighted(self, x: FloatArray) -> FloatArray:
-        """The variables and the residuals as they count."""
-        each = zip(self.roots, self.residuals(x), strict=True)
-        return np.concatenate((x, *(root * r for root, r in each), self._at_ends(x)))
-
-    def look_at_ends(self, x: FloatArray) -> None:
-        """Take what each load that ends at the lower limit leaves, by the model so far."""
-        model = self.corrections.model(x[: self.size])
-        tables = model.parameters()
-        for k, end in enumerate(self.ends):
-            rows = self.rows[end.log]
-            # The same load, moved to where it ends in the middle of the range.
-            start = LEFT.middle + end.charge_Ah / model.capacity_Ah
-            moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
-            voltage = -_residual(tables, moved, start)
-            warm = rows.temperature_C[moved.compared]
-            drop = polarisation_V(model, np.array([LEFT.middle]), warm, voltage)
-            self.left[k] = left_at(end, float(drop[0]))
-
-    def _at_ends(self, x: FloatArray) -> FloatArray:
-        """SOC at the ends against what is left there; a cell differs at all of them alike."""
-        corrections, soc0 = self.corrections, self.soc0(x)
-        capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
-        found = [
-            (soc0[end.log] - end.charge_Ah / capacity - left) / std
-            for end, (left, std) in zip(self.ends, self.left, strict=True)
-        ]
-        return np.array(found) / np.sqrt(max(len(found), 1))
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """Derivatives of :meth:`weighted`, by differences; an initial SOC moves its own log."""
