@@ -20,16 +20,19 @@ class LeftAtLimit(NamedTuple):
 
     Parameters
     ----------
+    always : float          left after any load of more than a low rate
     per_V2 : float          SOC over the square of that voltage. Four cells measured at C/10 and
                             less, and four physics models, have 0.01 to 0.02 at 0.3 V, 0.015 to 0.055
                             at 0.5 V and 0.035 to 0.16 at 0.7 V, whatever their limit
-    relative, least : float      its standard deviation, of itself and at least
+    relative, least : float      standard deviation, of the part by that voltage and at least. At 1C
+                            and 25 degC eight cells have 0.00 to 0.07 left, half of them 0.02 to 0.03
     middle : float          SOC where the same load shows its voltage drop undisturbed by the end
     growth : float          the drop near empty over that in the middle
     near_V : float          rows this near a log's lowest voltage are its end
     above_V : float         a lowest voltage further above the limit is none: the load just ended
     """
 
+    always: float = 0.01
     per_V2: float = 0.15
     relative: float = 0.5
     least: float = 0.006
@@ -68,5 +71,5 @@ def empty_ends(logs: Sequence[CellLog], limit_V: float) -> list[EmptyEnd]:
 def left_at(end: EmptyEnd, drop_V: float) -> tuple[float, float]:
     """SOC at an end and its standard deviation, by the load's voltage drop in the middle [V]."""
     above_V = max(end.above_V + LEFT.growth * drop_V, 0.0)
-    left = LEFT.per_V2 * above_V**2
-    return left, LEFT.relative * left + LEFT.least
+    left = LEFT.always + LEFT.per_V2 * above_V**2
+    return left, LEFT.relative * (left - LEFT.always) + LEFT.least

@@ -30,8 +30,8 @@ class Evidence(NamedTuple):
     first_V : float         of the residuals before any fit [V]
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
-    share : float           of the voltage drop: what no table of one temperature and rate says of
-                            another
+    share : float           of the voltage drop, in the lower third of the SOC range: there it does
+                            not follow temperature and rate as tables do
     memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
                             wrong for as long as the SOC stays near. The filters' default noise has
                             the same time [s]
@@ -42,7 +42,7 @@ class Evidence(NamedTuple):
     first_V: float = 0.02
     robust: float = 4.0
     fewest: float = 4.0
-    share: float = 0.05
+    share: float = 0.1
     memory_s: float = 300.0
     rows: float = 20.0
     most: float = 50.0
@@ -107,10 +107,13 @@ class _Rows(NamedTuple):
     measured_V: FloatArray
     h0: float
 
-    def drop_V(self, model: CellModel, soc0: float, residual_V: FloatArray) -> FloatArray:
+    def soc(self, model: CellModel, soc0: float) -> FloatArray:
+        """SOC at the compared rows."""
+        charge = np.cumsum(self.current_A * self.interval_s)[self.compared] / 3600.0
+        return np.clip(soc0 - charge / model.capacity_Ah, 0.0, 1.0)
+
+    def drop_V(self, model: CellModel, soc: FloatArray, residual_V: FloatArray) -> FloatArray:
         """What the load takes off the OCV at the compared rows [V]."""
-        charge = np.cumsum(self.current_A * self.interval_s) / 3600.0
-        soc = np.clip(soc0 - charge[self.compared] / model.capacity_Ah, 0.0, 1.0)
         warm = self.temperature_C[self.compared]
         return polarisation_V(model, soc, warm, self.measured_V - residual_V)
 
@@ -191,8 +194,9 @@ class _Problem:
                 sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
-            drop = rows.drop_V(model, float(soc0), r)
-            wide = np.hypot(sigma, OF_A_LOG.share * drop)
+            soc = rows.soc(model, float(soc0))
+            share = np.where(soc <= LEFT.middle, OF_A_LOG.share, 0.0)
+            wide = np.hypot(sigma, share * rows.drop_V(model, soc, r))
             self.roots.append(np.sqrt(number / r.size / robust) / wide)
         self._look_at_ends(model)
 
@@ -209,7 +213,8 @@ class _Problem:
             # The same load, moved to where it ends in the middle of the range.
             start = LEFT.middle + end.charge_Ah / model.capacity_Ah
             moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
-            drop = moved.drop_V(model, start, _residual(tables, moved, start))
+            residual = _residual(tables, moved, start)
+            drop = moved.drop_V(model, moved.soc(model, start), residual)
             self.left[k] = left_at(end, float(drop[0]))
 
     def _at_ends(self, x: FloatArray) -> FloatArray:
