@@ -204,5 +204,6 @@ def _sums(text: str, url: str) -> list[RemoteFile]:
         checksum, _, name = line.strip().partition(" ")
         name = name.strip().removeprefix("*")
         if len(checksum) == 64 and set(checksum.lower()) <= set("0123456789abcdef") and name:
-            found.append(RemoteFile(name, urljoin(url, quote(name)), "sha256", checksum.lower(), None))
+            place = urljoin(url, quote(name))
+            found.append(RemoteFile(name, place, "sha256", checksum.lower(), None))
     return found

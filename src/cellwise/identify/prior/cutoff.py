@@ -21,11 +21,11 @@ class LeftAtLimit(NamedTuple):
     Parameters
     ----------
     always : float          left after any load of more than a low rate
-    per_V2 : float          SOC over the square of that voltage. Four cells measured at C/10 and
-                            less, and four physics models, have 0.01 to 0.02 at 0.3 V, 0.015 to 0.055
-                            at 0.5 V and 0.035 to 0.16 at 0.7 V, whatever their limit
-    relative, least : float      standard deviation, of the part by that voltage and at least. At 1C
-                            and 25 degC eight cells have 0.00 to 0.07 left, half of them 0.02 to 0.03
+    per_V2 : float          SOC over the square of that voltage. Measured at C/10 and less,
+                            and of physics models, eight cells have 0.01 to 0.02 at 0.3 V, 0.015 to
+                            0.055 at 0.5 V and 0.035 to 0.16 at 0.7 V, whatever their limit
+    relative, least : float     standard deviation, of the part by that voltage and at least. After
+                            1C at 25 degC eight cells have 0.00 to 0.07, half of them 0.02 to 0.03
     middle : float          SOC where the same load shows its voltage drop undisturbed by the end
     growth : float          the drop near empty over that in the middle
     near_V : float          rows this near a log's lowest voltage are its end
