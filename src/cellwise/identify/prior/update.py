@@ -218,7 +218,7 @@ class _Problem:
             self.left[k] = left_at(end, float(drop[0]))
 
     def _at_ends(self, x: FloatArray) -> FloatArray:
-        """SOC at the ends against what is left there; a cell differs at all of them alike.
+        """SOC at the ends less the usual one there; a cell differs at all of them alike.
 
         So all of them together count as the surest one.
         """
