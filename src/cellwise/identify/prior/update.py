@@ -30,8 +30,8 @@ class Evidence(NamedTuple):
     first_V : float         of the residuals before any fit [V]
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
-    share : float           of the voltage drop, in the lower third of the SOC range: there it does
-                            not follow temperature and rate as tables do
+    share : float           of the voltage drop, in the lower third of the SOC range of logs that
+                            end empty: there it does not follow temperature and rate as tables do
     memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
                             wrong for as long as the SOC stays near. The filters' default noise has
                             the same time [s]
@@ -188,14 +188,16 @@ class _Problem:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
         model, each = self.corrections.model(x[: self.size]), self.residuals(x)
-        for r, rows, soc0, most in zip(each, self.rows, self.soc0(x), self.most, strict=True):
+        ended = {end.log for end in self.ends}
+        every = zip(each, self.rows, self.soc0(x), self.most, strict=True)
+        for k, (r, rows, soc0, most) in enumerate(every):
             sigma, number = OF_A_LOG.first_V, most
             if not first:
                 sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
             soc = rows.soc(model, float(soc0))
-            share = np.where(soc <= LEFT.middle, OF_A_LOG.share, 0.0)
+            share = OF_A_LOG.share * (soc <= LEFT.middle) * (k in ended)
             wide = np.hypot(sigma, share * rows.drop_V(model, soc, r))
             self.roots.append(np.sqrt(number / r.size / robust) / wide)
         self._look_at_ends(model)
