@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from prior_cells import CAPACITY_AH, drive_of, other_cell
+from prior_cells import CAPACITY_AH, other_cell
 
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
 from cellwise.data import list_datasets, load_dataset
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.prior.cutoff import EmptyEnd, empty_ends, left_at
+from cellwise.identify.prior.cutoff import left_at, lowest_row
 from cellwise.logs.cell_log import CellLog
 
 
@@ -30,26 +30,26 @@ def discharge(rate, limit_V=2.8):
 
 def test_the_end_is_the_last_loaded_row_at_the_limit():
     log = discharge(1.0)
-    (end,) = empty_ends([log], 2.8)
+    end = lowest_row(log)
     assert log.current_A[end.row] > 0.0
-    assert log.voltage_V[end.row] == pytest.approx(2.8, abs=0.02)
+    assert end.voltage_V == pytest.approx(2.8, abs=0.02)
     assert end.charge_Ah == pytest.approx(np.max(log.counted_charge_Ah()), rel=2e-3)
-    assert end.above_V == 0.0
 
 
-def test_a_drive_that_only_stops_is_no_end():
-    assert empty_ends([drive_of(other_cell(), 0.8, 0.5)], 2.8) == []
+def test_a_log_that_only_stops_is_no_end():
+    left, std = left_at(np.array([3.3, 2.8]), np.array([3.5, 3.5]), np.array([0.1, 0.1]))
+    assert np.isinf(std[0])
+    assert left[1] < 3.0 * std[1] < 0.1
 
 
 def test_an_end_above_the_lowest_limit_of_all_leaves_more():
-    high, low = empty_ends([discharge(1.0, 3.0), discharge(1.0, 2.8)], 2.8)
-    assert high.above_V == pytest.approx(0.2, abs=0.02)
-    assert left_at(high, 0.2)[0] > left_at(low, 0.2)[0]
+    left, std = left_at(np.array([3.0, 2.8]), np.full(2, 3.5), np.full(2, 0.2))
+    assert left[0] > left[1]
+    assert std[0] > std[1]
 
 
 def test_a_larger_drop_leaves_more_and_is_less_sure():
-    end = EmptyEnd(0, 0, 1.0, 0.0)
-    left, std = np.array([left_at(end, drop) for drop in (0.0, 0.1, 0.2, 0.4)]).T
+    left, std = left_at(np.full(4, 2.8), np.full(4, 3.5), np.array([0.0, 0.1, 0.2, 0.4]))
     assert np.all(np.diff(left) > 0.0)
     assert np.all(np.diff(std) > 0.0)
     assert 0.0 < left[0] < 0.02

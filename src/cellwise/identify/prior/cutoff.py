@@ -7,12 +7,12 @@ limit is: what a load leaves follows from how far it holds the voltage below the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
 
 
 class LeftAtLimit(NamedTuple):
@@ -29,7 +29,8 @@ class LeftAtLimit(NamedTuple):
     middle : float          SOC where the same load shows its voltage drop undisturbed by the end
     growth : float          the drop near empty over that in the middle
     near_V : float          rows this near a log's lowest voltage are its end
-    above_V : float         a lowest voltage further above the limit is none: the load just ended
+    fall_V : float          a load in the middle of the range is this much above one at the limit;
+                            with less of a fall the log just ended
     """
 
     always: float = 0.01
@@ -39,37 +40,42 @@ class LeftAtLimit(NamedTuple):
     middle: float = 0.35
     growth: float = 2.0
     near_V: float = 0.1
-    above_V: float = 0.35
+    fall_V: float = 0.3
 
 
 LEFT = LeftAtLimit()
 
 
-class EmptyEnd(NamedTuple):
-    """The emptiest row at the limit, the charge until there, and its voltage above the limit."""
+class LowestRow(NamedTuple):
+    """The emptiest row near a log's lowest voltage, the charge until there, and that voltage."""
 
-    log: int
     row: int
     charge_Ah: float
-    above_V: float
+    voltage_V: float
 
 
-def empty_ends(logs: Sequence[CellLog], limit_V: float) -> list[EmptyEnd]:
-    """Where logs end at the lower limit: the lowest voltage of all, if it is near ``limit_V``."""
-    lowest = [float(np.nanmin(log.voltage_V)) for log in logs]
-    used_V = min(lowest)
-    found = []
-    for k, (log, low_V) in enumerate(zip(logs, lowest, strict=True)):
-        if low_V <= limit_V + LEFT.above_V:
-            charge = log.counted_charge_Ah()
-            near = np.flatnonzero(log.voltage_V <= low_V + LEFT.near_V)
-            row = int(near[np.argmax(charge[near])])
-            found.append(EmptyEnd(k, row, float(charge[row]), low_V - used_V))
-    return found
+def lowest_row(log: CellLog) -> LowestRow:
+    """Where a log would end empty, if it does."""
+    low_V = float(np.nanmin(log.voltage_V))
+    charge = log.counted_charge_Ah()
+    near = np.flatnonzero(log.voltage_V <= low_V + LEFT.near_V)
+    row = int(near[np.argmax(charge[near])])
+    return LowestRow(row, float(charge[row]), low_V)
 
 
-def left_at(end: EmptyEnd, drop_V: float) -> tuple[float, float]:
-    """SOC at an end and its standard deviation, by the load's voltage drop in the middle [V]."""
-    above_V = max(end.above_V + LEFT.growth * drop_V, 0.0)
-    left = LEFT.always + LEFT.per_V2 * above_V**2
-    return left, LEFT.relative * (left - LEFT.always) + LEFT.least
+def left_at(
+    lowest_V: FloatArray, middle_V: FloatArray, drop_V: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """SOC at the lowest rows of logs and its standard deviation, infinite where none is empty.
+
+    Parameters
+    ----------
+    lowest_V : (logs,) array    the logs' lowest voltages [V]
+    middle_V, drop_V : (logs,) array    voltage of the same loads at ``middle``, and what they take
+                                        off the OCV there [V]
+    """
+    empty = lowest_V < middle_V - LEFT.fall_V
+    limit_V = np.min(lowest_V, where=empty, initial=np.inf)
+    above_V = np.where(empty, lowest_V - limit_V, 0.0) + LEFT.growth * np.maximum(drop_V, 0.0)
+    part = LEFT.per_V2 * above_V**2
+    return LEFT.always + part, np.where(empty, LEFT.relative * part + LEFT.least, np.inf)

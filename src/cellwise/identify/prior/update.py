@@ -13,7 +13,7 @@ from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
-from cellwise.identify.prior.cutoff import LEFT, empty_ends, left_at
+from cellwise.identify.prior.cutoff import LEFT, left_at, lowest_row
 from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
@@ -169,10 +169,8 @@ class _Problem:
         self.stds = np.array([item.soc0_std for item in logs])
         self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
         self.roots: list[FloatArray] = []
-        limit_V = corrections.prior.voltage_min_V
-        limit_V = float(corrections.prior.ocv_V.min()) if limit_V is None else limit_V
-        self.ends = empty_ends([item.log for item in logs], limit_V)
-        self.left = [(0.0, 1.0) for _ in self.ends]
+        self.lowest = [lowest_row(item.log) for item in logs]
+        self.left, self.left_std = np.zeros(len(logs)), np.full(len(logs), np.inf)
 
     def soc0(self, x: FloatArray) -> FloatArray:
         """Initial SOC of every log."""
@@ -188,7 +186,7 @@ class _Problem:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
         model, each = self.corrections.model(x[: self.size]), self.residuals(x)
-        ended = {end.log for end in self.ends}
+        self._look_at_ends(model)
         every = zip(each, self.rows, self.soc0(x), self.most, strict=True)
         for k, (r, rows, soc0, most) in enumerate(every):
             sigma, number = OF_A_LOG.first_V, most
@@ -197,10 +195,9 @@ class _Problem:
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
             soc = rows.soc(model, float(soc0))
-            share = OF_A_LOG.share * (soc <= LEFT.middle) * (k in ended)
+            share = OF_A_LOG.share * (soc <= LEFT.middle) * np.isfinite(self.left_std[k])
             wide = np.hypot(sigma, share * rows.drop_V(model, soc, r))
             self.roots.append(np.sqrt(number / r.size / robust) / wide)
-        self._look_at_ends(model)
 
     def weighted(self, x: FloatArray) -> FloatArray:
         """The variables and the residuals as they count."""
@@ -210,27 +207,30 @@ class _Problem:
     def _look_at_ends(self, model: CellModel) -> None:
         """Take what each load that ends at the lower limit leaves, by the model so far."""
         tables = model.parameters()
-        for k, end in enumerate(self.ends):
-            rows = self.rows[end.log]
+        middle, drop = [], []
+        for rows, end in zip(self.rows, self.lowest, strict=True):
             # The same load, moved to where it ends in the middle of the range.
             start = LEFT.middle + end.charge_Ah / model.capacity_Ah
             moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
             residual = _residual(tables, moved, start)
-            drop = moved.drop_V(model, moved.soc(model, start), residual)
-            self.left[k] = left_at(end, float(drop[0]))
+            middle.append(-float(residual[0]))
+            drop.append(float(moved.drop_V(model, moved.soc(model, start), residual)[0]))
+        lowest = np.array([end.voltage_V for end in self.lowest])
+        self.left, self.left_std = left_at(lowest, np.array(middle), np.array(drop))
 
     def _at_ends(self, x: FloatArray) -> FloatArray:
         """SOC at the ends less the usual one there; a cell differs at all of them alike.
 
         So all of them together count as the surest one.
         """
-        if not self.ends:
-            return np.empty(0)
-        corrections, soc0 = self.corrections, self.soc0(x)
+        weight = 1.0 / self.left_std
+        if not weight.any():
+            return np.zeros(weight.size)
+        corrections = self.corrections
         capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
-        left, std = np.array(self.left).T
-        found = np.array([soc0[end.log] - end.charge_Ah / capacity for end in self.ends])
-        return np.asarray((found - left) / std / (std.min() * np.linalg.norm(1.0 / std)))
+        moved = np.array([end.charge_Ah for end in self.lowest]) / capacity
+        share = weight * weight.max() / np.linalg.norm(weight)
+        return np.asarray(share * (self.soc0(x) - moved - self.left))
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """Derivatives of :meth:`weighted`, by differences; an initial SOC moves its own log."""
