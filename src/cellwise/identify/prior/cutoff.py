@@ -1,8 +1,8 @@
 """What a cell still holds where a load ends at its lower voltage limit.
 
 Near empty a prior of another kind knows neither where the OCV falls nor what the resistances become
-there, and one voltage cannot separate the two from a larger capacity. But empty is where the user's own
-limit is: what a load leaves follows from how far it holds the voltage below the OCV.
+there, and one voltage cannot separate the two from a larger capacity. But empty is where the user's
+own limit is: what a load leaves follows from how far it holds the voltage below the OCV.
 """
 
 from __future__ import annotations
