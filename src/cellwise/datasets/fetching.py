@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 from urllib.error import URLError
-from urllib.parse import urljoin
+from urllib.parse import quote, urljoin
 from urllib.request import Request, urlopen
 
 from cellwise.data import list_originals
@@ -204,5 +204,6 @@ def _sums(text: str, url: str) -> list[RemoteFile]:
         checksum, _, name = line.strip().partition(" ")
         name = name.strip().removeprefix("*")
         if len(checksum) == 64 and set(checksum.lower()) <= set("0123456789abcdef") and name:
-            found.append(RemoteFile(name, urljoin(url, name), "sha256", checksum.lower(), None))
+            place = urljoin(url, quote(name))
+            found.append(RemoteFile(name, place, "sha256", checksum.lower(), None))
     return found

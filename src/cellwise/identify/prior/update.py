@@ -13,6 +13,8 @@ from cellwise.cell.equations import CellTables, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate_rows
 from cellwise.identify.prior.corrections import Corrections
+from cellwise.identify.prior.cutoff import LEFT, left_at, lowest_row
+from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.identify.refinement.problem import independent_samples
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
@@ -28,6 +30,8 @@ class Evidence(NamedTuple):
     first_V : float         of the residuals before any fit [V]
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
+    share : float           of the voltage drop, in the lower third of the SOC range of logs that
+                            end empty: there it does not follow temperature and rate as tables do
     memory_s : float        residuals of a fit forget sooner than the model's error does: tables are
                             wrong for as long as the SOC stays near. The filters' default noise has
                             the same time [s]
@@ -38,6 +42,7 @@ class Evidence(NamedTuple):
     first_V: float = 0.02
     robust: float = 4.0
     fewest: float = 4.0
+    share: float = 0.1
     memory_s: float = 300.0
     rows: float = 20.0
     most: float = 50.0
@@ -102,6 +107,16 @@ class _Rows(NamedTuple):
     measured_V: FloatArray
     h0: float
 
+    def soc(self, model: CellModel, soc0: float) -> FloatArray:
+        """SOC at the compared rows."""
+        charge = np.cumsum(self.current_A * self.interval_s)[self.compared] / 3600.0
+        return np.clip(soc0 - charge / model.capacity_Ah, 0.0, 1.0)
+
+    def drop_V(self, model: CellModel, soc: FloatArray, residual_V: FloatArray) -> FloatArray:
+        """What the load takes off the OCV at the compared rows [V]."""
+        warm = self.temperature_C[self.compared]
+        return polarisation_V(model, soc, warm, self.measured_V - residual_V)
+
 
 def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     """Fit corrections and initial SOCs to the logs' voltages, held by the prior.
@@ -120,12 +135,12 @@ def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
     """
     problem = _Problem(corrections, logs)
     x = np.zeros(problem.size + len(logs))
-    problem.judge(problem.residuals(x), first=True)
+    problem.judge(x, first=True)
     for steps in PASSES:
         found = least_squares(problem.weighted, x, problem.slopes, method="lm", max_nfev=steps)
         x = found.x
-        residuals = problem.residuals(x)
-        problem.judge(residuals)
+        problem.judge(x)
+    residuals = problem.residuals(x)
     slope = problem.slopes(x)
     covariance = np.asarray(np.linalg.inv(slope.T @ slope), dtype=np.float64)
     z, size = x[: problem.size], problem.size
@@ -154,6 +169,8 @@ class _Problem:
         self.stds = np.array([item.soc0_std for item in logs])
         self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
         self.roots: list[FloatArray] = []
+        self.lowest = [lowest_row(item.log) for item in logs]
+        self.left, self.left_std = np.zeros(len(logs)), np.full(len(logs), np.inf)
 
     def soc0(self, x: FloatArray) -> FloatArray:
         """Initial SOC of every log."""
@@ -165,21 +182,55 @@ class _Problem:
         each = zip(self.rows, self.soc0(x), strict=True)
         return [_residual(tables, one, float(soc0)) for one, soc0 in each]
 
-    def judge(self, residuals: Sequence[FloatArray], *, first: bool = False) -> None:
+    def judge(self, x: FloatArray, *, first: bool = False) -> None:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
-        for r, most in zip(residuals, self.most, strict=True):
+        model, each = self.corrections.model(x[: self.size]), self.residuals(x)
+        self._look_at_ends(model)
+        every = zip(each, self.rows, self.soc0(x), self.most, strict=True)
+        for k, (r, rows, soc0, most) in enumerate(every):
             sigma, number = OF_A_LOG.first_V, most
             if not first:
                 sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
-            self.roots.append(np.sqrt(number / r.size / robust) / sigma)
+            soc = rows.soc(model, float(soc0))
+            share = OF_A_LOG.share * (soc <= LEFT.middle) * np.isfinite(self.left_std[k])
+            wide = np.hypot(sigma, share * rows.drop_V(model, soc, r))
+            self.roots.append(np.sqrt(number / r.size / robust) / wide)
 
     def weighted(self, x: FloatArray) -> FloatArray:
         """The variables and the residuals as they count."""
         each = zip(self.roots, self.residuals(x), strict=True)
-        return np.concatenate((x, *(root * r for root, r in each)))
+        return np.concatenate((x, *(root * r for root, r in each), self._at_ends(x)))
+
+    def _look_at_ends(self, model: CellModel) -> None:
+        """Take what each load that ends at the lower limit leaves, by the model so far."""
+        tables = model.parameters()
+        middle, drop = [], []
+        for rows, end in zip(self.rows, self.lowest, strict=True):
+            # The same load, moved to where it ends in the middle of the range.
+            start = LEFT.middle + end.charge_Ah / model.capacity_Ah
+            moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
+            residual = _residual(tables, moved, start)
+            middle.append(-float(residual[0]))
+            drop.append(float(moved.drop_V(model, moved.soc(model, start), residual)[0]))
+        lowest = np.array([end.voltage_V for end in self.lowest])
+        self.left, self.left_std = left_at(lowest, np.array(middle), np.array(drop))
+
+    def _at_ends(self, x: FloatArray) -> FloatArray:
+        """SOC at the ends less the usual one there; a cell differs at all of them alike.
+
+        So all of them together count as the surest one.
+        """
+        weight = 1.0 / self.left_std
+        if not weight.any():
+            return np.zeros(weight.size)
+        corrections = self.corrections
+        capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
+        moved = np.array([end.charge_Ah for end in self.lowest]) / capacity
+        share = weight * weight.max() / np.linalg.norm(weight)
+        return np.asarray(share * (self.soc0(x) - moved - self.left))
 
     def slopes(self, x: FloatArray) -> FloatArray:
         """Derivatives of :meth:`weighted`, by differences; an initial SOC moves its own log."""
