@@ -1,4 +1,4 @@
-"""A judged log on an even time step: what was a gap stays one. Tests begin where rows are told."""
+"""A judged log on an even time step: what was a gap stays one. Tests begin where rows are given to begin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_week_without_rows_is_no_week_of_steps():
 
 
 @pytest.mark.parametrize(("stated", "began"), [("", 1.0), ("@soc0=0.8", 0.8)])
-def test_identification_is_told_the_start_that_other_rows_are_told(tmp_path, stated, began):
+def test_identification_has_the_start_that_other_rows_have(tmp_path, stated, began):
     """A drive that begins under load: without its start it is no test of a cold cell."""
     log = "embedded:nmc_drive_b"
     (tmp_path / "one.toml").write_text(
@@ -40,5 +40,5 @@ def test_identification_is_told_the_start_that_other_rows_are_told(tmp_path, sta
     suite = read_suite(tmp_path / "one.toml")
     (cell,) = suite.cells
     (drive, _) = cell_tests(cell, suite, None).drive[0]
-    ((_, _, told),) = training_logs(cell, stock_model("nmc-18650"), suite, None)
-    assert drive.soc0 == told == began
+    ((_, _, given),) = training_logs(cell, stock_model("nmc-18650"), suite, None)
+    assert drive.soc0 == given == began

@@ -248,13 +248,13 @@ def cell_tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
 
 
 def _began_full(cell: SuiteCell, suite: Suite, log: CellLog) -> CellLog:
-    """A drive with the start that rows of other packages are told: full.
+    """A drive with the start that rows of other packages are given: full.
 
     In the cold the first minute under load does not separate full from half, and a drive whose
     start nobody states is no test of a cell there.
     """
-    told = bool(suite.rows) or cell.rested_full_V is not None
-    return replace(log, soc0=1.0) if told and log.soc0 is None else log
+    stated = bool(suite.rows) or cell.rested_full_V is not None
+    return replace(log, soc0=1.0) if stated and log.soc0 is None else log
 
 
 def _entry(name: str) -> dict[str, object]:
