@@ -1,6 +1,6 @@
 """What is lost without each mechanism of a filter, on the panel, with an interval over logs.
 
-python -m benchmarks.ablation [--keep DIR] [--only "persistent,recovery"] [-o TABLE.md]
+python -m benchmarks.ablation [--keep DIR] [--only "mismatch,recovery"] [-o TABLE.md]
 """
 
 from __future__ import annotations

@@ -70,6 +70,7 @@ def valid_everywhere(model: CellModel) -> ValidityScalars:
 SWITCHES = (
     Switch("nothing"),
     Switch("memory that grows", noise={"slow_first_s": 1e9}),
+    Switch("mismatch", noise={"mismatch_cap": 0.0}),
     Switch("persistent", noise={"lasting_share": 0.0}),
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),

@@ -253,7 +253,7 @@ def _began_full(cell: SuiteCell, suite: Suite, log: CellLog) -> CellLog:
     In the cold the first minute under load does not separate full from half, and a drive whose
     start nobody states is no test of a cell there.
     """
-    stated = bool(suite.rows) or cell.rested_full_V is not None
+    stated = suite.frozen or cell.rested_full_V is not None
     return replace(log, soc0=1.0) if stated and log.soc0 is None else log
 
 

@@ -68,8 +68,9 @@ class Noise:
     slow_first_s : float      how long it is remembered at first, while quick parts average out
     slow_half_s : float       when it is half way between the two
     ocv_soc : float           error of the OCV along the SOC axis
-    mismatch_cap : float      above 0 the model's error variance grows with what the innovations
-                              have shown over slow_s, a single one counting at most this often
+    mismatch_cap : float      a model of another temperature or age is wrong all the time: its error
+                              variance grows with what the innovations have shown over slow_s, a
+                              single one counting at most this often; 0 keeps the variance
     gate : float              innovations beyond this many standard deviations are rejected
     recovery_after : int      rejections in a row after which the variance is widened
     gap_soc : float           SOC that may have flowed unseen over a long gap
@@ -94,7 +95,7 @@ class Noise:
     slow_first_s: float = 10.0
     slow_half_s: float = 150.0
     ocv_soc: float = 0.003
-    mismatch_cap: float = 0.0
+    mismatch_cap: float = 100.0
     gate: float = 5.0
     recovery_after: int = 20
     gap_soc: float = 0.05

@@ -123,7 +123,7 @@ class TestGate:
         assert not np.any(trace.status[recoveries[-1] + 1 :] & Status.INNOVATION_REJECTED)
 
     def test_a_recovery_begins_with_trust_in_the_model(self):
-        ekf = Ekf(CURVED, replace(Noise.of_model(CURVED), mismatch_cap=100.0))
+        ekf = Ekf(CURVED)
         state = ekf.init(0.5, 0.01)
         doubts = []
         for _ in range(100):
