@@ -1,4 +1,4 @@
-"""A judged log on an even time step: what was a gap stays one. Tests begin where rows are given to begin."""
+"""A judged log on an even time step: what was a gap stays one. Where a test begins."""
 
 from __future__ import annotations
 
