@@ -38,7 +38,7 @@ class SuiteCell:
     capacity_choice : str or None
     temperature_C : float or None    of the tests where no log measures it
     chemistry : str
-    rested_full_V : float or None    a drive that begins under load began full, at this voltage
+    rested_full_V : float or None    drives began full, rested at this voltage
     """
 
     name: str

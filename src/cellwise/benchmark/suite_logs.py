@@ -26,7 +26,6 @@ from cellwise.logs.reading import read_log
 from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
 
-REST_SHARE = 0.01
 MOST_LOCATED = 512
 
 
@@ -202,10 +201,10 @@ def cell_model(cell: SuiteCell, suite: Suite, data: Path | None) -> tuple[CellMo
     if cell.model:
         model = _named(cell.model, suite, data)
     else:
-        model = identify_cell(_tests(cell, suite, data), _settings(cell)).model
+        model = identify_cell(cell_tests(cell, suite, data), _settings(cell)).model
     if not cell.tune:
         return model, None
-    logs = [_began_full(cell, read_at(p, suite, data), model.capacity_Ah) for p in cell.tune]
+    logs = [_began_full(cell, suite, read_at(p, suite, data)) for p in cell.tune]
     return model, tune_noise(model, logs).noise
 
 
@@ -235,40 +234,27 @@ def _settings(cell: SuiteCell) -> IdentifySettings:
     )
 
 
-def _tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
-    capacity = cell.nominal_Ah or 0.0
+def cell_tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
+    """A cell's tests as its identification takes them."""
     return TestLogs(
         hppc=tuple((read_at(p, suite, data), Stated.parse(p).temperature_C) for p in cell.hppc),
         ocv=tuple(read_at(p, suite, data) for p in cell.ocv),
         capacity=tuple(read_at(p, suite, data) for p in cell.capacity),
         drive=tuple(
-            (_began_full(cell, read_at(p, suite, data), capacity), Stated.parse(p).temperature_C)
+            (_began_full(cell, suite, read_at(p, suite, data)), Stated.parse(p).temperature_C)
             for p in cell.drive
         ),
     )
 
 
-def _began_full(cell: SuiteCell, log: CellLog, capacity_Ah: float) -> CellLog:
-    """A row of rest at full before a log that begins under load, where the suite says so.
+def _began_full(cell: SuiteCell, suite: Suite, log: CellLog) -> CellLog:
+    """A drive with the start that rows of other packages are given: full.
 
-    In the cold the first minute under load does not separate full from half.
+    In the cold the first minute under load does not separate full from half, and a drive whose
+    start nobody states is no test of a cell there.
     """
-    full = cell.rested_full_V
-    if full is None or log.soc0 is not None or abs(log.current_A[0]) < REST_SHARE * capacity_Ah:
-        return log
-
-    def again(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else np.concatenate((values[:1], values))
-
-    return replace(
-        log,
-        time_s=np.concatenate(([log.time_s[0]], log.time_s + 1.0)),
-        current_A=np.concatenate(([0.0], log.current_A)),
-        voltage_V=np.concatenate(([full], log.voltage_V)),
-        temperature_C=again(log.temperature_C),
-        charge_Ah=again(log.charge_Ah),
-        step=None,
-    )
+    stated = suite.frozen or cell.rested_full_V is not None
+    return replace(log, soc0=1.0) if stated and log.soc0 is None else log
 
 
 def _entry(name: str) -> dict[str, object]:
