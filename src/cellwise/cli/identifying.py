@@ -103,12 +103,13 @@ def print_identification(found: Identification) -> None:
     printing.say(f"pulses: {counts}")
     printing.record_table(
         f"{found.model!r}",
-        found.simulations,
-        ("log (fitted on it)", lambda s: s.log.name),
-        ("RMSE mV", lambda s: printing.millivolt(s.metrics.rmse_V)),
-        ("MAE mV", lambda s: printing.millivolt(s.metrics.mae_V)),
-        ("max mV", lambda s: printing.millivolt(s.metrics.max_error_V)),
-        ("RMSE above 10 % SOC", lambda s: printing.millivolt(s.rmse_above_10pct_V)),
+        [o for o in found.own_logs if o.used and o.role in ("hppc", "drive")],
+        ("log (fitted on it)", lambda o: o.simulation.log.name),
+        ("begins at SOC", lambda o: f"{o.start.soc:.3f} +- {2 * o.start.std:.3f}"),
+        ("RMSE mV", lambda o: printing.millivolt(o.simulation.metrics.rmse_V)),
+        ("MAE mV", lambda o: printing.millivolt(o.simulation.metrics.mae_V)),
+        ("max mV", lambda o: printing.millivolt(o.simulation.metrics.max_error_V)),
+        ("RMSE above 10 % SOC", lambda o: printing.millivolt(o.simulation.rmse_above_10pct_V)),
     )
     known = {k: v for k, v in found.model.validity.to_dict().items() if v is not None}
     printing.say(
