@@ -155,8 +155,8 @@ class Life:
             if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
         ]
         found = [*self.far_off]
-        first = self.logs[0]
-        if first.counted:
+        first = next((one for one in self.logs if one.counted), None)
+        if first is not None:
             found.append(
                 f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
                 f"others are compared; the capacity to use is of the whole SOC range: the "
