@@ -155,11 +155,13 @@ class Replay(Plottable, Tabular):
         A filter moves the SOC to where another cell is followed best: where half of the rows stay
         beyond what the model states even so, the log simulated by itself says it.
         """
-        found = far_off_text(*self._seen)
-        if found is not None or self.model is None or times_stated(*self._seen)[0] <= 1.0:
+        model, log, innovation_V, soc = self._seen
+        found = far_off_text(model, log, innovation_V, soc)
+        if model is None or found is not None:
             return found
-        start = initial_soc(self.model, self.log, whole_log=True)
-        return simulate(self.model, self.log, start.soc).far_off
+        if times_stated(model, log, innovation_V, soc)[0] <= 1.0:
+            return None
+        return simulate(model, log, initial_soc(model, log, whole_log=True).soc).far_off
 
     @property
     def notices(self) -> tuple[str, ...]:

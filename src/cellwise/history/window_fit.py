@@ -131,7 +131,7 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
     aged = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0)))
     # An error that is alike everywhere costs this fit little: far off is what the model itself is.
     # So it is where no ageing would make the cell follow the log.
-    impossible = bool(np.any(np.abs(x[1:]) > FAR_OFF * np.array(AGED)))
+    impossible = bool(np.any(np.abs(x[1:]) > FAR_OFF.deviations * np.array(AGED)))
     far_off = None
     if impossible or aged.far_off is not None:
         far_off = simulate(model, log, float(centre[0])).far_off
