@@ -129,3 +129,36 @@ def test_what_a_run_prints_of_itself_says_it_too(name, far):
     assert simulation.model is not None
     times, _ = times_stated(simulation.model, log, simulation.error_V, simulation.soc)
     assert (times > FAR_OFF.deviations) == far
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "place", ["lg_18650hg2/drive_us06_n10_601", "panasonic_18650pf/drive_p25_us06"]
+)
+def test_lfp_for_a_measured_drive_of_nickel_is_said_by_every_command(place, real_data, run_json):
+    """The filter moves the SOC to where LFP is followed best; that it cannot be is said even so."""
+    given = ("--model", "lfp-26650", "--capacity-ah", "3", str(real_data / f"{place}.csv.gz"))
+    replayed = run_json("replay", *given)
+    assert replayed["forecast"] is None
+    for found in (replayed, run_json("simulate", *given), run_json("diagnose", *given)):
+        assert any("FAR OFF" in notice for notice in found["notices"][:2])
+    assert main(["history", *given]) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "place"),
+    [
+        ("nca-18650", "panasonic_18650pf/drive_n20_cycle_3"),
+        ("nmc-18650", "lg_18650hg2/drive_us06_n20_610"),
+        ("lfp-26650", "plett_a123/dyn_p25_s1"),
+        ("lmo-pouch", "leaf_pack/leaf_20170701"),
+    ],
+)
+def test_a_stock_model_of_the_right_kind_is_not_far_off_in_the_cold(
+    model, place, real_data, run_json
+):
+    found = next(iter(real_data.glob(f"{place}*")))
+    capacity = {"nca": "2.9", "nmc": "3", "lfp": "2.3", "lmo": "65"}[model[:3]]
+    said = run_json("replay", "--model", model, "--capacity-ah", capacity, str(found))
+    assert not any("FAR OFF" in notice for notice in said["notices"])

@@ -42,6 +42,8 @@ CAPABILITIES = (
     Capability("a life by its discharges", "history/test_samsung_life.py",
                f"{DOOR}::test_a_life_in_the_order_of_its_files"),
     Capability("fade over 48 cycles", "history/test_life.py", f"{DOOR}::test_lipo_fade_at_4c"),
+    Capability("one start of a log", "cell/initial_soc/test_initial_soc_whole_log.py",
+               f"{DOOR}::test_a_log_cut_anywhere_has_one_start_in_every_command"),
     Capability("fixed step as the EKF", "estimate/fixed/test_fixed_step_measured.py",
                f"{DOOR}::test_the_fixed_step_is_the_ekf"),
     Capability("native files as their tidy twins", "logs/formats/test_native_files.py",
@@ -67,8 +69,6 @@ CAPABILITIES = (
                why_none="a panel of models and starts"),
     Capability("LFP on its plateau", "estimate/filters/test_lfp_plateau.py",
                why_none="each temperature is left out of a fit in turn"),
-    Capability("a start found on the plateau", "cell/initial_soc/test_initial_soc_whole_log.py",
-               why_none="drives are cut at many rows"),
     Capability("power of a pulse left out", "estimate/power/test_power_real.py",
                why_none="every second SOC level is taken out of a pulse test in Python"),
     Capability("the end of a discharge", "forecast/test_flight_real.py",
@@ -84,6 +84,61 @@ CAPABILITIES = (
     Capability("an unknown start in a stream", "live/test_live_filter.py",
                why_none="drives are cut and fed sample by sample"),
 )  # fmt: skip
+
+
+# What new users once tried in vain with files as they lie there, and the test that it works now.
+TRIED = {
+    "a month of drives of one car": (
+        f"{DOOR}::test_a_month_of_a_car_holds_for_the_next",
+        "cli/test_front_door.py::test_a_month_of_drives_is_identified_as_it_lies_there",
+    ),
+    "charge pulses from empty": ("identify/test_one_test_alone.py::test_one_test_of_a_made_cell",),
+    "a diagnosis leads with what to do": (
+        "cli/test_diagnose.py::test_what_only_repeats_its_prior_comes_last",
+        "cli/test_diagnose.py::test_for_people",
+    ),
+    "instruments as they write": (
+        "cli/refusals/test_instruments_as_they_write.py::test_milliamperes_of_a_tester",
+        "cli/refusals/test_instruments_as_they_write.py"
+        "::test_raw_frames_ask_for_their_database_and_are_read_with_it",
+    ),
+    "one log has one start": (
+        f"{DOOR}::test_one_flight_has_one_start_and_is_followed_from_it",
+        f"{DOOR}::test_a_log_cut_anywhere_has_one_start_in_every_command",
+    ),
+    "no answer beside an absurd error": (
+        "cli/test_far_off.py::test_lfp_for_a_measured_drive_of_nickel_is_said_by_every_command",
+        "cli/test_far_off.py::test_a_swapped_sign_is_said_first_and_forecasts_are_withheld",
+    ),
+    "history of a car, a counted capacity": (
+        f"{DOOR}::test_a_month_of_a_car_has_one_capacity_and_says_how_sure",
+        f"{DOOR}::test_a_capacity_counted_at_a_load_says_what_the_one_to_use_is",
+    ),
+    "windows of a healthy pack": (
+        f"{DOOR}::test_windows_of_a_healthy_pack_and_its_cells_in_parallel",
+    ),
+    "assumed is not measured": (
+        f"{DOOR}::test_a_temperature_that_nobody_measured_is_assumed_and_not_in_the_data",
+    ),
+    "nearly right options, pages, C without a warning": (
+        "cli/refusals/test_near_misses.py::test_an_option_that_is_nearly_one_is_named",
+        "cli/refusals/test_near_misses.py::test_a_page_that_is_no_html_is_refused_before_the_work",
+        "cli/refusals/test_near_misses.py::test_a_diagnosis_of_what_is_no_log_says_so",
+        "cli/refusals/test_near_misses.py::test_remaining_time_in_c_compiles_without_a_warning",
+    ),
+    "the fixed step by itself": (f"{DOOR}::test_the_fixed_step_is_the_ekf",),
+    "a fleet ends on a page, every result has a plot": (
+        "fleet/test_fleet_page.py::test_the_command_ends_on_the_page",
+        "test_plotting.py::test_every_result_has_a_plot_of_its_own_numbers",
+    ),
+}
+
+
+@pytest.mark.parametrize("tests", TRIED.values(), ids=list(TRIED))
+def test_what_was_tried_in_vain_has_its_test(tests):
+    for one in tests:
+        file, _, function = one.partition("::")
+        assert function in functions_of(TESTS / file)
 
 
 def functions_of(path: Path) -> set[str]:

@@ -129,7 +129,7 @@ class CellModel(Plottable, Summarised):
         ohms = (f"{a:.3g}, {b:.3g}, {c:.3g} mohm" for a, b, c in zip(r0, r1, r2, strict=True))
         known = self.validity.to_dict()
         return {
-            "capacity": f"{self.capacity_Ah:.4g} Ah +- {self.capacity_std_Ah:.2g} (one deviation)",
+            "capacity": f"{self.capacity_Ah:.4g} Ah +- {2 * self.capacity_std_Ah:.2g}",
             "OCV": f"{self.ocv_V.min():.3f} to {self.ocv_V.max():.3f} V",
             "R0, R1, R2 at 50 % SOC": "; ".join(map(" at ".join, zip(ohms, at, strict=True))),
             "effects": ", ".join(e.name for e in self.effects) or "none",

@@ -99,7 +99,7 @@ class Simulation(Plottable, Tabular):
     @property
     def notices(self) -> tuple[str, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.model, self.log, self.error_V, self.soc)
+        found = far_off_notices(self.far_off)
         found += outside_notices(self.validity, self.log, self.soc)
         found += soc_notices(self.log, self.soc)
         if self.model is not None:

@@ -25,7 +25,7 @@ SHOWN = 6
 def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     """Add the command that criticises a model."""
     p = commands.add_parser("diagnose", help="model and logs to what is wrong, and by how much")
-    options.add_model(p)
+    options.add_model(p, scalable=True)
     p.add_argument("logs", nargs="+", metavar="LOG", help="what is to be explained")
     for name, text in (
         ("--holdout", "log on which gains are measured [later parts of the logs]; several"),

@@ -359,8 +359,7 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
     printing.say_notices(first)
     bands = ((f"SOC {b.soc_low:.1f} to {b.soc_high:.1f}", b.metrics) for b in found.bands)
     printing.record_table(
-        f"{found.log.name}: measured minus simulated, from SOC {start.soc:.3f} +- "
-        f"{2 * start.std:.3f} ({start.how})",
+        f"{found.log.name}: measured minus simulated, from SOC {_soc_of(start)} ({start.how})",
         (("all rows", found.metrics), *bands),
         ("where", lambda row: row[0]),
         ("RMSE mV", lambda row: printing.millivolt(row[1].rmse_V)),
@@ -374,6 +373,12 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
     )
     printing.say(f"RMSE above 10 % SOC: {printing.millivolt(found.rmse_above_10pct_V)} mV")
     printing.say_notices(n for n in notices if n not in first)
+
+
+def _soc_of(start: InitialSoc) -> str:
+    """A start with its band; without one where a simulation takes it as given."""
+    given = start.how == "given"
+    return f"{start.soc:.3f}" if given else f"{start.soc:.3f} +- {2 * start.std:.3f}"
 
 
 def print_runs(runs: Sequence[Run]) -> None:

@@ -88,6 +88,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
 def print_identification(found: Identification) -> None:
     """An identification for people."""
     from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
+    from cellwise.identify.own_logs import start_notices
 
     # Logs that do not go together come before every figure that was made of them.
     printing.say_notices(found.contradictions)
@@ -103,16 +104,19 @@ def print_identification(found: Identification) -> None:
     printing.say(f"pulses: {counts}")
     printing.record_table(
         f"{found.model!r}",
-        found.simulations,
-        ("log (fitted on it)", lambda s: s.log.name),
-        ("RMSE mV", lambda s: printing.millivolt(s.metrics.rmse_V)),
-        ("MAE mV", lambda s: printing.millivolt(s.metrics.mae_V)),
-        ("max mV", lambda s: printing.millivolt(s.metrics.max_error_V)),
-        ("RMSE above 10 % SOC", lambda s: printing.millivolt(s.rmse_above_10pct_V)),
+        [o for o in found.own_logs if o.used],
+        ("log (fitted on it)", lambda o: o.simulation.log.name),
+        ("begins at SOC", lambda o: f"{o.start.soc:.3f} +- {2 * o.start.std:.3f}"),
+        ("RMSE mV", lambda o: printing.millivolt(o.simulation.metrics.rmse_V)),
+        ("MAE mV", lambda o: printing.millivolt(o.simulation.metrics.mae_V)),
+        ("max mV", lambda o: printing.millivolt(o.simulation.metrics.max_error_V)),
+        ("RMSE above 10 % SOC", lambda o: printing.millivolt(o.simulation.rmse_above_10pct_V)),
     )
     known = {k: v for k, v in found.model.validity.to_dict().items() if v is not None}
     printing.say(
         "valid for " + ", ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items())
     )
-    printing.say_notices(n for n in found.notices if n not in found.contradictions)
+    # Where the logs begin stands in the table.
+    above = (*found.contradictions, *start_notices(found.own_logs))
+    printing.say_notices(n for n in found.notices if n not in above)
     printing.say(f"{found.seconds:.1f} s")

@@ -43,7 +43,8 @@ class Trace:
         return self.time_s.size
 
     def __repr__(self) -> str:
-        return f"Trace({len(self)} rows, final SOC {self.soc[-1]:.4f} +- {self.soc_std[-1]:.4f})"
+        soc, band = self.soc[-1], 2.0 * self.soc_std[-1]
+        return f"Trace({len(self)} rows, final SOC {soc:.4f} +- {band:.4f})"
 
 
 class TraceSums(NamedTuple):

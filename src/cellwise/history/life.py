@@ -93,8 +93,8 @@ class Life:
         scale, std = self.resistance
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
-            f"+- {100 * float(self.trend.std[-1]):.1f} % of the capacity, "
-            f"resistance {scale:.2f} +- {std:.2f} of the model's)"
+            f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
+            f"resistance {scale:.2f} +- {2 * std:.2f} of the model's)"
         )
 
     @property
@@ -155,8 +155,8 @@ class Life:
             if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
         ]
         found = [*self.far_off]
-        first = self.logs[0]
-        if first.counted:
+        first = next((one for one in self.logs if one.counted), None)
+        if first is not None:
             found.append(
                 f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
                 f"others are compared; the capacity to use is of the whole SOC range: the "

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import Simulation, known_temperature_C, simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IndexArray
@@ -40,13 +41,16 @@ class Aged(NamedTuple):
 class ModelShape(NamedTuple):
     """How a model's voltage is wrong: alike over so much of SOC and so long, and white beside it.
 
+    The white part, at least ``least_white_V``, is what neighbouring rows differ by beyond that: a
+    sensor that lags, branches that are off. Taken for less, it is explained by any resistance.
+
     Three measured cells and a physics model: the corrections of the priors fall to 0.7 at 0.4.
     """
 
     soc: float = 0.3
     time_s: float = 3600.0
     least_V: float = 0.003
-    white_V: float = 0.001
+    least_white_V: float = 0.001
 
 
 class PerKelvin(NamedTuple):
@@ -84,9 +88,9 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
     Notes
     -----
     Generalised least squares. The model's error is taken to stay alike over 0.3 of SOC and an hour
-    (an exponential correlation); its size is what the fit leaves (restricted likelihood), 3 mV at
-    least: what the log cannot separate from such an error widens the deviation. So does the range
-    that it does not cover, which may have aged by itself.
+    (an exponential correlation), beside a white one; its size is what the fit leaves (restricted
+    likelihood), 3 mV at least: what the log cannot separate from such an error widens the
+    deviation. So does the range that it does not cover, which may have aged by itself.
     """
     rows = _compared(log)
     if rows.size < FITTING.fewest_rows:
@@ -106,7 +110,8 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
 
     shape, before = 2.0 * SHAPE.least_V, 0.0
     for _ in range(FITTING.passes):
-        white = _whitening(run(x)[0][rows], log.time_s[rows], shape)
+        soc, voltage = run(x)
+        white = _whitening(soc[rows], log.time_s[rows], shape, voltage - measured)
 
         def off(at: FloatArray, white: FloatArray = white, shape: float = shape) -> FloatArray:
             left = white @ (run(at)[1] - measured) / shape
@@ -124,9 +129,11 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
             break
     covariance = np.asarray(np.linalg.inv(found.jac.T @ found.jac), dtype=np.float64)
     aged = simulate(changed_model(model, x[1], x[2]), log, float(np.clip(x[0], 0.0, 1.0)))
-    far_off = aged.far_off
     # An error that is alike everywhere costs this fit little: far off is what the model itself is.
-    if far_off is not None:
+    # So it is where no ageing would make the cell follow the log.
+    impossible = bool(np.any(np.abs(x[1:]) > FAR_OFF.deviations * np.array(AGED)))
+    far_off = None
+    if impossible or aged.far_off is not None:
         far_off = simulate(model, log, float(centre[0])).far_off
     return _result(model, aged, x, covariance, rows, far_off)
 
@@ -171,11 +178,17 @@ def _start(model: CellModel, log: CellLog) -> tuple[FloatArray, FloatArray]:
     return np.array([found.soc, 0.0, 0.0]), stds
 
 
-def _whitening(soc: FloatArray, time_s: FloatArray, shape: float) -> FloatArray:
+def _whitening(
+    soc: FloatArray, time_s: FloatArray, shape: float, error_V: FloatArray
+) -> FloatArray:
     """What makes an error of the model white, in units of ``shape`` [V]; (n, n)."""
     distance = np.abs(soc[:, None] - soc[None, :]) / SHAPE.soc
     distance += np.abs(time_s[:, None] - time_s[None, :]) / SHAPE.time_s
-    covariance = np.exp(-distance) + (SHAPE.white_V / shape) ** 2 * np.eye(soc.size)
+    alike = np.exp(-distance)
+    by_shape = 1.0 - float(np.mean(np.diag(alike, 1)))
+    white = 0.5 * float(np.mean(np.diff(error_V) ** 2)) / shape**2 - by_shape
+    white = max(white, (SHAPE.least_white_V / shape) ** 2)
+    covariance = alike + white * np.eye(soc.size)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 

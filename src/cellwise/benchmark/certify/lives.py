@@ -179,7 +179,7 @@ def measured_log(
         start = initial_soc(model, log)
         if start.std > KNOWN_STD:
             raise InputError(
-                f"a log '{log.name}' that begins at {start.soc:.2f} +- {start.std:.2f}",
+                f"a log '{log.name}' that begins at {start.soc:.2f} +- {2 * start.std:.2f}",
                 f"a start that is known within {KNOWN_STD:g}: its SOC is counted from there",
                 "State it behind the file, as LOG@soc0=1.",
             )

@@ -124,7 +124,9 @@ def far_off_text(
 
 
 def _said(what: str, times: float, typical_V: float) -> str | None:
-    if times <= FAR_OFF.deviations or not math.isfinite(times):
+    little = typical_V < SHOWN.no_model_V  # else half as many deviations are enough
+    most = FAR_OFF.deviations if little else 0.5 * FAR_OFF.deviations
+    if times <= most or not math.isfinite(times):
         return None
     return (
         f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
@@ -156,11 +158,8 @@ class FarOffStream:
             self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
 
 
-def far_off_notices(
-    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
-) -> list[Notice]:
+def far_off_notices(text: str | None) -> list[Notice]:
     """The same as a notice: after one that names the unit or the temperature, before all others."""
-    text = far_off_text(model, log, error_V, soc)
     return [] if text is None else [Notice(ORDER.first, text)]
 
 

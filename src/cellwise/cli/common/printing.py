@@ -21,6 +21,7 @@ from rich.table import Table
 T = TypeVar("T")
 # A message names an argument as Python has it, between backticks.
 ARGUMENT = re.compile(r"`([A-Za-z]\w*)=([^`]*)`")
+NAMED = re.compile(r"'[^']*'")  # the log of which a notice speaks
 # Where the option is not the argument's own name.
 NAMES = {"channels": "channel", "dt_s": "dt", "limits": "voltage-limits"}
 OPEN = "..."  # the argument, whatever its value
@@ -116,9 +117,15 @@ def record_table(title: str, items: Iterable[T], *columns: tuple[str, Callable[[
 
 
 def say_notices(notices: Iterable[str]) -> None:
-    """What a person should know, each once."""
+    """What a person should know, each once; what holds for several logs once for all of them."""
+    logs_of: dict[str, list[str]] = {}
     for notice in dict.fromkeys(notices):
-        say(f"  ! {notice}")
+        named = NAMED.match(notice)
+        logs = logs_of.setdefault(notice[named.end() :] if named else notice, [])
+        logs += [named[0]] if named else []
+    for said, logs in logs_of.items():
+        more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        say(f"  ! {logs[0] if logs else ''}{more}{said}")
 
 
 def warn(text: str) -> None:

@@ -134,8 +134,11 @@ def _taken_for(log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile
     kind: str = test.kind
     why = test.why if series == 1 else f"{series} cells in series; {test.why}"
     mean = next((n for n in log.notices if AS_MEAN_CELL in n), None)
-    if mean is not None:
-        kind, why = "pack", f"{mean.partition(',')[0]}; {test.why}"
+    moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    if mean is not None:  # what a test is called by its load says nothing of a day on the road
+        hours = log.duration_s / 3600.0
+        kind = "pack"
+        why = f"{mean.partition(',')[0]}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
     elif log.format in FLIGHTS:
         kind = "flight"
     return FoundFile(
@@ -143,7 +146,7 @@ def _taken_for(log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile
         kind=kind,
         why=why,
         series=series,
-        moved_Ah=float(np.ptp(log.counted_charge_Ah())),
+        moved_Ah=moved_Ah,
         whole_Ah=test.charge_Ah,
         current_A=test.current_A,
         largest_A=float(np.nanmax(np.abs(log.current_A))),
