@@ -40,6 +40,7 @@ OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "_nrt": False,
     "no_cfunc_wrapper": True,
+    "forceinline": False,  # numba hands it on to what an inlined function calls
 }
 PART = OPTIONS | {"pipeline_class": PartCompiler, "no_cpython_wrapper": True}
 INLINE = PART | {"forceinline": True}

@@ -83,6 +83,15 @@ class Part(JITCodeLibrary):
         """Asked for the place of the environment alone."""
         return NoEnvironment
 
+    def add_llvm_module(self, ll_module: Any) -> None:
+        """What is not inlined in any case stays a function: kernels are large enough."""
+        for function in ll_module.functions:
+            if not function.is_declaration and not any(
+                b"alwaysinline" in attributes for attributes in function.attributes
+            ):
+                function.add_function_attribute("noinline")
+        super().add_llvm_module(ll_module)  # type: ignore[no-untyped-call]
+
     def _optimize_final_module(self) -> None:
         """Left to the kernel."""
 

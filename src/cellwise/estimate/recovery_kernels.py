@@ -117,7 +117,7 @@ def soc_of_voltage(
     return mean, max(second / total - mean * mean, 0.0) + step * step / 12.0
 
 
-@part
+@inline
 def recovered(
     tables: CellTables, x: CellState, p: Variances, c: Contradiction
 ) -> tuple[float, Variances]:

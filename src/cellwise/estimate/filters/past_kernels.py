@@ -248,7 +248,7 @@ class Looked(NamedTuple):
     searched: bool
 
 
-@part
+@inline
 def look_again(
     tables: CellTables,
     noise: NoiseScalars,
