@@ -75,3 +75,45 @@ def test_without_a_place_for_a_cache_it_compiles_and_says_so_once():
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("no place to keep compiled kernels") == 1
+
+
+USE = """
+import sys
+sys.path.insert(0, {folder!r})
+from equations import equation
+from kernels import whole
+from cellwise.cell.kernel_compiler import Part
+assert whole(3.0) == 7.0
+for compiled in equation.overloads.values():
+    assert isinstance(compiled.library, Part)
+    assert not compiled.library._codegen._engine.is_symbol_defined(compiled.fndesc.llvm_func_name)
+print(*(sum(f.stats.cache_hits.values()) for f in (equation, whole)), len(equation.overloads))
+"""
+EQUATION = """
+from cellwise.cell.compiled import inline
+
+@inline
+def equation(x):
+    return 2.0 * x
+"""
+WHOLE = """
+from cellwise.cell.compiled import kernel
+from equations import equation
+
+@kernel
+def whole(x):
+    return equation(x) + {added}
+"""
+
+
+def test_a_part_has_no_machine_code_of_its_own_and_is_kept_for_the_next_kernel(tmp_path):
+    """A process compiles both, one finds the kernel, one another kernel's part alone."""
+    (tmp_path / "equations.py").write_text(EQUATION)
+    said = []
+    for added in ("1.0", "1.0", "0.5 + 0.5"):
+        (tmp_path / "kernels.py").write_text(WHOLE.format(added=added))
+        program = USE.format(folder=str(tmp_path))
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout.split())
+    assert said == [["0", "0", "1"], ["0", "1", "0"], ["1", "0", "1"]]

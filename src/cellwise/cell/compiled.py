@@ -1,15 +1,14 @@
-"""How kernels are compiled: three decorators, so that every kernel is compiled in one way.
+"""How kernels are compiled: four decorators, so that every kernel is compiled in one way.
 
 Nothing allocates and nothing counts references (`_nrt`): an array that a kernel is handed belongs
 to the caller for as long as the call lasts. `inline` is done by LLVM, after types are known: it
-costs a fraction of the compile time of numba's own inlining for the same machine code. What is
-inlined gets an entry from Python only when it is called from there: entries would take half of the
-compile time.
+costs a fraction of the compile time of numba's own inlining for the same machine code. Parts of
+kernels get machine code in the kernel alone (:mod:`cellwise.cell.kernel_compiler`), and an entry
+from Python only when they are called from there.
 """
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import os
 import sys
@@ -23,33 +22,28 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
-from numba.core.compiler import Compiler
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
+from cellwise.cell.kernel_compiler import KernelCompiler, PartCache, PartCompiler, QuietCompiler
 from cellwise.typing import FloatArray
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class KernelCompiler(Compiler):
-    """Numba's own pipeline; Python's collector, which finds nothing in it, rests: a tenth less."""
-
-    def compile_extra(self, func: Any) -> Any:
-        """As numba's own."""
-        collects = gc.isenabled()
-        gc.disable()
-        try:
-            return super().compile_extra(func)  # type: ignore[no-untyped-call]
-        finally:
-            if collects:
-                gc.enable()
-
-
-KEPT: dict[str, Any] = {"cache": True, "pipeline_class": KernelCompiler}
-OPTIONS = KEPT | {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
-INLINE = OPTIONS | {"forceinline": True, "no_cpython_wrapper": True}
+KEPT: dict[str, Any] = {"cache": True, "pipeline_class": QuietCompiler}
+OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "pipeline_class": KernelCompiler,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+    "forceinline": False,  # numba hands it on to what an inlined function calls
+}
+PART = OPTIONS | {"pipeline_class": PartCompiler, "no_cpython_wrapper": True}
+INLINE = PART | {"forceinline": True}
 QUIET = "CELLWISE_QUIET"  # set to anything: no word about compiling
 LONGEST_S = 300.0  # nothing compiles for longer, on a slow machine beside other work either
 
@@ -77,15 +71,27 @@ def _entry(equation: Equation) -> Callable[..., Any]:
 
 def inline(function: Callable[P, R]) -> Callable[P, R]:
     """An equation: part of whatever compiled code calls it."""
-    compiled: Any = _compiled(function, INLINE)
-    if isinstance(compiled, CPUDispatcher):  # with NUMBA_DISABLE_JIT it is the function itself
+    return _part(function, INLINE)
+
+
+def part(function: Callable[P, R]) -> Callable[P, R]:
+    """A function of its own within a kernel, where speed does not matter or the code would grow."""
+    return _part(function, PART)
+
+
+def _part(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
+    compiled: Any = _compiled(function, options)
+    is_compiled = isinstance(compiled, CPUDispatcher)
+    if is_compiled:  # with NUMBA_DISABLE_JIT it is the function itself
         compiled.__class__ = Equation
-    inlined: Callable[P, R] = compiled
-    return inlined
+    if is_compiled and isinstance(compiled._cache, FunctionCache):
+        compiled._cache = PartCache(function)  # type: ignore[no-untyped-call]
+    made: Callable[P, R] = compiled
+    return made
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """A function of its own, called where speed does not matter or the code would grow."""
+    """A function that Python calls."""
     compiled: Callable[P, R] = _compiled(function, OPTIONS)
     return compiled
 

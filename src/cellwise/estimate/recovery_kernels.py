@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import CellState, CellTables, loaded, look_up
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.sensing_kernels import REST_RATE
@@ -65,7 +65,7 @@ def start_branch(cell: CellScalars, r_ohm: float, current_A: float) -> tuple[flo
     )
 
 
-@kernel
+@part
 def soc_of_voltage(
     tables: CellTables,
     x: CellState,
@@ -117,7 +117,7 @@ def soc_of_voltage(
     return mean, max(second / total - mean * mean, 0.0) + step * step / 12.0
 
 
-@kernel
+@inline
 def recovered(
     tables: CellTables, x: CellState, p: Variances, c: Contradiction
 ) -> tuple[float, Variances]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables, loaded
 from cellwise.cell.point_kernels import OCV, CellPoint
 
@@ -25,7 +25,7 @@ class WideSlopes(NamedTuple):
     r3_ohm: float
 
 
-@kernel
+@inline
 def wide_slopes(
     tables: CellTables,
     soc: float,
@@ -103,7 +103,7 @@ def slopes_at(
     return Slopes(w.voltage_V, w.bend_V, tangent, spread, w.r1_ohm, w.r2_ohm, w.r3_ohm)
 
 
-@kernel
+@inline
 def landing_slope(
     tables: CellTables,
     soc: float,

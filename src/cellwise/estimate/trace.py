@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import cached
+from cellwise.cell.compiled import rows
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C
@@ -62,7 +62,7 @@ class TraceSums(NamedTuple):
     status: int
 
 
-@cached(error_model="numpy", nogil=True)
+@rows
 def trace_sums(
     innovation_V: FloatArray,
     variance_V2: FloatArray,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cellwise.cell.compiled import inline, rows
+from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import BEYOND, CellState, CellTables, advance, voltage_of
 from cellwise.estimate.validity_kernels import extrapolation_V
 from cellwise.forecast.records import (
@@ -39,7 +39,7 @@ def new_error_V(
     return math.sqrt(square + new_V * new_V)
 
 
-@rows
+@part
 def to_full(
     tables: CellTables, start: CellState, go: Going, uncertain: Uncertain, away: Away
 ) -> Remaining:

@@ -18,12 +18,12 @@ from cellwise.forecast.charging import BOTH_FACTOR, ChargerSeen, limit_of, taper
 from cellwise.forecast.records import NEVER, Going, Outcome
 from cellwise.forecast.remaining import WINDOW_S, check_load, uncertain_of, warms_unseen
 from cellwise.forecast.remaining_kernels import (
-    at_power,
+    ends_now,
     lump_now,
     ocv_and_error,
     parts_of,
+    power_now,
     warming_with,
-    with_ends,
 )
 from cellwise.forecast.warming_kernels import NOTHING_SEEN
 
@@ -259,6 +259,6 @@ class Outlook:
             end_V, taper_A = self._charger.limit_V, self._charger.taper_A
         go = Going(load_A, True, voltage_V, offset_V, share, end_V, temperature_C, lump, taper_A)
         if load_W is None and self.given_W is not None and not charging:
-            go = at_power(self._tables, at, go, self.given_W)
-        end: Outcome = with_ends(self._tables, at, soc_std, go, self._uncertain)
+            go = power_now(self._tables, at, go, self.given_W)
+        end: Outcome = ends_now(self._tables, at, soc_std, go, self._uncertain)
         return end, go

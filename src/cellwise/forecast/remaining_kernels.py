@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel, rows
+from cellwise.cell.compiled import inline, kernel, part, rows
 from cellwise.cell.equations import (
     CellState,
     CellTables,
@@ -92,7 +92,7 @@ def warming_with(
     return observed(seen, charge_As, lost_W, temperature_C, dt_s)
 
 
-@rows
+@part
 def to_empty(
     tables: CellTables, start: CellState, go: Going, uncertain: Uncertain, away: Away
 ) -> Remaining:
@@ -181,7 +181,7 @@ def ends(
     return max(usual - math.sqrt(below), 0.0), usual + math.sqrt(above)
 
 
-@rows
+@part
 def from_soc(
     tables: CellTables,
     state: CellState,
@@ -206,7 +206,7 @@ def from_soc(
     return to_empty(tables, at, begins, uncertain, away)
 
 
-@rows
+@part
 def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) -> Going:
     """The same with the current and the voltage at which the load has a power now.
 
@@ -227,7 +227,7 @@ def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) ->
     )  # fmt: skip
 
 
-@rows
+@part
 def with_ends(
     tables: CellTables,
     state: CellState,
@@ -252,8 +252,8 @@ def with_ends(
     if go.load_A < 0.0:
         # A voltage that is higher ends the constant current earlier and the constant voltage later:
         # the longest charge lies between the ends.
-        for part in (0.5, 1.0, 1.5):
-            between = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, part, 0.0))
+        for share in (0.5, 1.0, 1.5):
+            between = from_soc(tables, state, soc_std, go, uncertain, Away(0.0, share, 0.0))
             time_s = (min(time_s[0], between.time_s), max(time_s[1], between.time_s))
     if usual.tail_s > 0.0:
         less, more = usual.tail_s * (1.0 - 1.0 / TAIL_FACTOR), usual.tail_s * (TAIL_FACTOR - 1.0)
@@ -268,6 +268,20 @@ def with_ends(
         time_s, energy = (time_s[0], math.inf), (energy[0], math.inf)
     at_end = (min(low.voltage_V, high.voltage_V), max(low.voltage_V, high.voltage_V))
     return Outcome(usual, time_s, energy, at_end)
+
+
+@rows
+def ends_now(
+    tables: CellTables, state: CellState, soc_std: float, go: Going, uncertain: Uncertain
+) -> Outcome:
+    """`with_ends`, for callers that are not compiled."""
+    return with_ends(tables, state, soc_std, go, uncertain)
+
+
+@rows
+def power_now(tables: CellTables, state: CellState, go: Going, power_W: float) -> Going:
+    """`at_power`, for callers that are not compiled."""
+    return at_power(tables, state, go, power_W)
 
 
 class Followed(NamedTuple):

@@ -291,9 +291,3 @@ class TestSteps:
         assert info.status & Status.STATE_RESET
         assert np.all(np.isfinite(state.cell))
         assert 0.0 <= info.soc <= 1.0
-
-    @pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf])
-    def test_impossible_intervals_are_refused(self, dt):
-        adaptive = Adaptive(MODEL)
-        with pytest.raises(InputError, match="dt_s"):
-            adaptive.step(adaptive.init(0.5), 0.0, 3.7, dt_s=dt)

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.filters.filterpy_filters import FilterpyEkf
-from cellwise.estimate.filters.kalman import Ekf
+from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
@@ -287,17 +287,18 @@ def test_on_a_linear_cell_it_is_the_kalman_filter():
     assert_is_the_kalman_filter(Ekf, mean=1e-11, covariance=1e-10, likelihood=1e-10)
 
 
-def test_one_step_at_a_time_is_the_compiled_loop():
+@pytest.mark.parametrize("kind", [Ekf, Ukf])
+def test_one_step_at_a_time_is_the_compiled_loop(kind):
     rng = np.random.default_rng(4)
     model = random_model(rng)
     log = difficult_log(rng, model)
-    ekf = Ekf(model)
-    trace = ekf.run(log, 0.7, 0.2)
-    state = ekf.init(0.7, 0.2, log.current_A[0])
+    one = kind(model)
+    trace = one.run(log, 0.7, 0.2)
+    state = one.init(0.7, 0.2, log.current_A[0])
     gaps = log.gap_rows
     assert gaps.sum() == 1
     for k in range(len(log)):
-        state, info = ekf.step(
+        state, info = one.step(
             state,
             log.current_A[k],
             log.voltage_V[k],

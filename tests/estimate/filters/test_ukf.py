@@ -112,23 +112,6 @@ def test_resistances_that_change_with_soc_vouch_for_it_only_if_asked(held):
     assert apart < 1e-9 if held else apart > 1e-5
 
 
-def test_one_step_at_a_time_is_the_compiled_loop():
-    rng = np.random.default_rng(4)
-    model = random_model(rng)
-    log = difficult_log(rng, model)
-    ukf = Ukf(model)
-    trace = ukf.run(log, 0.7, 0.2)
-    state = ukf.init(0.7, 0.2, log.current_A[0])
-    for k in range(len(log)):
-        state, info = ukf.step(
-            state, log.current_A[k], log.voltage_V[k], log.temperature_C[k],
-            dt_s=log.interval_s[k], gap=bool(log.gap_rows[k]),
-        )  # fmt: skip
-        row = (trace.soc[k], trace.soc_std[k], trace.voltage_V[k], trace.innovation_V[k],
-               trace.innovation_variance_V2[k], trace.test_ratio[k], trace.status[k])  # fmt: skip
-        np.testing.assert_allclose(tuple(info), row, rtol=1e-12, atol=1e-15, equal_nan=True)
-
-
 def test_its_mean_sees_the_bend_of_the_ocv():
     """At one standard deviation the OCV is not on its tangent: the expected voltage is the mean."""
     model = curved_cell()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline
 from cellwise.cell.equations.lookup import place_of, tables_at
 from cellwise.cell.equations.records import CellTables
 from cellwise.cell.equations.states import decay
@@ -39,7 +39,7 @@ def surface_soc(cell: CellScalars, soc: float, slow_A: float, temperature_C: flo
     return soc - depth * slow_A
 
 
-@kernel
+@inline
 def at_surface(
     tables: CellTables, point: CellPoint, surface: float, temperature_C: float
 ) -> CellPoint:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import cached, inline
+from cellwise.cell.compiled import inline, rows
 from cellwise.cell.derivative_kernels import carried, driven, partials
 from cellwise.cell.equations import (
     BEYOND,
@@ -83,7 +83,7 @@ class Directions(NamedTuple):
     current_of: IntArray
 
 
-@cached(error_model="numpy", nogil=True)
+@rows
 def voltage_rows(
     tables: CellTables,
     start: CellState,
@@ -144,39 +144,40 @@ def changed(table: FloatArray, mean: Place, surface: Place, surfaces: bool) -> C
     return surfaced(here, tables_at(table, surface)) if surfaces else here
 
 
-@cached(error_model="numpy", nogil=True)
-def segments_with_change(changes_of: FloatArray) -> BoolArray:
-    """Whether a table's derivative has anything between two points over SOC, (Q, points - 1)."""
-    many, _, points, _ = changes_of.shape
-    found = np.zeros((many, points - 1), dtype=np.bool_)
-    for q in range(many):
-        for k in range(points - 1):
-            found[q, k] = np.any(changes_of[q, :, k : k + 2] != 0.0)
-    return found
+class Known(NamedTuple):
+    """What is known of the directions before the first row: what can be left out where.
 
-
-@cached(error_model="numpy", nogil=True)
-def without_memory(directions: Directions, heated: bool) -> BoolArray:
-    """Directions that move no state, so that rows without a derivative can be left out, (P,).
-
-    They change the OCV, its entropy, R0 or the hysteresis gap alone, or what is added to the
-    voltage; in a cell that heats itself the loss follows each of them (``heated``).
+    states : (P, STATES)             derivatives of the state, zero but for the start's SOC
+    somewhere : (Q, points - 1)      whether a table's derivative has anything between two points
+    still : (P,)                     directions that move no state: they change the OCV, its
+                                     entropy, R0 or the hysteresis gap alone, or what is added to
+                                     the voltage; in a cell that heats itself the loss follows each
+    scaled : (P,)                    directions that change a scalar
+    surfaces : bool                  whether the particles' surface has a SOC of its own
     """
-    many = directions.table_of.size
-    found = np.zeros(many, dtype=np.bool_)
-    for p in range(many):
-        still = directions.current_of[p] < 0 and directions.soc0[p] == 0.0
-        still &= not np.any(directions.scalars[p] != 0.0)
-        q = directions.table_of[p]
-        if q >= 0 and still:
-            still = not heated
-            for column in CARRIED:
-                still &= not np.any(directions.tables[q, :, :, column] != 0.0)
-        found[p] = still
-    return found
+
+    states: FloatArray
+    somewhere: BoolArray
+    still: BoolArray
+    scaled: BoolArray
+    surfaces: bool
 
 
-@cached(error_model="numpy", nogil=True)
+def known(cell: CellScalars, directions: Directions) -> Known:
+    """What :func:`row_derivatives` asks of the directions in every row."""
+    states = np.zeros((directions.table_of.size, STATES))
+    states[:, 0] = directions.soc0
+    any_change = np.any(directions.tables != 0.0, axis=(1, 3))
+    scaled = np.any(directions.scalars != 0.0, axis=1)
+    carries = np.any(directions.tables[..., CARRIED] != 0.0, axis=(1, 2, 3))
+    carries |= cell.heating_K_per_W != 0.0
+    still = (directions.current_of < 0) & (directions.soc0 == 0.0) & ~scaled
+    tabled = directions.table_of >= 0
+    still[tabled] &= ~carries[directions.table_of[tabled]]
+    surfaces = cell.surface_per_A != 0.0 or bool(np.any(directions.scalars[:, SURFACE] != 0.0))
+    return Known(states, any_change[:, :-1] | any_change[:, 1:], still, scaled, surfaces)
+
+
 def derivative_rows(
     tables: CellTables,
     start: CellState,
@@ -186,18 +187,26 @@ def derivative_rows(
     jacobian: FloatArray,
 ) -> None:
     """Derivatives of every ``stride``-th row's voltage, into ``jacobian`` (rows, P)."""
+    asked = known(tables.cell, directions)
+    row_derivatives(tables, start, flow, directions, asked, stride, jacobian)
+
+
+@rows
+def row_derivatives(
+    tables: CellTables,
+    start: CellState,
+    flow: Flow,
+    directions: Directions,
+    asked: Known,
+    stride: int,
+    jacobian: FloatArray,
+) -> None:
+    """The same, compiled."""
     dt_s, flow_A, temperature_C = flow
-    scalars, soc0, voltage_V, changes_of, table_of, currents, current_of = directions
+    scalars, _, voltage_V, changes_of, table_of, currents, current_of = directions
+    d, somewhere, still, has_scalars, surfaces = asked
     table, cell = tables.table, tables.cell
     many = table_of.size
-    d = np.zeros((many, STATES))
-    has_scalars = np.zeros(many, dtype=np.bool_)
-    for p in range(many):
-        d[p, 0] = soc0[p]
-        has_scalars[p] = np.any(scalars[p] != 0.0)
-    somewhere = segments_with_change(changes_of)
-    surfaces = cell.surface_per_A != 0.0 or bool(np.any(scalars[:, SURFACE] != 0.0))
-    still = without_memory(directions, cell.heating_K_per_W != 0.0)
     state = start
     out = 0
     for row in range(dt_s.size):

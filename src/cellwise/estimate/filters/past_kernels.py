@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
@@ -149,7 +149,7 @@ def left_by_load(
     return before
 
 
-@kernel
+@part
 def reconsidered(
     tables: CellTables, past: Past, temperature_C: float, x: CellState, since_s: float
 ) -> tuple[float, float]:
@@ -170,7 +170,7 @@ def reconsidered(
     return left * (held - taken), variance
 
 
-@kernel
+@part
 def soc_of_level(
     tables: CellTables,
     noise: NoiseScalars,
@@ -248,7 +248,7 @@ class Looked(NamedTuple):
     searched: bool
 
 
-@kernel
+@inline
 def look_again(
     tables: CellTables,
     noise: NoiseScalars,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import kernel, rows
+from cellwise.cell.compiled import kernel, part, rows
 from cellwise.cell.equations import CellTables, look_up
 from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel, check_is_model
@@ -56,7 +56,7 @@ class RestOcvInfo(NamedTuple):
     status: Status
 
 
-@kernel
+@part
 def soc_at(tables: CellTables, voltage_V: float, temperature_C: float) -> float:
     """SOC from 0 to 1 whose OCV is nearest to a voltage, by halving."""
     low = 0.0

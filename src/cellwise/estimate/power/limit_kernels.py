@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import kernel
+from cellwise.cell.compiled import kernel, part
 from cellwise.cell.equations import CellTables
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.load_kernels import Held, Present, moment_of, voltage_margin
@@ -65,7 +65,7 @@ class Capability(NamedTuple):
     load: float
 
 
-@kernel
+@part
 def trial(
     tables: CellTables,
     noise: NoiseScalars,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import (
     CellState,
     CellTables,
@@ -100,7 +100,7 @@ def drop_of(point: CellPoint, x: CellState, current_A: float, but: Correction) -
     return but.fast * fast + but.tail * (x.v2_V + x.v3_V)
 
 
-@kernel
+@part
 def moment_of(
     tables: CellTables, x: CellState, load: float, power: bool, warm_C: float, but: Correction
 ) -> Moment:
@@ -135,7 +135,7 @@ def joined(t: Transition, u: Transition) -> Transition:
     return Transition(t.a1 * u.a1, t.a2 * u.a2, t.a3 * u.a3, t.ah * u.ah, u.gs, u.g1, u.g2, u.g3)
 
 
-@kernel
+@part
 def held(
     tables: CellTables,
     start: CellState,
@@ -175,7 +175,7 @@ def held(
     # fmt: on
 
 
-@kernel
+@part
 def end_variance(
     tables: CellTables, noise: NoiseScalars, now: Present, load: Held, slope_V: float
 ) -> float:
@@ -200,7 +200,7 @@ def end_variance(
     return states + max(now.mismatch, 1.0) * model + scaled
 
 
-@kernel
+@part
 def voltage_margin(
     tables: CellTables,
     noise: NoiseScalars,
