@@ -153,7 +153,7 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     for cell in named_cells(found):
         style.note(
             axes, found.names[cell], (1.0, cell + 1.0), (4, 0), xycoords=("axes fraction", "data"),
-            color=style.VERMILLION, va="center", fontsize=7.5, annotation_clip=False,
+            color=style.VERMILLION, va="center", fontsize=style.SMALL_PT, annotation_clip=False,
         )  # fmt: skip
     spread = np.nanmax(image, axis=0) - np.nanmin(image, axis=0)
     size = f"{np.nanmedian(spread):.1f} mV from lowest to highest"
@@ -288,7 +288,7 @@ def _draw_cells(axes: style.Axes, found: PackEstimate, values: FloatArray, std: 
 def _point_at(axes: style.Axes, found: PackEstimate, heights: FloatArray) -> None:
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
     line = {"arrowstyle": "-", "color": style.VERMILLION, "linewidth": 0.7}
-    looks = {"va": "center", "fontsize": 7.5, "bbox": box, "arrowprops": line}
+    looks = {"va": "center", "fontsize": style.SMALL_PT, "bbox": box, "arrowprops": line}
     for cell in named_cells(found):
         if np.isfinite(heights[cell]):
             # Beside the dot: above it would lie on its band or in the plot's title.

@@ -80,7 +80,7 @@ def log_picture(matrix: Matrix) -> style.Figure:
     style.plain_numbers(axes.xaxis)
     style.finding(axes, _logs_title(matrix))
     style.labels(axes, "settled SOC RMSE [%]", " ")
-    style.side_legend(axes)
+    style.key_below(figure)
     return figure
 
 
@@ -149,7 +149,7 @@ def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
     style.finding(right, _settled_title(matrix), 0.42)
     style.labels(left, "start", "within 2 points after [min]")
     style.labels(right, "start", "settled SOC RMSE [%]")
-    style.side_legend(right)  # no mark below it
+    style.key_below(figure)
     return figure
 
 

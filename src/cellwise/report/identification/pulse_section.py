@@ -100,19 +100,20 @@ def pulse_content(identification: Identification) -> Markup:
 
 @pictured(
     "pulses",
-    "Every short pulse at the SOC and current it was driven with; thin marks are the long "
-    "moves between levels. Healthy: a passive circuit explains the response. Trimmed: a "
-    "voltage limit cut the current. Distorted: the response bends as no circuit does, mostly "
-    "at the ends of SOC. Only healthy ones are fitted.",
+    "Every short pulse at its SOC and current (discharge positive); thin marks are the long moves "
+    "between levels. Healthy: a passive circuit explains the response. Trimmed: a voltage limit "
+    "cut the current. Distorted: the response bends as no circuit does. Only healthy ones are "
+    "fitted.",
 )
 def pulse_picture(identification: Identification) -> style.Figure:
     """One panel per HPPC log."""
     sets = pulse_sets(identification)[: MOST.pulse_logs]
-    figure = style.new_figure(0.5 + 2.1 * max(len(sets), 1))
+    figure = style.new_figure(0.5 + 2.2 * max(len(sets), 1))
     for k, (temperature, found) in enumerate(sets):
         axes = figure.add_subplot(len(sets), 1, k + 1)
         _draw_set(axes, found, temperature, identification.model.capacity_Ah)
         style.soc_axis(axes)
+    style.key_below(figure)
     return figure
 
 
@@ -143,13 +144,11 @@ def _draw_set(axes: style.Axes, found: PulseSet, temperature_C: float, capacity_
                 "zorder": 3,
                 "color": colour,
             }
-            label = f"{quality} ({int(mine.sum())})"
-            axes.plot(soc[mine], current[mine], marker, label=label, **looks)
+            axes.plot(soc[mine], current[mine], marker, label=quality, **looks)
     name = found.log.name or "HPPC"
     style.finding(axes, f"{name}, {_warm(found, temperature_C)}: {verdict_counts(counted)}")
-    style.labels(axes, "SOC [%]", "current [A], + discharge")
+    style.labels(axes, "SOC [%]", "current [A]")
     axes.margins(y=0.15)
-    style.side_legend(axes)
 
 
 BEFORE_PART, AFTER_PARTS = 0.4, 3.6
