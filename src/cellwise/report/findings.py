@@ -12,7 +12,6 @@ from cellwise.identify.identification import Identification
 from cellwise.report.page.numerals import (
     ampere_hours,
     capitalised,
-    celsius,
     duration,
     listed,
     millivolt,
@@ -38,17 +37,14 @@ ESTIMATORS = {
 def identify_finding(identification: Identification) -> str:
     """What an identification found: the capacity, and the error on what it saw and did not see."""
     model = identification.model
-    text = ampere_hours(model.capacity_Ah)
-    if model.temperature_C.size > 1:
-        low, high = model.temperature_C[0], model.temperature_C[-1]
-        text += f", {celsius(float(low))} to {celsius(float(high))}"
-    text += f": {millivolt(identification.fit.rmse_V)} RMSE on its own {_own(identification)}"
+    error = millivolt(identification.fit.rmse_V)
+    text = f"{ampere_hours(model.capacity_Ah)}: {error} RMSE on its own {_own(identification)}"
     unseen = [own.simulation for own in identification.own_logs if not own.used]
     if unseen:
-        error = float(np.max([s.metrics.rmse_V for s in unseen]))
+        worst = float(np.max([s.metrics.rmse_V for s in unseen]))
         one = len(unseen) == 1
         where = unseen[0].log.name or "a log" if one else plural(len(unseen), "log")
-        text += f", {'' if one else 'at most '}{millivolt(error)} on {where} outside the fit"
+        text += f", {'' if one else 'at most '}{millivolt(worst)} on {where} outside the fit"
     return f"{text}."
 
 

@@ -113,8 +113,8 @@ def capacity_picture(found: Life) -> style.Figure:
 
 @pictured(
     "history_resistance",
-    "Times the model's, at each log's own temperature and load: logs of unlike loads scatter by more "
-    "than their bars, so believe the run of the dots, not one of them.",
+    "Times the model's, at each log's own temperature and load. Logs of unlike loads scatter by "
+    "more than their bars: believe the run of the dots, not one of them.",
 )
 def resistance_picture(found: Life) -> style.Figure:
     """Resistance over the life."""

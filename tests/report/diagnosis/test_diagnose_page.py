@@ -102,7 +102,7 @@ def test_none_and_undetermined_are_said():
     assert millivolt(none.runs[1].before.metrics.rmse_V) in diagnosis_finding(none)
     rivals = (Weighed(("current_offset",), 0.6), Weighed(("current_gain",), 0.4))
     open_verdict = replace(none, verdict="undetermined", competing=rivals)
-    assert "do not separate current offset from current gain" in diagnosis_finding(open_verdict)
+    assert "may be current offset, current gain or none" in diagnosis_finding(open_verdict)
     assert "current offset 60.0" in unsure_lines(open_verdict)[0]
     quiet = replace(open_verdict, competing=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)

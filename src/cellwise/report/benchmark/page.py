@@ -15,7 +15,6 @@ from cellwise.report.benchmark.overview import (
     Matrix,
     coverage_text,
     fault_matrix,
-    fault_rows,
     healthy,
     log_matrix,
     log_name,
@@ -34,7 +33,6 @@ from cellwise.report.page.markup import (
     details,
     paragraph,
     record_table,
-    table,
 )
 from cellwise.report.page.numerals import duration, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
@@ -106,11 +104,9 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     axes.set_yticks(range(len(matrix.labels)), matrix.labels)
     axes.grid(visible=False)
     axes.tick_params(length=0)
-    if values.shape[0] > 1 and np.isfinite(values[1:]).any():
-        worst = np.array([np.nanmax(c) if np.isfinite(c).any() else np.inf for c in values[1:].T])
-        best = int(np.argmin(worst))
-        text = f"{matrix.estimators[best]} is most robust: at most {worst[best]:.2f} % settled"
-        style.finding(axes, text)
+    robust = most_robust(matrix)
+    if robust is not None:
+        style.finding(axes, f"{robust[0]} is most robust: {percent(robust[1])} settled at most")
     return figure
 
 
@@ -310,13 +306,22 @@ def benchmark_finding(found: BenchmarkTable) -> str:
     if not ranked:
         return f"{found.name}: nothing could be judged"
     best, last = ranked[0], ranked[-1]
-    text = (
-        f"{found.name}: {best.estimator} settles to {percent(best.settled)} of SOC "
-        f"(worst {percent(best.worst)}) in {plural(best.runs, 'run')}"
-    )
+    text = f"{found.name}: {best.estimator} settles to {percent(best.settled)} of SOC"
     if last is not best:
         text += f", {last.estimator} to {percent(last.settled)}"
+    robust = most_robust(fault_matrix(found.rows))
+    if robust is not None:
+        text += f"; with a fault {robust[0]} is best, {percent(robust[1])} at most"
     return text
+
+
+def most_robust(matrix: Matrix) -> tuple[str, float] | None:
+    """The estimator whose settled RMSE under its worst fault is the smallest, and that error."""
+    known = [k for k, own in enumerate(matrix.values) if own.size > 1 and np.isfinite(own).all()]
+    if not known:
+        return None
+    best = min(known, key=lambda k: float(np.max(matrix.values[k])))
+    return matrix.estimators[best], float(np.max(matrix.values[best]))
 
 
 def benchmark_sections(found: BenchmarkTable) -> list[Section]:
@@ -332,10 +337,7 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     ]
     if faults.labels:
         text = coverage_text(rows)
-        table_of_faults = table(
-            ("fault", *faults.estimators), fault_rows(faults, percent), caption="Mean settled RMSE."
-        )
-        robust = (fault_picture(faults), table_of_faults, paragraph(text) if text else EMPTY)
+        robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
         title = "With a fault that the filter does not know of"
         sections.append(Section("faults", title, robust, "Faults"))
     curves = curve_pictures(rows, found.curves)

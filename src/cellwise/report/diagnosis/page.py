@@ -22,6 +22,7 @@ from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
     diagnosis_finding,
+    in_words,
     judged_run,
     named_log,
     probability,
@@ -173,7 +174,7 @@ def alerts(diagnosis: Diagnosis) -> list[Markup]:
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
     """What follows the first line: what to measure, what is unsure, then what was found."""
-    lines = [f"Measure next: {diagnosis.next_test}"] if diagnosis.next_test else []
+    lines = [f"Measure next: {in_words(diagnosis.next_test)}"] if diagnosis.next_test else []
     lines += unsure_lines(diagnosis)
     lines += [
         f"{statement(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "

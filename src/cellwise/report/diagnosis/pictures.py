@@ -220,7 +220,7 @@ def _soc(g: Group) -> str:
 
 
 def _plain(g: Group) -> str:
-    return f"{g['from']:.0f}–{g['to']:.0f}".replace("-", "−")
+    return f"{g['from']:.0f} to {g['to']:.0f}".replace("-", "−")
 
 
 def _rate(g: Group) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 
+from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
@@ -33,6 +35,14 @@ def cause_name(name: str) -> str:
     return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
 
 
+NAMED = re.compile("|".join(sorted((n for n in CAUSES if "_" in n), key=len, reverse=True)))
+
+
+def in_words(text: str) -> str:
+    """A sentence of the diagnosis with its causes named for people."""
+    return NAMED.sub(lambda m: cause_name(m[0]), text)
+
+
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
     """The first line: what to do with the model, why, and what that gains or loses."""
     judged = judged_run(diagnosis)
@@ -51,13 +61,13 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         return f"Keep the model: no error beyond the stated one{'; ' * bool(error)}{error}."
     if diagnosis.verdict == "unexplained":
         return f"Do not rely on the model here: no cause that was tried explains {error or 'it'}."
-    why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
-    sets = [w.causes for w in diagnosis.competing if w.causes][:2]
+    why = f": {in_words(diagnosis.reasons[0].rstrip('.'))}" if diagnosis.reasons else ""
+    sets = [explanation(w) for w in diagnosis.competing if w.causes][:2]
     if len(sets) < 2:
         return f"Measure more: nothing was found, and nothing excluded{why}."
-    one, other = (" with ".join(cause_name(c) for c in names) for names in sets)
     return (
-        f"Measure more before the model is changed: these data do not separate {one} from {other}."
+        f"Measure more before the model is changed: {error or 'its error'} may be {sets[0]}, "
+        f"{sets[1]} or none of the causes tried."
     )
 
 

@@ -36,8 +36,8 @@ MIDDLE = 0.5  # SOC at which a panel's title states the value
 CAPTION = (
     "R₀ is the drop at once, the branches are what follows within seconds (1), minutes (2) and "
     "longer (3). Lines are the model's tables at the temperatures of the tests, their bands two "
-    "standard errors, left out beyond 50 %. Marks are single pulses; they need not meet the lines, "
-    "for a short pulse sees only the beginning of what a whole log shows."
+    "standard errors, left out beyond 50 % (≈ in a title). Marks are single pulses; they need not "
+    "meet the lines, for a short pulse sees only the beginning of what a whole log shows."
 )
 
 
@@ -198,7 +198,7 @@ def _draw_parameter(
     factor, unit = _unit(name, lines[middle])
     seen: list[FloatArray] = []
     size = float(np.interp(MIDDLE, model.soc, lines[middle]))
-    title = f"{NAMES[name]} = {significant(factor * size)} {unit}"
+    sign, band_text = "=", ""
     fitted = {t.temperature_C: t for t in identification.temperatures}
     for (row, line), colour in zip(lines.items(), temperature_colours(len(lines)), strict=True):
         found = fitted.get(model.temperature_C[row])
@@ -213,11 +213,14 @@ def _draw_parameter(
             axes.fill_between(soc, low[shown], high[shown], color=colour, alpha=0.18, lw=0)
             at = float(np.interp(MIDDLE, model.soc, error))
             if row == middle:
-                title += f" ± {percent(2.0 * at, 0)}" if 2.0 * at <= VAGUE else ", vague"
+                sign, band_text = (
+                    ("=", f" ± {percent(2.0 * at, 0)}") if 2.0 * at <= VAGUE else ("≈", "")
+                )
         axes.plot(soc, factor * line[shown], color=colour, linewidth=1.6, zorder=4)
         seen.append(factor * line)
     _scale(axes, np.concatenate(seen))
     where = f", {celsius(float(model.temperature_C[middle]))}" if len(lines) > 1 else ""
+    title = f"{NAMES[name]} {sign} {significant(factor * size)} {unit}{band_text}"
     style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", share)
     style.labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
 

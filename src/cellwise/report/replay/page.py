@@ -50,7 +50,7 @@ from cellwise.report.page.picture import FigureFiles, pictured, safe_key
 from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
 from cellwise.report.page.traces import thin, thin_band, time_axis
 from cellwise.report.replay.replay_section import (
-    learned_content,
+    estimated_content,
     reached,
     replay_content,
     replay_pictures,
@@ -64,7 +64,7 @@ FORECAST_EXPLAINED = (
 
 
 def flight_finding(flight: Flight) -> str:
-    """The first line of a flight's page: what is left, and what its usual peaks leave."""
+    """The first line of a flight's page: remaining time, and with its usual peaks."""
     now = (flight.typical or flight).last
     scale, unit = time_unit(now.remaining_s_band[1])
     value, low, high = (significant(s / scale, 2) for s in (now.remaining_s, *now.remaining_s_band))
@@ -80,11 +80,12 @@ def flight_section(flights: Sequence[Flight]) -> Section:
         flight_picture(f)._replace(key=f"flight-{k + 1}-{safe_key(f.name or 'log')}")
         for k, f in enumerate(flights)
     ]
-    blocks: Blocks = (*pictures, *map(flight_content, flights))
+    several = len(flights) > 1
+    blocks: Blocks = (*pictures, *(flight_content(f, several=several) for f in flights))
     return Section("left", "Remaining time and energy", blocks)
 
 
-def flight_content(flight: Flight) -> Markup:
+def flight_content(flight: Flight, *, several: bool) -> Markup:
     """The last moment of a flight at its usual load, that of its last minute and a given one."""
     ways = {
         "usual load": flight.typical.last if flight.typical else None,
@@ -97,7 +98,7 @@ def flight_content(flight: Flight) -> Markup:
     )  # fmt: skip
     text = FORECAST_EXPLAINED.format(time=duration(flight.last.time_s))
     rows = zip(head, *columns.values(), strict=True)
-    return table((flight.name or "", *columns), rows, caption=text)
+    return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
 
 
 def _figures(now: Forecast) -> tuple[str, ...]:
@@ -320,10 +321,10 @@ def replay_sections(
     """The parts of a replay page."""
     text = f"The first {MOST.replays} replays have pictures of their own; the table has all."
     few = (paragraph(text),) if len(replays) > MOST.replays else ()
-    learned = map(learned_content, replays[: MOST.replays])
+    found = map(estimated_content, replays[: MOST.replays])
     sections = [
         Section("soc", "State of charge", (*few, *replay_pictures(replays))),
-        Section("figures", "All figures", (*learned, replay_content(replays))),
+        Section("figures", "All figures", (*found, replay_content(replays))),
     ]
     if simulations:
         blocks: Blocks = (simulation_content(simulations), *simulation_pictures(simulations))

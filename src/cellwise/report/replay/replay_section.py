@@ -383,7 +383,7 @@ def _nis(replay: Replay) -> list[tuple[str, str]]:
     return [(f"NIS over {duration(scale)}", significant(nis, 2)) for nis, scale in each]
 
 
-LEARNED = {
+ESTIMATED = {
     "offset_A": ("the current sensor adds", "A"),
     "gain": ("gain of the current sensor", ""),
     "capacity_Ah": ("capacity", "Ah"),
@@ -392,13 +392,13 @@ LEARNED = {
 }
 
 
-def learned_content(replay: Replay) -> Markup:
-    """What an adaptive filter found out about sensor and cell; nothing of another filter."""
+def estimated_content(replay: Replay) -> Markup:
+    """What an adaptive filter estimates of sensor and cell; nothing of another filter."""
     found = replay.to_dict().get("parameters")
     if not found or replay.far_off:
         return EMPTY
     rows = []
-    for key, (name, unit) in LEARNED.items():
+    for key, (name, unit) in ESTIMATED.items():
         if (one := found.get(key)) is None:
             continue
         sure = one["probability"]
@@ -407,7 +407,7 @@ def learned_content(replay: Replay) -> Markup:
             said = "as the model's" if sure < CHANGED else f"not the model's ({percent(sure, 0)})"
         value = f"{significant(one['value'], 4)} ± {significant(2.0 * one['std'], 2)} {unit}"
         rows.append((name, value.strip() if not one["held"] else "", said))
-    caption = f"What {replay_name(replay)} learned beside SOC."
+    caption = f"Beside SOC, by {replay_name(replay)}."
     return table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
 
 
