@@ -106,11 +106,11 @@ def print_pack(found: PackEstimate) -> None:
         rows[:SHOWN_CELLS],
         ("cell", lambda row: row["name"]),
         ("SOC %", lambda row: percent(row["soc"], 1)),
-        ("+-", lambda row: percent(row["soc_std"], 1)),
+        ("+-", lambda row: percent(2 * row["soc_std"], 1)),
         ("capacity Ah", lambda row: f"{row['capacity_Ah']:.2f}"),
-        ("+-", lambda row: f"{row['capacity_std_Ah']:.2f}"),
+        ("+-", lambda row: f"{2 * row['capacity_std_Ah']:.2f}"),
         ("resistance", lambda row: f"{row['resistance_scale']:.3f}"),
-        ("+-", lambda row: f"{row['resistance_std']:.3f}"),
+        ("+-", lambda row: f"{2 * row['resistance_std']:.3f}"),
         ("left mV", lambda row: printing.millivolt(row["voltage_rmse_V"])),
     )
     for cause in data["causes"]:

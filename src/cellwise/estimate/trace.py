@@ -43,7 +43,9 @@ class Trace:
         return self.time_s.size
 
     def __repr__(self) -> str:
-        return f"Trace({len(self)} rows, final SOC {self.soc[-1]:.4f} +- {self.soc_std[-1]:.4f})"
+        return (
+            f"Trace({len(self)} rows, final SOC {self.soc[-1]:.4f} +- {2 * self.soc_std[-1]:.4f})"
+        )
 
 
 class TraceSums(NamedTuple):

@@ -139,7 +139,7 @@ class Flight:
         now = self.last
         return (
             f"Flight({self.name or 'log'}: {now.remaining_s:.0f} s and {now.remaining_Wh:.3g} Wh "
-            f"remaining at {now.time_s:.0f} s, SOC {now.soc:.3f} +- {now.soc_std:.3f})"
+            f"remaining at {now.time_s:.0f} s, SOC {now.soc:.3f} +- {2 * now.soc_std:.3f})"
         )
 
 

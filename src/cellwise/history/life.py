@@ -93,8 +93,8 @@ class Life:
         scale, std = self.resistance
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
-            f"+- {100 * float(self.trend.std[-1]):.1f} % of the capacity, "
-            f"resistance {scale:.2f} +- {std:.2f} of the model's)"
+            f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
+            f"resistance {scale:.2f} +- {2 * std:.2f} of the model's)"
         )
 
     @property

@@ -109,7 +109,7 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
 def start_notices(own: Sequence[OwnLog]) -> list[str]:
     """Where logs of a model that comes from a prior begin: nobody measured their OCV."""
     begun = ((o.simulation.log.name, o.start) for o in own)
-    return [f"'{n}' begins at SOC {s.soc:.3f} +- {s.std:.3f} ({s.how})" for n, s in begun]
+    return [f"'{n}' begins at SOC {s.soc:.3f} +- {2 * s.std:.3f} ({s.how})" for n, s in begun]
 
 
 def other_capacities(starts: Sequence[Start]) -> list[Notice]:

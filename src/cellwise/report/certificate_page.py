@@ -32,12 +32,7 @@ def certificate_page(
     ----------
     data : mapping          the certificate's JSON
     model : str             name of the exported model
-    path : str or Path      of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles     for the picture as PNG and SVG
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     error, by = data["soc_error"], data["by"]
     sources = {SOURCES[name]: one for name, one in data["sources"].items()}

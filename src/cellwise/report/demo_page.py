@@ -12,7 +12,6 @@ from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.findings import demo_finding, fitted_drives, replay_finding, simulation_finding
 from cellwise.report.identification.page import cell_name, identify_sections, identify_tiles
-from cellwise.report.identification.pulse_section import pulse_example_picture
 from cellwise.report.identification.simulation_section import (
     as_shown,
     describe_residual,
@@ -181,12 +180,7 @@ def demo_page(
     identification : Identification
     simulations : of Simulation   drives that were not fitted
     replays : of Replay           the first one from a wrong start, of a simulated log
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     judged = [replay_finding(r) for r in replays if r.settled is not None]
     return write_page(
@@ -207,9 +201,6 @@ def demo_sections(
 ) -> tuple[Section, ...]:
     """The result, then the identification, the drives that it has not seen, and SOC on them."""
     own = [s for s in identify_sections(identification) if s.key != "trace"]
-    example = pulse_example_picture(identification)
-    if example is not None:
-        own = [s._replace(blocks=(example, *s.blocks)) if s.key == "pulses" else s for s in own]
     parts = [
         Section("result", "The result", _result(identification, simulations, replays)),
         *own,

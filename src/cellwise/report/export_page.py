@@ -37,13 +37,8 @@ def export_page(
     Parameters
     ----------
     report : mapping             what `cellwise export --json` prints
-    path : str or Path           of the HTML file; it appears whole or not at all
     on_log : with panels, None   the exported filter beside the float64 one over a log
-    figures : folder or FigureFiles   for the same pictures as files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     return write_page(
         path,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.page.numerals import (
+    SPACE,
     ampere_hours,
     capitalised,
     duration,
@@ -18,6 +19,7 @@ from cellwise.report.page.numerals import (
     percent,
     plural,
     points,
+    significant,
 )
 
 EFFECTS = {
@@ -38,8 +40,13 @@ def identify_finding(identification: Identification) -> str:
     """What an identification found: the capacity, and the error on what it saw and did not see."""
     model = identification.model
     error = millivolt(identification.fit.rmse_V)
-    text = f"{ampere_hours(model.capacity_Ah)}: {error} RMSE on its own {_own(identification)}"
-    unseen = [own.simulation for own in identification.own_logs if not own.used]
+    prior = model.provenance.get("prior")
+    text = ampere_hours(model.capacity_Ah)
+    if isinstance(prior, Mapping):  # a model of another cell, as far as these logs corrected it
+        band = significant(2.0 * float(prior["capacity_std_Ah"]), 2)
+        text = f"{prior['name']}, updated: {text} ± {band}{SPACE}Ah"
+    text += f": {error} RMSE on its own {_own(identification)}"
+    unseen = [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
     if unseen:
         worst = float(np.max([s.metrics.rmse_V for s in unseen]))
         one = len(unseen) == 1
@@ -101,15 +108,11 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
 def demo_finding(identification: Identification, simulations: Sequence[Simulation]) -> str:
     """The main result in short."""
     model = identification.model
-    alone = "Laboratory tests alone" if not fitted_drives(identification) else "Test logs"
-    text = (
-        f"{alone} give a model of {model.name or 'the cell'}, {ampere_hours(model.capacity_Ah)}, "
-        f"that is {millivolt(identification.fit.rmse_V)} RMSE off its own {_own(identification)}"
-    )
+    own = f"{millivolt(identification.fit.rmse_V)} RMSE on its own {_own(identification)}"
+    text = f"{model.name or 'The cell'}, {ampere_hours(model.capacity_Ah)}: {own}"
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {millivolt(float(np.mean(known)))} off "
-        text += f"{plural(len(known), 'drive')} it has not seen"
+        text += f", {millivolt(float(np.mean(known)))} on {plural(len(known), 'drive')} not seen"
     return f"{text}."
 
 

@@ -13,7 +13,6 @@ from cellwise.report import Picture, figure_png, hero_figure, save_figure, save_
 from cellwise.report.demo_page import demo_sections
 from cellwise.report.identification.page import identify_sections
 from cellwise.report.identification.parameter_section import pulse_values, table_error
-from cellwise.report.identification.pulse_section import find_example
 from cellwise.report.identification.simulation_section import simulation_pictures
 from cellwise.report.page.markup import MOST
 from cellwise.report.page.section import pictures_of
@@ -140,13 +139,6 @@ def test_values_of_pulses_and_what_they_show(laboratory):
     assert pulse_values(laboratory.temperatures[0], "r3_ohm") is None
     segments = identification(method="segments").temperatures[0]
     assert pulse_values(segments, "tau2_s").known.all()
-
-
-def test_example_is_the_strongest_healthy_discharge_near_half(laboratory):
-    example = find_example(laboratory)
-    assert example.pulse.quality == "healthy"
-    assert example.pulse.current_A == 6.0
-    assert abs(example.soc - 0.5) < 0.11
 
 
 def test_of_very_many_logs_the_worst_are_shown():

@@ -130,7 +130,7 @@ def fit_prior(
         apart_Ah, apart_V = _apart(found.model, alternatives)
         std_Ah, error = float(np.hypot(std_Ah, apart_Ah)), error.with_slow(apart_V, 0.0)
     notices.append(
-        f"capacity {fitted:.4g} +- {std_Ah:.2g} Ah, from {capacity.capacity_Ah:.4g} Ah "
+        f"capacity {fitted:.4g} +- {2 * std_Ah:.2g} Ah, from {capacity.capacity_Ah:.4g} Ah "
         f"({capacity.choice})"
     )
     model = replace(

@@ -18,8 +18,8 @@ from cellwise.report.benchmark.overview import (
     healthy,
     log_matrix,
     log_name,
+    mean_of,
     overviews,
-    start_matrix,
     start_name,
     step_time,
 )
@@ -34,7 +34,7 @@ from cellwise.report.page.markup import (
     paragraph,
     record_table,
 )
-from cellwise.report.page.numerals import duration, percent, plural, significant
+from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
 from cellwise.report.page.section import Section, write_page
 
@@ -110,43 +110,28 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     return figure
 
 
-@pictured(
-    "benchmark-starts",
-    "First: median time until the error stays within two points for ten minutes, over the "
-    "runs that get there; a hollow mark where some never do. Then: the settled error.",
-)
-def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
-    """Two axes over the start error."""
-    figure = style.new_figure(3.4)
-    left, right = style.panels(figure, 1, 2)
+def starts_table(rows: Rows) -> Markup:
+    """From each start: how long until within two points, and the settled error."""
     chosen = healthy(rows)
-    errors = sorted({float(row["start_error"]) for row in chosen})
-    looks = _looks(matrix.estimators)
-    place = np.arange(len(errors), dtype=np.float64)
-    for k, name in enumerate(matrix.estimators):
-        own = [row for row in chosen if row["estimator"] == name]
-        shift = 0.06 * (k - 0.5 * len(matrix.estimators))
-        for where, error in zip(place, errors, strict=True):
-            times = np.array([r["convergence_s"] for r in own if r["start_error"] == error])
-            reached = times[np.isfinite(times)]
-            if reached.size:
-                face = looks[name]["color"] if reached.size == times.size else style.PAPER
-                left.plot(where + shift, max(float(np.median(reached)), 0.5) / 60.0,
-                          linestyle="none", markersize=6, markerfacecolor=face,
-                          **looks[name])  # fmt: skip
-        right.plot(place + shift, np.maximum(100.0 * matrix.values[k], LEAST_PERCENT),
-                   linestyle="none", markersize=6, label=name, **looks[name])  # fmt: skip
-    for axes in (left, right):
-        axes.set_yscale("log")
-        axes.set_xticks(place, [start_name(e) for e in errors])
-        style.plain_numbers(axes.yaxis)
-    right.axhline(100.0 * CONVERGED_SOC, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    style.finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
-    style.finding(right, _settled_title(matrix), 0.42)
-    style.labels(left, "start", "within 2 points after [min]")
-    style.labels(right, "start", "settled SOC RMSE [%]")
-    style.key_below(figure)
-    return figure
+    names = [o.estimator for o in overviews(rows)]
+
+    def shown(error: float, name: str) -> str:
+        own = [r for r in chosen if r["estimator"] == name and r["start_error"] == error]
+        times = np.array([r["convergence_s"] for r in own], dtype=np.float64)
+        reached = times[np.isfinite(times)]
+        if not own:
+            return NONE
+        after = duration(float(np.median(reached))) if reached.size else "never"
+        part = f" in {reached.size} of {times.size}" if 0 < reached.size < times.size else ""
+        return f"{after}{part}, {percent(mean_of(own, 'settled_rmse'))}"
+
+    return record_table(
+        sorted({float(row["start_error"]) for row in chosen}),
+        ("start", start_name),
+        *((name, lambda error, name=name: shown(error, name)) for name in names),
+        caption="Median time until the error stays within two points for ten minutes, over the "
+        "runs that get there; then the settled RMSE.",
+    )
 
 
 def _logs_title(matrix: Matrix) -> str:
@@ -159,35 +144,6 @@ def _logs_title(matrix: Matrix) -> str:
     logs = np.count_nonzero(best == most)
     lowest = percent(float(np.nanmin(matrix.values[most])))
     return f"{matrix.estimators[most]} is best on {logs} of {best.size} logs, down to {lowest}"
-
-
-def _recovery_title(rows: Rows, estimators: Sequence[str], errors: Sequence[float]) -> str:
-    """Which estimator is back first from the starts that are farthest off, in every run."""
-    farthest = max((abs(e) for e in errors), default=0.0)
-    slowest = {}
-    for name in estimators:
-        times = [
-            float(r["convergence_s"])
-            for r in rows
-            if r["estimator"] == name and abs(float(r["start_error"])) == farthest
-        ]
-        if farthest > 0.0 and times and np.isfinite(times).all():
-            slowest[name] = max(times)
-    if not slowest:
-        return "No estimator came back in every run"
-    first = min(slowest, key=lambda name: slowest[name])
-    after = f"after {duration(slowest[first])}" if slowest[first] > 0.0 else "at once"
-    return f"From {round(100.0 * farthest):d} points off {first} is back {after}"
-
-
-def _settled_title(matrix: Matrix) -> str:
-    """Which estimator ends best from its worst start."""
-    known = [k for k, own in enumerate(matrix.values) if np.isfinite(own).all() and own.size]
-    if not known:
-        return "No estimator settled from every start"
-    best = min(known, key=lambda k: float(np.max(matrix.values[k])))
-    worst = percent(float(np.max(matrix.values[best])))
-    return f"{matrix.estimators[best]} settles to {worst} or less from every start"
 
 
 def curve_pictures(
@@ -280,12 +236,7 @@ def benchmark_page(
     Parameters
     ----------
     found : BenchmarkTable
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        no row; matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     if not found.rows:
         raise InputError("no row for the page", "at least one", "Run a suite first.")
@@ -327,13 +278,13 @@ def most_robust(matrix: Matrix) -> tuple[str, float] | None:
 def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     """The parts of the page."""
     rows = found.rows
-    faults, starts = fault_matrix(rows), start_matrix(rows)
+    faults = fault_matrix(rows)
     best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
     blocks = (best, log_picture(log_matrix(rows)))
     sections = [
         *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
-        Section("starts", "From a wrong start", (start_picture(rows, starts),), "Starts"),
+        Section("starts", "From a wrong start", (starts_table(rows),), "Starts"),
     ]
     if faults.labels:
         text = coverage_text(rows)

@@ -71,12 +71,7 @@ def diagnose_page(
     Parameters
     ----------
     diagnosis : Diagnosis
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     runs = in_order(diagnosis.runs)
     name = diagnosis.model.name or "the model"

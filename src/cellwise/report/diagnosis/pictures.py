@@ -10,13 +10,12 @@ import numpy as np
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.report.diagnosis.statements import change, named_log
 from cellwise.report.page import style
-from cellwise.report.page.markup import EMPTY, Markup, details, paragraph, record_table
+from cellwise.report.page.markup import Markup, paragraph
 from cellwise.report.page.numerals import (
     counted,
     duration,
     millivolt,
     percent,
-    plural,
     significant,
 )
 from cellwise.report.page.picture import pictured
@@ -98,8 +97,8 @@ Group = Mapping[str, Any]
 
 
 def residual_section(residual: Mapping[str, Any], name: str) -> Section:
-    """Picture and tables of where the error lies."""
-    content = (residual_text(residual), residual_picture(residual), residual_tables(residual))
+    """Text and picture of where the error lies."""
+    content = (residual_text(residual), residual_picture(residual))
     return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
 
 
@@ -193,26 +192,6 @@ def residual_text(residual: Mapping[str, Any]) -> Markup:
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
     return paragraph(" ".join(lines))
-
-
-def residual_tables(residual: Mapping[str, Any]) -> Markup:
-    """Every group in figures, folded away."""
-    parts = [
-        record_table(
-            groups,
-            (label, name),
-            ("rows", lambda g: counted(g["rows"])),
-            ("RMSE", lambda g: millivolt(g["rmse_V"])),
-            ("mean", lambda g: millivolt(g.get("mean_V"))),
-            ("share of the squared error", lambda g: percent(g["share"], 1)),
-            caption=f"By {what}",
-        )
-        for what, groups, name, label in panels(residual)
-        if groups
-    ]
-    if not parts:
-        return EMPTY
-    return details(f"All figures, {plural(len(parts), 'table')}", Markup("".join(parts)))
 
 
 def _soc(g: Group) -> str:

@@ -32,8 +32,11 @@ def capacity_content(identification: Identification) -> Markup:
     rows = capacity_rows(identification)
     whole = rows[0].total_Ah if rows else None
     taken = identification.model.capacity_Ah
-    names = list(identification.capacities)
+    # An update of a prior moves the chosen capacity: then it has a row of its own.
+    same = [n for n, q in identification.capacities.items() if abs(q / taken - 1.0) < 1e-9]
     chosen = identification.capacity_choice
+    names = list(identification.capacities)
+    marked = chosen if chosen in same or not same else same[0]
     held = any(row.cv_Ah > 5e-4 * row.total_Ah for row in rows)
     columns: list[tuple[object, Any]] = [
         ("rate", lambda row: row.rate),
@@ -64,7 +67,7 @@ def capacity_content(identification: Identification) -> Markup:
         ("against the taken one", lambda one: percent(one[1] / taken - 1.0, 1)),
         caption="What could be called the capacity; the marked one defines SOC, and a wrong one "
         "tilts every table (--capacity-choice).",
-        marked=names.index(chosen) if chosen in names else None,
+        marked=names.index(marked) if marked in names else None,
     )
     lines = [
         f"{test.name} ({significant(test.current_A)} A): {notice}"
@@ -108,16 +111,27 @@ def ocv_content(identification: Identification) -> Markup:
     return details(f"Where the OCV came from: {curve.source}", notes) if notes else notes
 
 
-@pictured(
-    "ocv",
-    "The model's OCV, and what it stands on. Below: by how much each measurement lies above it. "
-    "The gap of slow charge and slow discharge is polarisation and hysteresis together.",
-)
+def _ocv_caption(identification: Identification) -> str:
+    curve = identification.ocv
+    text = (
+        "The model's OCV, and what it stands on. Below: by how much each measurement lies above it."
+    )
+    if curve.discharge_V is None and curve.charge_V is None:
+        rests = measured_rests(identification).soc.size
+        return text if rests else "The model's OCV; no rest and no slow test was measured."
+    return f"{text} The gap of slow charge and discharge is polarisation and hysteresis together."
+
+
+@pictured("ocv", _ocv_caption)
 def ocv_picture(identification: Identification) -> style.Figure:
     """The model's curve with branches and rests; what they lie above it."""
-    figure = style.new_figure(5.4)
-    top, below = figure.subplots(2, 1, height_ratios=(1.5, 1.0))
     curve, model, rests = identification.ocv, identification.model, measured_rests(identification)
+    known = (curve.discharge_V, curve.charge_V, rests.soc if rests.soc.size else None)
+    measured = any(one is not None for one in known)
+    figure = style.new_figure(5.4 if measured else 3.3)
+    heights = (1.5, 1.0) if measured else (1.0,)
+    rows = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)
+    top, below = rows[0, 0], rows[-1, 0]
     row = int(np.argmin(np.abs(model.temperature_C - REFERENCE_C)))
     ocv_V = np.interp(curve.soc, model.soc, model.ocv_V[row])
     shown: list[FloatArray] = []
@@ -139,21 +153,21 @@ def ocv_picture(identification: Identification) -> style.Figure:
         below.plot(100.0 * rests.soc, 1e3 * error_V, "o", label=name, **looks)
         shown.append(1e3 * error_V)
         title = f"Rests lie {millivolt(float(np.median(np.abs(error_V))))} from it in the median"
-    style.zero_line(below)
-    known = np.concatenate(shown) if shown else np.empty(0)
-    known = known[np.isfinite(known)]
-    if known.size:
-        low, high = np.percentile(known, (2, 98))
+    if measured:
+        style.zero_line(below)
+        errors = np.concatenate(shown)
+        low, high = np.percentile(errors[np.isfinite(errors)], (2, 98))
         room = 0.15 * (high - low) + 2.0
         below.set_ylim(min(low, 0.0) - room, max(high, 0.0) + room)
+        style.finding(below, title)
     span = float(np.ptp(ocv_V[(curve.soc >= 0.2) & (curve.soc <= 0.8)]))
     slope = f"{millivolt(span / 60.0)} per point of SOC between 20 and {percent(0.8, 0)}"
     flat = "; a plateau, where voltage says little about SOC" if span < FLAT_V else ""
     style.finding(top, f"OCV {ocv_V[0]:.3f} to {ocv_V[-1]:.3f} V, {slope}{flat}")
-    style.finding(below, title)
-    style.labels(top, "", "voltage [V]")
-    style.soc_axis(top, label=False)
-    style.soc_axis(below)
-    style.labels(below, "SOC [%]", "minus the model [mV]")
+    if measured:
+        style.labels(below, "SOC [%]", "minus the model [mV]")
+    style.labels(top, "" if measured else "SOC [%]", "voltage [V]")
+    for axes in (top, below):
+        style.soc_axis(axes, label=axes is below)
     style.legend(top, place="lower right")
     return figure

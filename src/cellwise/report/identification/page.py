@@ -269,12 +269,7 @@ def identify_page(
     Parameters
     ----------
     identification : Identification
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     return write_page(
         path,

@@ -76,11 +76,12 @@ def flight_finding(flight: Flight) -> str:
 
 def flight_section(flights: Sequence[Flight]) -> Section:
     """Pictures of all flights, then their figures."""
-    pictures = [
-        flight_picture(f)._replace(key=f"flight-{k + 1}-{safe_key(f.name or 'log')}")
-        for k, f in enumerate(flights)
-    ]
     several = len(flights) > 1
+    pictures = []
+    for k, f in enumerate(flights[: MOST.replays]):
+        one = flight_picture(f, f.name if several else "")
+        key = f"flight-{k + 1}-{safe_key(f.name or 'log')}"
+        pictures.append(one._replace(key=key, caption=one.caption if k == 0 else ""))
     blocks: Blocks = (*pictures, *(flight_content(f, several=several) for f in flights))
     return Section("left", "Remaining time and energy", blocks)
 
@@ -119,7 +120,7 @@ def _figures(now: Forecast) -> tuple[str, ...]:
     "capacity, voltage and warming; its lower edge is where the load's usual peaks first press the "
     "voltage to the cutoff.",
 )
-def flight_picture(flight: Flight) -> style.Figure:
+def flight_picture(flight: Flight, name: str = "") -> style.Figure:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
     figure = style.new_figure(4.2)
@@ -138,7 +139,10 @@ def flight_picture(flight: Flight) -> style.Figure:
         axes.set_ylim(0.0, 1.05 * max(float(np.max(band[known, 1], initial=0.0)), 1e-9))
     now = shown.last
     left = duration_between(now.remaining_s, *now.remaining_s_band)
-    style.finding(above, f"{left} left at the end, at the usual {significant(now.load_A)} A")
+    style.finding(
+        above,
+        f"{name}{': ' * bool(name)}{left} left at the end, at the usual {significant(now.load_A)} A",
+    )
     return figure
 
 
@@ -240,14 +244,9 @@ def replay_page(
     Parameters
     ----------
     replays : of Replay           the first one gives the page's first line
-    path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
     flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        no replay; matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")

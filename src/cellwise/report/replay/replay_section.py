@@ -405,8 +405,9 @@ def estimated_content(replay: Replay) -> Markup:
         said = f"held at the model's: {one['held']}" if one["held"] else ""
         if not said and sure is not None:
             said = "as the model's" if sure < CHANGED else f"not the model's ({percent(sure, 0)})"
-        value = f"{significant(one['value'], 4)} ± {significant(2.0 * one['std'], 2)} {unit}"
-        rows.append((name, value.strip() if not one["held"] else "", said))
+        places = max(1 - math.floor(math.log10(max(2.0 * one["std"], 1e-9))), 0)
+        value = f"{one['value']:.{places}f} ± {2.0 * one['std']:.{places}f} {unit}".strip()
+        rows.append((name, "" if one["held"] else value.replace("-", "−"), said))
     caption = f"Beside SOC, by {replay_name(replay)}."
     return table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
 
