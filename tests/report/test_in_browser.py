@@ -115,14 +115,14 @@ def test_a_page_opens_without_complaint_and_loads_nothing(pages, found, kind):
     told = found[kind]
     assert told["complaints"] == []
     assert told["requests"] == [pages[kind].resolve().as_uri()]
-    assert told["pictures"] >= 1
+    assert told["pictures"] >= (1 if kind in DRAWN else 0)
     assert told["canvases"] >= (3 if kind in WITH_TRACES else 0)
     assert any(c.isdigit() for c in told["finding"])
     assert told["fits"], "the page is wider than its window"
     assert told["seen"] > 0.05, "there is nothing to see"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DRAWN)
 def test_a_picture_zooms_and_comes_back(found, kind):
     told = found[kind]["zoomed"]
     assert told["x"] == pytest.approx([0.25, 0.75], abs=0.01)

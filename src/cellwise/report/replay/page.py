@@ -139,10 +139,8 @@ def flight_picture(flight: Flight, name: str = "") -> style.Figure:
         axes.set_ylim(0.0, 1.05 * max(float(np.max(band[known, 1], initial=0.0)), 1e-9))
     now = shown.last
     left = duration_between(now.remaining_s, *now.remaining_s_band)
-    style.finding(
-        above,
-        f"{name}{': ' * bool(name)}{left} left at the end, at the usual {significant(now.load_A)} A",
-    )
+    title = f"{left} left at the end, at the usual {significant(now.load_A)} A"
+    style.finding(above, f"{name}: {title}" if name else title)
     return figure
 
 
