@@ -114,7 +114,8 @@ def found(pages, tmp_path_factory):
 def test_a_page_opens_without_complaint_and_loads_nothing(pages, found, kind):
     told = found[kind]
     assert told["complaints"] == []
-    assert told["requests"] == [pages[kind].resolve().as_uri()]
+    asked = [address for address in told["requests"] if not address.startswith("data:image/png")]
+    assert asked == [pages[kind].resolve().as_uri()]
     assert told["pictures"] >= (1 if kind in DRAWN else 0)
     assert told["canvases"] >= (3 if kind in WITH_TRACES else 0)
     assert any(c.isdigit() for c in told["finding"])

@@ -44,7 +44,8 @@ def identify_finding(identification: Identification) -> str:
     text = ampere_hours(model.capacity_Ah)
     if isinstance(prior, Mapping):  # a model of another cell, as far as these logs corrected it
         band = significant(2.0 * float(prior["capacity_std_Ah"]), 2)
-        text = f"{prior['name']}, updated: {text} ± {band}{SPACE}Ah"
+        size = significant(model.capacity_Ah)
+        text = f"{prior['name']}, updated: {size} ± {band}{SPACE}Ah"
     text += f": {error} RMSE on its own {_own(identification)}"
     unseen = [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
     if unseen:

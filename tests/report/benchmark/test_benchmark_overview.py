@@ -9,11 +9,10 @@ import pytest
 
 from cellwise.report.benchmark.overview import (
     coverage_text,
-    log_matrix,
     overviews,
     suite_coverage,
 )
-from cellwise.report.benchmark.page import benchmark_finding, log_picture, starts_table
+from cellwise.report.benchmark.page import benchmark_finding, starts_table
 from cellwise.report.page.numerals import SPACE, percent
 from page_cases import benchmark_table, row
 
@@ -45,14 +44,6 @@ def test_an_estimator_that_ran_without_faults_alone_or_tells_no_band_has_none():
 def test_a_run_that_could_not_be_judged_counts_nowhere():
     bad = rows()[2] | {"problem": "no SOC", "coverage_2sigma": 0.0}
     assert suite_coverage([*rows(), bad])["a"] == pytest.approx(0.9)
-
-
-def test_titles_say_which_estimator_and_how_much():
-    table = benchmark_table().rows
-    (axes,) = log_picture(log_matrix(table)).figure.axes
-    title = axes.get_title(loc="left").replace("\n", " ")
-    assert "ekf" in title  # the smallest errors of the table, on every log
-    assert any(c.isdigit() for c in title), title
 
 
 def test_the_first_line_says_who_is_best_under_a_fault():

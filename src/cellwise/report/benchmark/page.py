@@ -15,6 +15,7 @@ from cellwise.report.benchmark.overview import (
     Matrix,
     coverage_text,
     fault_matrix,
+    fault_rows,
     healthy,
     log_matrix,
     log_name,
@@ -33,53 +34,22 @@ from cellwise.report.page.markup import (
     details,
     paragraph,
     record_table,
+    table,
 )
 from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
-MARKERS = "osD^vPX<>h"
-# Per cent of SOC that an axis shows: a logarithmic one from, a linear one up to, since an initial
-# error that persists would press all else to zero.
-LEAST_PERCENT, MOST_POINTS = 0.02, 12.0
+MOST_POINTS = 12.0  # of SOC, that an axis shows: a lost start would press all else to zero
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
 BAD = style.TINTS[-1]
 
 
-def _looks(estimators: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and marker of every estimator, the same in every picture."""
-    return {
-        name: {"color": style.CYCLE[k % len(style.CYCLE)], "marker": MARKERS[k % len(MARKERS)]}
-        for k, name in enumerate(estimators)
-    }
-
-
-@pictured(
-    "benchmark-logs",
-    "Every dot is the mean over the starts of one log, without a fault; further left is "
-    "better, every grid line of the scale is a factor.",
-)
-def log_picture(matrix: Matrix) -> style.Figure:
-    """Dots over a logarithmic scale, a line per log."""
-    figure = style.new_figure(1.2 + 0.3 * max(len(matrix.labels), 2))
-    axes = figure.subplots()
-    place = np.arange(len(matrix.labels))
-    looks = _looks(matrix.estimators)
-    for name, values in zip(matrix.estimators, matrix.values, strict=True):
-        axes.plot(
-            np.maximum(100.0 * values, LEAST_PERCENT), place, linestyle="none", markersize=6,
-            label=name, **looks[name],
-        )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_yticks(place, matrix.labels)
-    axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
-    style.plain_numbers(axes.xaxis)
-    style.finding(axes, _logs_title(matrix))
-    style.labels(axes, "settled SOC RMSE [%]", " ")
-    style.key_below(figure)
-    return figure
+def _colours(estimators: Sequence[str]) -> dict[str, str]:
+    """Colour of every estimator, the same in every picture."""
+    return {name: style.CYCLE[k % len(style.CYCLE)] for k, name in enumerate(estimators)}
 
 
 @pictured(
@@ -134,18 +104,6 @@ def starts_table(rows: Rows) -> Markup:
     )
 
 
-def _logs_title(matrix: Matrix) -> str:
-    """Which estimator is best on most logs, and how good it is there."""
-    judged = np.isfinite(matrix.values).any(axis=0) if matrix.values.size else np.array([False])
-    if not judged.any():
-        return "No log was judged"
-    best = np.nanargmin(matrix.values[:, judged], axis=0)
-    most = int(np.argmax(np.bincount(best)))
-    logs = np.count_nonzero(best == most)
-    lowest = percent(float(np.nanmin(matrix.values[most])))
-    return f"{matrix.estimators[most]} is best on {logs} of {best.size} logs, down to {lowest}"
-
-
 def curve_pictures(
     rows: Rows, curves: Mapping[int, Mapping[str, Sequence[float]]]
 ) -> tuple[Picture, ...]:
@@ -180,13 +138,13 @@ def _curve_picture(
     figure = style.new_figure(3.4)
     axes = figure.subplots()
     order = [o.estimator for o in overviews(rows)]
-    looks = _looks(order)
+    colours = _colours(order)
     largest = 2.0 * 100.0 * CONVERGED_SOC
     for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
         curve = curves[k]
         hours = np.array(curve["time_s"]) / 3600.0
         error, std = 100.0 * np.array(curve["error"]), 100.0 * np.array(curve["std"])
-        colour = looks[rows[k]["estimator"]]["color"]
+        colour = colours[rows[k]["estimator"]]
         name = f"{rows[k]['estimator']}: {percent(rows[k]['settled_rmse'])}"
         axes.plot(hours, error, color=colour, label=name)
         for side in (-2.0, 2.0):
@@ -280,7 +238,14 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     rows = found.rows
     faults = fault_matrix(rows)
     best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
-    blocks = (best, log_picture(log_matrix(rows)))
+    logs = log_matrix(rows)
+    by_log = table(
+        ("log", *logs.estimators),
+        fault_rows(logs, percent),
+        caption="Settled RMSE of each log, mean over its starts, without a fault.",
+        sortable=True,
+    )
+    blocks = (best, by_log)
     sections = [
         *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),

@@ -39,7 +39,7 @@ NAMED = re.compile("|".join(sorted((n for n in CAUSES if "_" in n), key=len, rev
 
 
 def in_words(text: str) -> str:
-    """A sentence of the diagnosis with its causes named for people."""
+    """A line of the diagnosis with its causes named for people."""
     return NAMED.sub(lambda m: cause_name(m[0]), text)
 
 

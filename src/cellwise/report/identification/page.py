@@ -45,6 +45,7 @@ from cellwise.report.page.markup import (
     finite,
     lead_of,
     linked_among,
+    paragraph,
     record_table,
     table,
     tiles,
@@ -244,14 +245,9 @@ def _validity(identification: Identification) -> Markup:
         rows.append(("temperature", range_C if measured else f"{range_C}, taken: none measured"))
     if validity.current_A is not None:
         rows.append(("current", " to ".join(significant(v) for v in validity.current_A) + " A"))
-    if not rows:
-        return Markup("")
-    return table(
-        ("quantity", "covered by the data"),
-        rows,
-        caption="Outside, every command says so and the standard deviation grows.",
-        text_columns=(0, 1),
-    )
+    covered = "; ".join(f"{name} {text}" for name, text in rows)
+    text = f"Covered by the data: {covered}. Outside, every command says so."
+    return paragraph(text) if rows else Markup("")
 
 
 def _volt(value: float | None) -> str:
@@ -320,9 +316,11 @@ def identify_tiles(identification: Identification) -> Markup:
     """Key figures of an identification."""
     counts, fit = identification.pulse_counts, identification.fit
     capacity = ampere_hours(identification.model.capacity_Ah)
+    updated = "updated" in identification.capacities
+    choice = "updated" if updated else identification.capacity_choice
     limits = identification.model.validity.temperature_C
     facts = [
-        (f"capacity ({identification.capacity_choice})", capacity),
+        (f"capacity ({choice})", capacity),
         ("RMSE on the logs of the fit", millivolt(fit.rmse_V)),
         ("largest error there", millivolt(fit.max_error_V)),
     ]

@@ -262,7 +262,8 @@ def _draw_key(figure: style.Figure, identification: Identification) -> None:
         ):
             looks: dict[str, Any] = {"color": style.MEASURED, "alpha": alpha, "linestyle": "none"}
             keys.append(Line2D([], [], marker=marker, markersize=4, label=name, **looks))
-    style.key_below(figure, keys)
+    if len(keys) > 1:
+        style.key_below(figure, keys)
 
 
 def temperature_colours(count: int) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def simulation_content(simulations: Sequence[Simulation]) -> Markup:
 
 @pictured(
     "simulation",
-    "Left: measured voltage (grey), the model's (vermillion) from the current alone, and the "
+    "Measured voltage (grey), the model's (vermillion) from the current alone, and the "
     "residual. Then: the minutes above 10 % SOC where the model is worst, with their "
     "current; below, the error over SOC – mean, and the band that holds 95 % of it.",
 )

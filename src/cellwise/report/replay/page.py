@@ -120,7 +120,7 @@ def _figures(now: Forecast) -> tuple[str, ...]:
     "capacity, voltage and warming; its lower edge is where the load's usual peaks first press the "
     "voltage to the cutoff.",
 )
-def flight_picture(flight: Flight, name: str = "") -> style.Figure:
+def flight_picture(flight: Flight, of_log: str = "") -> style.Figure:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
     figure = style.new_figure(4.2)
@@ -140,7 +140,7 @@ def flight_picture(flight: Flight, name: str = "") -> style.Figure:
     now = shown.last
     left = duration_between(now.remaining_s, *now.remaining_s_band)
     title = f"{left} left at the end, at the usual {significant(now.load_A)} A"
-    style.finding(above, f"{name}: {title}" if name else title)
+    style.finding(above, f"{of_log}: {title}" if of_log else title)
     return figure
 
 
