@@ -208,7 +208,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
         KINDS[cause.kind],
         f"In the model: {known.term}.",
         f"What it leaves in the residual: {known.signature}",
-        *(e for e in cause.evidence if e != known.signature),
+        *(in_words(e) for e in cause.evidence if e != known.signature),
     ]
     if cause.confusable_with:
         names = listed([cause_name(c) for c in cause.confusable_with])
@@ -225,19 +225,12 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     shown = shown_parameters(cause)
     folded = [p for p in cause.parameters.items() if p not in shown]
     what = f"{plural(len(folded), 'parameter')} of which these logs say no more than is usual"
-    fitted = _change(cause.train_rmse_before_V, cause.train_rmse_after_V)
-    held_out = _change(cause.holdout_rmse_before_V, cause.holdout_rmse_after_V)
-    gains = table(
-        ("rows", "RMSE before", "after", "gain", "95 % interval"),
-        [("fitted on", *fitted, ""), ("held out", *held_out, _interval(cause.gain_ci95))],
-    )
     return Markup(
         f"<h3>{escape(capitalised(cause_name(cause.name)) + sure)}</h3>"
         + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}")
         + bullets(lines)
         + numbers(shown)
         + (details(what, numbers(folded)) if folded else "")
-        + gains
     )
 
 
@@ -344,7 +337,7 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
             ("cause", lambda c: cause_name(c.name)),
             ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
             ("evidence", lambda c: significant(c.score)),
-            ("its parameters", lambda c: _values(c.name, c.parameters)),
+            ("its parameters", lambda c: _first_values(c.name, c.parameters)),
             text_columns=(0, 3),
             **options,
         )
@@ -363,18 +356,15 @@ def _units(cause: str) -> dict[str, str]:
     return {p.name: p.unit for p in CAUSES[cause].parameters} if cause in CAUSES else {}
 
 
+def _first_values(cause: str, parameters: Mapping[str, float]) -> str:
+    """The first two; the others of many stand in the figures for machines."""
+    more = f" and {len(parameters) - 2} more" if len(parameters) > 2 else ""
+    return _values(cause, dict(list(parameters.items())[:2])) + more
+
+
 def _values(cause: str, parameters: Mapping[str, float]) -> str:
     units = _units(cause)
     return ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in parameters.items())
-
-
-def _change(before_V: float, after_V: float) -> tuple[str, str, str]:
-    gain = 1.0 - after_V / before_V if before_V > 0.0 else 0.0
-    return millivolt(before_V), millivolt(after_V), percent(gain, 0)
-
-
-def _interval(ends: tuple[float, float]) -> str:
-    return f"{percent(ends[0], 0)} to {percent(ends[1], 0)}"
 
 
 def _between(ends: tuple[float, float] | None, unit: str) -> str:
