@@ -98,7 +98,7 @@ def measured_rests(identification: Identification) -> Rests:
     ]
     try:
         _, log = min(logs, key=lambda one: one[0])
-        found = ocv_from_rests(log, capacity_Ah=identification.model.capacity_Ah, extrapolate=True)
+        found = ocv_from_rests(log, capacity_Ah=identification.model.capacity_Ah)
     except (ValueError, InputError):  # no log, or one without rests: the curve came from elsewhere
         return Rests(np.empty(0), np.empty(0))
     return Rests(found.points_soc, found.points_V)
