@@ -46,7 +46,7 @@ def test_the_picture_shows_what_was_measured(weak):
 def test_a_pack_in_which_none_is_odd_says_so(tmp_path):
     model, log = emulated_pack(4, hours=0.5)
     text = pack_page(estimate_pack(model, [log]), tmp_path / "pack.html").read_text()
-    assert "none is odd" in text
+    assert "None of 4 cells is odd" in text
 
 
 def test_a_life_is_drawn_from_its_logs(tmp_path):

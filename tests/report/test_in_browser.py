@@ -27,6 +27,7 @@ TRACES = "document.documentElement.dataset.plots === 'ready'"
 PICTURES = "document.documentElement.dataset.pictures === 'ready'"
 MILLION = 1_000_000
 WITH_TRACES = ("identify", "replay", "diagnose", "export")
+DRAWN = tuple(kind for kind in KINDS if kind != "export")  # costs stand in tables
 
 
 def in_browser(folder, work):
@@ -47,7 +48,8 @@ def pages(tmp_path_factory):
 async def looked_at(browser, kind, page, folder):
     """What is on a page, in words and numbers."""
     traces = kind in WITH_TRACES
-    await browser.open(page, f"{PICTURES} && ({TRACES} || {json.dumps(not traces)})")
+    pictures = PICTURES if kind in DRAWN else "true"
+    await browser.open(page, f"{pictures} && ({TRACES} || {json.dumps(not traces)})")
     told = await browser.value(
         "({pictures: document.querySelectorAll('figure svg').length,"
         " canvases: document.querySelectorAll('div.trace canvas').length,"
@@ -56,7 +58,7 @@ async def looked_at(browser, kind, page, folder):
     )
     shot = await browser.screenshot(folder / f"{kind}.png")
     seen = float(matplotlib.image.imread(shot).std())
-    zoomed = await zoomed_by_a_drag(browser)
+    zoomed = await zoomed_by_a_drag(browser) if kind in DRAWN else None
     return {**told, "seen": seen, "zoomed": zoomed, "complaints": list(browser.complaints),
             "requests": list(browser.requests)}  # fmt: skip
 
@@ -112,15 +114,16 @@ def found(pages, tmp_path_factory):
 def test_a_page_opens_without_complaint_and_loads_nothing(pages, found, kind):
     told = found[kind]
     assert told["complaints"] == []
-    assert told["requests"] == [pages[kind].resolve().as_uri()]
-    assert told["pictures"] >= 1
+    asked = [address for address in told["requests"] if not address.startswith("data:image/png")]
+    assert asked == [pages[kind].resolve().as_uri()]
+    assert told["pictures"] >= (1 if kind in DRAWN else 0)
     assert told["canvases"] >= (3 if kind in WITH_TRACES else 0)
     assert any(c.isdigit() for c in told["finding"])
     assert told["fits"], "the page is wider than its window"
     assert told["seen"] > 0.05, "there is nothing to see"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DRAWN)
 def test_a_picture_zooms_and_comes_back(found, kind):
     told = found[kind]["zoomed"]
     assert told["x"] == pytest.approx([0.25, 0.75], abs=0.01)
@@ -148,7 +151,7 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                          deviceScaleFactor=1, mobile=True)  # fmt: skip
         widths, unshaded, smallest = {}, {}, {}
         for kind, page in pages.items():
-            await browser.open(page, PICTURES)
+            await browser.open(page, PICTURES if kind in DRAWN else "true")
             widths[kind] = await browser.value("document.documentElement.scrollWidth")
             unshaded[kind] = await browser.value(
                 "[...document.querySelectorAll('.scroll, figure > div')].filter(e =>"
@@ -164,7 +167,7 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
         return widths, unshaded, smallest
 
     widths, unshaded, smallest = in_browser(tmp_path, work)
-    assert {kind: size for kind, size in smallest.items() if size < 8.5} == {}
+    assert {kind: s for kind, s in smallest.items() if s is not None and s < 11.0} == {}
     assert {kind: w for kind, w in widths.items() if w > 390} == {}
     assert set(unshaded.values()) == {0}
 

@@ -138,12 +138,12 @@ class Life:
         """The test that would make the trend known, where it is not."""
         std = float(self.trend.std[-1])
         if std <= TESTED.unsure and any(one.counted for one in self.logs):
-            return f"none: the share of the new cell's capacity is known to {100 * std:.1f} %"
+            return f"none: the share of the new cell's capacity is known to +- {200 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
         as_before = f", as '{load.log.name}'" if load is not None else ""
         return (
             f"a full charge and a complete discharge at one current{as_before}: the capacity is "
-            f"known to {100 * std:.1f} % only"
+            f"known to +- {200 * std:.1f} % only"
         )
 
     @property

@@ -189,12 +189,7 @@ def capacity_study_page(
     Parameters
     ----------
     studies : of CellStudy        the first one gives the page's first line
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        no study; matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     if not studies:
         raise InputError("no study for the page", "at least one", "Study a cell first.")

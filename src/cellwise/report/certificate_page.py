@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, bullets, record_table, tiles
+from cellwise.report.page.markup import Markup, bullets, details, lead_of, record_table, tiles
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
@@ -32,23 +32,23 @@ def certificate_page(
     ----------
     data : mapping          the certificate's JSON
     model : str             name of the exported model
-    path : str or Path      of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles     for the picture as PNG and SVG
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     error, by = data["soc_error"], data["by"]
     sources = {SOURCES[name]: one for name, one in data["sources"].items()}
-    tables = map(_table, _shown(by).items())
+    tables = details("The groups in numbers", Markup("".join(map(_table, _shown(by).items()))))
     sections = [
         Section("sources", "By what made the cells", (_table(("source", sources)),)),
-        Section("groups", "Where the error is", (group_picture(data), *tables)),
+        Section("groups", "Where the error is", (group_picture(data), tables)),
         Section("worst", "The worst cells", (_worst(data),)),
         Section("made", "What the fleet is", (_made(data),)),
     ]
-    lead = tiles(
+    worst = (
+        f"Worst by {name}: {_named(max(groups, key=lambda g: groups[g]['rmse']))}, "
+        f"{_percent(max(g['rmse'] for g in groups.values()), 1)} RMS."
+        for name, groups in _shown(by).items()
+    )
+    figures_of_all = tiles(
         (
             ("SOC error, RMS", _percent(error["rmse"], 2)),
             ("below this in 95 % of the time", _percent(error["p95"], 1)),
@@ -63,7 +63,7 @@ def certificate_page(
         f"Certificate of the exported filter of {model or 'an unnamed cell'}, by cellwise",
         sections,
         data,
-        lead=lead,
+        lead=lead_of((), figures_of_all, list(worst)),
         figures=figures,
     )
 
@@ -103,9 +103,10 @@ def group_picture(data: Mapping[str, Any]) -> style.Figure:
         len(by), 1, sharex=True, gridspec_kw={"height_ratios": [len(g) for g in by.values()]}
     )
     for axes, (name, groups) in zip(panels, by.items(), strict=True):
-        names = list(groups)[::-1]
-        axes.barh(names, [100.0 * groups[n]["p95"] for n in names], color=style.BLUE, alpha=0.35)
-        axes.plot([100.0 * groups[n]["rmse"] for n in names], names, "o", color=style.INK, ms=4)
+        order = list(groups)[::-1]
+        names = list(map(_named, order))
+        axes.barh(names, [100.0 * groups[n]["p95"] for n in order], color=style.BLUE, alpha=0.35)
+        axes.plot([100.0 * groups[n]["rmse"] for n in order], names, "o", color=style.INK, ms=4)
         axes.set_title(f"by {name}", loc="left")
     style.labels(panels[-1], "SOC error [points]")
     return figure
@@ -116,11 +117,15 @@ def _shown(by: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
     return {name: groups for name, groups in by.items() if groups}
 
 
+def _named(group: str) -> str:
+    return group.replace("degC", "°C").replace("-", "−")
+
+
 def _table(group: tuple[str, Mapping[str, Mapping[str, float]]]) -> Markup:
     name, groups = group
     return record_table(
         list(groups.items()),
-        (name, lambda g: g[0]),
+        (name, lambda g: _named(g[0])),
         ("cells", lambda g: f"{g[1]['cells']:.0f}"),
         ("RMSE", lambda g: _percent(g[1]["rmse"], 2)),
         ("95 % of the time below", lambda g: _percent(g[1]["p95"], 1)),
@@ -135,7 +140,7 @@ def _worst(data: Mapping[str, Any]) -> Markup:
         ("cell", lambda r: r["name"]),
         ("fault", lambda r: r["fault"]),
         ("age", lambda r: "-" if r["age"] is None else f"{r['age']:.2f}"),
-        ("degC", lambda r: f"{r['temperature_C']:.0f}"),
+        ("°C", lambda r: f"{r['temperature_C']:.0f}"),
         ("RMSE", lambda r: _percent(r["rmse"], 1)),
         ("worst", lambda r: _percent(r["worst"], 1)),
         ("at hour", lambda r: f"{r['worst_h']:.1f}"),

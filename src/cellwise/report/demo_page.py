@@ -10,28 +10,8 @@ import numpy as np
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
-from cellwise.logs.cell_log import CellLog
 from cellwise.report.findings import demo_finding, fitted_drives, replay_finding, simulation_finding
-from cellwise.report.identification.capacity_and_ocv import (
-    capacity_content,
-    capacity_picture,
-    ocv_content,
-    ocv_evidence,
-    ocv_picture,
-)
-from cellwise.report.identification.page import (
-    cell_name,
-    identify_tiles,
-    notices,
-    provenance_content,
-)
-from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
-from cellwise.report.identification.pulse_section import (
-    pulse_content,
-    pulse_example_picture,
-    pulse_picture,
-    pulse_sets,
-)
+from cellwise.report.identification.page import cell_name, identify_sections, identify_tiles
 from cellwise.report.identification.simulation_section import (
     as_shown,
     describe_residual,
@@ -39,16 +19,13 @@ from cellwise.report.identification.simulation_section import (
     simulation_pictures,
 )
 from cellwise.report.page import style
-from cellwise.report.page.markup import bullets, clock_of, details, lead_of, paragraph, record_table
+from cellwise.report.page.markup import bullets, clock_of, details, lead_of, paragraph
 from cellwise.report.page.numerals import (
     ampere_hours,
-    counted,
     duration,
-    listed,
     millivolt,
     percent,
     plural,
-    significant,
 )
 from cellwise.report.page.picture import FigureFiles, pictured, save_figure
 from cellwise.report.page.section import Blocks, Section, write_page
@@ -68,7 +45,6 @@ from cellwise.report.replay.replay_section import (
     replay_content,
     replay_pictures,
 )
-from cellwise.typing import FloatArray
 
 CLOSE_UP_S = 180.0
 
@@ -204,12 +180,7 @@ def demo_page(
     identification : Identification
     simulations : of Simulation   drives that were not fitted
     replays : of Replay           the first one from a wrong start, of a simulated log
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     judged = [replay_finding(r) for r in replays if r.settled is not None]
     return write_page(
@@ -228,32 +199,29 @@ def demo_sections(
     simulations: Sequence[Simulation],
     replays: Sequence[Replay],
 ) -> tuple[Section, ...]:
-    """The steps, in the order in which a laboratory takes them."""
-    evidence = ocv_evidence(identification)
-    own = identification.simulations
-    provenance = (notices(identification), provenance_content(identification))
-    laboratory = (
-        capacity_picture(identification),
-        details("Capacity in numbers", capacity_content(identification)),
-        ocv_picture(identification, evidence),
-        details("The OCV in numbers", ocv_content(identification, evidence)),
-    )
-    parameters = (parameter_picture(identification), parameter_content(identification))
-    fit: Blocks = (simulation_content(own), *simulation_pictures(own[:1], "fit"))
-    model = "The model: a circuit whose parts change with SOC"
-    drives = "Does it predict drives it was not fitted on?"
-    titled: tuple[tuple[str, str, Blocks, str], ...] = (
-        ("result", "The result", _result(identification, simulations, replays), ""),
-        ("logs", "The logs", _logs(identification, simulations), ""),
-        ("laboratory", "How much charge, at what voltage", laboratory, "Capacity and OCV"),
-        ("pulses", "How the cell answers a pulse", _pulses(identification), "Pulses"),
-        ("parameters", model, parameters, "Parameters"),
-        ("fit", "Does the model explain its own tests?", fit, "Own tests"),
-        ("held-out", drives, _held_out(simulations), "Held-out drives"),
-        ("soc", "State of charge on the road", _soc(replays), "State of charge"),
-        ("provenance", "Where every number came from", provenance, "Provenance"),
-    )
-    return tuple(Section(*one) for one in titled if one[2])
+    """The result, then the identification, the drives that it has not seen, and SOC on them."""
+    own = [s for s in identify_sections(identification) if s.key != "trace"]
+    parts = [
+        Section("result", "The result", _result(identification, simulations, replays)),
+        *own,
+    ]
+    if simulations:
+        drives: Blocks = (
+            paragraph(simulation_finding(simulations)),
+            simulation_content(simulations),
+            *simulation_pictures(simulations, "held-out"),
+        )
+        title = "Does it predict drives it was not fitted on?"
+        parts.append(Section("held-out", title, drives, "Held-out drives"))
+    if replays:
+        soc: Blocks = (
+            bullets(replay_finding(r) for r in replays),
+            *comparison_pictures(replays),
+            *replay_pictures(replays[:1]),
+            details("All figures of the replays", replay_content(replays)),
+        )
+        parts.append(Section("soc", "State of charge on the road", soc, "State of charge"))
+    return tuple(parts)
 
 
 def _result(
@@ -272,65 +240,3 @@ def _result(
     if pair is None:
         return (text,)
     return text, hero_picture(identification, *pair)._replace(clock=clock_of(pair[0].log))
-
-
-def _logs(identification: Identification, simulations: Sequence[Simulation]) -> Blocks:
-    seen: dict[int, tuple[str, CellLog]] = {}
-    for found in identification.temperatures:
-        for one in found.pulse_sets:
-            seen[id(one.log)] = ("identification: pulses", one.log)
-    for s in identification.simulations:
-        seen.setdefault(id(s.log), ("identification: drive", s.log))
-    for s in simulations:
-        seen.setdefault(id(s.log), ("held out: validation", s.log))
-    tests = list(dict.fromkeys(t.name for t in identification.capacity_tests))
-    more = f" Capacity and OCV come from {listed(tests)}." if tests else ""
-    text = "Everything below is computed from these logs; positive current discharges."
-    logs = record_table(
-        seen.values(),
-        ("log", lambda one: clock_of(one[1])),
-        ("used for", lambda one: one[0]),
-        ("rows", lambda one: counted(len(one[1]))),
-        ("length", lambda one: duration(one[1].duration_s)),
-        ("current", lambda one: f"{' to '.join(map(significant, _ends(one[1].current_A)))} A"),
-        ("voltage", lambda one: "{:.2f} to {:.2f} V".format(*_ends(one[1].voltage_V))),
-        text_columns=(0, 1),
-    )
-    return paragraph(text + more), logs
-
-
-def _ends(values: FloatArray) -> tuple[float, float]:
-    return float(np.nanmin(values)), float(np.nanmax(values))
-
-
-def _pulses(identification: Identification) -> Blocks:
-    if not any(s.pulses for _, s in pulse_sets(identification)):
-        return ()
-    example = pulse_example_picture(identification)
-    return (
-        *(() if example is None else (example,)),
-        pulse_picture(identification),
-        details("Pulses in numbers", pulse_content(identification)),
-    )
-
-
-def _held_out(simulations: Sequence[Simulation]) -> Blocks:
-    if not simulations:
-        return ()
-    return (
-        paragraph(simulation_finding(simulations)),
-        simulation_content(simulations),
-        *simulation_pictures(simulations, "held-out"),
-    )
-
-
-def _soc(replays: Sequence[Replay]) -> Blocks:
-    if not replays:
-        return ()
-    return (
-        paragraph(f"{plural(len(replays), 'replay')} of the held-out logs, row by row:"),
-        bullets(replay_finding(r) for r in replays),
-        *comparison_pictures(replays),
-        *replay_pictures(replays[:1]),
-        details("All figures of the replays", replay_content(replays)),
-    )

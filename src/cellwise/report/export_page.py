@@ -6,12 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, bullets, paragraph, record_table, table, tiles
 from cellwise.report.page.numerals import counted, listed, plural, significant
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
 
 Row = Mapping[str, Any]
@@ -40,13 +37,8 @@ def export_page(
     Parameters
     ----------
     report : mapping             what `cellwise export --json` prints
-    path : str or Path           of the HTML file; it appears whole or not at all
     on_log : with panels, None   the exported filter beside the float64 one over a log
-    figures : folder or FigureFiles   for the same pictures as files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     return write_page(
         path,
@@ -100,9 +92,9 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
     )
     lost: Blocks = (paragraph("No log was given, so what single precision loses is not known."),)
     if targets:
-        cost = (cost_picture(targets), cost_table(targets))
+        cost = (cost_table(targets),)
     if report["accuracy"]:
-        lost = (accuracy_picture(report), accuracy_table(report))
+        lost = (accuracy_table(report),)
     sections = [
         Section("cost", "Cost on the target", cost, "Cost"),
         Section("accuracy", "What is lost", lost, "Accuracy"),
@@ -113,90 +105,15 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
     return sections
 
 
-@pictured(
-    "export-cost",
-    "Instructions of one step, mean and most, over samples of a drive in an emulator (QEMU counts "
-    "instructions, not cycles; the scale is logarithmic), and the bytes of code and tables.",
-)
-def cost_picture(targets: Sequence[Row]) -> style.Figure:
-    """Instructions and flash of every core."""
-    figure = style.new_figure(2.9)
-    left, right = style.panels(figure, 1, 2)
-    place = np.arange(len(targets))
-    names = [c["core"] for c in targets]
-    cheapest = _cheapest(targets)
-    if cheapest is not None:
-        mean = [c["instructions_mean"] or 0.0 for c in targets]
-        most = [c["instructions_most"] or 0.0 for c in targets]
-        left.bar(place - 0.2, mean, 0.38, color=style.FILTER, label="mean")
-        left.bar(place + 0.2, most, 0.38, color=style.MODEL, label="most on the log")
-        left.set_yscale("log")
-        left.set_ylim(bottom=0.3 * min(v for v in mean if v > 0.0))
-        style.plain_numbers(left.yaxis)
-        style.legend(left)
-        text = f"{counted(round(cheapest['instructions_mean']))} instructions on {cheapest['core']}"
-        style.finding(left, text, 0.42)
-    code = np.array([c["text_bytes"] for c in targets])
-    tables = np.array([c["model_bytes"] for c in targets])
-    right.bar(place, code, 0.6, color=style.FILTER, label="code")
-    right.bar(place, tables, 0.6, bottom=code, color=style.MUTED, label="tables")
-    style.legend(right)
-    style.finding(right, f"{counted(int((code + tables).max()))} bytes of flash at most", 0.42)
-    for axes, label in ((left, "instructions [1 per step]"), (right, "flash [B]")):
-        axes.set_xticks(place, names)
-        axes.grid(axis="x", visible=False)
-        style.labels(axes, "core [name]", label)
-    return figure
-
-
-@pictured(
-    "export-accuracy",
-    "Every dot is a number of SOC points: how far SOC is from the float64 EKF of the full model on "
-    "the log, over the bytes of its tables. The ring is what was exported. The ordinate is "
-    "logarithmic.",
-)
-def accuracy_picture(report: Mapping[str, Any]) -> style.Figure:
-    """SOC lost over the bytes of the tables."""
-    figure = style.new_figure(3.2)
-    axes = figure.subplots()
-    rows = sorted(report["accuracy"], key=lambda a: a["flash_bytes"])
-    size = [a["flash_bytes"] for a in rows]
-    for key, colour, name in (
-        ("soc_max", style.MODEL, "largest"),
-        ("soc_rmse", style.FILTER, "RMSE"),
-    ):
-        values = [max(100.0 * a[key], 1e-6) for a in rows]
-        axes.plot(size, values, "o-", color=colour, linewidth=1.0, markersize=4, label=name)
-    for a in rows:
-        at = (a["flash_bytes"], max(100.0 * a["soc_max"], 1e-6))
-        style.note(axes, f"{a['points']}", at, ha="center")
-    mine = _exported(report)
-    if mine is not None:
-        spot = ([mine["flash_bytes"]], [max(100.0 * mine["soc_rmse"], 1e-6)])
-        axes.plot(
-            *spot, "o", markersize=11, markerfacecolor="none", color=style.MUTED, label="exported"
-        )
-        style.finding(
-            axes,
-            f"{mine['points']} SOC points: {_points(mine['soc_rmse'])} RMSE, "
-            f"{_points(mine['soc_max'])} at most",
-        )
-    axes.set_yscale("log")
-    style.plain_numbers(axes.yaxis)
-    axes.margins(y=0.15)
-    style.legend(axes)
-    style.labels(axes, "tables in flash [B]", "SOC against float64 [points]")
-    return figure
-
-
 def cost_table(targets: Sequence[Row]) -> Markup:
-    """All costs of every core."""
+    """All costs of every core, a column each."""
 
     def shown(value: float | None) -> str:
         return "" if value is None else counted(round(value))
 
-    rows = [(c["core"], *(shown(c.get(key)) for key in COSTS)) for c in targets]
-    return table(("core", *COSTS.values()), rows)
+    rows = [(name, *(shown(c.get(key)) for c in targets)) for key, name in COSTS.items()]
+    caption = "Instructions of one step over samples of a drive in an emulator: not cycles."
+    return table(("", *(c["core"] for c in targets)), rows, caption=caption)
 
 
 def accuracy_table(report: Mapping[str, Any]) -> Markup:

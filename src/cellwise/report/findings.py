@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,15 +10,16 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import CONVERGED_SOC, Replay
 from cellwise.identify.identification import Identification
 from cellwise.report.page.numerals import (
+    SPACE,
     ampere_hours,
     capitalised,
-    celsius,
     duration,
     listed,
     millivolt,
     percent,
     plural,
     points,
+    significant,
 )
 
 EFFECTS = {
@@ -36,21 +37,29 @@ ESTIMATORS = {
 
 
 def identify_finding(identification: Identification) -> str:
-    """What an identification found."""
+    """What an identification found: the capacity, and the error on what it saw and did not see."""
     model = identification.model
-    extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in model.effects]
-    kind = "2-RC model" + (f" with {listed(extra)}" if extra else "")
-    text = f"A {kind}, of {ampere_hours(model.capacity_Ah)}"
-    if model.temperature_C.size > 1:
-        low, high = model.temperature_C[0], model.temperature_C[-1]
-        text += f", from {celsius(float(low))} to {celsius(float(high))}"
     error = millivolt(identification.fit.rmse_V)
-    text += f", reproduces its own {_own(identification)} with {error} RMSE"
-    counts = identification.pulse_counts
-    total = sum(counts.values())
-    if total:
-        text += f"; {counts['healthy']} of {total} pulses were healthy"
-    return text + "."
+    prior = model.provenance.get("prior")
+    text = ampere_hours(model.capacity_Ah)
+    if isinstance(prior, Mapping):  # a model of another cell, as far as these logs corrected it
+        band = significant(2.0 * float(prior["capacity_std_Ah"]), 2)
+        size = significant(model.capacity_Ah)
+        text = f"{prior['name']}, updated: {size} ± {band}{SPACE}Ah"
+    text += f": {error} RMSE on its own {_own(identification)}"
+    unseen = [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
+    if unseen:
+        worst = float(np.max([s.metrics.rmse_V for s in unseen]))
+        one = len(unseen) == 1
+        where = unseen[0].log.name or "a log" if one else plural(len(unseen), "log")
+        text += f", {'' if one else 'at most '}{millivolt(worst)} on {where} outside the fit"
+    return f"{text}."
+
+
+def model_kind(identification: Identification) -> str:
+    """``2-RC model with a slow third branch and hysteresis``."""
+    extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in identification.model.effects]
+    return "2-RC model" + (f" with {listed(extra)}" if extra else "")
 
 
 def replay_finding(replay: Replay) -> str:
@@ -59,22 +68,24 @@ def replay_finding(replay: Replay) -> str:
     settled = replay.settled
     if replay.reference_soc is None or settled is None:
         return capitalised(
-            f"{who} ends at {percent(float(replay.trace.soc[-1]), 1)} ± "
+            f"{who} ends at {points(float(replay.trace.soc[-1]))} ± "
             f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference."
         )
     off = abs(float(replay.start.soc - replay.reference_soc[0]))
     begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
     if replay.convergence_s is None:
         return (
-            f"{begin} {who} never comes within {TWO} for ten minutes; over the second half it is "
-            f"{percent(settled.rmse)} RMSE off."
+            f"{begin} {who} never comes within {TWO} for ten minutes: {percent(settled.rmse)} RMSE "
+            "over the second half."
         )
-    held = f"holds {percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
+    held = f"{percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
     if replay.convergence_s > 0.0:
-        reached = f"is within {TWO} after {duration(replay.convergence_s)} and then "
+        reached = f"is within {TWO} after {duration(replay.convergence_s)} "
     else:
-        reached = "" if off < 0.005 else f"is within {TWO} from the first row on and "
-    return f"{begin} {who} {reached}{held}"
+        reached = "" if off < 0.005 else f"is within {TWO} from the first row on "
+    # It has come within two points and stayed for ten minutes; later it may leave them again.
+    then = "but drifts off later: " if settled.max > 1.5 * CONVERGED_SOC else "and then holds "
+    return f"{begin} {who} {reached}{then if reached else 'holds '}{held}"
 
 
 def simulation_finding(simulations: Sequence[Simulation]) -> str:
@@ -98,15 +109,11 @@ def simulation_finding(simulations: Sequence[Simulation]) -> str:
 def demo_finding(identification: Identification, simulations: Sequence[Simulation]) -> str:
     """The main result in short."""
     model = identification.model
-    alone = "Laboratory tests alone" if not fitted_drives(identification) else "Test logs"
-    text = (
-        f"{alone} give a model of {model.name or 'the cell'}, {ampere_hours(model.capacity_Ah)}, "
-        f"that is {millivolt(identification.fit.rmse_V)} RMSE off its own {_own(identification)}"
-    )
+    own = f"{millivolt(identification.fit.rmse_V)} RMSE on its own {_own(identification)}"
+    text = f"{model.name or 'The cell'}, {ampere_hours(model.capacity_Ah)}: {own}"
     known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
     if known:
-        text += f" and {millivolt(float(np.mean(known)))} off "
-        text += f"{plural(len(known), 'drive')} it has not seen"
+        text += f", {millivolt(float(np.mean(known)))} on {plural(len(known), 'drive')} not seen"
     return f"{text}."
 
 

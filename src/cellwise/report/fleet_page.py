@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from textwrap import shorten
 from typing import Any, NamedTuple
 
 from cellwise.report.page.markup import MOST, lead_of, paragraph, record_table, tiles
-from cellwise.report.page.numerals import millivolt, percent, plural, significant
+from cellwise.report.page.numerals import NONE, millivolt, percent, plural, significant
 from cellwise.report.page.section import Section, write_page
 
 SAID = 100  # characters of an error or notice that stand in the table
@@ -77,6 +77,23 @@ def _cell(rows: Rows, name: str, own: Sequence[int]) -> FleetCell:
     )
 
 
+COLUMNS: tuple[tuple[str, Callable[[FleetCell], object]], ...] = (
+    ("cell", lambda c: c.name),
+    ("voltage RMSE, worst log [mV]", lambda c: significant(1e3 * c.voltage_rmse_V)),
+    ("SOC RMSE, worst [%]", lambda c: significant(100.0 * c.soc_rmse, 2)),
+    ("last SOC [%]", lambda c: significant(100.0 * c.soc)),
+    ("± [points]", lambda c: significant(200.0 * c.soc_std, 2)),
+    ("capacity, of the model's [%]", lambda c: significant(100.0 * c.soh_capacity)),
+    ("resistance, of the model's [%]", lambda c: significant(100.0 * c.soh_resistance)),
+    ("said first", lambda c: c.said),
+    ("logs", lambda c: c.logs),
+    ("failed", lambda c: c.failed or ""),
+    ("hours", lambda c: significant(c.hours)),
+    ("worst log", lambda c: c.worst_log if c.logs > 1 else ""),
+)
+TEXT = ("cell", "said first", "worst log")
+
+
 def fleet_page(rows: Rows, path: str | Path) -> Path:
     """Write the page of a fleet's replay.
 
@@ -98,23 +115,13 @@ def fleet_page(rows: Rows, path: str | Path) -> Path:
         finding += f", {millivolt(known[-1][0])} at worst ({known[-1][1]})"
     if failed:
         finding = f"{plural(failed, 'log')} of {len(rows['log'])} failed. {finding}"
-    table = record_table(
-        shown,
-        ("cell", lambda c: c.name),
-        ("logs", lambda c: c.logs),
-        ("failed", lambda c: c.failed),
-        ("hours", lambda c: significant(c.hours)),
-        ("voltage RMSE, worst log [mV]", lambda c: significant(1e3 * c.voltage_rmse_V)),
-        ("SOC RMSE, worst [%]", lambda c: significant(100.0 * c.soc_rmse, 2)),
-        ("last SOC [%]", lambda c: significant(100.0 * c.soc)),
-        ("± [points]", lambda c: significant(200.0 * c.soc_std, 2)),
-        ("capacity of the model's [%]", lambda c: significant(100.0 * c.soh_capacity)),
-        ("resistance of the model's [%]", lambda c: significant(100.0 * c.soh_resistance)),
-        ("worst log", lambda c: c.worst_log),
-        ("said first", lambda c: c.said),
-        text_columns=(0, 10, 11),
-        sortable=True,
-    )
+    known_columns = [
+        (head, read)
+        for head, read in COLUMNS
+        if head in ("cell", "said first") or any(read(c) not in ("", NONE) for c in shown)
+    ]
+    text_columns = [k for k, (head, _) in enumerate(known_columns) if head in TEXT]
+    table = record_table(shown, *known_columns, text_columns=text_columns, sortable=True)
     note = "Those with a log that failed come first, then by the voltage error of their worst log; "
     note += "a click on a column's head sorts by it. Health is that of the adaptive filter."
     if len(shown) < len(cells):

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellwise.history.life import Life
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
-from cellwise.report.page.numerals import percent, plural, significant
+from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
+from cellwise.report.page.numerals import SPACE, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
@@ -27,23 +27,22 @@ def history_page(
     InputError        matplotlib is missing; the path cannot be written
     """
     data = found.to_dict()
-    share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
     use = data["trend"]["use"]
-    known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g}"
+    now, now_std = found.resistance
+    known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g} Ah"
     key_figures = tiles(
         [
-            ("of the new cell's capacity", f"{percent(share, 1)} ± {percent(2 * std, 1)}"),
-            ("capacity to use [Ah]", known),
-            ("resistance to use", f"{significant(use['resistance_scale'], 3)} of the model's"),
+            ("of the new cell's capacity", _now(found)),
+            ("capacity to use", known),
+            ("resistance, times the model's", f"{now:.2f} ± {2 * now_std:.2f}"),
             ("logs", str(len(found.logs))),
         ]
     )
     notices = [*data["notices"], *(n for one in data["logs"] for n in one["notices"])]
-    next_test = paragraph(data["trend"]["next_reference"].capitalize() + ".")
+    test = data["trend"]["next_reference"].replace("+-", "±")
     sections = [
         Section("capacity", "Capacity", (capacity_picture(found),)),
         Section("resistance", "Resistance", (resistance_picture(found),)),
-        Section("next", "The next reference test", (next_test,), "Next test"),
         Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
     ]
     return write_page(
@@ -52,9 +51,15 @@ def history_page(
         f"{plural(len(found.logs), 'log')} of one life, by cellwise",
         sections,
         data,
-        lead=lead_of(list(dict.fromkeys(notices)), key_figures),
+        lead=lead_of(list(dict.fromkeys(notices)), key_figures, [f"Next reference test: {test}."]),
         figures=figures,
     )
+
+
+def _now(found: Life) -> str:
+    """The share of the new cell's capacity at the last log, the same everywhere."""
+    share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
+    return f"{100.0 * share:.1f} ± {200.0 * std:.1f}{SPACE}%"
 
 
 def _first_line(found: Life) -> str:
@@ -63,7 +68,7 @@ def _first_line(found: Life) -> str:
     lost, known = 1.0 - last / first, 2.0 * float(found.trend.std[-1]) / first
     if abs(lost) > known:
         what = "lost" if lost > 0.0 else "gained"
-        size = f"{percent(abs(lost), 1)} ± {percent(known, 1)}"
+        size = f"{100.0 * abs(lost):.1f} ± {100.0 * known:.1f}{SPACE}%"
         return f"{size} of the capacity {what} since the first log"
     return (
         f"No change of the capacity can be determined: {percent(-lost, 1)} since the first log, "
@@ -101,14 +106,15 @@ def capacity_picture(found: Life) -> style.Figure:
         at = found.way[found.trend.knee]
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, label="knee")
     style.legend(axes)
-    now = f"{trend[-1]:.1f} ± {band[-1]:.1f} %"
-    style.finding(axes, f"{now} of the new cell's capacity at the last log")
+    style.finding(axes, f"{_now(found)} of the new cell's capacity at the last log")
     style.labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
     return figure
 
 
 @pictured(
-    "history_resistance", "Resistance on the model's, at each log's own temperature and load."
+    "history_resistance",
+    "Times the model's, at each log's own temperature and load. Logs of unlike loads scatter by "
+    "more than their bars: believe the run of the dots, not one of them.",
 )
 def resistance_picture(found: Life) -> style.Figure:
     """Resistance over the life."""

@@ -74,24 +74,29 @@ def _first_line(found: PackEstimate) -> str:
         return "Far off this model: no health of these cells is said"
     cells = list(dict.fromkeys(c["cell"] for c in found.causes))
     if not cells:
-        return f"{len(found.names)} cells, and none is odd"
+        return f"None of {len(found.names)} cells is odd"
     named = ", ".join(cells[:4]) + (f" and {len(cells) - 4} more" if len(cells) > 4 else "")
     return f"{named} of {len(found.names)} cells: {found.causes[0]['name'].replace('_', ' ')}"
 
 
 def _figures(found: PackEstimate) -> Markup:
     data = found.to_dict()
-    soc, weakest = data["soc"], data["weakest"]
+    soc, weakest, cells = data["soc"], data["weakest"], data["per_cell"]
+    soc_std = float(np.median([c["soc_std"] for c in cells]))
+    least = next((c for c in cells if c["name"] == weakest["by_capacity"]), None)
+    band = "" if least is None else f" ± {significant(2.0 * least['capacity_std_Ah'], 2)}"
     facts = [
         ("SOC, lowest to highest", f"{percent(soc['min'], 1)} to {percent(soc['max'], 1)}"),
-        ("usable as the cells are", f"{significant(data['usable_Ah'], 4)} Ah"),
+        ("how well it is known", f"± {percent(2.0 * soc_std, 1)}"),
+        ("usable as the cells are", f"{significant(data['usable_Ah'], 4)}{band} Ah"),
         ("balancing would bring", f"{significant(data['balancing_gain_Ah'], 2)} Ah"),
         ("least SOC", weakest["by_soc"]),
         ("least capacity", weakest["by_capacity"]),
         ("most resistance", weakest["by_resistance"]),
     ]
     text = paragraph(
-        "The least and most are those of any pack: weak is only who is named as such above."
+        "The least and most are those of any pack: weak is only who is named as such above. Cells "
+        "are compared with each other, which is far surer than the level of all."
     )
     return Markup(f"{tiles(facts)}\n{text}")
 
@@ -153,7 +158,7 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     for cell in named_cells(found):
         style.note(
             axes, found.names[cell], (1.0, cell + 1.0), (4, 0), xycoords=("axes fraction", "data"),
-            color=style.VERMILLION, va="center", fontsize=7.5, annotation_clip=False,
+            color=style.VERMILLION, va="center", fontsize=style.SMALL_PT, annotation_clip=False,
         )  # fmt: skip
     spread = np.nanmax(image, axis=0) - np.nanmin(image, axis=0)
     size = f"{np.nanmedian(spread):.1f} mV from lowest to highest"
@@ -230,28 +235,27 @@ def _mean_where(found: PackEstimate, inside: list[BoolArray]) -> FloatArray:
 
 @pictured(
     "pack_capacity_and_resistance",
-    "Estimates with two standard deviations of a cell's difference from the mean; the "
-    "histograms are of the estimates. Named cells are beyond what cells differ by.",
+    "Estimates with two standard deviations of a cell's difference from the mean. Named cells are "
+    "beyond what cells differ by.",
 )
 def estimates_picture(found: PackEstimate) -> style.Figure:
-    """Capacity and resistance of every cell with bands, and their histograms."""
+    """Capacity and resistance of every cell with bands."""
     figure = style.new_figure(4.6)
-    wide, narrow = style.two_columns(figure, (1.0, 1.0), (1.0, 1.0), share=0.74)
     cells = found.cells
     own = found.own_capacity_std_Ah
-    for axes, beside, values, std, unit, what in (
-        (wide[0], narrow[0], cells.capacity_Ah, own, "[Ah]", "capacity"),
-        (wide[1], narrow[1], cells.resistance_scale, cells.resistance_std, "/ mean", "resistance"),
+    for axes, values, std, unit, what in zip(
+        figure.subplots(2, 1),
+        (cells.capacity_Ah, cells.resistance_scale),
+        (own, cells.resistance_std),
+        ("[Ah]", "/ mean"),
+        ("capacity", "resistance"),
+        strict=True,
     ):
         _draw_cells(axes, found, values, std)
         share = 100.0 * np.nanstd(values) / np.nanmean(values)
         title = f"{what.capitalize()}: cells differ by {share:.1f} % (standard deviation)"
-        style.finding(axes, title, 0.6)
+        style.finding(axes, title)
         style.labels(axes, "cell", f"{what} {unit}")
-        beside.hist(
-            values[np.isfinite(values)], bins=min(24, max(values.size // 2, 3)), color=style.BLUE
-        )
-        style.labels(beside, f"{what} {unit}", "cells")
     return figure
 
 
@@ -288,7 +292,7 @@ def _draw_cells(axes: style.Axes, found: PackEstimate, values: FloatArray, std: 
 def _point_at(axes: style.Axes, found: PackEstimate, heights: FloatArray) -> None:
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
     line = {"arrowstyle": "-", "color": style.VERMILLION, "linewidth": 0.7}
-    looks = {"va": "center", "fontsize": 7.5, "bbox": box, "arrowprops": line}
+    looks = {"va": "center", "fontsize": style.SMALL_PT, "bbox": box, "arrowprops": line}
     for cell in named_cells(found):
         if np.isfinite(heights[cell]):
             # Beside the dot: above it would lie on its band or in the plot's title.

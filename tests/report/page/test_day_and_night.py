@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from cellwise.report.benchmark.overview import Matrix, start_matrix
-from cellwise.report.benchmark.page import fault_picture, start_picture
+from cellwise.report.benchmark.overview import Matrix
+from cellwise.report.benchmark.page import fault_picture
 from cellwise.report.page.markup import page_file
 from cellwise.report.page.picture import VARIABLES, inline
 from cellwise.report.page.style import TINTS
@@ -50,20 +50,3 @@ def test_a_heat_map_takes_its_colours_from_the_page():
     html = inline(fault_picture(matrix))
     assert all(f"var(--tint-{k})" in html for k in range(1, 5))
     assert not any(tint in html for tint in TINTS)
-
-
-def test_the_legend_of_the_starts_covers_no_mark():
-    figures = ("soc_rmse", "low_soc_rmse", "coverage_2sigma", "nis_mean", "ns_per_step")
-    row = {"problem": "", "fault": "none", "cell": "a", "log": "l", "convergence_s": 60.0}
-    row |= dict.fromkeys((*figures, "state_bytes"), 1.0)
-    rows = [
-        row | {"estimator": e, "start_error": s, "settled_rmse": f}
-        for e, f in (("ekf", 0.01), ("ukf", 0.02), ("coulomb", 0.03))
-        for s in (-0.3, 0.0, 0.3)
-    ]
-    figure = start_picture(rows, start_matrix(rows)).figure
-    figure.canvas.draw()
-    axes = figure.axes[1]
-    legend = axes.get_legend().get_window_extent()
-    assert legend.x0 >= axes.get_window_extent().x1
-    assert legend.x1 <= figure.bbox.x1

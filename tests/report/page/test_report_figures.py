@@ -11,10 +11,8 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.report import Picture, figure_png, hero_figure, save_figure, save_figures
 from cellwise.report.demo_page import demo_sections
-from cellwise.report.identification.capacity_and_ocv import capacity_picture
 from cellwise.report.identification.page import identify_sections
 from cellwise.report.identification.parameter_section import pulse_values, table_error
-from cellwise.report.identification.pulse_section import find_example
 from cellwise.report.identification.simulation_section import simulation_pictures
 from cellwise.report.page.markup import MOST
 from cellwise.report.page.section import pictures_of
@@ -109,12 +107,6 @@ def test_hero_figure(tmp_path, laboratory):
     hero_figure(laboratory, simulation(log), replay(log, reference=False), tmp_path / "hero.svg")
 
 
-def test_capacity_bars_are_the_tests(laboratory):
-    bars = capacity_picture(laboratory).figure.axes[0].patches
-    widths = sorted(round(bar.get_width(), 6) for bar in bars)
-    assert widths == [0.0, 0.08, 2.9, 3.0]
-
-
 def test_pulses_are_drawn_at_their_soc_and_current(laboratory):
     picture = next(p for p in pictures_of(identify_sections(laboratory)) if p.key == "pulses")
     lines = {line.get_label().split(" ")[0]: line for line in picture.figure.axes[0].lines}
@@ -132,29 +124,21 @@ def test_error_bands_are_the_refinements(laboratory):
     found, soc = laboratory.temperatures[0], np.linspace(0, 1, 7)
     np.testing.assert_allclose(table_error(found, "r0_ohm", soc), R0_ERROR)
     np.testing.assert_allclose(table_error(found, "tau1_s", soc), TAU1_ERROR)
-    # C = tau / R: relative errors add as squares.
-    np.testing.assert_allclose(table_error(found, "c1_F", soc), np.hypot(R1_ERROR, TAU1_ERROR))
+    np.testing.assert_allclose(table_error(found, "r1_ohm", soc), R1_ERROR)
     assert table_error(found, "dc_ohm", soc) is None
     assert table_error(identification(refined=False).temperatures[0], "r0_ohm", soc) is None
 
 
 def test_values_of_pulses_and_what_they_show(laboratory):
-    c1 = pulse_values(laboratory.temperatures[0], "c1_F")
-    np.testing.assert_allclose(c1.value, 4.5 / 0.011)
-    np.testing.assert_allclose(c1.error / c1.value, np.hypot(0.3 / 4.5, 0.001 / 0.011))
-    assert c1.known.all()
+    tau1 = pulse_values(laboratory.temperatures[0], "tau1_s")
+    np.testing.assert_allclose(tau1.value, 4.5)
+    np.testing.assert_allclose(tau1.error, 0.3)
+    assert tau1.known.all()
     # An error of 40 s on 95 s is more than what counts as known.
     assert not pulse_values(laboratory.temperatures[0], "tau2_s").known.any()
     assert pulse_values(laboratory.temperatures[0], "r3_ohm") is None
     segments = identification(method="segments").temperatures[0]
     assert pulse_values(segments, "tau2_s").known.all()
-
-
-def test_example_is_the_strongest_healthy_discharge_near_half(laboratory):
-    example = find_example(laboratory)
-    assert example.pulse.quality == "healthy"
-    assert example.pulse.current_A == 6.0
-    assert abs(example.soc - 0.5) < 0.11
 
 
 def test_of_very_many_logs_the_worst_are_shown():

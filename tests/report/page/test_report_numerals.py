@@ -55,19 +55,18 @@ def test_duration(seconds, said):
 
 
 @pytest.mark.parametrize(
-    ("ends", "said"),
-    [((206.0, 468.0), "3.4 to 7.8 min"), ((15_792.0, 22_500.0), "4.4 to 6.2 h"),
-     ((0.0, 100.0), "0 to 100 s"), ((5.0, float("nan")), "5 s to –")],
+    ("times", "said"),
+    [((287.0, 30.0, 390.0), "4.8 min (0.5 to 6.5)"), ((5.0, 0.0, 100.0), "5 s (0 to 100)"),
+     ((5.0, 5.0, float("nan")), "5 s")],
 )  # fmt: skip
-def test_a_range_of_times_has_one_unit(ends, said):
-    assert plain(n.duration_range(*ends)) == said
+def test_a_time_and_its_band_have_one_unit(times, said):
+    assert plain(n.duration_between(*times)) == said
 
 
 def test_units_suit_the_size():
     assert n.ohm_unit(5e-5) == (1e6, "µΩ")
     assert n.ohm_unit(0.02) == (1e3, "mΩ")
     assert n.ohm_unit(3.0) == (1.0, "Ω")
-    assert n.farad_unit(1e5)[1] == "kF"
     assert n.time_unit(7201.0) == (3600.0, "h")
 
 

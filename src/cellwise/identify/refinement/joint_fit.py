@@ -232,7 +232,7 @@ def _candidates(
 def _left_out(c: Candidate, anchor: InitialSoc, capacity_Ah: float) -> str:
     """Why a log cannot take part; empty if it can."""
     if anchor.std > LIMITS.soc_std:
-        return f"its SOC at the start is known to +-{100 * anchor.std:.0f} % only"
+        return f"its SOC at the start is known to +-{200 * anchor.std:.0f} % only"
     soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
     inside = (soc >= 0.0) & np.isfinite(c.log.voltage_V)
     if c.part is not None and np.mean(inside[c.part]) < LIMITS.inside:

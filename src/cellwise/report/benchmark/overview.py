@@ -162,13 +162,6 @@ def log_matrix(rows: Rows) -> Matrix:
     return _matrix(chosen, places, log_name)
 
 
-def start_matrix(rows: Rows) -> Matrix:
-    """By start error, without a fault."""
-    chosen = healthy(rows)
-    errors = sorted({float(row["start_error"]) for row in chosen})
-    return _matrix(chosen, [start_name(e) for e in errors], lambda r: start_name(r["start_error"]))
-
-
 def start_name(error: float) -> str:
     """A start error in points."""
     return f"{100.0 * error:+.0f} points" if error else "right start"

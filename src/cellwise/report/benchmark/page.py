@@ -19,8 +19,8 @@ from cellwise.report.benchmark.overview import (
     healthy,
     log_matrix,
     log_name,
+    mean_of,
     overviews,
-    start_matrix,
     start_name,
     step_time,
 )
@@ -36,52 +36,20 @@ from cellwise.report.page.markup import (
     record_table,
     table,
 )
-from cellwise.report.page.numerals import duration, percent, plural, significant
+from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
-MARKERS = "osD^vPX<>h"
-# Per cent of SOC that an axis shows: a logarithmic one from, a linear one up to, since an initial
-# error that persists would press all else to zero.
-LEAST_PERCENT, MOST_POINTS = 0.02, 12.0
+MOST_POINTS = 12.0  # of SOC, that an axis shows: a lost start would press all else to zero
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
 BAD = style.TINTS[-1]
 
 
-def _looks(estimators: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour and marker of every estimator, the same in every picture."""
-    return {
-        name: {"color": style.CYCLE[k % len(style.CYCLE)], "marker": MARKERS[k % len(MARKERS)]}
-        for k, name in enumerate(estimators)
-    }
-
-
-@pictured(
-    "benchmark-logs",
-    "Every dot is the mean over the starts of one log, without a fault; further left is "
-    "better, every grid line of the scale is a factor.",
-)
-def log_picture(matrix: Matrix) -> style.Figure:
-    """Dots over a logarithmic scale, a line per log."""
-    figure = style.new_figure(1.2 + 0.3 * max(len(matrix.labels), 2))
-    axes = figure.subplots()
-    place = np.arange(len(matrix.labels))
-    looks = _looks(matrix.estimators)
-    for name, values in zip(matrix.estimators, matrix.values, strict=True):
-        axes.plot(
-            np.maximum(100.0 * values, LEAST_PERCENT), place, linestyle="none", markersize=6,
-            label=name, **looks[name],
-        )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_yticks(place, matrix.labels)
-    axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
-    style.plain_numbers(axes.xaxis)
-    style.finding(axes, _logs_title(matrix))
-    style.labels(axes, "settled SOC RMSE [%]", " ")
-    style.side_legend(axes)
-    return figure
+def _colours(estimators: Sequence[str]) -> dict[str, str]:
+    """Colour of every estimator, the same in every picture."""
+    return {name: style.CYCLE[k % len(style.CYCLE)] for k, name in enumerate(estimators)}
 
 
 @pictured(
@@ -106,92 +74,34 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     axes.set_yticks(range(len(matrix.labels)), matrix.labels)
     axes.grid(visible=False)
     axes.tick_params(length=0)
-    if values.shape[0] > 1 and np.isfinite(values[1:]).any():
-        worst = np.array([np.nanmax(c) if np.isfinite(c).any() else np.inf for c in values[1:].T])
-        best = int(np.argmin(worst))
-        text = f"{matrix.estimators[best]} is most robust: at most {worst[best]:.2f} % settled"
-        style.finding(axes, text)
+    robust = most_robust(matrix)
+    if robust is not None:
+        style.finding(axes, f"{robust[0]} is most robust: {percent(robust[1])} settled at most")
     return figure
 
 
-@pictured(
-    "benchmark-starts",
-    "First: median time until the error stays within two points for ten minutes, over the "
-    "runs that get there; a hollow mark where some never do. Then: the settled error.",
-)
-def start_picture(rows: Rows, matrix: Matrix) -> style.Figure:
-    """Two axes over the start error."""
-    figure = style.new_figure(3.4)
-    left, right = style.panels(figure, 1, 2)
+def starts_table(rows: Rows) -> Markup:
+    """From each start: how long until within two points, and the settled error."""
     chosen = healthy(rows)
-    errors = sorted({float(row["start_error"]) for row in chosen})
-    looks = _looks(matrix.estimators)
-    place = np.arange(len(errors), dtype=np.float64)
-    for k, name in enumerate(matrix.estimators):
-        own = [row for row in chosen if row["estimator"] == name]
-        shift = 0.06 * (k - 0.5 * len(matrix.estimators))
-        for where, error in zip(place, errors, strict=True):
-            times = np.array([r["convergence_s"] for r in own if r["start_error"] == error])
-            reached = times[np.isfinite(times)]
-            if reached.size:
-                face = looks[name]["color"] if reached.size == times.size else style.PAPER
-                left.plot(where + shift, max(float(np.median(reached)), 0.5) / 60.0,
-                          linestyle="none", markersize=6, markerfacecolor=face,
-                          **looks[name])  # fmt: skip
-        right.plot(place + shift, np.maximum(100.0 * matrix.values[k], LEAST_PERCENT),
-                   linestyle="none", markersize=6, label=name, **looks[name])  # fmt: skip
-    for axes in (left, right):
-        axes.set_yscale("log")
-        axes.set_xticks(place, [start_name(e) for e in errors])
-        style.plain_numbers(axes.yaxis)
-    right.axhline(100.0 * CONVERGED_SOC, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    style.finding(left, _recovery_title(chosen, matrix.estimators, errors), 0.42)
-    style.finding(right, _settled_title(matrix), 0.42)
-    style.labels(left, "start", "within 2 points after [min]")
-    style.labels(right, "start", "settled SOC RMSE [%]")
-    style.side_legend(right)  # no mark below it
-    return figure
+    names = [o.estimator for o in overviews(rows)]
 
+    def shown(error: float, name: str) -> str:
+        own = [r for r in chosen if r["estimator"] == name and r["start_error"] == error]
+        times = np.array([r["convergence_s"] for r in own], dtype=np.float64)
+        reached = times[np.isfinite(times)]
+        if not own:
+            return NONE
+        after = duration(float(np.median(reached))) if reached.size else "never"
+        part = f" in {reached.size} of {times.size}" if 0 < reached.size < times.size else ""
+        return f"{after}{part}, {percent(mean_of(own, 'settled_rmse'))}"
 
-def _logs_title(matrix: Matrix) -> str:
-    """Which estimator is best on most logs, and how good it is there."""
-    judged = np.isfinite(matrix.values).any(axis=0) if matrix.values.size else np.array([False])
-    if not judged.any():
-        return "No log was judged"
-    best = np.nanargmin(matrix.values[:, judged], axis=0)
-    most = int(np.argmax(np.bincount(best)))
-    logs = np.count_nonzero(best == most)
-    lowest = percent(float(np.nanmin(matrix.values[most])))
-    return f"{matrix.estimators[most]} is best on {logs} of {best.size} logs, down to {lowest}"
-
-
-def _recovery_title(rows: Rows, estimators: Sequence[str], errors: Sequence[float]) -> str:
-    """Which estimator is back first from the starts that are farthest off, in every run."""
-    farthest = max((abs(e) for e in errors), default=0.0)
-    slowest = {}
-    for name in estimators:
-        times = [
-            float(r["convergence_s"])
-            for r in rows
-            if r["estimator"] == name and abs(float(r["start_error"])) == farthest
-        ]
-        if farthest > 0.0 and times and np.isfinite(times).all():
-            slowest[name] = max(times)
-    if not slowest:
-        return "No estimator came back in every run"
-    first = min(slowest, key=lambda name: slowest[name])
-    after = f"after {duration(slowest[first])}" if slowest[first] > 0.0 else "at once"
-    return f"From {round(100.0 * farthest):d} points off {first} is back {after}"
-
-
-def _settled_title(matrix: Matrix) -> str:
-    """Which estimator ends best from its worst start."""
-    known = [k for k, own in enumerate(matrix.values) if np.isfinite(own).all() and own.size]
-    if not known:
-        return "No estimator settled from every start"
-    best = min(known, key=lambda k: float(np.max(matrix.values[k])))
-    worst = percent(float(np.max(matrix.values[best])))
-    return f"{matrix.estimators[best]} settles to {worst} or less from every start"
+    return record_table(
+        sorted({float(row["start_error"]) for row in chosen}),
+        ("start", start_name),
+        *((name, lambda error, name=name: shown(error, name)) for name in names),
+        caption="Median time until the error stays within two points for ten minutes, over the "
+        "runs that get there; then the settled RMSE.",
+    )
 
 
 def curve_pictures(
@@ -228,13 +138,13 @@ def _curve_picture(
     figure = style.new_figure(3.4)
     axes = figure.subplots()
     order = [o.estimator for o in overviews(rows)]
-    looks = _looks(order)
+    colours = _colours(order)
     largest = 2.0 * 100.0 * CONVERGED_SOC
     for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
         curve = curves[k]
         hours = np.array(curve["time_s"]) / 3600.0
         error, std = 100.0 * np.array(curve["error"]), 100.0 * np.array(curve["std"])
-        colour = looks[rows[k]["estimator"]]["color"]
+        colour = colours[rows[k]["estimator"]]
         name = f"{rows[k]['estimator']}: {percent(rows[k]['settled_rmse'])}"
         axes.plot(hours, error, color=colour, label=name)
         for side in (-2.0, 2.0):
@@ -284,12 +194,7 @@ def benchmark_page(
     Parameters
     ----------
     found : BenchmarkTable
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        no row; matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     if not found.rows:
         raise InputError("no row for the page", "at least one", "Run a suite first.")
@@ -310,32 +215,45 @@ def benchmark_finding(found: BenchmarkTable) -> str:
     if not ranked:
         return f"{found.name}: nothing could be judged"
     best, last = ranked[0], ranked[-1]
-    text = (
-        f"{found.name}: {best.estimator} settles to {percent(best.settled)} of SOC "
-        f"(worst {percent(best.worst)}) in {plural(best.runs, 'run')}"
-    )
+    text = f"{found.name}: {best.estimator} settles to {percent(best.settled)} of SOC"
     if last is not best:
         text += f", {last.estimator} to {percent(last.settled)}"
+    robust = most_robust(fault_matrix(found.rows))
+    if robust is not None:
+        text += f"; with a fault {robust[0]} is best, {percent(robust[1])} at most"
     return text
+
+
+def most_robust(matrix: Matrix) -> tuple[str, float] | None:
+    """The estimator whose settled RMSE under its worst fault is the smallest, and that error."""
+    known = [k for k, own in enumerate(matrix.values) if own.size > 1 and np.isfinite(own).all()]
+    if not known:
+        return None
+    best = min(known, key=lambda k: float(np.max(matrix.values[k])))
+    return matrix.estimators[best], float(np.max(matrix.values[best]))
 
 
 def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     """The parts of the page."""
     rows = found.rows
-    faults, starts = fault_matrix(rows), start_matrix(rows)
+    faults = fault_matrix(rows)
     best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
-    blocks = (best, log_picture(log_matrix(rows)))
+    logs = log_matrix(rows)
+    by_log = table(
+        ("log", *logs.estimators),
+        fault_rows(logs, percent),
+        caption="Settled RMSE of each log, mean over its starts, without a fault.",
+        sortable=True,
+    )
+    blocks = (best, by_log)
     sections = [
         *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
-        Section("starts", "From a wrong start", (start_picture(rows, starts),), "Starts"),
+        Section("starts", "From a wrong start", (starts_table(rows),), "Starts"),
     ]
     if faults.labels:
         text = coverage_text(rows)
-        table_of_faults = table(
-            ("fault", *faults.estimators), fault_rows(faults, percent), caption="Mean settled RMSE."
-        )
-        robust = (fault_picture(faults), table_of_faults, paragraph(text) if text else EMPTY)
+        robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
         title = "With a fault that the filter does not know of"
         sections.append(Section("faults", title, robust, "Faults"))
     curves = curve_pictures(rows, found.curves)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.log_runs import LogRun
-from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.plotting import Line, Panel
 from cellwise.report.diagnosis.pictures import (
     BEFORE_AFTER_CAPTION,
     before_after_picture,
-    candidates_picture,
     drawn_runs,
     residual_section,
 )
@@ -20,6 +22,7 @@ from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
     diagnosis_finding,
+    in_words,
     judged_run,
     named_log,
     probability,
@@ -38,7 +41,6 @@ from cellwise.report.page.markup import (
     clock_of,
     details,
     escape,
-    lead_of,
     linked_among,
     paragraph,
     record_table,
@@ -58,6 +60,8 @@ from cellwise.report.page.numerals import (
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, Traces, trace_section, write_page
 
+IMPOSSIBLE_TIMES = 10.0  # of the model's resistance: no cell of this kind has so much more
+
 
 def diagnose_page(
     diagnosis: Diagnosis, path: str | Path, *, figures: str | Path | FigureFiles | None = None
@@ -67,15 +71,13 @@ def diagnose_page(
     Parameters
     ----------
     diagnosis : Diagnosis
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     runs = in_order(diagnosis.runs)
     name = diagnosis.model.name or "the model"
+    lines, more = lead_lines(diagnosis), alerts(diagnosis)
+    first = [*lines[: MOST.bullets - bool(more)], *more[:1]]
+    rest = [*lines[len(first) - bool(more) :], *more[1:]]
     return write_page(
         path,
         # Plain spaces: programs read the figures in it, too.
@@ -83,11 +85,10 @@ def diagnose_page(
         f"Errors of {name} on {_names(diagnosis)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis.to_dict(),
-        lead=lead_of(
-            # What to measure next is seen whatever a sensor did.
-            alerts(diagnosis)[:2],
-            diagnosis_tiles(diagnosis),
-            [*lead_lines(diagnosis), *alerts(diagnosis)[2:]],
+        lead=Markup(
+            bullets(first)
+            + diagnosis_tiles(diagnosis)
+            + details(plural(len(rest), "more remark"), bullets(rest, "notices")) * bool(rest)
         ),
         figures=figures,
     )
@@ -102,17 +103,18 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
         caption = BEFORE_AFTER_CAPTION if explained else picture.caption
         pictures.append(picture._replace(caption=caption))
     title = "Before and after" if explained else "Measured and simulated"
-    evidence = (bullets(diagnosis.reasons), candidates_table(diagnosis))
-    limits = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
     sections = [Section("before-after", title, (pictures[0], runs_table(runs, explained)))]
     if explained:
         contents = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)
         sections.append(Section("causes", "What it is", contents, "Causes"))
     if diagnosis.candidates:
-        shown = (candidates_picture(diagnosis), *evidence)
-        sections.append(Section("evidence", "What was tried", shown, "Evidence"))
-    if diagnosis.competing:
-        sections.append(Section("competing", "What competes", (competing_table(diagnosis),)))
+        tried = (
+            bullets(diagnosis.reasons),
+            candidates_table(diagnosis),
+            competing_table(diagnosis),
+        )
+        sections.append(Section("evidence", "What was tried", tried, "Evidence"))
+    limits = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
     if diagnosis.limits:
         sections.append(Section("limits", "What these logs could show", limits, "Limits"))
     sections.append(residual_section(diagnosis.anatomy, clock_of(diagnosis.logs[0])))
@@ -142,13 +144,7 @@ def in_order(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
 
 def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     """Key figures."""
-    take = {None: "stays", True: "adopt it", False: "do not adopt it"}[diagnosis.adopt]
-    facts: list[tuple[object, object]] = [
-        ("verdict", cause_name(diagnosis.verdict)),
-        ("extended model" if diagnosis.adopt is not None else "model", take),
-    ]
-    if diagnosis.causes:
-        facts.append(("first cause's gain, 95 %", _interval(diagnosis.causes[0].gain_ci95)))
+    facts: list[tuple[object, object]] = []
     if (judged := judged_run(diagnosis)) is not None:
         facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.metrics.rmse_V)))
         if diagnosis.causes:
@@ -156,6 +152,10 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
         if judged.corrected is not None:
             corrected = millivolt(judged.corrected.metrics.rmse_V)
             facts.append(("and with the log corrected", corrected))
+    gain = diagnosis.soc_gain
+    if gain is not None:
+        ends = (percent(gain[f"soc_rmse_{k}"]) for k in ("before", "after"))
+        facts.append((f"SOC RMSE of the EKF on {gain['log'] or 'the log'}", " → ".join(ends)))
     facts.append(("causes tried", counted(len(diagnosis.candidates))))
     return tiles(facts)
 
@@ -169,7 +169,7 @@ def alerts(diagnosis: Diagnosis) -> list[Markup]:
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
     """What follows the first line: what to measure, what is unsure, then what was found."""
-    lines = [f"Measure next: {diagnosis.next_test}"] if diagnosis.next_test else []
+    lines = [f"Measure next: {in_words(diagnosis.next_test)}"] if diagnosis.next_test else []
     lines += unsure_lines(diagnosis)
     lines += [
         f"{statement(c, diagnosis)}: {percent(c.gain, 0)} less error on held-out data, on top of "
@@ -208,7 +208,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
         KINDS[cause.kind],
         f"In the model: {known.term}.",
         f"What it leaves in the residual: {known.signature}",
-        *(e for e in cause.evidence if e != known.signature),
+        *(in_words(e) for e in cause.evidence if e != known.signature),
     ]
     if cause.confusable_with:
         names = listed([cause_name(c) for c in cause.confusable_with])
@@ -225,19 +225,12 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     shown = shown_parameters(cause)
     folded = [p for p in cause.parameters.items() if p not in shown]
     what = f"{plural(len(folded), 'parameter')} of which these logs say no more than is usual"
-    fitted = _change(cause.train_rmse_before_V, cause.train_rmse_after_V)
-    held_out = _change(cause.holdout_rmse_before_V, cause.holdout_rmse_after_V)
-    gains = table(
-        ("rows", "RMSE before", "after", "gain", "95 % interval"),
-        [("fitted on", *fitted, ""), ("held out", *held_out, _interval(cause.gain_ci95))],
-    )
     return Markup(
         f"<h3>{escape(capitalised(cause_name(cause.name)) + sure)}</h3>"
         + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}")
         + bullets(lines)
         + numbers(shown)
         + (details(what, numbers(folded)) if folded else "")
-        + gains
     )
 
 
@@ -277,12 +270,14 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
 
 def competing_table(diagnosis: Diagnosis) -> Markup:
     """Explanations that were weighed, with their probability."""
+    if not diagnosis.competing:
+        return EMPTY
     return record_table(
         weights(diagnosis),
         ("explanation", lambda w: w[0]),
         ("probability", lambda w: w[1]),
-        caption="Sets of causes and their probability among all that were compared; blocks of time "
-        "weighted at random. That of a cause is the sum over all sets that hold it.",
+        caption="Sets of causes and their probability among all that were compared. That of a "
+        "cause is the sum over all sets that hold it.",
     )
 
 
@@ -295,34 +290,65 @@ def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
 
 
 def limits_table(diagnosis: Diagnosis) -> Markup:
-    """The smallest change of every cause's parameters that these logs could show."""
-    without = sorted({c.name for c in diagnosis.candidates} - set(diagnosis.limits))
-    return record_table(
-        [*diagnosis.limits, *without],
-        ("cause", cause_name),
-        (
-            "smallest change",
-            lambda c: _values(c, diagnosis.limits.get(c, {})) or "these logs could not show it",
-        ),
+    """The smallest change of every cause that these logs could show, where a cell can have it."""
+    shown = {c: shown_limits(c, values, diagnosis) for c, values in diagnosis.limits.items()}
+    shown = {c: values for c, values in shown.items() if values}
+    without = sorted({c.name for c in diagnosis.candidates} - set(shown))
+    found = record_table(
+        shown.items(),
+        ("cause", lambda one: cause_name(one[0])),
+        ("smallest change", lambda one: _values(*one)),
         caption="From sensitivities and noise, before any cause was fitted: smaller changes look "
         "the same as what a good laboratory leaves uncertain.",
         text_columns=(0, 1),
     )
+    none = f"These logs could show no change of {listed([cause_name(c) for c in without])}."
+    return Markup(found + (paragraph(none) if without else ""))
+
+
+def shown_limits(cause: str, values: Mapping[str, float], diagnosis: Diagnosis) -> dict[str, float]:
+    """The limits that a real cell or sensor could exceed.
+
+    A limit beyond ten times the resistance of the model, or beyond the cause's own bounds, is of a
+    change that nobody could take for the cell it is said of.
+    """
+    known = {p.name: p for p in CAUSES[cause].parameters} if cause in CAUSES else {}
+    most_ohm = IMPOSSIBLE_TIMES * float(np.median(diagnosis.model.r0_ohm + diagnosis.model.r2_ohm))
+    found = {}
+    for name, value in values.items():
+        one = known.get(name)
+        beyond = one is not None and (
+            not one.bounds[0] <= one.neutral + value <= one.bounds[1]
+            or (one.unit == "ohm" and value > most_ohm)
+        )
+        if not beyond:
+            found[name] = value
+    return found
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:
-    """All candidates with their parameters, folded away."""
-    if not diagnosis.candidates:
-        return EMPTY
-    figures = record_table(
-        diagnosis.candidates,
-        ("cause", lambda c: cause_name(c.name)),
-        ("score", lambda c: significant(c.score)),
-        ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
-        ("parameters when tried alone", lambda c: _values(c.name, c.parameters)),
-        text_columns=(0, 3),
+    """All candidates, the likeliest first; those beyond a few are folded away."""
+    order = sorted(diagnosis.candidates, key=lambda c: -np.nan_to_num(c.score, nan=-np.inf))
+    few, rest = order[: MOST.candidates], order[MOST.candidates :]
+
+    def figures(shown: Sequence[TriedCause], **options: Any) -> Markup:
+        return record_table(
+            shown,
+            ("cause", lambda c: cause_name(c.name)),
+            ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
+            ("evidence", lambda c: significant(c.score)),
+            ("its parameters", lambda c: _first_values(c.name, c.parameters)),
+            text_columns=(0, 3),
+            **options,
+        )
+
+    caption = (
+        "Every cause alone, the likeliest first. Evidence: ln of how much likelier the data are "
+        "with it than with none; below zero it explains less than usual tolerances do. A cause is "
+        "accepted by both, for a wrong one can also reduce the error."
     )
-    return details(f"All figures of {plural(len(diagnosis.candidates), 'candidate')}", figures)
+    more = details(f"{plural(len(rest), 'candidate')} more", figures(rest)) if rest else ""
+    return Markup(figures(few, caption=caption) + more)
 
 
 def _units(cause: str) -> dict[str, str]:
@@ -330,18 +356,15 @@ def _units(cause: str) -> dict[str, str]:
     return {p.name: p.unit for p in CAUSES[cause].parameters} if cause in CAUSES else {}
 
 
+def _first_values(cause: str, parameters: Mapping[str, float]) -> str:
+    """The first two; the others of many stand in the figures for machines."""
+    more = f" and {len(parameters) - 2} more" if len(parameters) > 2 else ""
+    return _values(cause, dict(list(parameters.items())[:2])) + more
+
+
 def _values(cause: str, parameters: Mapping[str, float]) -> str:
     units = _units(cause)
     return ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in parameters.items())
-
-
-def _change(before_V: float, after_V: float) -> tuple[str, str, str]:
-    gain = 1.0 - after_V / before_V if before_V > 0.0 else 0.0
-    return millivolt(before_V), millivolt(after_V), percent(gain, 0)
-
-
-def _interval(ends: tuple[float, float]) -> str:
-    return f"{percent(ends[0], 0)} to {percent(ends[1], 0)}"
 
 
 def _between(ends: tuple[float, float] | None, unit: str) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 
+from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
+    SPACE,
     ampere_hours,
     duration,
     listed,
@@ -24,6 +27,7 @@ KINDS = {
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
+CORRECTED = " with the log corrected"
 
 
 def cause_name(name: str) -> str:
@@ -31,36 +35,39 @@ def cause_name(name: str) -> str:
     return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
 
 
+NAMED = re.compile("|".join(sorted((n for n in CAUSES if "_" in n), key=len, reverse=True)))
+
+
+def in_words(text: str) -> str:
+    """A line of the diagnosis with its causes named for people."""
+    return NAMED.sub(lambda m: cause_name(m[0]), text)
+
+
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
     """The first line: what to do with the model, why, and what that gains or loses."""
     judged = judged_run(diagnosis)
     if diagnosis.causes:
-        text = statement(diagnosis.causes[0], diagnosis)
-        others = [cause_name(c.name) for c in diagnosis.causes[1:]]
-        more = f", with {listed(others)}" if others else ""
-        said = "" if judged is None else f": error on {named_log(judged)} {change(judged)}"
+        said = [within(statement(diagnosis.causes[0], diagnosis))]
+        if judged is not None:  # that the log is corrected stands before it
+            size = change(judged).removesuffix(CORRECTED)
+            said.append(f"{named_log(judged)} {size}")
         lost = losses(diagnosis)
-        but = f"; but {listed(lost)}" if lost else ""
-        return f"{advice(diagnosis)}: {within(text)}{more}{said}{but}."
+        but = f", but {listed(lost)}" if lost else ""
+        return f"{advice(diagnosis)}: {'; '.join(said)}{but}."
+    error = ""
+    if judged is not None:
+        error = f"{millivolt(judged.before.metrics.rmse_V)} RMSE on {named_log(judged)}"
     if diagnosis.verdict == "none":
-        rest = ""
-        if judged is not None:
-            error = millivolt(judged.before.metrics.rmse_V)
-            rest = f" The residual on {named_log(judged)} is {error} RMSE."
-        return f"Keep the model: these data show no error beyond the stated one.{rest}"
-    why = f": {diagnosis.reasons[0].rstrip('.')}" if diagnosis.reasons else ""
+        return f"Keep the model: no error beyond the stated one{'; ' * bool(error)}{error}."
     if diagnosis.verdict == "unexplained":
-        return (
-            f"Do not rely on the model here: it is wrong, and none of the causes tried explains "
-            f"it{why}."
-        )
-    sets = [w.causes for w in diagnosis.competing if w.causes][:2]
+        return f"Do not rely on the model here: no cause that was tried explains {error or 'it'}."
+    why = f": {in_words(diagnosis.reasons[0].rstrip('.'))}" if diagnosis.reasons else ""
+    sets = [explanation(w) for w in diagnosis.competing if w.causes][:2]
     if len(sets) < 2:
-        return f"Measure more: these data do not show what is wrong, if anything is{why}."
-    one, other = (" with ".join(cause_name(c) for c in names) for names in sets)
+        return f"Measure more: nothing was found, and nothing excluded{why}."
     return (
-        f"Measure more before the model is changed: it is wrong, but these data do not separate "
-        f"{one} from {other}."
+        f"Measure more before the model is changed: {error or 'its error'} may be {sets[0]}, "
+        f"{sets[1]} or none of the causes tried."
     )
 
 
@@ -81,9 +88,9 @@ def losses(diagnosis: Diagnosis) -> list[str]:
     gain = diagnosis.soc_gain
     if gain is not None and diagnosis.soc_worse:
         ends = (percent(gain[f"soc_rmse_{k}"]) for k in ("before", "after"))
-        found.append(f"the SOC by the EKF gets worse with it, {' to '.join(ends)}")
+        found.append(f"SOC gets worse, {' → '.join(ends)} RMSE")
     shown = judged_run(diagnosis)
-    found += [f"error on {named_log(r)} {change(r)}" for r in diagnosis.worse if r is not shown]
+    found += [f"{named_log(r)} {change(r)}" for r in diagnosis.worse if r is not shown]
     return found
 
 
@@ -110,7 +117,7 @@ def unsure_lines(diagnosis: Diagnosis) -> list[str]:
 
 def explanation(one: Weighed) -> str:
     """A set of causes for people."""
-    return " with ".join(cause_name(c) for c in one.causes) or "none"
+    return " with ".join(cause_name(c) for c in one.causes) or "none of the causes tried"
 
 
 def probability(share: float) -> str:
@@ -160,20 +167,18 @@ def change(run: LogRun) -> str:
     """What `simulate` shows with both models; where the log is corrected, that beside it."""
     before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
     if run.corrected is None:
-        return fall(before, after)
+        return change_of(before, after)
     corrected = run.corrected.metrics.rmse_V
     if math.isclose(before, after, rel_tol=1e-6):
-        return f"{fall(before, corrected)} with the log corrected"
-    return f"{fall(before, after)}, is {millivolt(corrected)} with the log corrected, too"
+        return f"{change_of(before, corrected)}{CORRECTED}"
+    return f"{change_of(before, after)}, {millivolt(corrected)}{CORRECTED}, too"
 
 
-def fall(before_V: float, after_V: float) -> str:
-    """``falls from 24 mV to 9 mV (−62 %)``."""
+def change_of(before_V: float, after_V: float) -> str:
+    """``24 mV → 9 mV``."""
     if not (math.isfinite(before_V) and before_V > 0.0):
-        return f"is {millivolt(after_V)}"
-    change = after_V / before_V - 1.0
-    verb = "falls" if change < 0.0 else "rises"
-    return f"{verb} from {millivolt(before_V)} to {millivolt(after_V)} ({percent(change, 0)})"
+        return millivolt(after_V)
+    return f"{millivolt(before_V)} → {millivolt(after_V)}"
 
 
 def statement(cause: FoundCause, diagnosis: Diagnosis) -> str:
@@ -246,8 +251,8 @@ def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
 def ampere(current_A: float) -> str:
     """A current as ``98 mA`` or ``1.2 A``."""
     if abs(current_A) < 0.9995:
-        return f"{significant(1e3 * current_A)} mA"
-    return f"{significant(current_A)} A"
+        return f"{significant(1e3 * current_A)}{SPACE}mA"
+    return f"{significant(current_A)}{SPACE}A"
 
 
 def valued(value: float, unit: str) -> str:

@@ -14,21 +14,23 @@ from cellwise.cell.effects import (
     ChargeTransfer,
     Hysteresis,
     SelfHeating,
-    SlowDiffusion,
     SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
 from cellwise.identify.identification import Identification, OwnLog
-from cellwise.report.findings import identify_finding
+from cellwise.report.findings import identify_finding, model_kind
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
-    capacity_picture,
     ocv_content,
-    ocv_evidence,
     ocv_picture,
 )
-from cellwise.report.identification.parameter_section import parameter_content, parameter_picture
+from cellwise.report.identification.parameter_section import (
+    NAMES,
+    model_table,
+    parameter_content,
+    parameter_picture,
+)
 from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
 from cellwise.report.identification.simulation_section import (
     simulation_content,
@@ -51,6 +53,7 @@ from cellwise.report.page.markup import (
 from cellwise.report.page.numerals import (
     ampere_hours,
     celsius,
+    duration,
     listed,
     millivolt,
     percent,
@@ -66,19 +69,11 @@ from cellwise.report.page.section import (
     write_page,
 )
 
-WORDS = {
-    "r0_ohm": "R₀",
-    "r1_ohm": "R₁",
-    "tau1_s": "τ₁",
-    "r2_ohm": "R₂",
-    "tau2_s": "τ₂",
-    "r3_ohm": "R₃",
-    "tau3_s": "τ₃",
-}
+TABLES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s", "r3_ohm", "tau3_s")
 
 
 def provenance_content(identification: Identification) -> Markup:
-    """One row per quantity of the model: value, where from, how, how sure."""
+    """One row per quantity of the model: value, how sure, where from."""
     rows = [
         *_capacity_rows(identification),
         *_ocv_rows(identification),
@@ -87,13 +82,31 @@ def provenance_content(identification: Identification) -> Markup:
         *_error_rows(identification),
     ]
     found = table(
-        ("quantity", "value", "from", "how", "standard error (median)"), rows, text_columns=range(5)
+        ("quantity", "value", "standard error", "from"),
+        rows,
+        caption=_how(identification) + " Standard errors are medians over SOC, a temperature each.",
+        text_columns=range(4),
     )
     record = json.dumps(
         finite(identification.model.provenance), indent=2, ensure_ascii=False, allow_nan=False
     )
     full = Markup(f"<pre>{escape(record)}</pre>")
     return Markup(found + details("The model's own record", full))
+
+
+def _how(identification: Identification) -> str:
+    """How the tables came about, and of which logs."""
+    provenance = _mapping(identification.model.provenance.get("pulses"))
+    sets = [s for t in identification.temperatures for s in t.pulse_sets]
+    fitted = sum(len(s.fits) for s in sets)
+    logs = [p.name for t in identification.temperatures if t.refinement for p in t.refinement.logs]
+    how = []
+    if fitted:
+        how.append(f"{plural(fitted, 'pulse')} by {provenance.get('method', 'fit')}")
+    if logs:
+        how.append("least squares over whole logs")
+    names = listed(list(dict.fromkeys(logs or [s.log.name for s in sets])))
+    return f"Resistances and time constants: {', then '.join(how)}, of {names}." if how else ""
 
 
 def _capacity_rows(identification: Identification) -> list[tuple[object, ...]]:
@@ -103,76 +116,55 @@ def _capacity_rows(identification: Identification) -> list[tuple[object, ...]]:
         choice, listed(list(dict.fromkeys(tests))) or "the capacity tests"
     )
     value = ampere_hours(identification.model.capacity_Ah)
-    return [("capacity", value, source, f"choice {choice}", "")]
+    return [("capacity", value, "", f"{source}; choice {choice}")]
 
 
 def _ocv_rows(identification: Identification) -> list[tuple[object, ...]]:
     curve, model = identification.ocv, identification.model
     value = f"{model.ocv_V.min():.3f} to {model.ocv_V.max():.3f} V"
-    how = f"{curve.function.kind}, {plural(curve.points_soc.size, 'point')}"
+    how = f"{curve.source}; {curve.function.kind}, {plural(curve.points_soc.size, 'point')}"
     errors = _errors(identification, "ocv_V")
     text = listed([millivolt(e) for e in errors])
-    refined = ", corrected by refinement" if errors else ""
-    return [("OCV", value, curve.source, how + refined, text)]
+    return [("OCV", value, text, how + (", corrected by refinement" if errors else ""))]
 
 
 def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
     model = identification.model
-    provenance = _mapping(model.provenance.get("pulses"))
-    fitted = sum(len(s.fits) for t in identification.temperatures for s in t.pulse_sets)
-    pulses = f"{plural(fitted, 'pulse')} by {provenance.get('method', 'fit')}" if fitted else ""
-    logs = listed(
-        [p.name for t in identification.temperatures if t.refinement for p in t.refinement.logs]
-    )
-    refined = "then least squares over whole logs" if pulses else "least squares over whole logs"
-    how = "; ".join(part for part in (pulses, refined if logs else "") if part)
-    source = logs or listed([s.log.name for t in identification.temperatures for s in t.pulse_sets])
-    tables: dict[str, Any] = {name: getattr(model, name, None) for name in WORDS}
-    slow = model.effect(SlowDiffusion)
-    if np.any(np.asarray(slow.r3_ohm) > 0.0):
-        tables |= {"r3_ohm": slow.r3_ohm, "tau3_s": slow.tau3_s}
     rows: list[tuple[object, ...]] = []
-    for name, value in tables.items():
-        if value is None:
-            continue
-        v = np.asarray(value)
-        factor, unit = (1e3, "mΩ") if name.endswith("ohm") else (1.0, "s")
-        text = f"{significant(factor * v.min())} to {significant(factor * v.max())} {unit}"
-        note = listed([percent(e, 1) for e in _errors(identification, name)])
-        rows.append((WORDS[name], text, source, how, note))
+    for name in TABLES:
+        lines = [model_table(model, name, k) for k in range(model.temperature_C.size)]
+        known = np.concatenate([line for line in lines if line is not None] or [np.empty(0)])
+        if known.size:
+            factor, unit = (1e3, "mΩ") if name.endswith("ohm") else (1.0, "s")
+            text = f"{significant(factor * known.min())} to {significant(factor * known.max())}"
+            note = listed([percent(e, 1) for e in _errors(identification, name)])
+            rows.append((NAMES[name], f"{text} {unit}", note, ""))
     return rows
 
 
 def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
     model = identification.model
-    rows: list[tuple[object, ...]] = []
-    names = {e.name for e in model.effects}
-    how = "fitted in the refinement"
-    if Hysteresis.name in names:
-        h = model.effect(Hysteresis)
-        text = f"M up to {millivolt(float(np.max(h.m_V)))}, γ {significant(float(h.gamma))}"
-        note = listed([millivolt(e) for e in _errors(identification, "m_V")])
-        rows.append(("hysteresis", text, "gap of the branches", how, note))
-    if TemperatureDependence.name in names:
-        t = model.effect(TemperatureDependence)
-        text = f"{significant(float(t.activation_K))} K at {celsius(t.reference_C)}"
-        rows.append(("Arrhenius activation", text, "measured temperatures", how, ""))
-    if TimeSkew.name in names:
-        skew = model.effect(TimeSkew).skew_s
-        rows.append(("sampling delay", f"{significant(skew)} s", "the drives", how, ""))
-    held_out = "accepted on logs held out"
-    if ChargeTransfer.name in names:
-        k = model.effect(ChargeTransfer).asinh_per_V
-        rows.append(("charge transfer", f"k = {significant(k)} / V", "the loads", held_out, ""))
-    if SurfaceSoc.name in names:
-        surface = model.effect(SurfaceSoc)
-        text = f"{percent(surface.depth_h)} of SOC at 1C, after {significant(surface.tau_s)} s"
-        rows.append(("surface SOC", text, "the loads", held_out, ""))
-    if SelfHeating.name in names:
-        heat = model.effect(SelfHeating)
-        text = f"{significant(heat.rth_K_per_W)} K/W, {significant(heat.thermal_s)} s"
-        rows.append(("self-heating", text, "the loads", held_out, ""))
-    return rows
+    held_out = "the loads; accepted on logs held out"
+    rows: dict[str, tuple[object, ...]] = {}
+    h = model.effect(Hysteresis)
+    text = f"M up to {millivolt(float(np.max(h.m_V)))}, γ {significant(float(h.gamma))}"
+    note = listed([millivolt(e) for e in _errors(identification, "m_V")])
+    rows[h.name] = ("hysteresis", text, note, "gap of the branches")
+    t = model.effect(TemperatureDependence)
+    text = f"{significant(float(t.activation_K))} K at {celsius(t.reference_C)}"
+    rows[t.name] = ("Arrhenius activation", text, "", "measured temperatures")
+    skew = model.effect(TimeSkew)
+    rows[skew.name] = ("sampling delay", f"{significant(skew.skew_s)} s", "", "the drives")
+    transfer = model.effect(ChargeTransfer)
+    text = f"k = {significant(transfer.asinh_per_V)} / V"
+    rows[transfer.name] = ("charge transfer", text, "", held_out)
+    surface = model.effect(SurfaceSoc)
+    text = f"{percent(surface.depth_h)} of SOC at 1C, after {significant(surface.tau_s)} s"
+    rows[surface.name] = ("surface SOC", text, "", held_out)
+    heat = model.effect(SelfHeating)
+    text = f"{significant(heat.rth_K_per_W)} K/W, {significant(heat.thermal_s)} s"
+    rows[heat.name] = ("self-heating", text, "", held_out)
+    return [row for name, row in rows.items() if name in {e.name for e in model.effects}]
 
 
 def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
@@ -182,17 +174,11 @@ def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for k, scale in enumerate(error.scales_s):
         size = np.sqrt(error.variance_V2(k, soc))
-        text = (
-            f"{millivolt(float(np.median(size)))} (up to {millivolt(float(size.max()))}); "
-            f"{percent(error.shares()[k], 1)} of the polarisation, "
-            f"charging {percent(error.shares(-1.0)[k], 1)}"
-        )
-        name = f"voltage error over {significant(scale)} s"
-        rows.append((name, text, "logs left out of the fit", "likelihood", ""))
-    back = f"{percent(error.persistent_share)} of the slowest"
-    rows.append(
-        ("voltage error that comes back", back, "logs of a temperature", "their number", "")
-    )
+        text = f"{millivolt(float(np.median(size)))}, at most {millivolt(float(size.max()))}"
+        share = error.shares()[k]
+        more = f", and {percent(share, 1)} of the polarisation" if share > 5e-4 else ""
+        name = f"voltage error over {duration(scale)}"
+        rows.append((name, text + more, "", "logs left out of the fit"))
     return rows
 
 
@@ -218,20 +204,21 @@ def scope_content(identification: Identification) -> Markup:
 
 
 def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
-    return record_table(
+    found = record_table(
         logs,
         ("log", lambda own: clock_of(own.simulation.log)),
-        ("test", lambda own: ROLES[own.role]),
-        ("in the fit", lambda own: "yes" if own.used else "no"),
-        ("initial SOC", lambda own: percent(own.simulation.soc0)),
         ("RMSE", lambda own: millivolt(own.simulation.metrics.rmse_V)),
         ("above 10 % SOC", lambda own: _volt(own.simulation.rmse_above_10pct_V)),
         ("discharge", lambda own: _volt(own.sides_V.get("discharge"))),
         ("charge", lambda own: _volt(own.sides_V.get("charge"))),
-        ("remarks", lambda own: own.reason),
+        ("initial SOC", lambda own: percent(own.simulation.soc0)),
+        ("test", lambda own: ROLES[own.role]),
+        ("in the fit", lambda own: "yes" if own.used else "no"),
         caption="Every log given, simulated back with the finished model from its initial SOC.",
-        text_columns=(0, 1, 2, 8),
+        text_columns=(0, 6, 7),
     )
+    remarks = [f"{clock_of(own.simulation.log)}: {own.reason}" for own in logs if own.reason]
+    return Markup(found + bullets(remarks))
 
 
 def _effects(identification: Identification) -> Markup:
@@ -258,14 +245,9 @@ def _validity(identification: Identification) -> Markup:
         rows.append(("temperature", range_C if measured else f"{range_C}, taken: none measured"))
     if validity.current_A is not None:
         rows.append(("current", " to ".join(significant(v) for v in validity.current_A) + " A"))
-    if not rows:
-        return Markup("")
-    return table(
-        ("quantity", "covered by the data"),
-        rows,
-        caption="Outside, every command says so and the standard deviation grows.",
-        text_columns=(0, 1),
-    )
+    covered = "; ".join(f"{name} {text}" for name, text in rows)
+    text = f"Covered by the data: {covered}. Outside, every command says so."
+    return paragraph(text) if rows else Markup("")
 
 
 def _volt(value: float | None) -> str:
@@ -283,17 +265,12 @@ def identify_page(
     Parameters
     ----------
     identification : Identification
-    path : str or Path            of the HTML file; it appears whole or not at all
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     return write_page(
         path,
         identify_finding(identification),
-        f"Identification of {cell_name(identification)}, by cellwise",
+        f"{model_kind(identification)} of {cell_name(identification)}, by cellwise",
         identify_sections(identification),
         identification.to_dict(),
         lead=lead_of(_alerts(identification), identify_tiles(identification)),
@@ -303,10 +280,9 @@ def identify_page(
 
 def identify_sections(identification: Identification) -> tuple[Section, ...]:
     """The parts of an identification's page."""
-    evidence = ocv_evidence(identification)
     simulations = identification.simulations
-    ocv = (ocv_picture(identification, evidence), ocv_content(identification, evidence))
-    capacity = (capacity_picture(identification), capacity_content(identification))
+    ocv = (ocv_picture(identification), ocv_content(identification))
+    capacity = (capacity_content(identification),)
     parameters = (parameter_picture(identification), parameter_content(identification))
     fit: Blocks = (simulation_content(simulations), *simulation_pictures(simulations, "fit"))
     scope = (scope_content(identification),)
@@ -315,17 +291,17 @@ def identify_sections(identification: Identification) -> tuple[Section, ...]:
         (f"{clock_of(s.log)}, measured and simulated", simulation_traces(s)) for s in simulations
     ]
     sections = [
+        Section("scope", "What the model explains, and where it ends", scope, "Scope"),
         Section("ocv", "Open-circuit voltage", ocv),
         Section("capacity", "Capacity", capacity),
         Section("parameters", "Parameters", parameters),
         Section("fit", "Measured and simulated", fit),
         trace_section(traces),
-        Section("scope", "What the model explains, and where it ends", scope, "Scope"),
         Section("provenance", "Where every number came from", provenance, "Provenance"),
     ]
     if any(s.pulses for _, s in pulse_sets(identification)):
         pulses = (pulse_picture(identification), pulse_content(identification))
-        sections.insert(2, Section("pulses", "Pulses", pulses))
+        sections.insert(3, Section("pulses", "Pulses", pulses))
     return tuple(sections)
 
 
@@ -340,24 +316,19 @@ def identify_tiles(identification: Identification) -> Markup:
     """Key figures of an identification."""
     counts, fit = identification.pulse_counts, identification.fit
     capacity = ampere_hours(identification.model.capacity_Ah)
+    updated = "updated" in identification.capacities
+    choice = "updated" if updated else identification.capacity_choice
+    limits = identification.model.validity.temperature_C
     facts = [
-        (f"capacity ({identification.capacity_choice})", capacity),
-        ("RMSE on its own logs", millivolt(fit.rmse_V)),
-        ("MAE on its own logs", millivolt(fit.mae_V)),
-        ("largest error", millivolt(fit.max_error_V)),
+        (f"capacity ({choice})", capacity),
+        ("RMSE on the logs of the fit", millivolt(fit.rmse_V)),
+        ("largest error there", millivolt(fit.max_error_V)),
     ]
+    if limits is not None:
+        facts.append(("valid from, to", " to ".join(celsius(v) for v in limits)))
     if sum(counts.values()):
         facts.append(("healthy pulses", f"{counts['healthy']} of {sum(counts.values())}"))
-    facts.append(("time taken", f"{significant(identification.seconds, 2)} s"))
     return tiles(facts)
-
-
-def notices(identification: Identification) -> Markup:
-    """What a person should know before believing the numbers."""
-    if not identification.notices:
-        return Markup("")
-    text = paragraph(f"{plural(len(identification.notices), 'notice')} on the way:")
-    return Markup(text + bullets(identification.notices, "notices"))
 
 
 def _alerts(identification: Identification) -> list[Markup]:

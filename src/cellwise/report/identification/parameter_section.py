@@ -9,12 +9,12 @@ import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion, effect_table
 from cellwise.cell.model import CellModel
-from cellwise.identify.identification import Identification, TemperatureResult
+from cellwise.identify.identification import REFERENCE_C, Identification, TemperatureResult
 from cellwise.identify.refinement.splines import greville
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, details, record_table
-from cellwise.report.page.numerals import celsius, farad_unit, ohm_unit, percent, significant
-from cellwise.report.page.picture import Picture, pictured
+from cellwise.report.page.markup import Markup, details, paragraph, record_table
+from cellwise.report.page.numerals import celsius, listed, ohm_unit, percent, significant
+from cellwise.report.page.picture import pictured
 from cellwise.typing import BoolArray, FloatArray
 
 NAMES = {
@@ -22,13 +22,10 @@ NAMES = {
     "r1_ohm": "R₁",
     "r2_ohm": "R₂",
     "r3_ohm": "R₃",
+    "dc_ohm": "R₀ + R₁ + R₂",
     "tau1_s": "τ₁",
     "tau2_s": "τ₂",
     "tau3_s": "τ₃",
-    "c1_F": "C₁",
-    "c2_F": "C₂",
-    "c3_F": "C₃",
-    "dc_ohm": "R₀ + R₁ + R₂",
 }
 
 
@@ -36,9 +33,11 @@ NAMES = {
 LOG_FROM = 5.0
 VAGUE = 0.5  # two standard errors as a share: beyond, other values do nearly as well
 MIDDLE = 0.5  # SOC at which a panel's title states the value
-REFINED_CAPTION = (
-    ", refined on whole logs, with a band of two standard errors. They need not meet: a short "
-    "pulse sees only the beginning of what a drive shows."
+CAPTION = (
+    "R₀ is the drop at once, the branches are what follows within seconds (1), minutes (2) and "
+    "longer (3). Lines are the model's tables at the temperatures of the tests, their bands two "
+    "standard errors, left out beyond 50 % (≈ in a title). Marks are single pulses; they need not "
+    "meet the lines, for a short pulse sees only the beginning of what a whole log shows."
 )
 
 
@@ -57,15 +56,13 @@ def model_table(model: CellModel, name: str, row: int) -> FloatArray | None:
     slow = model.effect(SlowDiffusion)
     r3 = effect_table(slow.r3_ohm, model.ocv_V.shape)[row]
     has_slow = bool(np.any(r3 > 0.0))
-    if name in ("r3_ohm", "tau3_s", "c3_F") and not has_slow:
+    if name in ("r3_ohm", "tau3_s") and not has_slow:
         return None
     tau3 = effect_table(slow.tau3_s, model.ocv_V.shape)[row]
     if name == "r3_ohm":
         return np.asarray(r3)
     if name == "tau3_s":
         return np.asarray(tau3)
-    if name == "c3_F":
-        return np.asarray(tau3 / np.maximum(r3, 1e-12))
     if name == "dc_ohm":
         return np.asarray(model.r0_ohm[row] + model.r1_ohm[row] + model.r2_ohm[row])
     return np.asarray(getattr(model, name)[row])
@@ -75,34 +72,24 @@ def table_error(found: TemperatureResult, name: str, soc: FloatArray) -> FloatAr
     """Standard error of a refined table as a share of its value, over SOC; None if unknown.
 
     The tables are splines of ln R and ln tau, whose coefficients act at the Greville points; the
-    errors are joined by lines between these. That of C = tau / R leaves out their correlation.
+    errors are joined by lines between these.
     """
     result = found.refinement
-    if result is None:
+    if result is None or name == "dc_ohm":
         return None
-    lay, at = result.layout, greville(result.knots)
-
-    def block(first: int) -> FloatArray:
-        return np.asarray(np.interp(soc, at, result.theta_std[first : first + lay.knots]))
-
-    if name == "r0_ohm":
-        return block(lay.r0)
-    if name == "dc_ohm":
-        return None
+    lay = result.layout
     branch = int(next(c for c in name if c.isdigit())) - 1
     if branch >= lay.branches:
         return None
-    if name.startswith("r"):
-        return block(lay.r(branch))
-    if name.startswith("tau"):
-        return block(lay.tau(branch))
-    return np.hypot(block(lay.r(branch)), block(lay.tau(branch)))
+    first = lay.r0 if branch < 0 else lay.r(branch) if name.startswith("r") else lay.tau(branch)
+    errors = result.theta_std[first : first + lay.knots]
+    return np.asarray(np.interp(soc, greville(result.knots), errors))
 
 
 def pulse_values(found: TemperatureResult, name: str) -> PulseValues | None:
     """Values of one parameter from the single pulses of a temperature; None if they have none."""
     fits = [f for s in found.pulse_sets for f in s.fits if np.isfinite(f.soc)]
-    if not fits or name in ("r3_ohm", "tau3_s", "c3_F"):
+    if not fits or name in ("r3_ohm", "tau3_s"):
         return None
     soc = np.array([f.soc for f in fits])
     discharge = np.array([f.current_A > 0.0 for f in fits], dtype=bool)
@@ -111,62 +98,66 @@ def pulse_values(found: TemperatureResult, name: str) -> PulseValues | None:
         error = np.full(value.size, np.nan)
         known = np.array([f.identified.r2_ohm > 0 or f.method == "segments" for f in fits])
         return PulseValues(soc, value, error, discharge, known)
-    parts = [f"r{name[1]}_ohm", f"tau{name[1]}_s"] if name.startswith("c") else [name]
     value = np.array([getattr(f, name) for f in fits])
-    shares = np.array(
-        [[getattr(f.error, p) / max(getattr(f.value, p), 1e-12) for p in parts] for f in fits]
-    )
-    error = value * np.sqrt(np.sum(shares**2, axis=1))
+    shares = [getattr(f.error, name) / max(getattr(f.value, name), 1e-12) for f in fits]
     # A method without standard errors claims nothing: its values are shown as they are.
     known = np.array(
-        [
-            f.method == "segments" or all(getattr(f.identified, p) > 0.0 for p in parts)
-            for f in fits
-        ],
-        dtype=bool,
+        [f.method == "segments" or getattr(f.identified, name) > 0.0 for f in fits], dtype=bool
     )
-    return PulseValues(soc, value, error, discharge, known & np.isfinite(value) & (value > 0.0))
+    known &= np.isfinite(value) & (value > 0.0)
+    return PulseValues(soc, value, value * np.array(shares), discharge, known)
 
 
 def shown_names(identification: Identification) -> tuple[str, ...]:
-    """Panels, three a row: the resistances, then the branches that the model has."""
+    """Panels: the resistances, then their sum and the time constants of the branches there are."""
     slow = model_table(identification.model, "r3_ohm", 0) is not None
-    branches = (1, 2, 3) if slow else (1, 2)
-    rows = [(f"r{j}_ohm", f"tau{j}_s", f"c{j}_F") for j in branches]
-    return ("r0_ohm", "dc_ohm", "", *(name for row in rows for name in row))
+    return tuple(n for n in NAMES if slow or n not in ("r3_ohm", "tau3_s"))
 
 
-def parameter_picture(identification: Identification) -> Picture:
-    """Every parameter over SOC."""
-    picture = _parameter_picture(identification)
-    if any(t.refinement is not None for t in identification.temperatures):
-        return picture._replace(caption=picture.caption + REFINED_CAPTION)
-    return picture._replace(caption=f"{picture.caption}, smooth through the pulses.")
+def shown_rows(identification: Identification) -> list[int]:
+    """The temperatures of the model that tests were run at; all of them where none says so.
+
+    Those between are interpolated and show nothing of their own.
+    """
+    tested = {t.temperature_C for t in identification.temperatures}
+    every = range(identification.model.temperature_C.size)
+    return [k for k in every if identification.model.temperature_C[k] in tested] or list(every)
 
 
-@pictured(
-    "parameters",
-    "R₀ is the drop at once, the RC branches are what follows within seconds (1), minutes (2) "
-    "and longer (3). Marks, if any, are single pulses with two standard errors (▼ discharge, "
-    "▲ charge; pale where the pulse does not show the parameter), lines are the tables in "
-    "the model",
-)
-def _parameter_picture(identification: Identification) -> style.Figure:
-    """A grid of panels, one per parameter, resistance first."""
+def vague_names(identification: Identification) -> list[str]:
+    """Parameters that the logs hardly determine at half charge, at any tested temperature."""
+    middle = np.array([MIDDLE])
+    errors = {
+        name: [table_error(t, name, middle) for t in identification.temperatures]
+        for name in shown_names(identification)
+    }
+    return [
+        NAMES[name]
+        for name, of in errors.items()
+        if any(e is not None and 2.0 * float(e[0]) > VAGUE for e in of)
+    ]
+
+
+@pictured("parameters", CAPTION)
+def parameter_picture(identification: Identification) -> style.Figure:
+    """A grid of panels, one per parameter, resistances first."""
     names = shown_names(identification)
-    figure = style.new_figure(0.3 + 2.0 * len(names) / 3)
-    for axes, name in zip(style.panels(figure, len(names) // 3, 3), names, strict=True):
-        if name:
-            _draw_parameter(axes, identification, name)
-            style.soc_axis(axes, label=name in names[-3:])
-        else:
-            _draw_key(axes, identification)
+    columns = len(names) // 2
+    figure = style.new_figure(4.6)
+    for k, axes in enumerate(style.panels(figure, 2, columns)):
+        _draw_parameter(axes, identification, names[k], 0.85 / columns)
+        style.soc_axis(axes, label=k >= columns or style.on_phone())
+    _draw_key(figure, identification)
     return figure
 
 
 def parameter_content(identification: Identification) -> Markup:
-    """The tables of the model at every tenth of SOC."""
+    """What cannot be read from the tables, and the tables at every tenth of SOC."""
     model = identification.model
+    vague = vague_names(identification)
+    said = f"{listed(vague)} {'is' if len(vague) == 1 else 'are'} hardly determined alone (two "
+    said += "standard errors are more than half of the value): other values do nearly as well "
+    said += "together. Rely on the sum and on the simulated voltage, not on one of them."
     parts = []
     for row, temperature in enumerate(model.temperature_C):
         named = ((n, model_table(model, n, row)) for n in NAMES if n != "dc_ohm")
@@ -183,7 +174,8 @@ def parameter_content(identification: Identification) -> Markup:
             caption=f"Tables of the model at {celsius(float(temperature))}",
         )
         parts.append(shown)
-    return details("The tables in numbers", Markup("".join(parts)))
+    shown_tables = details("The tables in numbers", Markup("".join(parts)))
+    return Markup((paragraph(said) if vague else "") + shown_tables)
 
 
 def _read_ocv(grid: FloatArray, ocv_V: FloatArray, soc: float) -> str:
@@ -194,38 +186,42 @@ def _read(grid: FloatArray, line: FloatArray, soc: float) -> str:
     return significant(float(np.interp(soc, grid, line)))
 
 
-def _draw_parameter(axes: style.Axes, identification: Identification, name: str) -> None:
+def _draw_parameter(
+    axes: style.Axes, identification: Identification, name: str, share: float
+) -> None:
     model = identification.model
-    tables = [model_table(model, name, row) for row in range(model.temperature_C.size)]
-    lines = [line for line in tables if line is not None]
+    rows = shown_rows(identification)
+    lines = {row: line for row in rows if (line := model_table(model, name, row)) is not None}
     shown = slice(None, None, max(model.points // 100, 1))
     soc = 100.0 * model.soc[shown]
-    factor, unit = _unit(name, lines[0])
-    reference, many = _reference_row(identification), len(lines) > 1
+    middle = min(rows, key=lambda k: abs(model.temperature_C[k] - REFERENCE_C))
+    factor, unit = _unit(name, lines[middle])
     seen: list[FloatArray] = []
-    error_at_middle = float("nan")
+    size = float(np.interp(MIDDLE, model.soc, lines[middle]))
+    sign, band_text = "=", ""
     fitted = {t.temperature_C: t for t in identification.temperatures}
-    for row, (line, colour) in enumerate(zip(lines, temperature_colours(len(lines)), strict=True)):
+    for (row, line), colour in zip(lines.items(), temperature_colours(len(lines)), strict=True):
         found = fitted.get(model.temperature_C[row])
         values = None if found is None else pulse_values(found, name)
-        band = None if found is None else table_error(found, name, model.soc)
+        error = None if found is None else table_error(found, name, model.soc)
         if values is not None:
-            seen += _draw_pulse_values(axes, values, factor, colour if many else style.MEASURED)
-        if band is not None:
-            low, high = (factor * line * np.exp(sign * 2.0 * band) for sign in (-1.0, 1.0))
+            mark = colour if len(lines) > 1 else style.MEASURED
+            seen += _draw_pulse_values(axes, values, factor, mark)
+        if error is not None:
+            band = np.where(2.0 * error > VAGUE, np.nan, 2.0 * error)
+            low, high = (factor * line * np.exp(sign * band) for sign in (-1.0, 1.0))
             axes.fill_between(soc, low[shown], high[shown], color=colour, alpha=0.18, lw=0)
-            if row == reference:
-                error_at_middle = float(np.interp(MIDDLE, model.soc, band))
+            at = float(np.interp(MIDDLE, model.soc, error))
+            if row == middle:
+                sign, band_text = (
+                    ("=", f" ± {percent(2.0 * at, 0)}") if 2.0 * at <= VAGUE else ("≈", "")
+                )
         axes.plot(soc, factor * line[shown], color=colour, linewidth=1.6, zorder=4)
         seen.append(factor * line)
     _scale(axes, np.concatenate(seen))
-    middle = float(np.interp(MIDDLE, model.soc, lines[reference]))
-    where = f", {celsius(float(model.temperature_C[reference]))}" if many else ""
-    title = f"{NAMES[name]} = {significant(factor * middle)} {unit}"
-    if np.isfinite(error_at_middle):
-        vague = ", hardly determined," if 2.0 * error_at_middle > VAGUE else ""
-        title += f" ± {percent(2.0 * error_at_middle, 0)}{vague}"
-    style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", 0.27)
+    where = f", {celsius(float(model.temperature_C[middle]))}" if len(lines) > 1 else ""
+    title = f"{NAMES[name]} {sign} {significant(factor * size)} {unit}{band_text}"
+    style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", share)
     style.labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
 
 
@@ -249,22 +245,25 @@ def _draw_pulse_values(
     return [np.percentile(well, [3, 97])] if well.size else []
 
 
-def _draw_key(axes: style.Axes, identification: Identification) -> None:
-    """The panel without a parameter names the marks and lines."""
-    model = identification.model
-    axes.axis("off")
-    for colour, t in zip(
-        temperature_colours(model.temperature_C.size), model.temperature_C, strict=True
-    ):
-        axes.plot([], [], color=colour, linewidth=1.8, label=f"model at {celsius(float(t))}")
+def _draw_key(figure: style.Figure, identification: Identification) -> None:
+    """Names of lines and marks below the panels."""
+    from matplotlib.lines import Line2D
+
+    rows = shown_rows(identification)
+    keys = [
+        Line2D([], [], color=colour, label=celsius(float(identification.model.temperature_C[row])))
+        for colour, row in zip(temperature_colours(len(rows)), rows, strict=True)
+    ]
     if any(found.fits for t in identification.temperatures for found in t.pulse_sets):
         for marker, alpha, name in (
-            ("v", 1.0, "single discharge pulse"),
-            ("^", 1.0, "single charge pulse"),
+            ("v", 1.0, "discharge pulse"),
+            ("^", 1.0, "charge pulse"),
             ("^", 0.28, "not shown by its pulse"),
         ):
-            axes.plot([], [], marker, color=style.MEASURED, markersize=4, alpha=alpha, label=name)
-    axes.legend(loc="center left", bbox_to_anchor=(0.0, 0.5), labelspacing=0.6)
+            looks: dict[str, Any] = {"color": style.MEASURED, "alpha": alpha, "linestyle": "none"}
+            keys.append(Line2D([], [], marker=marker, markersize=4, label=name, **looks))
+    if len(keys) > 1:
+        style.key_below(figure, keys)
 
 
 def temperature_colours(count: int) -> tuple[str, ...]:
@@ -300,12 +299,6 @@ def _scale(axes: style.Axes, seen: FloatArray) -> None:
         axes.set_ylim(max(low - room, 0.0), high + room)
 
 
-def _reference_row(identification: Identification) -> int:
-    return int(np.argmin(np.abs(identification.model.temperature_C - 25.0)))
-
-
 def _unit(name: str, line: FloatArray) -> tuple[float, str]:
     typical = float(np.median(line))
-    if name.endswith("_ohm"):
-        return ohm_unit(typical)
-    return farad_unit(typical) if name.endswith("_F") else (1.0, "s")
+    return ohm_unit(typical) if name.endswith("_ohm") else (1.0, "s")

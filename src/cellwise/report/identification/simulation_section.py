@@ -8,7 +8,7 @@ import numpy as np
 
 from cellwise.cell.simulate import Simulation
 from cellwise.report.page import style
-from cellwise.report.page.markup import MOST, Markup, clock_of, details, record_table, table
+from cellwise.report.page.markup import MOST, Markup, clock_of, record_table
 from cellwise.report.page.numerals import counted, duration, millivolt, percent, points
 from cellwise.report.page.picture import Picture, pictured
 from cellwise.report.page.traces import (
@@ -45,11 +45,11 @@ def worst_logs(simulations: Sequence[Simulation]) -> list[int]:
 
 
 def simulation_content(simulations: Sequence[Simulation]) -> Markup:
-    """Error metrics of every log, and by tenth of SOC."""
+    """Error metrics of every log."""
     text = "Measured minus simulated voltage. 95 % interval: 1.96 sd to either side of the mean."
     if len(simulations) > MOST.simulations:
         text += f" Pictures show the {MOST.simulations} logs with the largest errors."
-    figures = record_table(
+    return record_table(
         simulations,
         ("log", lambda s: clock_of(s.log)),
         ("rows", lambda s: counted(s.metrics.samples)),
@@ -62,27 +62,11 @@ def simulation_content(simulations: Sequence[Simulation]) -> Markup:
         ("95 % interval", lambda s: " to ".join(millivolt(v) for v in s.metrics.ci95_V)),
         caption=text,
     )
-    return Markup(figures + _band_table(simulations))
-
-
-def _band_table(simulations: Sequence[Simulation]) -> Markup:
-    bands = [{b.soc_low: b.metrics for b in s.bands} for s in simulations]
-    rows = []
-    for low in sorted({low for own in bands for low in own}, reverse=True):
-        row = [f"{100 * low:.0f} to {100 * low + 10:.0f} %"]
-        for own in bands:
-            m = own.get(low)
-            row += ["", ""] if m is None else [millivolt(m.rmse_V), millivolt(m.mean_error_V)]
-        rows.append(row)
-    head = ["SOC"]
-    for s in simulations:
-        head += [f"{clock_of(s.log)}: RMSE", "mean"]
-    return details("Error by tenth of SOC", table(head, rows))
 
 
 @pictured(
     "simulation",
-    "Left: measured voltage (grey), the model's (vermillion) from the current alone, and the "
+    "Measured voltage (grey), the model's (vermillion) from the current alone, and the "
     "residual. Then: the minutes above 10 % SOC where the model is worst, with their "
     "current; below, the error over SOC – mean, and the band that holds 95 % of it.",
 )

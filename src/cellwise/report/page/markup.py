@@ -34,6 +34,7 @@ class PageLimits(NamedTuple):
     simulations: int = 8  # pictures of simulated logs
     replays: int = 4  # with pictures of their own
     diagnosed: int = 4  # pictures of logs before and after
+    candidates: int = 6  # causes that were tried, of a diagnosis
     pulse_logs: int = 6
     pulses: int = 300  # rows of the table of those not healthy
     runs: int = 2000  # rows of a benchmark's table

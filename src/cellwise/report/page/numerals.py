@@ -71,12 +71,13 @@ def duration(seconds: float | None) -> str:
     return f"{significant(seconds / 3600.0, 2 if seconds < 36e4 else 3)}{SPACE}h"
 
 
-def duration_range(low_s: float, high_s: float) -> str:
-    """Two times in the unit that fits the longer one: ``3.4 to 7.8 min``."""
+def duration_between(value_s: float, low_s: float, high_s: float) -> str:
+    """A time and its band in the unit that fits the band's upper end: ``4.8 min (0.5 to 6.5)``."""
     if not (math.isfinite(low_s) and math.isfinite(high_s)):
-        return f"{duration(low_s)} to {duration(high_s)}"
+        return duration(value_s)
     scale, unit = time_unit(high_s)
-    return f"{spanned(low_s / scale, high_s / scale, 2)}{SPACE}{unit}"
+    shown = significant(value_s / scale, 2)
+    return f"{shown}{SPACE}{unit} ({spanned(low_s / scale, high_s / scale, 2)})"
 
 
 def spanned(low: float, high: float, digits: int = 3) -> str:
@@ -111,11 +112,6 @@ def ohm_unit(typical_ohm: float) -> tuple[float, str]:
 def counted(count: int) -> str:
     """A large number with its thousands apart."""
     return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-
-
-def farad_unit(typical_F: float) -> tuple[float, str]:
-    """Factor and name of the unit that suits a capacitance."""
-    return (1e-3, "kF") if typical_F >= 3e3 else (1.0, "F")
 
 
 def plural(count: int, one: str, many: str = "") -> str:

@@ -62,7 +62,21 @@ def write_page(
     lead: Markup = EMPTY,
     figures: str | Path | FigureFiles | None = None,
 ) -> Path:
-    """Render a page and write it whole; its pictures too, where a folder for them is given."""
+    """Render a page and write it.
+
+    Parameters
+    ----------
+    path : str or Path            of the HTML file; it appears whole or not at all
+    finding, about : str          the first line, and what the page is
+    sections : of Section         in reading order
+    data : mapping                the figures for machines
+    lead : Markup                 between the first line and the sections
+    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
+
+    Raises
+    ------
+    InputError        matplotlib is missing; nothing to show; the path cannot be written
+    """
     parts = [(s.key, s.title, s.short or s.title, rendered(s)) for s in sections]
     text = page(
         finding,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any, cast
@@ -13,6 +13,7 @@ from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     # Named so that pages outside this folder can say what they draw on.
+    from matplotlib.artist import Artist as Artist
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis as Axis
     from matplotlib.figure import Figure as Figure
@@ -38,8 +39,10 @@ INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
 TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
 WIDTH_IN = 10.0
-# A page has each picture twice: as wide as it is, and for a phone, whose text would be 7 px high.
-PHONE_IN, PHONE_HEIGHT = 4.0, 0.9
+# A page has each picture twice: as wide as it is, and for a phone, whose text would be 4 px high.
+# So wide a figure on a screen of 390 px shows SMALL_PT as 11 px.
+PHONE_IN, PHONE_HEIGHT = 3.35, 0.8
+SMALL_PT = 8.0  # of notes in a picture, the smallest text
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
 HEADING_PT = 11.5
@@ -106,8 +109,8 @@ def two_columns(
     Each column takes its rows' places for itself, so labels in one leave no hole in the other.
     """
     if on_phone():
-        figure.set_figheight(1.5 * figure.get_figheight())
-        parts: Any = figure.subfigures(2, 1, height_ratios=(0.6, 0.4))
+        figure.set_figheight(2.0 * figure.get_figheight())
+        parts: Any = figure.subfigures(2, 1, height_ratios=(0.55, 0.45))
     else:
         parts = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
     columns: list[list[Axes]] = []
@@ -179,13 +182,18 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
         axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
 
 
-def side_legend(axes: Axes) -> None:
-    """A legend beside the axes, where nothing is drawn; on a phone below its label."""
-    handles, names = axes.get_legend_handles_labels()
-    if handles and on_phone():
-        axes.legend(handles, names, loc="upper left", bbox_to_anchor=(0.0, -0.3), ncols=2)
-    elif handles:
-        axes.legend(handles, names, loc="center left", bbox_to_anchor=(1.01, 0.5))
+def key_below(figure: Figure, handles: Sequence[Artist] = ()) -> None:
+    """A legend of the whole figure below it: of ``handles``, else what its axes name, once."""
+    named = dict(
+        reversed(pair)
+        for axes in figure.axes
+        for pair in zip(*axes.get_legend_handles_labels(), strict=True)
+    )
+    keys = list(handles) or list(named.values())
+    if keys:
+        names = [str(key.get_label()) for key in keys] if handles else list(named)
+        columns = 2 if on_phone() else 8
+        figure.legend(keys, names, loc=cast(Any, "outside lower left"), ncols=columns)
 
 
 def zero_line(axes: Axes) -> None:
@@ -197,7 +205,7 @@ def note(
     axes: Axes, text: str, at: Any, offset: tuple[float, float] = (0, 5), **looks: Any
 ) -> None:
     """A small text beside a point of the data, so many points away from it."""
-    drawn: dict[str, Any] = {"fontsize": 7.5, "color": MUTED} | looks
+    drawn: dict[str, Any] = {"fontsize": SMALL_PT, "color": MUTED} | looks
     axes.annotate(text, at, offset, textcoords="offset points", **drawn)
 
 

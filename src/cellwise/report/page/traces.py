@@ -209,7 +209,7 @@ def symmetric_limits(
                 xycoords="axes fraction",
                 ha="right",
                 va="top" if worst > 0 else "bottom",
-                fontsize=7.5,
+                fontsize=style.SMALL_PT,
                 color=style.MUTED,
                 bbox={"facecolor": style.PAPER, "alpha": 0.8, "edgecolor": "none", "pad": 1.5},
                 zorder=6,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.logs.checks.grave import is_grave
-from cellwise.report.findings import replay_finding, simulation_finding
+from cellwise.report.findings import replay_finding, replay_name, simulation_finding
 from cellwise.report.identification.simulation_section import (
     simulation_content,
     simulation_pictures,
@@ -35,9 +34,10 @@ from cellwise.report.page.markup import (
     tiles,
 )
 from cellwise.report.page.numerals import (
+    SPACE,
     capitalised,
     duration,
-    duration_range,
+    duration_between,
     listed,
     millivolt,
     percent,
@@ -50,71 +50,62 @@ from cellwise.report.page.picture import FigureFiles, pictured, safe_key
 from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
 from cellwise.report.page.traces import thin, thin_band, time_axis
 from cellwise.report.replay.replay_section import (
+    estimated_content,
     reached,
     replay_content,
     replay_pictures,
     soc_at_end,
 )
 
-# Times the median time beyond which the picture at the load of the last minute leaves out: a
-# vehicle that stands would last for hours.
-IDLE = 4.0
 FORECAST_EXPLAINED = (
-    "From the filter's state of charge and the relaxation that the log's own current left, the "
-    "model goes on until the terminal voltage reaches its cutoff or the charge ends. Energies and "
-    "powers are those of one cell; a pack has as many times of them as it has cells."
+    "From the state at {time} the model goes on until the voltage reaches its cutoff or the charge "
+    "ends. Energies and powers are those of one cell."
 )
 
 
 def flight_finding(flight: Flight) -> str:
-    """The first line of a flight's page."""
+    """The first line of a flight's page: remaining time, and with its usual peaks."""
     now = (flight.typical or flight).last
+    scale, unit = time_unit(now.remaining_s_band[1])
+    value, low, high = (significant(s / scale, 2) for s in (now.remaining_s, *now.remaining_s_band))
     return (
-        f"At {duration(now.time_s)} the cells are at {percent(now.soc, 0)}: "
-        f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)}) remaining at the "
-        f"usual load of {significant(now.load_A)} A."
+        f"{points(now.soc)} SOC at {duration(now.time_s)}: {value}{SPACE}{unit} left at "
+        f"{significant(now.load_A)}{SPACE}A ({low} with its usual peaks, {high} at most)."
     )
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
     """Pictures of all flights, then their figures."""
-    named = [(f, f"{k + 1}-{safe_key(f.name or 'log')}") for k, f in enumerate(flights)]
-    pictures = [flight_picture(f)._replace(key=f"flight-{key}") for f, key in named]
-    folded = [
-        present_picture(f)._replace(
-            key=f"present-{key}",
-            fold="The same at the load of the last minute"
-            + (f", {f.name}" if len(flights) > 1 else ""),
-        )
-        for f, key in named
-    ]
-    blocks: Blocks = (*pictures, flight_content(flights), *folded)
+    several = len(flights) > 1
+    pictures = []
+    for k, f in enumerate(flights[: MOST.replays]):
+        one = flight_picture(f, f.name if several else "")
+        key = f"flight-{k + 1}-{safe_key(f.name or 'log')}"
+        pictures.append(one._replace(key=key, caption=one.caption if k == 0 else ""))
+    blocks: Blocks = (*pictures, *(flight_content(f, several=several) for f in flights))
     return Section("left", "Remaining time and energy", blocks)
 
 
-def flight_content(flights: Sequence[Flight]) -> Markup:
-    """The last moment of every flight, at its present and at its usual load."""
-    rows = []
-    for flight in flights:
-        name = f"{flight.name or 'log'}, " if len(flights) > 1 else ""
-        if flight.typical is not None:
-            rows.append((f"{name}usual load", *_figures(flight.typical.last)))
-        rows.append((f"{name}last minute", *_figures(flight.last)))
-        if flight.given is not None:
-            after = duration(flight.given.time_s)
-            rows.append((f"{name}given load, after {after}", *_figures(flight.given)))
+def flight_content(flight: Flight, *, several: bool) -> Markup:
+    """The last moment of a flight at its usual load, that of its last minute and a given one."""
+    ways = {
+        "usual load": flight.typical.last if flight.typical else None,
+        "load of the last minute": flight.last,
+        "given load": flight.given,
+    }
+    columns = {name: _figures(now) for name, now in ways.items() if now is not None}
     head = (
-        "", "load", "SOC", "remaining time", "remaining energy", "end voltage", "SOC then",
-        "ends by",
+        "load", "remaining time", "remaining energy", "voltage then", "SOC then", "ends by",
     )  # fmt: skip
-    return Markup(paragraph(FORECAST_EXPLAINED, "note") + table(head, rows, text_columns=(0, 7)))
+    text = FORECAST_EXPLAINED.format(time=duration(flight.last.time_s))
+    rows = zip(head, *columns.values(), strict=True)
+    return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
 
 
 def _figures(now: Forecast) -> tuple[str, ...]:
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
-        f"{points(now.soc)} ± {percent(2.0 * now.soc_std, 1)}",
-        f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})",
+        duration_between(now.remaining_s, *now.remaining_s_band),
         f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})",
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
@@ -124,56 +115,37 @@ def _figures(now: Forecast) -> tuple[str, ...]:
 
 @pictured(
     "flight",
-    "At every moment: how long each cell would last, and what energy it would still give, at the "
-    "log's usual load, the mean while it is under way. The band is what two standard deviations of "
-    "the state of charge, the capacity, the model's voltage and the cell's warming leave; its "
-    "lower edge is where the load's usual peaks first press the voltage to the cutoff. It takes "
-    "the load to stay: one twice as large leaves about half.",
+    "At every moment: how long each cell would last at the log's usual load, the mean while it is "
+    "under way, and what energy it would give. The band holds two standard deviations of SOC, "
+    "capacity, voltage and warming; its lower edge is where the load's usual peaks first press the "
+    "voltage to the cutoff.",
 )
-def flight_picture(flight: Flight) -> style.Figure:
+def flight_picture(flight: Flight, of_log: str = "") -> style.Figure:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
-    return _drawn(shown, f"at the usual {significant(shown.last.load_A)} A", math.inf)
-
-
-@pictured(
-    "present",
-    "At every moment, if the mean load of the last minute went on: a load that changes moves the "
-    "curves. What is more than four times the median is cut off.",
-)
-def present_picture(flight: Flight) -> style.Figure:
-    """Time and energy left over the log at the load of each moment, with bands."""
-    return _drawn(flight, "at the load of the last minute", IDLE)
-
-
-def _drawn(flight: Flight, load: str, most: float) -> style.Figure:
-    """Both over the log; what is more than ``most`` times the median is cut off."""
     figure = style.new_figure(4.2)
     above, below = figure.subplots(2, 1, sharex=True)
-    scale, unit = time_unit(float(flight.time_s[-1]) or 1.0)
-    t = flight.time_s / scale  # the log's own, as the headline says it
-    drawn = (
-        (above, flight.remaining_s / 60.0, flight.remaining_s_band / 60.0, "time left [min]"),
-        (below, flight.remaining_Wh, flight.remaining_Wh_band, "energy left [Wh per cell]"),
-    )
-    for axes, values, band, name in drawn:
+    scale, unit = time_unit(float(shown.time_s[-1]) or 1.0)
+    t = shown.time_s / scale  # the log's own, as the headline says it
+    looks: dict[str, Any] = {"color": style.FILTER, "alpha": 0.25, "linewidth": 0}
+    for axes, values, band, name in (
+        (above, shown.remaining_s / 60.0, shown.remaining_s_band / 60.0, "time left [min]"),
+        (below, shown.remaining_Wh, shown.remaining_Wh_band, "energy left [Wh per cell]"),
+    ):
         known = np.isfinite(band).all(axis=1)
-        looks: dict[str, Any] = {"color": style.FILTER, "alpha": 0.25, "linewidth": 0}
-        low, high = band[known].T
-        axes.fill_between(t[known], low, high, label="2 standard deviations", **looks)
-        axes.plot(t[known], values[known], color=style.FILTER, label=load)
+        axes.fill_between(t[known], *band[known].T, **looks)
+        axes.plot(t[known], values[known], color=style.FILTER)
         style.labels(axes, f"time [{unit}]" if axes is below else "", name)
-        tallest = max(float(np.max(band[known, 1], initial=0.0)), 1e-9)
-        usual = float(np.median(values[known])) if known.any() else 0.0
-        axes.set_ylim(0.0, 1.05 * (min(tallest, most * usual) if usual else tallest))
-    now = flight.last
-    left = f"{duration(now.remaining_s)} ({duration_range(*now.remaining_s_band)})"
-    style.finding(above, f"{left} left at the end, {load}")
-    style.legend(below)
+        axes.set_ylim(0.0, 1.05 * max(float(np.max(band[known, 1], initial=0.0)), 1e-9))
+    now = shown.last
+    left = duration_between(now.remaining_s, *now.remaining_s_band)
+    title = f"{left} left at the end, at the usual {significant(now.load_A)} A"
+    style.finding(above, f"{of_log}: {title}" if of_log else title)
     return figure
 
 
 USUAL_S = 10.0
+NARROW = 0.8  # share of errors inside two standard deviations: below, the band misleads
 POWER_EXPLAINED = (
     "The largest constant {hold} which keeps terminal voltage, current and SOC within their limits "
     "to the end of the horizon, from the state that the filter has at that moment; the power is "
@@ -196,20 +168,17 @@ def power_section(replays: Sequence[Replay]) -> Section:
 def power_content(replay: Replay, power: PowerTrace, *, several: bool) -> Markup:
     """The power at the log's end, at every horizon."""
 
-    def limit(way: PowerLimit) -> tuple[str, ...]:
-        return (
-            f"{significant(way.power_W)} W",
-            f"{significant(way.power_low_W)} W",
-            f"{significant(way.current_A)} A",
-            way.by,
-        )
+    def limits(way: PowerLimit) -> tuple[str, ...]:
+        current = f"{significant(way.current_A)} A"
+        return significant(way.power_W), significant(way.power_low_W), current, way.by
 
-    rows = [(f"{s.horizon_s:g} s", *limit(s.discharge), *limit(s.charge)) for s in power.last]
+    columns = [(*limits(s.discharge), *limits(s.charge)) for s in power.last]
+    names = ("{} [W]", "at least (95 %) [W]", "current", "limited by")
+    head = [name.format(way) for way in ("discharge", "charge") for name in names]
     name = f"{replay.estimator} on {clock_of(replay.log)}. " if several else ""
-    one_way = ("at least (95 %)", "current", "limited by")
-    head = ("for", "discharge", *one_way, "charge", *one_way)
-    text = name + POWER_EXPLAINED.format(hold=power.hold)
-    return Markup(paragraph(text, "note") + table(head, rows, text_columns=(0, 4, 8)))
+    horizons = (f"{s.horizon_s:g} s" for s in power.last)
+    rows = zip(head, *columns, strict=True)
+    return table(("for", *horizons), rows, caption=name + POWER_EXPLAINED.format(hold=power.hold))
 
 
 def usual(power: PowerTrace) -> int:
@@ -273,14 +242,9 @@ def replay_page(
     Parameters
     ----------
     replays : of Replay           the first one gives the page's first line
-    path : str or Path            of the HTML file; it appears whole or not at all
     simulations : of Simulation   of the same or other logs
     flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
-    figures : folder or FigureFiles   for the same pictures as PNG and SVG files
-
-    Raises
-    ------
-    InputError        no replay; matplotlib is missing; the path cannot be written
+    path, figures : as of `write_page`, whose errors it raises
     """
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
@@ -291,6 +255,8 @@ def replay_page(
     if flights:  # remaining time and energy come first where the estimate cannot be judged
         place = 0 if replays[0].reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[0]))
+    lines += [power_finding(r.power) for r in replays[:1] if r.power is not None]
+    lines += list(filter(None, map(narrow_band, replays)))
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     sections = list(replay_sections(replays, simulations))
     if flights:
@@ -325,6 +291,17 @@ def warning(replay: Replay) -> str | None:
     return far_off and f"{far_off.partition(f': {OTHER}')[0]}: neither SOC nor time can be used."
 
 
+def narrow_band(replay: Replay) -> str | None:
+    """That the filter's own band does not hold its errors; None where it does."""
+    share = replay.coverage_2sigma
+    if share is None or not share < NARROW:
+        return None
+    return (
+        f"Do not rely on the band of {replay_name(replay)}: it holds {percent(share, 0)} of the "
+        "errors, 95 % if it were right. The model is further off here than it states."
+    )
+
+
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
 ) -> list[Markup]:
@@ -341,9 +318,10 @@ def replay_sections(
     """The parts of a replay page."""
     text = f"The first {MOST.replays} replays have pictures of their own; the table has all."
     few = (paragraph(text),) if len(replays) > MOST.replays else ()
+    found = map(estimated_content, replays[: MOST.replays])
     sections = [
         Section("soc", "State of charge", (*few, *replay_pictures(replays))),
-        Section("figures", "All figures", (replay_content(replays),)),
+        Section("figures", "All figures", (*found, replay_content(replays))),
     ]
     if simulations:
         blocks: Blocks = (simulation_content(simulations), *simulation_pictures(simulations))

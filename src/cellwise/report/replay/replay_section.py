@@ -10,7 +10,7 @@ import numpy as np
 from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
 from cellwise.report.findings import replay_name
 from cellwise.report.page import style
-from cellwise.report.page.markup import MOST, Markup, clock_of, paragraph, table
+from cellwise.report.page.markup import EMPTY, MOST, Markup, clock_of, paragraph, table
 from cellwise.report.page.numerals import (
     NONE,
     counted,
@@ -25,7 +25,8 @@ from cellwise.report.page.picture import Picture, pictured, safe_key
 from cellwise.report.page.traces import robust_limit, symmetric_limits, thin, thin_band, time_axis
 from cellwise.typing import FloatArray
 
-ASIDE = 0.3  # of a standard deviation: more is worth a word
+WIDE_BAND = 0.5  # RMS of the innovations over their deviation: below, the band is far too wide
+CHANGED = 0.9  # probability from which a parameter is said not to be the model's
 
 
 def replay_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Picture, ...]:
@@ -57,38 +58,47 @@ def comparison_pictures(replays: Sequence[Replay], prefix: str = "replay") -> tu
 
 def _soc_caption(replay: Replay) -> str:
     blue = "The filter's state of charge (blue) with the band of two of its own standard deviations"
-    beginning = "the beginning, where a wrong initial SOC is corrected"
     if replay.reference_soc is None:
-        return f"{blue}: the whole log, and {beginning}."
-    return (
-        f"{blue}, and the reference that the tester counted (grey). Below them their difference; a "
-        f"filter with consistent uncertainty keeps it inside its band. Once for the whole log, "
-        f"once for {beginning}; dotted lines mark two points of SOC."
-    )
+        return f"{blue}."
+    text = f"{blue}, and the reference that the tester counted (grey). Below, their difference; "
+    text += "dotted lines mark two points of SOC."
+    if _enlarged(replay):
+        text += (
+            " Once for the whole log, once for the beginning, where the wrong start is corrected."
+        )
+    return text
+
+
+def _enlarged(replay: Replay) -> bool:
+    """Whether the beginning is worth a picture: a start that was wrong for a while."""
+    return replay.reference_soc is not None and replay.convergence_s != 0.0
 
 
 @pictured("soc", _soc_caption)
 def soc_picture(replay: Replay) -> style.Figure:
-    """SOC and its error, the whole log and the beginning."""
+    """SOC and its error over the log; over its beginning, too, where it converges."""
     reference = replay.reference_soc is not None
     figure = style.new_figure(5.0 if reference else 2.8)
     heights = (1.25, 1.0) if reference else (1.0,)
     seconds = replay.log.time_s - replay.log.time_s[0]
-    wide, narrow = style.two_columns(figure, heights, heights)
-    for whole, axes, end in (
-        (True, wide, float(seconds[-1])),
-        (False, narrow, _beginning_s(replay)),
-    ):
-        rows = slice(0, int(np.searchsorted(seconds, end, side="right")))
-        t, time_label, scale = time_axis(replay.log.time_s[rows], end)
-        draw_soc_axes(axes[0], replay, rows, t)
+    columns: list[tuple[bool, list[style.Axes], float]]
+    if _enlarged(replay):
+        wide, narrow = style.two_columns(figure, heights, heights)
+        columns = [(True, wide, float(seconds[-1])), (False, narrow, _beginning_s(replay))]
+    else:
+        rows = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)
+        columns = [(True, list(rows.flat), float(seconds[-1]))]
+    for whole, axes, end in columns:
+        shown = slice(0, int(np.searchsorted(seconds, end, side="right")))
+        t, time_label, scale = time_axis(replay.log.time_s[shown], end)
+        draw_soc_axes(axes[0], replay, shown, t)
         style.labels(axes[0], "" if reference else time_label, "SOC [%]")
         title = _soc_title(replay) if whole else f"The first {duration(end)}"
         style.finding(axes[0], title, style.WIDE if whole else style.NARROW)
         if whole:
             style.legend(axes[0])
         if reference:
-            draw_soc_error(axes[1], replay, rows, t, whole=whole)
+            draw_soc_error(axes[1], replay, shown, t, whole=whole)
             style.labels(axes[1], time_label, "SOC error [points]")
         for one in axes:
             one.set_xlim(0.0, end / scale)
@@ -164,13 +174,21 @@ def draw_soc_error(
 
 
 def _innovation_finding(replay: Replay) -> str:
-    """The time scale on which the innovations are furthest from what the model states."""
+    """How the innovations lie to the band, or to what the model states of some time scale."""
+    trace = replay.trace
+    ratio = trace.innovation_V / np.sqrt(trace.innovation_variance_V2)
+    size = float(np.sqrt(np.nanmean(ratio**2)))
+    if size < WIDE_BAND:
+        return (
+            f"The band is {significant(1.0 / size, 2)} times wider than the innovations: "
+            "the filter trusts the voltage little"
+        )
     if replay.nis is None or replay.model is None:
         return f"Mean NIS {significant(replay.nis_mean)}"
     far = max(zip(replay.nis, replay.model.error.scales_s, strict=True), key=_off)
     return (
-        f"Over {significant(far[1])} s innovations are {significant(math.sqrt(far[0]), 2)} times "
-        "what the model states, on other scales nearer to it"
+        f"Innovations over {duration(far[1])} are {significant(math.sqrt(far[0]), 2)} times what "
+        "the model states, on other scales nearer to it"
     )
 
 
@@ -182,22 +200,21 @@ def _off(entry: tuple[float, float]) -> float:
     "voltage",
     "What the filter sees: the measured voltage (grey) and the one it predicted before the update "
     "(vermillion). Below, the difference, called innovation, within the band of two standard "
-    "deviations that the filter expects. Then innovations as multiples of that deviation, "
-    "against the normal distribution: a model that is wrong to one side moves them off zero.",
+    "deviations that the filter expects.",
 )
 def voltage_picture(replay: Replay) -> style.Figure:
-    """Measured and predicted voltage, innovations with their band, their distribution."""
+    """Measured and predicted voltage, innovations with their band."""
     figure = style.new_figure(4.6)
-    (top, bottom), (right,) = style.two_columns(figure, (1.2, 1.0), (1.0,))
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
     log, trace = replay.log, replay.trace
     t, time_label, _ = time_axis(log.time_s)
     top.plot(*thin(t, log.voltage_V), color=style.MEASURED, linewidth=1.5, label="measured")
     top.plot(*thin(t, trace.voltage_V), color=style.MODEL, linewidth=0.8, label="predicted")
-    style.finding(
-        top,
-        f"{replay_name(replay)}: voltage prediction RMSE {millivolt(replay.voltage_rmse_V)}",
-        style.WIDE,
-    )
+    error = f"voltage prediction RMSE {millivolt(replay.voltage_rmse_V)}"
+    middle = float(np.nanmedian(trace.innovation_V))
+    if abs(middle) > 0.5 * replay.voltage_rmse_V:
+        error += f", {millivolt(abs(middle))} too {'low' if middle > 0.0 else 'high'} in the median"
+    style.finding(top, f"{replay_name(replay)}: {error}")
     style.labels(top, "", "voltage [V]")
     style.legend(top, columns=2)
     std = np.sqrt(trace.innovation_variance_V2)
@@ -207,35 +224,11 @@ def voltage_picture(replay: Replay) -> style.Figure:
     style.zero_line(bottom)
     least = 2.4 * float(np.nanmedian(std))
     symmetric_limits(bottom, trace.innovation_V, "mV", least=least, factor=1e3)
-    style.finding(bottom, _innovation_finding(replay), style.WIDE)
+    style.finding(bottom, _innovation_finding(replay))
     style.labels(bottom, time_label, "innovation [mV]")
     for axes in (top, bottom):
         axes.set_xlim(t[0], t[-1])
-    _draw_distribution(right, trace.innovation_V / std)
     return figure
-
-
-def _draw_distribution(axes: style.Axes, ratio: FloatArray) -> None:
-    known = ratio[np.isfinite(ratio)]
-    edges = np.linspace(-4.0, 4.0, 65)
-    counts = np.histogram(np.clip(known, -3.999, 3.999), edges)[0]
-    density = counts / max(known.size, 1) / np.diff(edges)
-    axes.stairs(density, edges, fill=True, color=style.MODEL, alpha=0.55, label="innovations")
-    axes.plot(
-        edges,
-        np.exp(-0.5 * edges**2) / np.sqrt(2 * np.pi),
-        color=style.FILTER,
-        label="normal",
-        lw=1.6,
-    )
-    inside = float(np.mean(np.abs(known) <= 2.0)) if known.size else float("nan")
-    middle = float(np.median(known)) if known.size else 0.0
-    aside = f"; the middle is {middle:+.1f}σ off" if abs(middle) > ASIDE else ""
-    text = f"{percent(inside, 1)} within 2σ (95.4 % if normal){aside}".replace("-", "−")
-    style.finding(axes, text, style.NARROW)
-    style.labels(axes, "innovation [multiples of its σ]", "density [1/σ]")
-    axes.set_yticks([])
-    style.legend(axes)
 
 
 def _comparison_caption(replays: Sequence[Replay]) -> str:
@@ -376,18 +369,47 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
         *_errors("settled: ", replay.settled),
         ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
-        ("NIS", nis_text(replay)),
         ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
+        *_nis(replay),
         ("time per step", f"{significant(replay.ns_per_step)} ns"),
     ]
 
 
-def nis_text(replay: Replay) -> str:
+def _nis(replay: Replay) -> list[tuple[str, str]]:
     """NIS of every time scale, or the mean where the model is not known."""
     if replay.nis is None or replay.model is None:
-        return significant(replay.nis_mean)
+        return [("NIS", significant(replay.nis_mean))]
     each = zip(replay.nis, replay.model.error.scales_s, strict=True)
-    return ", ".join(f"{significant(nis, 2)} ({significant(scale)} s)" for nis, scale in each)
+    return [(f"NIS over {duration(scale)}", significant(nis, 2)) for nis, scale in each]
+
+
+ESTIMATED = {
+    "offset_A": ("the current sensor adds", "A"),
+    "gain": ("gain of the current sensor", ""),
+    "capacity_Ah": ("capacity", "Ah"),
+    "resistance_scale": ("R0 and R1, times the model's", ""),
+    "polarisation_scale": ("R2, times the model's", ""),
+}
+
+
+def estimated_content(replay: Replay) -> Markup:
+    """What an adaptive filter estimates of sensor and cell; nothing of another filter."""
+    found = replay.to_dict().get("parameters")
+    if not found or replay.far_off:
+        return EMPTY
+    rows = []
+    for key, (name, unit) in ESTIMATED.items():
+        if (one := found.get(key)) is None:
+            continue
+        sure = one["probability"]
+        said = f"held at the model's: {one['held']}" if one["held"] else ""
+        if not said and sure is not None:
+            said = "as the model's" if sure < CHANGED else f"not the model's ({percent(sure, 0)})"
+        places = max(1 - math.floor(math.log10(max(2.0 * one["std"], 1e-9))), 0)
+        value = f"{one['value']:.{places}f} ± {2.0 * one['std']:.{places}f} {unit}".strip()
+        rows.append((name, "" if one["held"] else value.replace("-", "−"), said))
+    caption = f"Beside SOC, by {replay_name(replay)}."
+    return table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
 
 
 def reached(replay: Replay) -> str:
