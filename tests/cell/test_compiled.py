@@ -117,3 +117,28 @@ def test_a_part_has_no_machine_code_of_its_own_and_is_kept_for_the_next_kernel(t
         assert done.returncode == 0, done.stderr
         said.append(done.stdout.split())
     assert said == [["0", "0", "1"], ["0", "1", "0"], ["1", "0", "1"]]
+
+
+VERSION_TO_COME = """
+import numba
+numba.__version__ = "99.0.0"
+from cellwise.cell import compiled
+assert "cellwise.cell.kernel_compiler" not in __import__("sys").modules
+"""
+VOLTAGES = """
+print(cw.simulate(model, log, soc0=0.5).voltage_V.tobytes().hex())
+"""
+
+
+@pytest.mark.slow
+def test_an_untried_numba_compiles_by_itself_to_the_same_bits(tmp_path):
+    bits = set()
+    for before in ("", VERSION_TO_COME):
+        env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / str(len(before)))}
+        program = before + PROGRAM + VOLTAGES
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=env, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        bits.add(done.stdout)
+    assert len(bits) == 1

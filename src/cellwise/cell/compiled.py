@@ -20,29 +20,44 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
+import numba
 import numpy as np
 from numba import njit
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
-from cellwise.cell.kernel_compiler import KernelCompiler, PartCache, PartCompiler, QuietCompiler
 from cellwise.typing import FloatArray
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-KEPT: dict[str, Any] = {"cache": True, "pipeline_class": QuietCompiler}
-OPTIONS: dict[str, Any] = {
+# `kernel_compiler` stands on parts of numba that a later version may move. With one that nobody has
+# tried numba's own compiler does it all: the same bits, in half as long again.
+NEWEST_TRIED = (0, 68)
+if tuple(int(part) for part in numba.__version__.split(".")[:2]) <= NEWEST_TRIED:
+    from cellwise.cell.kernel_compiler import KernelCompiler, PartCache, PartCompiler, QuietCompiler
+
+    BY: dict[str, dict[str, Any]] = {
+        "other": {"pipeline_class": QuietCompiler},
+        "kernel": {"pipeline_class": KernelCompiler},
+        "part": {"pipeline_class": PartCompiler},
+    }
+    CACHE_OF_PARTS: type[FunctionCache] = PartCache
+else:
+    BY = {"other": {}, "kernel": {}, "part": {}}
+    CACHE_OF_PARTS = FunctionCache
+
+KEPT: dict[str, Any] = {"cache": True} | BY["other"]
+OPTIONS: dict[str, Any] = BY["kernel"] | {
     "cache": True,
-    "pipeline_class": KernelCompiler,
     "error_model": "numpy",
     "_nrt": False,
     "no_cfunc_wrapper": True,
     "forceinline": False,  # numba hands it on to what an inlined function calls
 }
-PART = OPTIONS | {"pipeline_class": PartCompiler, "no_cpython_wrapper": True}
+PART = OPTIONS | BY["part"] | {"no_cpython_wrapper": True}
 INLINE = PART | {"forceinline": True}
 QUIET = "CELLWISE_QUIET"  # set to anything: no word about compiling
 LONGEST_S = 300.0  # nothing compiles for longer, on a slow machine beside other work either
@@ -85,7 +100,7 @@ def _part(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
     if is_compiled:  # with NUMBA_DISABLE_JIT it is the function itself
         compiled.__class__ = Equation
     if is_compiled and isinstance(compiled._cache, FunctionCache):
-        compiled._cache = PartCache(function)  # type: ignore[no-untyped-call]
+        compiled._cache = CACHE_OF_PARTS(function)
     made: Callable[P, R] = compiled
     return made
 
