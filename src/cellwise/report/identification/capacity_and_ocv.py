@@ -66,7 +66,7 @@ def capacity_content(identification: Identification) -> Markup:
         ("capacity", lambda one: ampere_hours(one[1], taken)),
         ("against the taken one", lambda one: percent(one[1] / taken - 1.0, 1)),
         caption="What could be called the capacity; the marked one defines SOC, and a wrong one "
-        "tilts every table (--capacity-choice).",
+        "tilts every table.",
         marked=names.index(marked) if marked in names else None,
     )
     lines = [
