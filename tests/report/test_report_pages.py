@@ -183,6 +183,20 @@ def test_many_replays_are_rows_and_few_pictures():
     assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST.replays
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_page_of_several_logs_begins_with_where_the_battery_is_now(
+    order, tmp_path, without_pictures
+):
+    runs = [replay(drive(seconds), reference=False) for seconds in (600, 1800)]
+    ordered = [runs[k] for k in order]
+    with without_pictures():
+        text, _ = written(replay_page, tmp_path, ordered)
+    headline = text[text.index("<h1") : text.index("</h1>")]
+    ends = [f"{100 * run.trace.soc[-1]:.3g}" for run in ordered]
+    assert ends[0] != ends[1]
+    assert f"ends at {ends[1]}" in headline.replace("\xa0", " ")
+
+
 def test_names_of_logs_are_escaped_everywhere(tmp_path, without_pictures):
     laboratory = identification(name=NASTY)
     model = replace(laboratory.model, name=NASTY, chemistry=NASTY)

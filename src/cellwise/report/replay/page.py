@@ -241,7 +241,8 @@ def replay_page(
 
     Parameters
     ----------
-    replays : of Replay           the first one gives the page's first line
+    replays : of Replay           the last log's first one gives the page's first line: where the
+                                  battery is now
     simulations : of Simulation   of the same or other logs
     flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
     path, figures : as of `write_page`, whose errors it raises
@@ -249,13 +250,14 @@ def replay_page(
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
-    lines = [replay_finding(r) for r in replays]
+    now = next(r for r in replays if r.log is replays[-1].log)
+    lines = [replay_finding(r) for r in (now, *(r for r in replays if r is not now))]
     if simulations:
         lines.append(simulation_finding(simulations))
     if flights:  # remaining time and energy come first where the estimate cannot be judged
-        place = 0 if replays[0].reference_soc is None else len(lines)
-        lines.insert(place, flight_finding(flights[0]))
-    lines += [power_finding(r.power) for r in replays[:1] if r.power is not None]
+        place = 0 if now.reference_soc is None else len(lines)
+        lines.insert(place, flight_finding(flights[-1]))
+    lines += [power_finding(now.power)] if now.power is not None else []
     lines += list(filter(None, map(narrow_band, replays)))
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     sections = list(replay_sections(replays, simulations))
@@ -277,7 +279,7 @@ def replay_page(
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(replays[0]), lines[1:]),
+        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(now), lines[1:]),
         figures=figures,
     )
 
