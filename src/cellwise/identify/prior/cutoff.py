@@ -36,7 +36,7 @@ class LeftAtLimit(NamedTuple):
     always: float = 0.01
     per_V2: float = 0.15
     relative: float = 0.5
-    least: float = 0.006
+    least: float = 0.02
     middle: float = 0.35
     growth: float = 2.0
     near_V: float = 0.1
