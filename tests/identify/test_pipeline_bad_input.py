@@ -153,6 +153,7 @@ def test_a_log_that_is_too_short(hppc, drive, rows):
 # --- taken, with a notice -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tests", ["steady currents", "a drive from its middle", "no pulse, no OCV"]
 )

@@ -72,7 +72,7 @@ CASES = {
 }
 
 
-LONG = ("C/10, 10 %",)
+LONG = ("C/10, 10 %", "C/2, 10 %, 1 h")
 
 
 @pytest.mark.parametrize(

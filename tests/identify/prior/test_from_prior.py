@@ -131,6 +131,7 @@ def test_thirty_drives_know_the_capacity_better_than_one(cell, flight):
     assert several < 0.6 * alone
 
 
+@pytest.mark.slow
 def test_a_capacity_test_alone_is_enough(cell):
     current = np.concatenate((np.zeros(600), np.full(40_000, CAPACITY_AH / 2.0), np.zeros(600)))
     log = CellLog(
@@ -172,6 +173,7 @@ def test_a_log_that_hardly_moves_is_refused_alone_and_left_out_beside_another(fl
     assert "moved" in own["rest"].reason
 
 
+@pytest.mark.slow
 def test_what_several_kinds_show_alike_is_not_known(monkeypatch):
     """Were all kinds as probable, what they differ by would be the model's error."""
     cell = other_cell()
