@@ -202,7 +202,12 @@ def _joint_fit(
         decided=fit.decided,
         provenance=_provenance(settings, ocv.curve, temperatures),
         contradictions=(*ocv.contradictions, *pulses.contradictions, *other),
-        notices=(*ocv.notices, *pulses.notices, *joint.notices, *moved_ocv_notice(fit.of_loads())),
+        notices=(
+            *ocv.notices,
+            *pulses.notices,
+            *fit.joint.notices,
+            *moved_ocv_notice(fit.of_loads()),
+        ),
     )
 
 

@@ -117,6 +117,7 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     every second load of the pulse tests: several rates at one SOC show a charge transfer without
     any drive, in the cold above all.
     """
+    joint = joint.with_starts_found()
     held = frozenset(held_out(joint.logs))
     split = _Split(joint.logs, held, "", QUICK_ITERATIONS)
     if held:

@@ -25,7 +25,7 @@ from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
-from cellwise.identify.soc_anchor import anchor_soc, full_before
+from cellwise.identify.soc_anchor import ERRORS, anchor_soc, full_before
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -35,7 +35,7 @@ class TakesPart(NamedTuple):
 
     Parameters
     ----------
-    soc_std : float     of its start: one known less well says nothing of the OCV
+    soc_std : float     of its start: known less well, it is fitted with the tables
     deep : float        of the capacity, what a drive must move to show every SOC under load and at
                         rest
     discharge : float   of the capacity; scripts that finish a charge or discharge with small steps
@@ -49,7 +49,7 @@ class TakesPart(NamedTuple):
                         and its SOC suffers most from a current sensor that is off
     """
 
-    soc_std: float = 0.05
+    soc_std: float = 0.01
     deep: float = 0.3
     discharge: float = 0.1
     inside: float = 0.5
@@ -103,6 +103,7 @@ class JointLogs:
         theta: FloatArray | None = None,
         *,
         quick: int = 0,
+        with_errors: bool = False,
     ) -> RefineResult:
         """Fit the tables to some logs; where fits are compared, in ``quick`` steps, fewer rows."""
         if quick:
@@ -110,7 +111,7 @@ class JointLogs:
         return refine(
             logs, self.start, settings=settings, capacity_Ah=self.capacity_Ah,
             reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
-            most_rows=QUICK_ROWS if quick else None, with_errors=quick == 0,
+            most_rows=QUICK_ROWS if quick else None, with_errors=with_errors or quick == 0,
         )  # fmt: skip
 
     def residuals(
@@ -126,6 +127,33 @@ class JointLogs:
         for effect in effects:
             model = model.with_effect(effect)
         return model
+
+    def with_starts_found(self) -> JointLogs:
+        """Every log from where a first fit of tables and starts has it begin.
+
+        Full where that is as likely as anything: it is how tests begin.
+        """
+        if all(item.start_std == 0.0 for item in self.logs):
+            return self
+        first = self.fit(self.logs, self.settings, quick=QUICK_ITERATIONS, with_errors=True)
+        fitted = iter(zip(*first.moved_starts, strict=True))
+        logs, soc0, notices = [], {}, []
+        for item, start in zip(self.logs, self.used, strict=True):
+            if item.start_std > 0.0:
+                away, std = next(fitted)
+                began = start.soc0 + away
+                full = began + ERRORS.plausible * std >= 1.0
+                began = 1.0 if full else began
+                soc0[id(item.log)] = began
+                soc = item.soc + (began - start.soc0)
+                item = replace(item, soc=soc, start_std=0.0, h0=start_hysteresis(began))
+                notices.append(
+                    f"'{item.log.name}' begins at SOC {began:.3f} (fitted with the tables"
+                    f"{': full' if full else f', +- {2.0 * std:.3f}'})"
+                )
+            logs.append(item)
+        starts = tuple(s._replace(soc0=soc0.get(id(s.log), s.soc0)) for s in self.starts)
+        return replace(self, logs=tuple(logs), starts=starts, notices=(*self.notices, *notices))
 
     @property
     def used(self) -> tuple[Start, ...]:
@@ -163,13 +191,16 @@ def gather_logs(
             if why_not:
                 notices.append(f"'{c.log.name}' left out of the refinement: {why_not}")
                 continue
-            notices.append(f"'{c.log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
+            known = anchor.std <= LIMITS.soc_std
+            if known:
+                notices.append(f"'{c.log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
             soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
             sample = sum(item.sample is not None for item in logs) if c.own_capacity else None
             logs.append(RefineLog(c.log, soc, skewed=c.driven, h0=start_hysteresis(anchor.soc),
                                   weight=LIMITS.low_rate if c.low_rate else 1.0,
                                   compare=c.part, temperature_C=g.temperature_C,
-                                  low_rate=c.low_rate, sample=sample))  # fmt: skip
+                                  low_rate=c.low_rate, sample=sample,
+                                  start_std=0.0 if known else anchor.std))  # fmt: skip
     if all(item.compare is not None for item in logs):
         raise InputError(
             "no log whose SOC at the start is known",
@@ -231,8 +262,6 @@ def _candidates(
 
 def _left_out(c: Candidate, anchor: InitialSoc, capacity_Ah: float) -> str:
     """Why a log cannot take part; empty if it can."""
-    if anchor.std > LIMITS.soc_std:
-        return f"its SOC at the start is known to +-{200 * anchor.std:.0f} % only"
     soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
     inside = (soc >= 0.0) & np.isfinite(c.log.voltage_V)
     if c.part is not None and np.mean(inside[c.part]) < LIMITS.inside:

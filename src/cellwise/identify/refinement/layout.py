@@ -24,7 +24,8 @@ class Layout(NamedTuple):
     far the OCV of each is from the common one (temperatures x knots_ocv); then one number each:
     activation [K / 1000], sampling delay [s / 10], asinh law [10 / V]; the activation that each
     table of logarithms has beside the common one [K / 1000]; ln of the capacity that each of some
-    logs has over the common one (samples).
+    logs has over the common one (samples); by how much SOC each of some logs begins elsewhere than
+    was taken (starts).
     """
 
     knots_ocv: int
@@ -33,6 +34,7 @@ class Layout(NamedTuple):
     hysteresis: bool
     temperatures: int = 1
     samples: int = 0
+    starts: int = 0
 
     @property
     def block(self) -> int:
@@ -93,9 +95,14 @@ class Layout(NamedTuple):
         return self.own + 1 + 2 * self.branches
 
     @property
+    def start(self) -> int:
+        """First of the logs' own starts."""
+        return self.sample + self.samples
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.sample + self.samples
+        return self.start + self.starts
 
     def tables(self) -> Iterator[int]:
         """First coefficient of every table of logarithms."""

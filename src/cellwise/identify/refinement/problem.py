@@ -164,6 +164,12 @@ class Problem:
         self.share = self.weight
         self.sizes_V = np.full(len(self.logs), 0.01)
         self.own_capacity_std = np.full(layout.samples, OWN_CAPACITY.others)
+        self.start_logs = [k for k, log in enumerate(self.logs) if log.start_std > 0.0]
+        self.start_std = np.array([self.logs[k].start_std for k in self.start_logs])
+        # Nowhere beyond full or empty, as far as a counter and a capacity are sure of that.
+        seen = [self.logs[k].soc for k in self.start_logs]
+        self.start_limits = np.array([(-max(s.min(), 0.0), 1.0 - s.max()) for s in seen])
+        self.start_limits = self.start_limits.reshape(-1, 2).T
 
     @property
     def sigma(self) -> float:
@@ -172,7 +178,7 @@ class Problem:
 
     def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
         """Take the size and share of every log's residual, and whether it is of another cell."""
-        other = np.abs(theta[self.layout.sample :]) > OWN_CAPACITY.same
+        other = np.abs(theta[self.layout.sample : self.layout.start]) > OWN_CAPACITY.same
         self.own_capacity_std = np.where(other, OWN_CAPACITY.others, OWN_CAPACITY.batch)
         self.sizes_V = np.array(
             [max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V) for r in residuals]
@@ -206,24 +212,31 @@ class Problem:
     def evaluate(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual (measured minus model) and Jacobian of one log's compared rows and places."""
         log, own = self.logs[index], theta[self.places[index]]
-        if log.sample is None:
+        lay = self.layouts[index]
+        places = [] if log.sample is None else [lay.sample + log.sample]
+        if index in self.start_logs:
+            places.append(lay.start + self.start_logs.index(index))
+        if not places:
             voltage, jacobian = self._simulated(index, own, log, self.base_ocv[index])
             return log.measured_V - voltage, jacobian
-        at = self.layouts[index].sample + log.sample
-        voltage, jacobian = self._of_sample(index, own, own[at])
-        beside, _ = self._of_sample(index, own, own[at] + OWN_CAPACITY.step)
-        jacobian[:, at] = (beside - voltage) / OWN_CAPACITY.step
+        voltage, jacobian = self._moved(index, own)
+        for at in places:
+            beside = own.copy()
+            beside[at] += OWN_CAPACITY.step
+            jacobian[:, at] = (self._moved(index, beside)[0] - voltage) / OWN_CAPACITY.step
         return log.measured_V - voltage, jacobian
 
-    def _of_sample(
-        self, index: int, own: FloatArray, ln_capacity: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Voltage and Jacobian of a log whose cell holds another charge than the model's.
+    def _moved(self, index: int, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Voltage and Jacobian of a log whose cell begins elsewhere or holds another charge.
 
-        It begins at the same SOC, and the charge that flows moves it by as much less.
+        With more charge than the model's, what flows moves the SOC by as much less.
         """
-        log = self.logs[index]
-        away = (log.soc - log.soc[0]) * math.expm1(-ln_capacity)
+        log, lay = self.logs[index], self.layouts[index]
+        away = np.zeros(log.soc.size)
+        if log.sample is not None:
+            away += (log.soc - log.soc[0]) * math.expm1(-own[lay.sample + log.sample])
+        if index in self.start_logs:
+            away += own[lay.start + self.start_logs.index(index)]
         soc = log.soc + away
         moved = replace(
             log,
@@ -318,7 +331,8 @@ class Problem:
         weight[lay.activation] = fixed if known else (0.3 * sigma) ** 2 / std**2
         own = s.own_activation_std_K / ACTIVATION_UNIT_K
         weight[lay.own : lay.sample] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
-        weight[lay.sample :] = (0.3 * sigma / self.own_capacity_std) ** 2
+        weight[lay.sample : lay.start] = (0.3 * sigma / self.own_capacity_std) ** 2
+        weight[lay.start :] = (0.3 * sigma / self.start_std) ** 2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -409,7 +423,12 @@ class Problem:
             mean_variance += share * variance
         inverse = np.linalg.pinv(system, hermitian=True)
         covariance = inverse @ (middle + mean_variance * held) @ inverse
-        return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+        found = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        # A start is a level of its whole log, and what a model gets wrong of a level does not
+        # average out along it: the few errors that the priors are weighed against.
+        few = 0.3 * sigma * np.sqrt(np.maximum(np.diag(inverse)[self.layout.start :], 0.0))
+        found[self.layout.start :] = np.hypot(found[self.layout.start :], few)
+        return np.asarray(found)
 
     def inside(self, theta: FloatArray) -> FloatArray:
         """Project on the bounds: positive sizes, time constants in order at every knot."""
@@ -434,7 +453,10 @@ class Problem:
         theta[lay.activation] = np.clip(theta[lay.activation], -2.0, 15.0)
         limits = OWN_LIMITS if self.settings.own_activation_std_K > 0.0 else (0.0, 0.0)
         np.clip(theta[lay.own : lay.sample], *limits, out=theta[lay.own : lay.sample])
-        np.clip(theta[lay.sample :], *OWN_CAPACITY.limits, out=theta[lay.sample :])
+        np.clip(
+            theta[lay.sample : lay.start], *OWN_CAPACITY.limits, out=theta[lay.sample : lay.start]
+        )
+        np.clip(theta[lay.start :], *self.start_limits, out=theta[lay.start :])
         theta[lay.skew] = max(theta[lay.skew], 0.0)
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)

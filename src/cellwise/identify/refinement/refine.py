@@ -84,6 +84,11 @@ class RefineResult:
         return 1.0 if sample is None else float(np.exp(self.theta[self.layout.sample + sample]))
 
     @property
+    def moved_starts(self) -> tuple[FloatArray, FloatArray]:
+        """By how much SOC the logs whose start was fitted begin elsewhere, and standard errors."""
+        return self.theta[self.layout.start :], self.theta_std[self.layout.start :]
+
+    @property
     def asinh_per_V(self) -> float:
         """Fitted sharpness of the charge transfer [1/V]; 0 where it was not fitted."""
         return float(self.theta[self.layout.asinh] * ASINH_UNIT_PER_V)
@@ -171,6 +176,7 @@ def refine(
         settings.hysteresis,
         int(grid.size),
         settings.samples,
+        sum(item.start_std > 0.0 for item in logs),
     )
     most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
     problem = _problem(

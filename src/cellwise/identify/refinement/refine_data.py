@@ -51,7 +51,8 @@ class RefineLog:
     ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
     log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
-    OCV and are no load; a log with a ``sample`` keeps a capacity of its own, of that number.
+    OCV and are no load; a log with a ``sample`` keeps a capacity of its own, of that number; one
+    whose SOC at the start is known to ``start_std`` only has it fitted where that is not 0.
     """
 
     log: CellLog
@@ -64,6 +65,7 @@ class RefineLog:
     surface: SurfaceSoc = NO_SURFACE
     low_rate: bool = False
     sample: int | None = None
+    start_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,7 @@ class PreparedLog:
     share: FloatArray
     table_soc: FloatArray
     sample: int | None = None
+    start_std: float = 0.0
     first_temperature: int = 0
     temperatures: int = 1
 
@@ -186,6 +189,7 @@ def prepare_log(
         share=share,
         table_soc=table_soc,
         sample=item.sample,
+        start_std=item.start_std,
         first_temperature=first,
         temperatures=count,
     )
