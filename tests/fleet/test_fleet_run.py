@@ -177,13 +177,12 @@ class Deadly(ReplayTask):
     def settings(self):
         return {"kind": "deadly"}
 
-    def _rows(self, folder, names):
-        for name in names:
-            if name.endswith("day_2.parquet") and (self.always or not os.path.exists(self.marker)):
-                with open(self.marker, "w"):
-                    pass
-                os.kill(os.getpid(), signal.SIGKILL)
-        yield from super()._rows(folder, names)
+    def row(self, work, folder, name):
+        if name.endswith("day_2.parquet") and (self.always or not os.path.exists(self.marker)):
+            with open(self.marker, "w"):
+                pass
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().row(work, folder, name)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.live.timeline import AGREEING, Interval, Timeline
+from cellwise.live.live_filter import AGREEING, Interval, Timeline
 from cellwise.logs.gaps import find_gaps
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.live import Sample, Stray
-from cellwise.live.pieces import Pieces
+from cellwise.live.samples import Pieces
 from cellwise.live.ulog_stream import UlogStream, layout_of
 from cellwise.logs.files.source import ReadOptions
 from streams import Given

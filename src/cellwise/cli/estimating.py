@@ -80,7 +80,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellLog, ...]:
     """The logs that the arguments name, of one cell as the model is."""
-    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+    from cellwise.cell.plausibility.validity import check_cells_in_series
 
     logs = log_options.read_all([arguments.log], arguments)
     for log in logs:

@@ -257,7 +257,7 @@ def lost_accuracy(
 
 def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
     """The log to measure on, None where none is named."""
-    from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+    from cellwise.cell.plausibility.validity import check_cells_in_series
 
     if arguments.log is None:
         return None

@@ -75,7 +75,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.remaining import cutoff_of
     from cellwise.live import Counts, open_source, run_live
     from cellwise.live.run import LatencyMeter, check_any
-    from cellwise.live.sending import sender_to
+    from cellwise.live.source import sender_to
 
     _check(arguments)
     model = options.read_model(arguments)

@@ -68,7 +68,7 @@ def read_packs(arguments: argparse.Namespace) -> list[PackLog]:
     ------
     InputError        whatever `read_pack` refuses
     """
-    from cellwise.logs.packs.pack_reading import read_pack
+    from cellwise.logs.packs.pack_log import read_pack
 
     stated = log_options.pack_arguments(arguments)
     found = log_options.read_each(

@@ -22,7 +22,7 @@ from cellwise.logs.checks.faults import (
     stuck_runs,
     without,
 )
-from cellwise.logs.checks.rests import Run, run_edges
+from cellwise.logs.gaps import Run, run_edges
 
 
 class Failing(NamedTuple):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.fleet.folders import HistoryTask, PackTask
 from cellwise.fleet.run import FleetResult, run_fleet
-from cellwise.fleet.tasks import DiagnoseTask, ReplayTask
+from cellwise.fleet.tasks import DiagnoseTask, HistoryTask, PackTask, ReplayTask
 
 __all__ = ["DiagnoseTask", "FleetResult", "HistoryTask", "PackTask", "ReplayTask", "run_fleet"]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import mmap
 import os
-import struct
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -22,117 +20,70 @@ from cellwise.logs.reading import read_log
 from cellwise.logs.writing import read_rows, write_rows
 
 BY_LOG, BY_MACHINE, BY_US = "log", "machine", "cellwise"  # whose fault a failure is
+INTERNAL = "internal error"
+
+
+def failure(error: Exception) -> dict[str, Any]:
+    """Columns of a log that could not be finished: what happened, and whose fault it is.
+
+    A failure of the machine (no space, no memory, a disk or network that does not answer) is none
+    of the log: it is tried again when the run goes on.
+    """
+    if isinstance(error, MachineError):
+        return {"error": str(error), "failed_by": BY_MACHINE}
+    if isinstance(error, InputError):
+        return {"error": str(error), "failed_by": BY_LOG}
+    if isinstance(error, (OSError, MemoryError)):
+        said = getattr(error, "strerror", None) or str(error) or "out of memory"
+        return {"error": f"{type(error).__name__}: {said}", "failed_by": BY_MACHINE}
+    return {"error": f"{INTERNAL}, {type(error).__name__}: {error}", "failed_by": BY_US}
+
+
+def typed(*, texts: str = "", whole: str = "", numbers: str = "") -> dict[str, type]:
+    """Names of columns, between blanks, to their types."""
+    return {
+        **dict.fromkeys(texts.split(), str),
+        **dict.fromkeys(whole.split(), int),
+        **dict.fromkeys(numbers.split(), float),
+    }
+
 
 # Which log this is, and whether it is done; `log` is the path below the fleet's folder.
-IDENTITY: Mapping[str, type] = {
-    "log": str,
-    "cell": str,
-    "bytes": int,
-    "modified_ns": int,
-    "error": str,
-    "failed_by": str,
-    "seconds": float,
-}
-LOG: Mapping[str, type] = {
-    "samples": int,
-    "duration_s": float,
-    "gaps": int,
-    "format": str,
-    "sign": str,
-    "notices": str,
-}
+IDENTITY = typed(texts="log cell error failed_by", whole="bytes modified_ns", numbers="seconds")
+LOG = typed(texts="format sign notices", whole="samples gaps", numbers="duration_s")
 REPLAY: Mapping[str, type] = {
     **IDENTITY,
     **LOG,
-    "estimator": str,
-    "soc0": float,
-    "soc0_std": float,
-    "soc0_how": str,
-    "soc_final": float,
-    "soc_final_std": float,
-    "soc_min": float,
-    "soc_max": float,
-    "soc_rmse": float,
-    "soc_mae": float,
-    "soc_max_error": float,
-    "convergence_s": float,
-    "settled_rmse": float,
-    "coverage_2sigma": float,
-    "nis_mean": float,
-    "voltage_rmse_V": float,
-    "rejected_share": float,
-    "status": int,
-    "ns_per_step": float,
-    "offset_A": float,
-    "offset_std_A": float,
-    "capacity_Ah": float,
-    "capacity_std_Ah": float,
-    "resistance_scale": float,
-    "soh_capacity": float,
-    "soh_resistance": float,
+    **typed(texts="estimator soc0_how", whole="status", numbers="soc0 soc0_std"),
+    **typed(numbers="soc_final soc_final_std soc_min soc_max soc_rmse soc_mae soc_max_error"),
+    **typed(numbers="convergence_s settled_rmse coverage_2sigma nis_mean voltage_rmse_V"),
+    **typed(numbers="rejected_share ns_per_step offset_A offset_std_A capacity_Ah"),
+    **typed(numbers="capacity_std_Ah resistance_scale soh_capacity soh_resistance"),
 }
 DIAGNOSE: Mapping[str, type] = {
     **IDENTITY,
     **LOG,
-    "verdict": str,
-    "causes": str,
-    "parameters": str,
-    "gain": float,
-    "gain_low": float,
-    "gain_high": float,
-    "rmse_before_V": float,
-    "rmse_after_V": float,
-    "next_test": str,
+    **typed(texts="verdict causes parameters next_test"),
+    **typed(numbers="gain gain_low gain_high rmse_before_V rmse_after_V"),
 }
 # Of a folder of logs: one pack's or one cell's, in order.
-FOLDER: Mapping[str, type] = {
-    **IDENTITY,
-    "logs": int,
-    "samples": int,
-    "unread": str,
-    "notices": str,
-}
+FOLDER = IDENTITY | typed(texts="unread notices", whole="logs samples")
 PACK: Mapping[str, type] = {
     **FOLDER,
-    "cells": int,
-    "soc_min": float,
-    "soc_mean": float,
-    "soc_max": float,
-    "capacity_min_Ah": float,
-    "capacity_mean_Ah": float,
-    "capacity_std_Ah": float,
-    "resistance_max": float,
-    "usable_Ah": float,
-    "usable_Wh": float,
-    "left_Ah": float,
-    "balancing_gain_Ah": float,
-    "weakest_by_soc": str,
-    "weakest_by_capacity": str,
-    "weakest_by_resistance": str,
-    "weak": str,
-    "causes": str,
-    "voltage_rmse_V": float,
+    **typed(whole="cells", numbers="soc_min soc_mean soc_max capacity_min_Ah capacity_mean_Ah"),
+    **typed(numbers="capacity_std_Ah resistance_max usable_Ah usable_Wh left_Ah"),
+    **typed(texts="weakest_by_soc weakest_by_capacity weakest_by_resistance weak causes"),
+    **typed(numbers="balancing_gain_Ah voltage_rmse_V"),
 }
 HISTORY: Mapping[str, type] = {
     **FOLDER,
-    "first_day": str,
-    "last_day": str,
-    "throughput_Ah": float,
-    "capacity_share": float,
-    "capacity_Ah": float,
-    "capacity_std_Ah": float,
-    "resistance_scale": float,
-    "resistance_std": float,
-    "knee": str,
-    "next_reference": str,
+    **typed(texts="first_day last_day knee next_reference"),
+    **typed(numbers="throughput_Ah capacity_share capacity_Ah capacity_std_Ah"),
+    **typed(numbers="resistance_scale resistance_std"),
 }
 
-
-VERSION = 3
+VERSION = 4  # of a log that is kept
 CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah")
-HEAD = struct.Struct("<8sQ")
-MAGIC = b"cellwise"
-MAPPED_FROM = 250_000  # bytes; above, a map of the system's own copy is quicker than another
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -155,11 +106,10 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
     """
     if not cache:
         return read_log(path, check_sign=False, **options)
-    place = Path(cache) / f"{_key(path, options)}.log"
-    if place.is_file():
-        found = _load(place, path)
-        if found is not None:
-            return found
+    place = Path(cache) / f"{_key(path, options)}.npy"
+    # None is there, or one that is not whole.
+    with suppress(OSError, EOFError, IndexError, KeyError, TypeError, ValueError):
+        return _load(place, path)
     log = replace(read_log(path, **options), step=None)
     try:
         made_folder(cache)
@@ -187,59 +137,34 @@ def _key(path: Path, options: dict[str, Any]) -> str:
 
 
 def _store(log: CellLog, target: Path) -> None:
-    """Length of a description, the description, then the channels one after another."""
+    """The channels as one array, and what is known beside them below it."""
     names = [f for f in CHANNELS if getattr(log, f) is not None]
     fields = {
-        "name": log.name,
-        "format": log.format,
-        "current_meaning": log.current_meaning,
-        "notices": log.notices,
-        "rows": len(log),
+        **{name: getattr(log, name) for name in ("name", "format", "current_meaning", "notices")},
         "gap_rows": np.flatnonzero(log.gap_rows).tolist(),
         "typical_voltage_V": log.typical_voltage_V,
         "channels": names,
     }
-    text = json.dumps(fields).encode()
-    text += b" " * (-(len(text) + HEAD.size) % 8)  # the channels begin at a multiple of 8
     with target.open("wb") as file:
-        file.write(HEAD.pack(MAGIC, len(text)) + text)
-        for name in names:
-            file.write(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())
+        np.save(file, np.stack([getattr(log, name) for name in names]))
+        file.write(json.dumps(fields).encode())
 
 
-def _load(place: Path, path: Path) -> CellLog | None:
-    """The log as it was kept; None for a file that is not whole."""
-    try:
-        data = _content(place)
-        magic, length = HEAD.unpack_from(data)
-        if magic != MAGIC:
-            return None
-        fields = json.loads(bytes(data[HEAD.size : HEAD.size + length]))
-        rows, names = int(fields.pop("rows")), fields.pop("channels")
-        gap_rows = np.zeros(rows, dtype=np.bool_)
-        gap_rows[fields.pop("gap_rows")] = True
-        typical_V = float(fields.pop("typical_voltage_V"))
-        start, size = HEAD.size + length, 8 * rows
-        if len(data) != start + size * len(names):
-            return None
-        channels = {
-            name: np.frombuffer(data, "<f8", rows, start + k * size) for k, name in enumerate(names)
-        }
-        fields["notices"] = tuple(fields["notices"])
-        log = CellLog.checked_before(**channels, source=str(path), **fields)
-        # What `cached_property` would look for again.
-        vars(log).update(gap_rows=gap_rows, typical_voltage_V=typical_V)
-        return log
-    except (OSError, IndexError, KeyError, TypeError, ValueError, struct.error):
-        return None
-
-
-def _content(place: Path) -> bytes | mmap.mmap:
-    """A small file read; a larger one mapped, which is quicker and needs no memory."""
-    with place.open("rb", buffering=0) as file:
-        if os.fstat(file.fileno()).st_size < MAPPED_FROM:
-            return file.read()
-        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+def _load(place: Path, path: Path) -> CellLog:
+    """The log as it was kept; the channels stay in the system's own copy of the file."""
+    array = np.load(place, mmap_mode="r")
+    with place.open("rb") as file:
+        file.seek(array.offset + array.nbytes)
+        fields = json.load(file)
+    channels = dict(zip(fields.pop("channels"), array.view(np.ndarray), strict=True))
+    gap_rows = np.zeros(array.shape[1], dtype=np.bool_)
+    gap_rows[fields.pop("gap_rows")] = True
+    typical_V = float(fields.pop("typical_voltage_V"))
+    fields["notices"] = tuple(fields["notices"])
+    log = CellLog.checked_before(**channels, source=str(path), **fields)
+    # What `cached_property` would look for again.
+    vars(log).update(gap_rows=gap_rows, typical_voltage_V=typical_V)
+    return log
 
 
 MANIFEST = "_fleet.json"

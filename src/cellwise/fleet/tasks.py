@@ -1,15 +1,13 @@
-"""What is done with one log: replay or diagnosis, to one row."""
+"""What has one row: a log replayed or diagnosed, all logs of a pack, of a cell over its life."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,37 +15,40 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.cells_in_series import check_cells_in_series
+from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
 from cellwise.fleet.store import (
     BY_LOG,
-    BY_MACHINE,
-    BY_US,
     DIAGNOSE,
+    HISTORY,
+    PACK,
     REPLAY,
+    failure,
     read_prepared,
 )
+from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.stated import Stated
+from cellwise.logs.packs.pack_log import PackLog, read_pack
+from cellwise.logs.stated import Stated, in_order
+from cellwise.pack.pack_estimate import estimate_pack
 
 
 class Surprised(NamedTuple):
     """From where on the model does not know a log, and its sign is worth a look.
 
-    Share of the voltages that are rejected, and times the model's usual error.
+    Share of the voltages that are rejected, and times the model's usual error, which counts as
+    ``least_V`` at least.
     """
 
     share: float = 0.02
     times: float = 4.0
+    least_V: float = 2e-3
 
 
 SURPRISED = Surprised()
-INTERNAL = "internal error"
-
-_of_thread = threading.local()
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,15 @@ class LogTask:
         return dict(logs)
 
     def identity(self, folder: Path, name: str) -> dict[str, Any]:
-        """Which one a row is of."""
-        return identity(folder, name)
+        """Which log a row is of; its cell is the folder that it lies in, else its own name."""
+        try:
+            status = os.stat(f"{folder}/{name}")
+            size, modified = status.st_size, status.st_mtime_ns
+        except OSError:
+            size = modified = -1
+        parent, _, own_name = name.rpartition("/")
+        cell = parent or own_name.partition(".")[0]
+        return {"log": name, "cell": cell, "bytes": size, "modified_ns": modified, "error": None}
 
     def failed_row(self, folder: Path, name: str, reason: str) -> dict[str, Any]:
         """A row of one that could not be finished."""
@@ -96,19 +104,18 @@ class LogTask:
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
         """One row for each log; one that fails is a row with its error."""
-        return list(self._rows(Path(folder), names))
+        work = self.begin()
+        return [self.row(work, Path(folder), name) for name in names]
 
-    def _rows(self, folder: Path, names: Sequence[str]) -> Iterator[dict[str, Any]]:
-        work = self.work()
-        for name in names:
-            began = time.perf_counter()
-            row = self.identity(folder, name)
-            try:
-                row |= work(self.given(folder, name))
-            except Exception as error:
-                row |= failure(error)
-            row["seconds"] = time.perf_counter() - began
-            yield row
+    def row(self, work: Any, folder: Path, name: str) -> dict[str, Any]:
+        """The row of one."""
+        began = time.perf_counter()
+        row = self.identity(folder, name)
+        try:
+            row |= work(self.given(folder, name))
+        except Exception as error:
+            row |= failure(error)
+        return row | {"seconds": time.perf_counter() - began}
 
     def given(self, folder: Path, name: str) -> Any:
         """What a row is made of: here the log."""
@@ -116,22 +123,18 @@ class LogTask:
         check_cells_in_series(self.model, log)
         return log
 
-    def log(self, path: Path) -> CellLog:
+    def log(self, path: Path) -> CellLog | PackLog:
         """A log as it was read or prepared before, with what is stated of it."""
         log = read_prepared(path, self.cache, **self.read)
         return log if self.stated is None else self.stated.applied(log)
 
     def begin(self) -> Any:
-        """What makes a row of a log; made once for several."""
-        raise NotImplementedError
+        """What makes columns of what is given; made once for several rows."""
+        return self.columns_of
 
-    def work(self) -> Any:
-        """`begin`, once for each thread."""
-        task, work = getattr(_of_thread, "kept", (None, None))
-        if task is not self:
-            work = self.begin()
-            _of_thread.kept = self, work
-        return work
+    def columns_of(self, given: Any) -> dict[str, Any]:
+        """The columns of one row but those of its identity."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -153,11 +156,6 @@ class ReplayTask(LogTask):
     soc0_std: float | None = None
     reference_soc0: float | None = None
     reference_capacity_Ah: float | None = None
-
-    @cached_property
-    def usual_error_V(self) -> float:
-        """The model's own error over the SOC range, not below two millivolts."""
-        return max(float(np.median(self.model.error.at(self.model.soc))), 2e-3)
 
     def begin(self) -> Any:
         """An estimator for some logs in a row."""
@@ -211,10 +209,8 @@ class ReplayTask(LogTask):
 
     def _sign(self, found: Replay, rejected: float) -> str:
         """The sign's verdict where the filter is surprised; elsewhere the filter has shown it."""
-        known = (
-            found.voltage_rmse_V <= SURPRISED.times * self.usual_error_V
-            and rejected <= SURPRISED.share
-        )
+        usual_V = max(float(np.median(self.model.error.at(self.model.soc))), SURPRISED.least_V)
+        known = found.voltage_rmse_V <= SURPRISED.times * usual_V and rejected <= SURPRISED.share
         return "not checked" if known else verify_sign(found.log).verdict
 
 
@@ -238,11 +234,8 @@ class DiagnoseTask(LogTask):
         """As of every task; of the baseline, the names."""
         return {**super().settings(), "baseline": [log.name for log in self.baseline]}
 
-    def begin(self) -> Any:
+    def columns_of(self, log: CellLog) -> dict[str, Any]:
         """The diagnosis of one log."""
-        return self._diagnose
-
-    def _diagnose(self, log: CellLog) -> dict[str, Any]:
         from cellwise.diagnose.diagnosis import diagnose
 
         found = diagnose(
@@ -273,16 +266,134 @@ class DiagnoseTask(LogTask):
         return row
 
 
-def identity(folder: Path, name: str) -> dict[str, Any]:
-    """Which log a row is of; its cell is the folder that it lies in, else its own name."""
-    try:
-        status = os.stat(f"{folder}/{name}")
-        size, modified = status.st_size, status.st_mtime_ns
-    except OSError:
-        size = modified = -1
-    parent, _, own_name = name.rpartition("/")
-    cell = parent or own_name.partition(".")[0]
-    return {"log": name, "cell": cell, "bytes": size, "modified_ns": modified, "error": None}
+@dataclass(frozen=True)
+class FolderTask(LogTask):
+    """Every folder that holds logs is one pack or one cell, and has one row.
+
+    Parameters
+    ----------
+    pattern : str     of the file names, as `run_fleet` is given it
+    """
+
+    unit: ClassVar[str] = "folders"
+
+    pattern: str = "*"
+
+    def places(self, logs: Mapping[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
+        """Folders of logs: all sizes together, and when the last one changed."""
+        found: dict[str, tuple[int, int]] = {}
+        for name, (size, changed) in logs.items():
+            folder = Path(name).parent.as_posix()
+            before, last = found.get(folder, (0, 0))
+            found[folder] = before + size, max(last, changed)
+        return found
+
+    def identity(self, folder: Path, name: str) -> dict[str, Any]:
+        """Which folder a row is of: its cell is the folder's own name."""
+        states = [path.stat() for path in self.files(folder / name)]
+        return {
+            "log": name,
+            "cell": (folder / name).resolve().name,
+            "bytes": sum(s.st_size for s in states),
+            "modified_ns": max((s.st_mtime_ns for s in states), default=-1),
+            "error": None,
+        }
+
+    def files(self, folder: Path) -> list[Path]:
+        """Logs of a folder in the order of the days in their names, else of the names."""
+        found = [p for p in folder.glob(self.pattern) if p.is_file() and p.name[0] not in "._"]
+        return sorted(found, key=in_order)
+
+    def given(self, folder: Path, name: str) -> tuple[dict[str, Any], list[Any]]:
+        """Columns of every folder, and its logs in the order of time.
+
+        Raises
+        ------
+        InputError        none of them can be read
+        MachineError      the machine failed to read one
+        """
+        logs, unread = [], []
+        for path in self.files(folder / name):
+            try:
+                logs.append(self.log(path))
+            except MachineError:
+                raise  # none of the log: the folder is tried again
+            except InputError as error:
+                unread.append(f"{path.name}: {error}")
+        if not logs:
+            raise InputError(
+                f"{len(unread)} file(s), none of them a log that can be read (the first: "
+                f"{unread[0].rstrip('.')})",
+                "logs of one pack or cell",
+                "Check how they are read.",
+            )
+        samples = sum(len(log) for log in logs)
+        said = "; ".join(unread) or None
+        return {"logs": len(logs), "samples": samples, "unread": said}, logs
+
+
+@dataclass(frozen=True)
+class PackTask(FolderTask):
+    """Every cell of each pack after all its logs; ``read`` holds arguments of `read_pack`."""
+
+    kind: ClassVar[str] = "pack"
+    columns: ClassVar[Mapping[str, type]] = PACK
+
+    def log(self, path: Path) -> PackLog:
+        """A log with a voltage for each cell."""
+        return read_pack(path, **self.read)
+
+    def columns_of(self, given: tuple[dict[str, Any], list[PackLog]]) -> dict[str, Any]:
+        """The estimate of one pack."""
+        row, logs = given
+        found = estimate_pack(self.model, logs).to_dict()
+        capacity = np.array([cell["capacity_Ah"] for cell in found["per_cell"]])
+        std = np.array([cell["capacity_std_Ah"] for cell in found["per_cell"]])
+        scale = np.array([cell["resistance_scale"] for cell in found["per_cell"]])
+        causes = dict.fromkeys(f"{c['cell']} {c['name']}" for c in found["causes"])
+        return {
+            **row,
+            "cells": found["cells"],
+            **{f"soc_{k}": v for k, v in found["soc"].items()},
+            "capacity_min_Ah": float(np.nanmin(capacity)),
+            "capacity_mean_Ah": float(np.nanmean(capacity)),
+            "capacity_std_Ah": float(np.nanmedian(std)),
+            "resistance_max": float(np.nanmax(scale)),
+            **{k: found[k] for k in ("usable_Ah", "usable_Wh", "left_Ah", "balancing_gain_Ah")},
+            **{f"weakest_{k}": v for k, v in found["weakest"].items()},
+            "weak": ", ".join(found["weak"]) or None,
+            "causes": ", ".join(causes) or None,
+            "voltage_rmse_V": found["logs"][-1]["mean_voltage_rmse_V"],
+            "notices": "; ".join(found["notices"]) or None,
+        }
+
+
+@dataclass(frozen=True)
+class HistoryTask(FolderTask):
+    """Capacity and resistance of each cell over all its logs; the model is that of the new cell."""
+
+    kind: ClassVar[str] = "history"
+    columns: ClassVar[Mapping[str, type]] = HISTORY
+
+    def columns_of(self, given: tuple[dict[str, Any], list[CellLog]]) -> dict[str, Any]:
+        """The life of one cell."""
+        row, logs = given
+        found = life_of(self.model, logs).to_dict()
+        days = [one["start"] for one in found["logs"] if one["start"] is not None]
+        trend = found["trend"]
+        of_logs = (n for one in found["logs"] for n in one["notices"])
+        notices = dict.fromkeys((*found["notices"], *of_logs))
+        return {
+            **row,
+            "first_day": days[0] if days else None,
+            "last_day": days[-1] if days else None,
+            "throughput_Ah": sum(one["throughput_Ah"] for one in found["logs"]),
+            "capacity_share": trend["capacity_share"][-1],
+            **trend["use"],
+            "knee": trend["knee"],
+            "next_reference": trend["next_reference"],
+            "notices": "; ".join(notices) or None,
+        }
 
 
 def _of_log(log: CellLog) -> dict[str, Any]:
@@ -293,19 +404,3 @@ def _of_log(log: CellLog) -> dict[str, Any]:
         "format": log.format,
         "notices": "; ".join(log.notices) or None,
     }
-
-
-def failure(error: Exception) -> dict[str, Any]:
-    """Columns of a log that could not be finished: what happened, and whose fault it is.
-
-    A failure of the machine (no space, no memory, a disk or network that does not answer) is none
-    of the log: it is tried again when the run goes on.
-    """
-    if isinstance(error, MachineError):
-        return {"error": str(error), "failed_by": BY_MACHINE}
-    if isinstance(error, InputError):
-        return {"error": str(error), "failed_by": BY_LOG}
-    if isinstance(error, (OSError, MemoryError)):
-        said = getattr(error, "strerror", None) or str(error) or "out of memory"
-        return {"error": f"{type(error).__name__}: {said}", "failed_by": BY_MACHINE}
-    return {"error": f"{INTERNAL}, {type(error).__name__}: {error}", "failed_by": BY_US}

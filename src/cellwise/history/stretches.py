@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.rests import run_edges
+from cellwise.logs.gaps import run_edges
 from cellwise.typing import FloatArray
 
 

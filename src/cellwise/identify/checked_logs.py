@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.cells_in_series import check_one_cell
 from cellwise.cell.plausibility.notice import Notice
+from cellwise.cell.plausibility.validity import check_one_cell
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (

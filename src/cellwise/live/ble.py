@@ -13,13 +13,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.live.samples import CellReadings, CellScale, Sample, Stray
+from cellwise.live.samples import FAILURES, CellReadings, CellScale, Sample, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
 SCAN_S = 10.0
 EVERY_S = 1.0
-FAILURES = 25  # answers that do not come, in a row
 
 
 class BleStream:

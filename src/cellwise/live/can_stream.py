@@ -8,18 +8,24 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from cellwise.errors import InputError
-from cellwise.live.samples import CellReadings, CellScale, Sample, Stray, cell_number
+from cellwise.live.samples import (
+    FAILURES,
+    POLL_S,
+    CellReadings,
+    CellScale,
+    Sample,
+    Stray,
+    cell_number,
+)
 from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.vehicle_signals import UNITS, Signal, can_database, choose_signals
 
-POLL_S = 0.2
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
 HOLD_S = 60.0  # a temperature older than this is missing
 SAME_CLOCK_S = 3600.0
-FAILURES = 25  # of the bus in a row, POLL_S apart
 
 Key = tuple[int, bool]
 CELL = "cell:"  # field of a cell's voltage, with its position

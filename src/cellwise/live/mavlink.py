@@ -17,11 +17,10 @@ from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.estimate.status import INNOVATION_REJECTED, OUT_OF_RANGE, Status
-from cellwise.live.samples import CellReadings, CellScale, Sample, Source, Stray
+from cellwise.live.samples import POLL_S, CellReadings, CellScale, Sample, Source, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
-POLL_S = 0.2
 INFO = ("BATTERY_INFO", "SMART_BATTERY_INFO")  # the first one has replaced the second
 # BATTERY_INFO where the library's dialects do not have it: its number, the protocol's checksum of
 # its fields, and the fields that come first on the wire.

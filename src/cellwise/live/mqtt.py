@@ -17,14 +17,12 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from cellwise.errors import InputError
-from cellwise.live.samples import ObjectReader, Sample, Stray
+from cellwise.live.samples import HELD_S, POLL_S, ObjectReader, Sample, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
-POLL_S = 0.2
 CONNECT_S = 10.0
 MOST_WAITING = 100_000  # messages that came and were not read yet
-HELD_S = 5.0  # a number of another topic that is older is missing
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 DISCOVERY = "homeassistant"  # the prefix that Home Assistant listens to
 

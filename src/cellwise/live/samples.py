@@ -1,11 +1,16 @@
-"""What a source of a stream yields, and how what sensors say becomes samples of one cell."""
+"""What a source of a stream reads and yields; from what sensors say to samples of one cell."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
+import select
+import sys
+import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Protocol
+from pathlib import Path
+from typing import IO, Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
@@ -24,6 +29,8 @@ TIDY_NAMES = {
 }
 # A cell is polled every few seconds at the slowest; an older voltage is that of another current.
 HELD_S = 5.0
+POLL_S = 0.2  # a source that nothing comes from says so as often
+FAILURES = 25  # in a row, of a bus or a device, and it is given up
 # Of signals on a bus, whose unit the database says: CellVoltage01, VCell_12, Cell3_Volt.
 _SIGNAL = re.compile(
     r"(?:v(?:olt(?:age)?)?_?)?cell_?(?:v(?:olt(?:age)?)?)?_?(\d+)(?:_?v(?:olt(?:age)?)?)?",
@@ -206,3 +213,75 @@ class ObjectReader:
                 arrived_s,
             )
         )
+
+
+PIECE_BYTES = 65_536
+STDIN = "-"
+
+
+class Pieces:
+    """Pieces of a stream; an empty one after every ``POLL_S`` in which nothing came.
+
+    Parameters
+    ----------
+    place : str           a path, or ``-`` for standard input
+    follow : bool         at a file's end wait for more, as of a file that is being written
+
+    Raises
+    ------
+    InputError            no such file
+    """
+
+    def __init__(self, place: str, *, follow: bool = False) -> None:
+        self.name = "standard input" if place == STDIN else f"'{place}'"
+        self._follow = follow
+        self._owned: IO[bytes] | None = None
+        if place == STDIN:
+            self._file: IO[bytes] = sys.stdin.buffer
+        else:
+            try:
+                self._file = self._owned = Path(place).open("rb")  # noqa: SIM115 -- closed below
+            except OSError as error:
+                raise InputError(
+                    f"no stream '{place}' ({error.strerror})",
+                    "a file, a pipe, or - for standard input",
+                    "Check the path.",
+                ) from None
+
+    def __iter__(self) -> Iterator[bytes]:
+        number = _descriptor(self._file)
+        while True:
+            if number is None:
+                piece = self._file.read(PIECE_BYTES)
+            else:
+                # Not the buffered reader: it would wait for a whole buffer.
+                ready, _, _ = select.select([number], [], [], POLL_S)
+                if not ready:
+                    yield b""
+                    continue
+                piece = os.read(number, PIECE_BYTES)
+            if piece:
+                yield piece
+            elif self._follow:
+                time.sleep(POLL_S)
+                yield b""
+            else:
+                return
+
+    def close(self) -> None:
+        """Close the file; standard input stays."""
+        if self._owned is not None:
+            self._owned.close()
+
+
+def _descriptor(file: IO[bytes]) -> int | None:
+    """What `select` can wait for; None for a stream in memory, or where pipes cannot be waited for.
+
+    On Windows only sockets can: there a read waits for the next bytes.
+    """
+    if sys.platform == "win32":
+        return None
+    try:
+        return file.fileno()
+    except (OSError, ValueError, AttributeError):
+        return None

@@ -14,8 +14,7 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from cellwise.live.pieces import Pieces
-from cellwise.live.samples import CellScale, Sample, Stray
+from cellwise.live.samples import CellScale, Pieces, Sample, Stray
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.vehicle_logs import MAGIC, TOPIC, UNKNOWN
 

@@ -1,4 +1,4 @@
-"""Pauses in a log: rows that were not written, as against rows that were written slowly."""
+"""Runs of rows, and pauses: rows that were not written, as against rows written slowly."""
 
 from __future__ import annotations
 
@@ -96,3 +96,21 @@ def _usual(interval: FloatArray, at: NDArray[np.intp], side: int) -> FloatArray:
     count = inside.sum(axis=1)
     usual = np.where(count >= 3, around[:, -2], around[:, -1])
     return np.where(count > 0, usual, 0.0)
+
+
+class Run(NamedTuple):
+    """Rows from ``first`` to ``last``, both included."""
+
+    first: int
+    last: int
+
+
+def runs_of(flags: BoolArray) -> list[Run]:
+    """Every run of True."""
+    return [Run(int(a), int(b)) for a, b in zip(*run_edges(flags), strict=True)]
+
+
+def run_edges(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last row of every run of True."""
+    edges = np.diff(np.concatenate(([False], flags, [False])).astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1

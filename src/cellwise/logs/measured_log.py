@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellwise.errors import InputError
-from cellwise.logs.gaps import Gap, find_gaps
+from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
@@ -271,9 +271,7 @@ def _bridge(
     current: FloatArray, missing: BoolArray, time_s: FloatArray, charge_Ah: FloatArray | None
 ) -> None:
     """Fill the missing values of ``current`` in place, run by run."""
-    edges = np.diff(np.concatenate(([False], missing, [False])).astype(np.int8))
-    first = np.flatnonzero(edges == 1)
-    last = np.flatnonzero(edges == -1) - 1
+    first, last = run_edges(missing)
     before = np.maximum(first - 1, 0)
     value = current[before]
     value[np.isnan(value)] = 0.0  # the log begins with missing current

@@ -36,7 +36,7 @@ from cellwise.logs.files.source import (
 )
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import CellColumn
-from cellwise.logs.packs.pack_reading import columns_of_table, pack_of
+from cellwise.logs.packs.pack_log import columns_of_table, pack_of
 from cellwise.logs.stated import Stated, plain_name
 
 TIDY = ("tidy-parquet", "tidy-csv")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.cells_in_series import ONE_CELL, cells_in_series
+from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log

@@ -19,7 +19,7 @@ from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.rests import run_edges
+from cellwise.logs.gaps import run_edges
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:

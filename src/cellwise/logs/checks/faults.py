@@ -12,8 +12,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.logs.checks.rests import Run, run_edges, runs_of
 from cellwise.logs.checks.units import CELL
+from cellwise.logs.gaps import Run, run_edges, runs_of
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import BoolArray, FloatArray
 

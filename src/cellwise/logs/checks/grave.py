@@ -8,8 +8,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
-from cellwise.logs.checks.rests import Run
 from cellwise.logs.checks.units import CELL
+from cellwise.logs.gaps import Run
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
 
