@@ -120,15 +120,6 @@ def test_missing_values_and_gaps_do_not_disturb():
     assert verify_sign(flipped(log)).verdict == "contradicted"
 
 
-def test_the_counter_is_evidence():
-    columns = pulse_channels()
-    log = CellLog(
-        columns["time_s"], columns["current_A"], columns["voltage_V"], None, columns["ampere_hours"]
-    )
-    assert any("runs with the current" in e for e in verify_sign(log).evidence)
-    assert any("runs against the current" in e for e in verify_sign(flipped(log)).evidence)
-
-
 def test_auto_tells_of_a_wrong_sign_and_turns_nothing_round(tmp_path):
     columns = pulse_channels()
     for name in ("current_A", "ampere_hours"):

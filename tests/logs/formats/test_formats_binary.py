@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -60,17 +57,6 @@ def test_a_neware_file_without_records_is_refused(tmp_path):
         read_log(path)
 
 
-def test_a_matlab_file_of_something_else_lists_what_it_holds(tmp_path):
-    from scipy.io import savemat
-
-    path = tmp_path / "other.mat"
-    columns = digatron_columns(TRUTH)
-    savemat(path, {"run": {"Zeit": columns["Time"], "Strom": columns["Current"]}})
-    with pytest.raises(InputError) as caught:
-        read_log(path)
-    assert "'Zeit', 'Strom'" in caught.value.found
-
-
 def test_columns_of_a_matlab_file_can_be_stated(tmp_path):
     from scipy.io import savemat
 
@@ -88,15 +74,3 @@ def test_a_matlab_file_without_columns(tmp_path):
     savemat(path, {"answer": 42})
     with pytest.raises(InputError, match="no columns of numbers"):
         read_log(path)
-
-
-@pytest.mark.slow
-def test_reading_a_neware_file_changes_nothing_for_others(tmp_path):
-    """fastnda puts its own functions into zlib when it is first used."""
-    script = (
-        "import sys, zlib; before = zlib.decompress, zlib.decompressobj\n"
-        "from cellwise.logs import read_log; read_log(sys.argv[1])\n"
-        "assert (zlib.decompress, zlib.decompressobj) == before"
-    )
-    path = write_ndax(tmp_path / "log.ndax", TRUTH)
-    subprocess.run([sys.executable, "-c", script, str(path)], check=True)

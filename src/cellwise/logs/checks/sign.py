@@ -107,28 +107,25 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
 
     Notes
     -----
-    The tester's counter is compared with the current and is evidence without a vote: a file
-    with the wrong sign usually has it wrong in both.
+    The tester's counter has no vote: a file with the wrong sign usually has it wrong in both.
     """
-    drawn = log.known_current_A() * log.interval_s
-    counter = _counter_text(log, drawn)
-    series: tuple[FloatArray, ...] = log.time_s, log.current_A, log.voltage_V, np.cumsum(drawn)
+    drawn = np.cumsum(log.known_current_A() * log.interval_s)
+    series: tuple[FloatArray, ...] = log.time_s, log.current_A, log.voltage_V, drawn
     usable = np.isfinite(log.current_A) & np.isfinite(log.voltage_V)
     if not usable.all():
         series = tuple(x[usable] for x in series)
     reason = _nothing_to_see(*series[:3])
     if reason:
-        return SignCheck("undetermined", (reason, *counter))
+        return SignCheck("undetermined", (reason,))
     votes = [c for c in _contrasts(*_reduced(series)) if c.lead != 0.0]
     if not votes:
-        return SignCheck(
-            "undetermined", ("the voltage does not follow the current in any window", *counter)
-        )
+        none = "the voltage does not follow the current in any window"
+        return SignCheck("undetermined", (none,))
     score = sum(c.lead * abs(c.lead) for c in votes) / sum(c.lead**2 for c in votes)
     verdict: Verdict = "undetermined"
     if abs(score) >= NEEDED.score:
         verdict = "verified" if score > 0 else "contradicted"
-    return SignCheck(verdict, (*(c.text() for c in votes), *counter), float(score))
+    return SignCheck(verdict, tuple(c.text() for c in votes), float(score))
 
 
 CONTRADICTED = "THE SIGN OF THE CURRENT LOOKS WRONG"  # begins the notice
@@ -213,21 +210,6 @@ def _nothing_to_see(time: FloatArray, current: FloatArray, voltage: FloatArray) 
     if np.ptp(current) <= NEEDED.steps * noise and late < NEEDED.late_drift * drift:
         return "one steady current, and the voltage drifts as a resting cell's might"
     return ""
-
-
-def _counter_text(log: MeasuredLog, drawn: FloatArray) -> tuple[str, ...]:
-    """What the tester's counter says of the sign of the charge drawn in each interval."""
-    if log.charge_Ah is None:
-        return ()
-    moved = np.diff(log.charge_Ah)
-    drawn = drawn[1:] / 3600.0
-    usable = np.isfinite(moved) & ~log.gap_rows[1:] & np.isfinite(log.interval_current_A[1:])
-    size = float(np.sqrt(np.sum(moved[usable] ** 2) * np.sum(drawn[usable] ** 2)))
-    if size == 0.0:
-        return ()
-    agreement = float(moved[usable] @ drawn[usable]) / size
-    direction = "with" if agreement > 0 else "against"
-    return (f"the tester's counter runs {direction} the current (correlation {agreement:+.2f})",)
 
 
 def _reduced(series: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:

@@ -19,8 +19,8 @@ class CounterRule(NamedTuple):
     It has restarted where it reads less than the share ``restart`` of its jump, which is above
     ``steps`` of its steps and ``of_range`` of its range; joined up it must leave at most ``joined``
     of its deviation from the summed current. From the correlation ``unit`` on a ratio to that sum
-    within ``same`` of a factor is a slip of a unit; below ``another`` it may count something else,
-    and beyond ``opposite`` against the current it counts the other way. A mismatch of the net
+    within ``same`` of a factor is a slip of a unit; below ``another`` it counts something else, and
+    beyond ``opposite`` against the current it counts the other way. A mismatch of the net
     charges is noted from ``noted_percent`` of the charge moved on, by an inspection from
     ``inspected_percent``.
     """
@@ -138,37 +138,19 @@ def joined_counter(
     return joined, int(np.count_nonzero(restarts))
 
 
-def counts_throughput(drawn: FloatArray, counted: FloatArray) -> bool:
-    """The counter adds charge and discharge alike, so it does not contain the net charge."""
-    summed, moved, counter = np.cumsum(drawn), np.cumsum(np.abs(drawn)), np.cumsum(counted)
-    return _correlation(moved, counter) > 0.999 > 1.02 * abs(_correlation(summed, counter))
-
-
-def _correlation(x: FloatArray, y: FloatArray) -> float:
-    a, b = x - x.mean(), y - y.mean()
-    size = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / size if size > 0 else 0.0
-
-
 class Cell(NamedTuple):
     """What one cell, and one string of cells, can have.
 
-    A log beyond both current and resistance is in milliampere. Resistance times capacity is the
-    drop at a 1C load: tens to hundreds of millivolts. A battery of more volts than ``largest_V`` is
-    a string; than ``string_V``, a number of millivolts. A step above the share ``edge`` of the
-    largest current shows the resistance; from ``kelvin`` on a temperature is in that unit.
+    More charge than ``largest_Ah`` is one in another unit. A battery of more volts than
+    ``largest_V`` is a string; than ``string_V``, a number of millivolts; from ``kelvin`` on a
+    temperature is in that unit.
     """
 
-    large_A: float = 1000.0
     impossible_A: float = 3000.0
-    smallest_ohm: float = 1e-4
     largest_Ah: float = 1000.0
     largest_V: float = 6.0
     typical_V: float = 3.7
     string_V: float = 1500.0
-    large_drop_V: float = 5.0
-    impossible_drop_V: float = 25.0
-    edge: float = 0.2
     temperature_C: tuple[float, float] = (-100.0, 200.0)
     kelvin: float = 200.0
 
@@ -232,49 +214,15 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
     return [f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"]
 
 
-def check_current_and_time(log: MeasuredLog, where: str) -> list[str]:
-    """Refuse milliampere and milliseconds, or note them, from the voltage's answer alone.
-
-    Raises
-    ------
-    InputError        above 3000 A through less than 0.1 mOhm; a cell that would drop by more than
-                      25 V under a load of 1C
-    """
-    largest = float(np.nanmax(np.abs(log.current_A)))
-    cells = max(1.0, log.typical_voltage_V / CELL.typical_V)
-    resistance = _edge_resistance(log)
-    if resistance is not None:
-        resistance /= cells
-    drawn = np.cumsum(log.known_current_A() * log.interval_s) / 3600.0
-    swing = float(np.ptp(drawn))
-    if largest > CELL.large_A and (
-        swing > CELL.largest_Ah if resistance is None else resistance < CELL.smallest_ohm
-    ):
-        seen = f"a current of up to {largest:.0f} under the name current_A in {where}"
-        if resistance is not None:
-            seen += f", through {1e6 * resistance:.1f} microohm"
-        if largest > CELL.impossible_A:
-            raise InputError(
-                seen, "amperes through one cell", "If it is milliampere, name it current_mA."
-            )
-        return [f"{seen}: it looks like milliampere; if so, name the column current_mA"]
-    if resistance is not None and resistance * swing > CELL.large_drop_V:
-        seen = (
-            f"a current that moves {swing:.0f} Ah through {1000 * resistance:.1f} mOhm in {where}"
-        )
-        if resistance * swing > CELL.impossible_drop_V:
-            raise InputError(
-                seen,
-                "a capacity and a resistance that a cell can have together",
-                "If the time is in milliseconds, name its column time_ms.",
-            )
-        return [f"{seen}: if the time is in milliseconds, name its column time_ms"]
-    if swing > CELL.largest_Ah:
-        return [
-            f"the current moves {swing:.0f} Ah, more than a cell holds: check the units of "
-            "current and time (current_mA, time_ms)"
-        ]
-    return []
+def check_charge(log: MeasuredLog) -> list[str]:
+    """Note a charge that no cell holds: milliamperes, or milliseconds, under a plain name."""
+    swing = float(np.ptp(np.cumsum(log.known_current_A() * log.interval_s))) / 3600.0
+    if swing <= CELL.largest_Ah:
+        return []
+    return [
+        f"the current LOOKS WRONG: it moves {swing:.0f} Ah, more than a cell holds; check the "
+        "units of current and time (`current_mA`, `time_ms`)"
+    ]
 
 
 def counter_factor(log: MeasuredLog, check: CounterCheck, where: str) -> tuple[float, list[str]]:
@@ -328,20 +276,6 @@ def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[str]]:
         return time_s, []
     start = float(time_s[0])
     return time_s - start, [f"the time begins at {start:.0f} s; it is counted from there"]
-
-
-def _edge_resistance(log: MeasuredLog) -> float | None:
-    """Median |dV/dI| over the log's largest current steps [ohm]; None without a clear one."""
-    change = np.diff(log.current_A)
-    answer = np.abs(np.diff(log.voltage_V))
-    usable = np.isfinite(change) & np.isfinite(answer)
-    if not usable.any():
-        return None
-    size = np.abs(change)
-    edges = usable & (size > CELL.edge * float(np.nanmax(np.abs(log.current_A))))
-    if not edges.any():
-        return None
-    return float(np.median(answer[edges] / size[edges]))
 
 
 def _near(ratio: float, target: float) -> bool:

@@ -31,12 +31,11 @@ from cellwise.logs.checks.units import (
     COUNTER,
     CounterCheck,
     charge_steps,
-    check_current_and_time,
+    check_charge,
     check_voltage,
     compare_counter,
     compare_steps,
     counter_factor,
-    counts_throughput,
     joined_counter,
     plausible_temperature,
     time_from_start,
@@ -292,7 +291,7 @@ def assemble(
     notices += check_voltage(log, origin.where)
     log, counter, noted = _with_checked_counter(log, origin.where)
     notices += noted
-    notices += check_current_and_time(possible_part(log), origin.where)
+    notices += check_charge(possible_part(log))
     opposite = counter is not None and counter.agreement < -COUNTER.opposite
     if not (check_sign or opposite):
         return log.with_notices(graves_first(notices))
@@ -345,9 +344,6 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     check = compare_steps(drawn, counted)
     if check is None:
         return log, None, []
-    if abs(check.agreement) < COUNTER.another and counts_throughput(drawn, counted):
-        noted = "the counter ampere_hours adds up charge and discharge alike and was left out"
-        return replace(log, charge_Ah=None), None, [noted]
     factor, more = counter_factor(log, check, where)
     notices += more
     counter = log.charge_Ah * factor if factor != 1.0 else log.charge_Ah
@@ -360,6 +356,9 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     if counter is not log.charge_Ah:
         log = replace(log, charge_Ah=counter)
         check = compare_counter(log) or check
+    if abs(check.agreement) < COUNTER.another:
+        noted = "the counter ampere_hours does not follow the current and was left out"
+        return replace(log, charge_Ah=None), None, [noted]
     if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
         notices.append(
             f"the counter ampere_hours differs from the summed current by "

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 BLOCK_BYTES = 4 << 20
-TAIL_BYTES = 4096
 _TIMES = ("time_s", "step_time_s")
 _OF_CLOCK = re.compile(r"\d:\d\d")
 # What loggers and spreadsheets write where there is no value.
@@ -67,8 +66,6 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
     n = values[0].size
     if odd_rows:
         notices.append(_odd_rows(odd_rows, n, layout, where))
-    elif _ends_short(source):
-        notices.append("the last line is shorter and has no line end: its last number may be cut")
     if n == 0:
         raise InputError(
             f"a header but no rows in {where}", "rows of numbers", "Check the export that wrote it."
@@ -253,16 +250,3 @@ def _odd_rows(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout,
         f"{expected} cells as in the header",
         action,
     )
-
-
-def _ends_short(source: LogSource) -> bool:
-    """The file breaks off in a line whose last cell is shorter than that of the line before."""
-    if source.gzipped:
-        return False
-    with source.path.open("rb") as file:
-        file.seek(max(0, source.size - TAIL_BYTES))
-        lines = file.read().splitlines(keepends=True)
-    if len(lines) < 3 or lines[-1].endswith((b"\n", b"\r")):
-        return False
-    last, before = (re.split(rb"[,;\t|]", line.rstrip())[-1] for line in (lines[-1], lines[-2]))
-    return len(last) < len(before)

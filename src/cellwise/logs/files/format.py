@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import gc
-import io
-import logging
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
@@ -158,30 +154,14 @@ def library_at_work(source: LogSource, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one refusal.
 
     These libraries check little: a file that was cut off ends in an index, a key, a struct or an
-    assertion error, and print meanwhile.
+    assertion error. What they print meanwhile nobody hears: they work in a process of their own.
     """
-    level = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            yield
+        yield
     except (InputError, MemoryError):
         raise
     except Exception as error:
-        with without_late_errors():
-            _let_go(error)
         raise damaged(source, kind, f"{type(error).__name__}: {error}") from error
-    finally:
-        logging.disable(level)
-
-
-def _let_go(error: BaseException) -> None:
-    """Drop the half-made objects that an error holds."""
-    link: BaseException | None = error
-    while link is not None:
-        traceback.clear_frames(link.__traceback__)
-        link = link.__context__
-    gc.collect()
 
 
 def cut_off(source: LogSource, kind: str) -> InputError:

@@ -12,9 +12,7 @@ import shutil
 import subprocess
 import tempfile
 import warnings
-import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -212,20 +210,9 @@ def _is_neware(source: LogSource) -> bool:
     return source.head[30 : 30 + length].endswith(_NEWARE_IN_ZIP)
 
 
-@contextmanager
-def _own_zlib() -> Iterator[None]:
-    """Put back what fastnda replaces in zlib for everybody, with other errors of its own."""
-    kept = zlib.decompress, zlib.decompressobj
-    try:
-        yield
-    finally:
-        zlib.decompress, zlib.decompressobj = kept
-
-
 def _read_neware(source: LogSource, known: Format) -> RawLog:
     suffix = ".nda" if source.head.startswith(_NEWARE) else ".ndax"
     with (
-        _own_zlib(),
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
         library_at_work(source, f"Neware {suffix} file"),
