@@ -31,13 +31,6 @@ def test_rc_step_is_the_matrix_exponential(v, i, r, tau, dt):
     assert kernels.rc_step(v, i, r, tau, dt) == pytest.approx(exact[0], rel=1e-11, abs=1e-12)
 
 
-@given(v=st.floats(-1, 1), i=currents, r=st.floats(1e-4, 1), tau=st.floats(0.1, 1e4), dt=seconds)
-def test_one_rc_step_of_2_dt_is_two_of_dt(v, i, r, tau, dt):
-    half = kernels.rc_step(v, i, r, tau, dt)
-    two = kernels.rc_step(half, i, r, tau, dt)
-    assert kernels.rc_step(v, i, r, tau, 2 * dt) == pytest.approx(two, rel=1e-12, abs=1e-14)
-
-
 @settings(max_examples=50)
 @given(soc=st.floats(0.2, 0.8), h=st.floats(-1, 1), i=currents, dt=st.floats(0.01, 30.0))
 def test_one_step_of_2_dt_is_two_of_dt_with_constant_tables(soc, h, i, dt):
@@ -87,25 +80,6 @@ def test_hysteresis_is_the_solution_of_its_differential_equation():
         ).y[0, -1]  # fmt: skip
         state, _ = advance(model, state, current, 100.0)
         assert state.h == pytest.approx(exact, abs=1e-9)
-
-
-@given(h=st.floats(-1, 1), i=currents, dt=st.floats(0.0, 1e5))
-def test_hysteresis_stays_within_its_branches(h, i, dt):
-    model = linear_cell(effects=(Hysteresis(0.03, 25.0),))
-    after, _ = advance(model, CellState(0.5, 0.0, 0.0, 0.0, h), i, dt)
-    assert -1.0 <= after.h <= 1.0
-    assert (after.h - h) * i <= 0.0  # discharge lowers it, charge raises it
-
-
-@pytest.mark.parametrize(("current", "branch"), [(2.0, -1.0), (-2.0, 1.0)])
-def test_hysteresis_branch_is_reached_after_its_e_folds(current, branch):
-    gamma = 50.0
-    model = linear_cell(effects=(Hysteresis(0.03, gamma),))
-    state = CellState(0.5, 0.0, 0.0, 0.0, -branch)
-    one_fold_s = 3600 * 3.0 / (gamma * abs(current))
-    for fold in range(1, 8):
-        state, _ = advance(model, state, current, one_fold_s)
-        assert abs(state.h - branch) == pytest.approx(2 * np.exp(-fold), rel=1e-9)
 
 
 def test_third_branch_is_one_more_rc():

@@ -58,16 +58,6 @@ def test_each_refusal_says_what_is_wrong(changes, message):
         linear_cell(**changes)
 
 
-@pytest.mark.parametrize("temperatures", [[25.0, 0.0], [25.0, 25.0]])
-def test_temperatures_that_do_not_rise_are_refused(temperatures):
-    tables = {
-        name: np.vstack([getattr(linear_cell(), name)] * 2)
-        for name in ("ocv_V", "r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
-    }
-    with pytest.raises(InputError, match="rise"):
-        linear_cell(**tables, temperature_C=np.array(temperatures))
-
-
 def test_it_is_frozen_and_keeps_no_hold_of_the_callers_arrays():
     table = np.full(11, 0.02)
     model = linear_cell(r0_ohm=table)
@@ -77,10 +67,6 @@ def test_it_is_frozen_and_keeps_no_hold_of_the_callers_arrays():
         model.r0_ohm[0, 0] = 1.0
     with pytest.raises(FrozenInstanceError):
         model.capacity_Ah = 4.0
-
-
-def test_a_flat_ocv_is_allowed():
-    assert linear_cell(ocv_V=np.full(11, 3.3)).ocv_V.max() == 3.3
 
 
 def test_capacitances_are_tau_over_r():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
+from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import model_temperature_C, simulate
 from cellwise.cell.stock import named_model, stock_names
@@ -71,16 +71,6 @@ def test_soc_dependent_parameters_converge_to_the_continuous_cell_with_the_time_
     assert errors[2] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.15)
-
-
-def test_superposition_in_a_linear_cell():
-    rng = np.random.default_rng(2)
-    model = linear_cell(effects=(SlowDiffusion(0.02, 800.0),))
-    a, b = random_log(rng, 800), random_log(rng, 800)
-    both = replace(a, current_A=2.0 * a.current_A - 0.5 * b.current_A)
-    rest = 3.2 + 0.9 * 0.5
-    va, vb, v = (simulate(model, x, 0.5).voltage_V - rest for x in (a, b, both))
-    np.testing.assert_allclose(v, 2.0 * va - 0.5 * vb, atol=1e-12)
 
 
 def test_charge_is_conserved():
@@ -195,21 +185,6 @@ def test_temperature_nobody_measured_is_the_models():
     assert model_temperature_C(arrhenius) == 25.0
     warm = replace(arrhenius, validity=Validity(temperature_C=(30.0, 50.0)))
     assert model_temperature_C(warm) == 30.0
-
-
-def test_figures_are_json_values():
-    import json
-
-    log = random_log(np.random.default_rng(9), 300)
-    run = simulate(curved_cell(), log, 0.05)
-    figures = json.loads(json.dumps(run.to_dict(), allow_nan=False))
-    for key in ("rmse_V", "mae_V", "max_error_V", "mean_error_V", "std_error_V", "ci95_V"):
-        assert key in figures
-    assert figures["rmse_above_10pct_V"] is None  # never above 10 % here
-    error = log.voltage_V - run.voltage_V
-    assert figures["rmse_V"] == pytest.approx(np.sqrt(np.mean(error**2)))
-    high = simulate(curved_cell(), log, 0.9)
-    assert high.rmse_above_10pct_V == pytest.approx(high.metrics.rmse_V)
 
 
 @pytest.mark.parametrize("name", stock_names())

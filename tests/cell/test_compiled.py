@@ -106,6 +106,7 @@ def whole(x):
 """
 
 
+@pytest.mark.slow
 def test_a_part_has_no_machine_code_of_its_own_and_is_kept_for_the_next_kernel(tmp_path):
     """A process compiles both, one finds the kernel, one another kernel's part alone."""
     (tmp_path / "equations.py").write_text(EQUATION)

@@ -177,14 +177,6 @@ def test_skew_of_one_interval_shows_every_voltage_one_row_later():
     np.testing.assert_allclose(late.voltage_V[1:], plain.voltage_V[:-1], rtol=1e-13)
 
 
-def test_skew_of_part_of_an_interval_lies_between():
-    log = random_log(np.random.default_rng(5), 300)
-    plain = simulate(linear_cell(), log, 0.7).voltage_V
-    late = simulate(linear_cell(effects=(TimeSkew(0.3),)), log, 0.7).voltage_V
-    # Superposition: 0.7 of the current now and 0.3 of the one before.
-    np.testing.assert_allclose(late[1:], 0.7 * plain[1:] + 0.3 * plain[:-1], rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("effect", "word"),
     [

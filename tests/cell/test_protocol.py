@@ -60,12 +60,6 @@ class TestConstantCurrent:
         assert np.all(log.voltage_V[:-1] > 2.9)
         assert log.notices == ()
 
-    @given(current=st.floats(0.3, 6.0), soc0=st.floats(0.0, 0.5))
-    def test_charge_ends_exactly_at_the_upper_limit(self, current, soc0):
-        log = run_protocol(RICH, [ConstantCurrent(current_A=-current, voltage_max_V=4.1)], soc0)
-        assert log.voltage_V[-1] == pytest.approx(4.1, abs=1e-11)
-        assert np.all(log.voltage_V[:-1] < 4.1)
-
     def test_instant_of_the_limit_is_the_equations_root(self):
         # Constant branches, linear OCV, from rest: the voltage is a formula of time.
         model, current = linear_cell(), 3.0
@@ -103,12 +97,6 @@ class TestConstantCurrent:
         assert run_protocol(model, [step], 0.5).voltage_V[-1] == pytest.approx(4.0)
         lower = ConstantCurrent(current_A=1.0, voltage_min_V=3.0)
         assert run_protocol(model, [lower], 0.5).voltage_V[-1] == pytest.approx(3.0)
-
-    def test_rows_follow_the_steps_period(self):
-        step = ConstantCurrent(current_A=1.0, duration_s=10.25, period_s=2.0)
-        log = run_protocol(RICH, [Rest(3.0), step], 0.5, dt_s=1.0)
-        expected = [0, 1, 2, 3, 5, 7, 9, 11, 13, 13.25]
-        np.testing.assert_allclose(log.time_s, expected, atol=1e-12)
 
     @pytest.mark.parametrize("period", [0.1, 0.3, 1 / 3, 0.7])
     def test_no_sliver_of_rounding_is_a_row(self, period):
@@ -168,23 +156,6 @@ class TestConstantVoltage:
         assert log.time_s[-1] == pytest.approx(apart.time_s[-1], rel=1e-6)
         assert np.max(log.voltage_V) <= 4.1 + 1e-10
 
-    def test_duration_ends_it(self):
-        step = ConstantVoltage(voltage_V=4.1, until_current_A=0.01, duration_s=12.5)
-        log = run_protocol(RICH, [step], 0.5)
-        assert log.time_s[-1] == pytest.approx(12.5)
-        limited = replace(step, current_limit_A=1.0)
-        log = run_protocol(RICH, [limited], 0.5)
-        assert log.time_s[-1] == pytest.approx(12.5)
-        np.testing.assert_allclose(log.current_A[1:], -1.0)
-
-    def test_many_rows_are_continued_as_one_step(self):
-        # 10,000 rows: more than one block of the runner's.
-        step = ConstantVoltage(voltage_V=3.9, duration_s=1000.0, period_s=0.1)
-        log = run_protocol(RICH, [step], 0.5)
-        assert len(log) == 10_001
-        np.testing.assert_allclose(np.diff(log.time_s), 0.1, atol=1e-9)
-        np.testing.assert_allclose(log.voltage_V[1:], 3.9, atol=1e-10)
-
 
 class TestDriveProfile:
     time = np.arange(1.0, 2001.0)
@@ -206,29 +177,6 @@ class TestDriveProfile:
         assert np.all(got * asked >= 0)
         assert np.all(log.voltage_V[1:][got > 0] >= 3.3 - 1e-10)
         assert np.all(log.voltage_V[1:][got < 0] <= 4.0 + 1e-10)
-
-    def test_a_trimmed_pulse_never_turns_its_direction(self):
-        # At rest the cell is outside both limits already: all that is asked for is trimmed to zero.
-        asked = np.tile([2.0, -2.0], 50)
-        profile = DriveProfile(
-            time_s=self.time[:100], current_A=asked, voltage_min_V=3.9, voltage_max_V=3.4
-        )
-        log = run_protocol(curved_cell(), [profile], 0.5)
-        np.testing.assert_array_equal(log.current_A, 0.0)
-
-    def test_without_limits_it_is_the_simulation(self):
-        profile = DriveProfile(time_s=self.time[:200], current_A=self.current[:200])
-        log = run_protocol(RICH, [profile], 0.7)
-        np.testing.assert_array_equal(log.current_A[1:], self.current[:200])
-        np.testing.assert_array_equal(log.time_s[1:], self.time[:200])
-
-    def test_a_row_at_zero_has_no_interval(self):
-        late = DriveProfile(time_s=self.time[:50], current_A=self.current[:50])
-        early = DriveProfile(
-            time_s=np.append(0.0, self.time[:50]), current_A=np.append(99.0, self.current[:50])
-        )
-        a, b = run_protocol(RICH, [late], 0.7), run_protocol(RICH, [early], 0.7)
-        np.testing.assert_array_equal(a.voltage_V, b.voltage_V)
 
     def test_an_empty_cell_ends_it_with_a_notice(self):
         profile = DriveProfile(time_s=60 * self.time, current_A=np.full(2000, 3.0))
@@ -260,14 +208,6 @@ class TestEndings:
         soc = simulate(linear_cell(), log, 0.5).soc
         assert abs(soc[-1] - 0.5) >= 0.5 + BEYOND - 1e-9
         assert log.step[-1] == 2  # the protocol goes on
-
-    def test_a_current_that_never_comes_down_ends_after_30_days(self):
-        # On a flat OCV below the voltage held, the current stays.
-        model = linear_cell(ocv_V=np.full(11, 3.30), capacity_Ah=1e6)
-        step = ConstantVoltage(voltage_V=3.299, until_current_A=0.001)
-        log = run_protocol(model, [step], 0.5, dt_s=3600.0)
-        assert log.time_s[-1] == pytest.approx(30 * 86400)
-        assert "no limit reached" in log.notices[0]
 
     @pytest.mark.parametrize(
         "step",
@@ -303,12 +243,6 @@ class TestEndings:
         with pytest.raises(InputError, match=message):
             run_protocol(linear_cell(), [Rest(5.0)], **{"soc0": 0.5, **arguments})
 
-    def test_too_many_rows_are_refused(self, monkeypatch):
-        monkeypatch.setattr("cellwise.cell.protocol.runner.MOST_ROWS", 10_000)
-        assert len(run_protocol(linear_cell(), [Rest(9_999.0)], 0.5)) == 10_000
-        with pytest.raises(InputError, match="10000 rows"):
-            run_protocol(linear_cell(), [Rest(10_000.0)], 0.5)
-
 
 def test_temperature_reaches_the_cell_and_the_log():
     cold = run_protocol(RICH, MIXED, 0.9, temperature_C=-10.0)
@@ -317,13 +251,6 @@ def test_temperature_reaches_the_cell_and_the_log():
     first = [log.charge_Ah[log.step == 1][-1] for log in (cold, warm)]
     assert first[0] < first[1]  # more resistance: the limit comes earlier
     assert simulate(RICH, cold, 0.9).metrics.max_error_V < 1e-10
-
-
-def test_the_instruments_skew_is_left_out():
-    plain = curved_cell()
-    skewed = curved_cell(effects=(EFFECTS[3],))
-    a, b = run_protocol(plain, MIXED, 0.9), run_protocol(skewed, MIXED, 0.9)
-    np.testing.assert_array_equal(a.voltage_V, b.voltage_V)
 
 
 @pytest.mark.parametrize(
@@ -356,8 +283,3 @@ def test_the_instruments_skew_is_left_out():
 def test_refused_when_written_not_when_run(make):
     with pytest.raises(InputError):
         make()
-
-
-def test_steps_are_frozen():
-    with pytest.raises(AttributeError):
-        Rest(5.0).duration_s = 6.0

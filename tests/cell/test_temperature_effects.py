@@ -12,7 +12,6 @@ from cellwise.cell.effects import BRANCH_ACTIVATIONS, Entropy, SlowDiffusion, Te
 from cellwise.cell.equations import look_up
 from cellwise.cell.model_file import model_from_dict, model_to_dict
 from cellwise.cell.resolved import over_temperature
-from cellwise.errors import InputError
 from example_cells import curved_cell
 
 SLOW = SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0)
@@ -54,21 +53,6 @@ def test_the_ocv_moves_with_temperature_as_the_entropy_says(temperature):
         assert after.ocv_V - before.ocv_V == pytest.approx(moved, abs=1e-13)
         slope = 2e-4 * (temperature - 20.0)
         assert after.ocv_slope_V - before.ocv_slope_V == pytest.approx(slope, abs=1e-11)
-
-
-def test_a_warming_cell_at_rest_shows_its_entropy():
-    """The terminal voltage of a resting cell is its OCV at its temperature."""
-    cell = curved_cell(effects=(Entropy(3e-4, 25.0),))
-    time = np.arange(0.0, 600.0, 1.0)
-    log = cw.CellLog(
-        time_s=time,
-        current_A=np.zeros_like(time),
-        voltage_V=np.full_like(time, 3.7),
-        temperature_C=np.linspace(-10.0, 40.0, time.size),
-    )
-    found = cw.simulate(cell, log, soc0=0.5).voltage_V
-    slope = np.polyfit(log.temperature_C, found, 1)[0]
-    assert slope == pytest.approx(3e-4, rel=1e-9)
 
 
 def warming(points):
@@ -117,14 +101,6 @@ def test_a_model_file_keeps_them_and_an_older_one_loads():
         for name in BRANCH_ACTIVATIONS:
             effect.pop(f"{name}_K", None)
     assert model_from_dict(old).effect(TemperatureDependence).activation_K == 1500.0
-
-
-@pytest.mark.parametrize(
-    "effect", [Entropy(0.1), TemperatureDependence(r1_K=1e6), Entropy(np.zeros((2, 3)))]
-)
-def test_an_impossible_value_is_refused(effect):
-    with pytest.raises(InputError):
-        curved_cell(effects=(effect,))
 
 
 def test_rows_over_temperature_are_the_effects_themselves():

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellwise.cell.effects import SelfHeating
 from cellwise.cell.model_file import (
     model_from_dict,
-    model_mark,
     model_to_dict,
     read_model,
     write_model,
@@ -25,7 +20,7 @@ from cellwise.cell.plausibility.validity import (
     covered,
 )
 from cellwise.errors import InputError
-from example_cells import linear_cell, random_model
+from example_cells import linear_cell
 
 VALID = Validity(soc=(0.2, 0.9), temperature_C=(-5.0, 31.5), current_A=(-3.0, 12.0))
 
@@ -41,25 +36,6 @@ def test_a_file_keeps_it_and_a_file_of_before_has_none(tmp_path):
     old = model_to_dict(linear_cell())
     assert "validity" not in old
     assert model_from_dict(old).validity == Validity()
-
-
-def test_a_part_that_is_not_known_stays_so(tmp_path):
-    path = tmp_path / "model.json"
-    write_model(linear_cell(validity=Validity(soc=(0.1, 1.0))), path)
-    assert json.loads(path.read_text())["validity"]["temperature_C"] is None
-    assert read_model(path).validity == Validity(soc=(0.1, 1.0))
-
-
-def test_two_models_that_say_other_bounds_are_not_one_model():
-    marks = {model_mark(linear_cell(validity=v)) for v in (Validity(), VALID)}
-    assert len(marks) == 2
-
-
-def test_every_copy_of_a_model_keeps_it():
-    model = random_model(np.random.default_rng(1), temperatures=3)
-    model = replace(model, validity=VALID)
-    assert model.at_temperature(12.0).validity == VALID
-    assert model.with_effect(SelfHeating(4.0, 900.0)).validity == VALID
 
 
 @pytest.mark.parametrize(

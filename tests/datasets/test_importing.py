@@ -98,20 +98,6 @@ def test_a_workbook_of_arbin_is_the_same_as_its_csv(tmp_path):
         np.testing.assert_allclose(getattr(excel, name), getattr(text, name), rtol=1e-12)
 
 
-def test_another_workbook_is_refused(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    pytest.importorskip("python_calamine")
-    book = openpyxl.Workbook()
-    book.active.append(["name", "price"])
-    book.save(tmp_path / "prices.xlsx")
-    with pytest.raises(InputError, match="Test_Time"):
-        read_log(tmp_path / "prices.xlsx")
-    whole = (tmp_path / "prices.xlsx").read_bytes()
-    (tmp_path / "cut.xlsx").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError):
-        read_log(tmp_path / "cut.xlsx")
-
-
 @pytest.mark.parametrize(
     ("native", "original", "kind"),
     [

@@ -6,24 +6,20 @@ import hashlib
 import json
 import shutil
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import simulate
 from cellwise.cli import main
-from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import SEQUENCE_GAP
-from cellwise.export.accuracy import accuracy_by_grid
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
-from cellwise.export.package import check_flash, describe, model_sha256, write_package
+from cellwise.export.package import check_flash, describe, write_package
 from example_cells import curved_cell
 from firmware_cases import tables_of
 
@@ -87,24 +83,6 @@ def test_flash_counts_what_the_compiler_lays_out():
     check_flash(tables, len(tables.to_bytes()))
     with pytest.raises(InputError):
         check_flash(tables, len(tables.to_bytes()) - 1)
-
-
-def test_the_hash_is_that_of_the_model():
-    assert model_sha256(curved_cell()) == model_sha256(curved_cell())
-    assert model_sha256(curved_cell()) != model_sha256(curved_cell(capacity_Ah=3.1))
-
-
-@pytest.mark.slow
-def test_finer_tables_lose_less():
-    model = curved_cell(201, capacity_Ah=5.1)
-    log = load_dataset("nmc_drive_b").part(0, 3000)
-    log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
-    found = accuracy_by_grid(model, log, 1.0, soc0=0.9, grids=(6, 26))
-    error = [row.soc_rmse for row in found]
-    assert error[0] > 2 * error[1]
-    assert error[2] <= 1.1 * error[1]  # nothing left to lose but rounding
-    assert error[2] < 5e-4
-    assert [row.flash_bytes for row in found] == sorted(row.flash_bytes for row in found)
 
 
 FLAGS = ["-O2", *STRICT_FLAGS, *WARNING_FLAGS]
@@ -356,23 +334,6 @@ def test_eight_hours_off_are_one_step_as_the_readme_says(lean):
     assert grown == pytest.approx(Noise.of_model(curved_cell()).gap_soc ** 2, rel=0.02)
     left = state[0]["v1_V"] / before["v1_V"]
     assert (left < 1e-6) is not lean
-
-
-@pytest.mark.slow
-def test_what_is_beyond_the_longest_gap_counts_as_that():
-    stepper = numba_stepper(fixed_step_tables(curved_cell(), 1.0))
-    begun = start_state(stepper, 0.6, 0.02)
-    sample = np.zeros(1, dtype=INPUT)
-    sample["voltage_V"], sample["temperature_C"] = 3.6, 25.0
-    stepper.rows(begun, sample)
-    after = []
-    for steps in (2**20 + 2, 2**24):
-        state = begun.copy()
-        sample["sequence"] = steps
-        stepper.rows(state, sample)
-        state["sequence"] = 0
-        after.append(state.tobytes())
-    assert after[0] == after[1]
 
 
 CELLS = """

@@ -54,9 +54,9 @@ def discharge(share):
 def lives(tmp_path_factory):
     """Two cells, one of which has lost a tenth; their logs out of order by their plain names."""
     place = tmp_path_factory.mktemp("lives")
-    for cell, shares in (("good", (1.0, 0.995, 0.99)), ("bad", (1.0, 0.95, 0.90))):
+    for cell, shares in (("good", (1.0, 0.99)), ("bad", (1.0, 0.90))):
         (place / cell).mkdir()
-        for number, share in zip((1, 2, 10), shares, strict=True):
+        for number, share in zip((2, 10), shares, strict=True):
             write_log(discharge(share), place / cell / f"cycle{number}.parquet")
     (place / "bad" / "cycle11.parquet").write_bytes(b"cut off")
     return place
@@ -69,7 +69,7 @@ def packs(tmp_path_factory):
     for name, fault in (("van_1", None), ("van_2", Fault(cell=2, capacity=-0.08))):
         (place / name).mkdir()
         for day in (1, 2):
-            _, log = emulated_pack(4, fault, seed=day, name=f"2026-03-0{day}")
+            _, log = emulated_pack(4, fault, hours=2.0, seed=day, name=f"2026-03-0{day}")
             write_columns(log.columns(), place / name / f"2026-03-0{day}.parquet")
     return place
 
@@ -79,36 +79,27 @@ def test_a_cells_row_is_its_life(lives, tmp_path):
     rows = rows_in(tmp_path / "out")
     assert (told.logs, told.done, told.failed) == (2, 2, 0)
     assert set(rows) == {"good", "bad"}
-    names = [lives / "bad" / f"cycle{k}.parquet" for k in (1, 2, 10)]
+    names = [lives / "bad" / f"cycle{k}.parquet" for k in (2, 10)]
     life = life_of(FRESH, [read_log(path) for path in names])
     assert rows["bad"]["capacity_share"] == pytest.approx(float(life.trend.share[-1]), rel=1e-12)
     assert rows["bad"]["capacity_share"] < 0.93 < rows["good"]["capacity_share"]
-    assert rows["bad"]["logs"] == 3
+    assert rows["bad"]["logs"] == 2
     assert "cycle11.parquet" in rows["bad"]["unread"]
     assert rows["good"]["unread"] is None
 
 
-def test_a_new_log_has_its_row_made_again_and_leaves_the_others(lives, tmp_path):
+def test_a_new_log_has_its_row_made_again_and_a_folder_without_one_is_its_error(lives, tmp_path):
     place = tmp_path / "lives"
-    shutil.copytree(lives, place)
-    run_fleet(HistoryTask(FRESH), place, tmp_path / "out", workers=1)
-    write_log(discharge(0.88), place / "bad" / "cycle12.parquet")
-    told = run_fleet(HistoryTask(FRESH), place, tmp_path / "out", workers=1)
-    assert (told.done, told.resumed) == (1, 1)
-    assert rows_in(tmp_path / "out")["bad"]["logs"] == 4
-
-
-def test_a_folder_without_a_log_is_a_row_with_its_error(lives, tmp_path):
-    place = tmp_path / "lives"
-    shutil.copytree(lives, place)
+    shutil.copytree(lives / "bad", place / "bad")
     (place / "none").mkdir()
     (place / "none" / "notes.md").write_text("not a log\n")
     told = run_fleet(HistoryTask(FRESH), place, tmp_path / "out", workers=1)
     assert told.failed == 1
-    row = rows_in(tmp_path / "out")["none"]
-    assert "none of them a log" in row["error"]
-    again = run_fleet(HistoryTask(FRESH), place, tmp_path / "out", workers=1)
-    assert (again.done, again.resumed, again.failed) == (0, 3, 1)
+    assert "none of them a log" in rows_in(tmp_path / "out")["none"]["error"]
+    write_log(discharge(0.88), place / "bad" / "cycle12.parquet")
+    told = run_fleet(HistoryTask(FRESH), place, tmp_path / "out", workers=1)
+    assert (told.done, told.resumed, told.failed) == (1, 1, 1)
+    assert rows_in(tmp_path / "out")["bad"]["logs"] == 3
 
 
 def test_folders_without_any_log_are_refused(tmp_path):
@@ -119,9 +110,10 @@ def test_folders_without_any_log_are_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_log_that_the_machine_does_not_give_is_tried_again(lives, tmp_path, monkeypatch):
     def without(path, *_, **options):
-        if path.name == "cycle1.parquet" and path.parent.name == "good":
+        if path.name == "cycle2.parquet" and path.parent.name == "good":
             raise MachineError("a disk that does not answer", "a file", "Try again.")
         return read_prepared(path, *_, **options)
 
@@ -145,6 +137,7 @@ def test_a_packs_row_is_its_estimate(packs, tmp_path):
     assert rows["van_1"]["causes"] is None
 
 
+@pytest.mark.slow
 def test_the_commands(lives, packs, tmp_path, capsys):
     model = tmp_path / "m.json"
     write_model(FRESH, model)

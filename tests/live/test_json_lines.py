@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
-from cellwise.live.samples import ObjectReader
 from cellwise.live.source import LONGEST_LINE, JsonLines
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 from streams import Given
@@ -49,10 +48,6 @@ def test_any_cut_into_pieces_gives_the_same_samples(cuts):
     assert [s[:3] for s in found(b"", pieces=pieces) if s is not None] == whole
 
 
-def test_a_last_line_without_an_end_counts():
-    assert [s[:3] for s in found(LINES.rstrip("\n"))] == [s[:3] for s in found(LINES)]
-
-
 @pytest.mark.parametrize(
     "garbage",
     ["{", "nonsense", "\x00\xff", "[1, 2]", "3", '{"time_s": 1}', '{"voltage_V": "high"}',
@@ -77,11 +72,6 @@ def test_units_packs_and_signs():
     line = '{"time_ms": 1500, "I": -3000, "voltage_mV": 16000, "temperature_K": 298.15}\n'
     (one,) = found(line, options=options, sign="charge-positive")
     assert one[:4] == pytest.approx((1.5, 1.5, 4.0, 25.0))
-
-
-def test_a_sample_without_a_time_has_that_of_its_arrival():
-    found_one = ObjectReader(ReadOptions(), "auto").read({"voltage_V": 3.7}, 1234.5)
-    assert found_one.time_s == 1234.5
 
 
 def test_a_file_is_a_stream_too(tmp_path):

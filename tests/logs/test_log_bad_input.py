@@ -84,9 +84,9 @@ def test_content_that_is_no_log_says_what_it_is(content, says, tmp_path):
 
 
 def test_truncated_gzip_of_many_blocks(tmp_path):
-    rows = np.random.default_rng(0).normal(3.7, 0.1, (400_000, 2))
-    body = "\n".join(f"{k},{a:.6f},{b:.6f}" for k, (a, b) in enumerate(rows))
-    whole = gzip.compress(f"time_s,current_A,voltage_V\n{body}\n".encode(), 1)
+    rows = np.random.default_rng(0).normal(3.7, 0.1, (10_000, 2))
+    body = "".join(f"{k},{a:.6f},{b:.6f}\n" for k, (a, b) in enumerate(rows))
+    whole = gzip.compress(f"time_s,current_A,voltage_V\n{40 * body}".encode(), 1)
     path = tmp_path / "log.csv.gz"
     path.write_bytes(whole[: int(0.8 * len(whole))])
     assert "gzip" in refusal(path).found
@@ -146,7 +146,7 @@ def test_nearest_name(tmp_path, name, wanted):
     assert f"'{name}' to '{wanted}'" in error.action
 
 
-@pytest.mark.parametrize("row", [1, 3, 250_000])
+@pytest.mark.parametrize("row", [1, 3])
 def test_text_in_a_number_column_says_row_and_column(tmp_path, row):
     lines = [f"{k},1.5,{4 - 1e-6 * k:.6f}" for k in range(row + 5)]
     lines[row - 1] = f"{row - 1},OVERFLOW,4.0"

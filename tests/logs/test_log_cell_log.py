@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cellwise.errors import InputError
-from cellwise.logs import CellLog, read_log
+from cellwise.logs import CellLog
 
 
 def ramp(n: int = 10, **more) -> CellLog:
@@ -136,16 +134,3 @@ def test_parts_keep_channels_time_and_notices():
     np.testing.assert_array_equal(part.step, [3, 4, 5, 6])
     assert (part.notices, part.name, part.format) == (("told",), "x", "tidy-csv")
     np.testing.assert_array_equal(log.rows(log.time_s > 6).time_s, [7, 8, 9])
-
-
-def test_measured_counters_agree_with_the_rows_current(real_data):
-    """Right-hold sums, as the data's READMEs state them."""
-    for name, summed in (
-        ("panasonic_18650pf/hppc_p25", 2.8296),
-        ("panasonic_18650pf/drive_p10_cycle_2", 2.1301),
-        ("panasonic_18650pf/drive_p25_us06", 2.5861),
-        ("plett_a123/dyn_p25_s1", 1.9787),
-        ("nissan_leaf/hppc_p25", 0.4012),
-    ):
-        log = replace(read_log(real_data / f"{name}.csv.gz"), charge_Ah=None)
-        assert log.counted_charge_Ah()[-1] == pytest.approx(summed, abs=2e-4), name

@@ -18,10 +18,25 @@ def found(*intervals: tuple[float, int]) -> list[int]:
     return np.flatnonzero(find_gaps(stamps(*intervals))).tolist()
 
 
-@pytest.mark.parametrize("dt", [0.0074, 0.1, 1.0, 60.0])
-@pytest.mark.parametrize("pause", [2e3, 1e5])
-def test_a_pause_between_regular_rows(dt, pause):
-    assert found((dt, 50), (pause, 1), (dt, 50)) == [51]
+# Intervals and how often each follows, and the rows that end a gap.
+FAST, EVEN = (0.1, 50), (1.0, 50)
+CASES = {
+    **{f"pause of {dt} s rows": ([(dt, 50), (2e3, 1), (dt, 50)], [51]) for dt in (0.0074, 60.0)},
+    "slow rows at rest": ([FAST, (60.0, 2), FAST], []),
+    "one row each slower": ([(0.1, 20), *((3.0**k, 1) for k in range(6)), (0.1, 20)], []),
+    "a last row that is cut short": ([EVEN, (60.0, 1), (23.0, 1)], []),
+    "hiccup between repetitions": ([(0.1, 500), (0.04, 1), (2.3, 1), (0.1, 500)], []),
+    "two gaps near each other": ([EVEN, (500.0, 1), (1.0, 2), (800.0, 1), EVEN], [51, 54]),
+    "a row doubled at every edge": ([(60.0, 1), (0.01, 1)] * 30, []),
+    "at the beginning": ([(1000.0, 1), EVEN], [1]),
+    "at the end": ([EVEN, (1000.0, 1)], [51]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_pauses_and_what_is_none(case):
+    intervals, rows = CASES[case]
+    assert found(*intervals) == rows
 
 
 def test_jitter_does_not_hide_it():
@@ -31,34 +46,6 @@ def test_jitter_does_not_hide_it():
     assert np.flatnonzero(find_gaps(np.concatenate([[0.0], np.cumsum(dt)]))).tolist() == [121]
 
 
-@pytest.mark.parametrize("slow", [10.0, 60.0, 300.0])
-@pytest.mark.parametrize("count", [2, 3, 40])
-def test_slow_rows_at_rest_are_no_gap(slow, count):
-    assert found((0.1, 50), (slow, count), (0.1, 50)) == []
-    assert found((1.0, 50), (slow, count), (1.0, 50)) == []
-
-
-def test_a_log_that_slows_down_step_by_step():
-    """Rows at 1, 3, 9, 27, 81, 243 s of a relaxation, then a pulse."""
-    assert found((0.1, 20), *((3.0**k, 1) for k in range(6)), (0.1, 20)) == []
-
-
-def test_a_cut_short_last_row_of_slow_logging():
-    assert found((1.0, 50), (60.0, 1), (23.0, 1)) == []
-
-
-def test_hiccup_between_repetitions_is_no_gap():
-    assert found((0.1, 500), (0.04, 1), (2.3, 1), (0.1, 500)) == []
-
-
-def test_two_gaps_near_each_other_do_not_hide_one_another():
-    assert found((1.0, 50), (500.0, 1), (1.0, 2), (800.0, 1), (1.0, 50)) == [51, 54]
-
-
-def test_a_row_doubled_at_every_edge_is_no_row_of_gaps():
-    assert found(*([(60.0, 1), (0.01, 1)] * 30)) == []
-
-
 def test_repeated_stamps_do_not_hide_a_gap():
     """A clock of whole seconds under 10 Hz rows."""
     time = np.floor(np.arange(0.0, 100.0, 0.1))
@@ -66,11 +53,6 @@ def test_repeated_stamps_do_not_hide_a_gap():
     assert np.flatnonzero(find_gaps(time)).tolist() == [500]
     assert not find_gaps(np.floor(np.arange(0.0, 100.0, 0.1))).any()
     assert not find_gaps(np.floor(np.arange(0.0, 36000.0, 1.0) / 60.0) * 60.0).any()
-
-
-def test_gap_at_either_end():
-    assert found((1000.0, 1), (1.0, 50)) == [1]
-    assert found((1.0, 50), (1000.0, 1)) == [51]
 
 
 def test_two_rows_and_equal_stamps():
@@ -95,17 +77,6 @@ def test_measured_gaps_are_those_the_readme_names(real_data):
         log = read_log(real_data / "panasonic_18650pf" / f"{name}.csv.gz")
         assert [(round(g.start_s), round(g.duration_s)) for g in log.gaps] == [(start, duration)]
         assert log.gaps[0].charge_Ah == pytest.approx(0.0, abs=1e-4)  # the counter stood still
-
-
-@pytest.mark.parametrize(
-    "pattern",
-    ["*/hppc_*", "panasonic_18650pf/drive_n10_*", "plett_a123/*_p25_*", "nissan_leaf/c*", "l*/*1*"],
-)
-def test_measured_logs_without_a_gap(real_data, pattern):
-    files = sorted(real_data.glob(f"{pattern}.csv.gz"))
-    assert files
-    for path in files:
-        assert not read_log(path).gaps, path.name
 
 
 @pytest.mark.parametrize("alone", [1, 2, 29])

@@ -46,17 +46,6 @@ def test_the_contracts_keys_as_json():
     assert all(isinstance(notice, str) for notice in again["notices"])
 
 
-def test_without_temperature_and_counter():
-    columns = pulse_channels(6000)
-    log = CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"])
-    found = inspect_log(log).to_dict()
-    assert found["temperature_C"] is None
-    assert found["counter_mismatch_percent"] is None
-    assert found["charge_Ah"] == pytest.approx(20 * 150 / 3600)
-    assert found["format"] == "memory"
-    json.dumps(found, allow_nan=False)
-
-
 def test_a_clean_log_has_nothing_to_tell():
     assert inspect_log(pulses()).notices == ()
 
@@ -214,25 +203,6 @@ def test_the_data_sets_own_tables(real_data, folder):
                 assert scaled == pytest.approx((low, high), abs=digits), name
         assert found.sign == "verified", name
         json.dumps(found.to_dict(), allow_nan=False)
-
-
-@pytest.mark.parametrize(
-    ("name", "percent"),
-    [("hppc_p25", 0.108), ("hppc_p10", 0.056), ("hppc_p00", 0.01), ("hppc_n20", 0.032)],
-)
-def test_counter_mismatch_of_measured_hppc(real_data, name, percent):
-    """The README's right-hold mismatch; the trapezoid would be off by 0.4 Ah."""
-    found = inspect_log(read_log(real_data / "panasonic_18650pf" / f"{name}.csv.gz"))
-    assert found.counter_mismatch_percent == pytest.approx(percent, abs=0.01)
-
-
-def test_known_facts_of_measured_logs(real_data):
-    drive = inspect_log(read_log(real_data / "panasonic_18650pf" / "drive_p25_cycle_2.csv.gz"))
-    assert any("first row is under load" in notice for notice in drive.notices)
-    assert drive.resolution["voltage_V"] == pytest.approx(1e-4)
-    leaf = inspect_log(read_log(real_data / "nissan_leaf" / "hppc_p25.csv.gz"))
-    assert leaf.resolution == pytest.approx({"current_A": 0.01, "voltage_V": 1e-3})
-    assert sum(rest.duration_s > 3000 for rest in leaf.rests) >= 9  # an hour at each 10 %
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -104,12 +104,6 @@ def test_columns_in_any_order_and_extra_ones(tmp_path):
     assert log.notices == ("column(s) not used: 'comment'",)
 
 
-def test_text_in_a_column_that_is_not_used(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_bytes(b'time_s,mode,current_A,voltage_V\n0,CHG \xe9,1,4\n1,"a,b",1,4\n2,,1,4\n')
-    assert len(read_log(path)) == 3
-
-
 def test_header_in_a_comment_as_numpy_writes_it(tmp_path):
     path = tmp_path / "log.csv"
     np.savetxt(
@@ -122,14 +116,6 @@ def test_header_in_a_comment_as_numpy_writes_it(tmp_path):
     check(read_log(path))
 
 
-def test_quoted_cells_and_blanks(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text('"time_s" , "current_A",voltage_V\n"0", 1.5 ,4.1\n 1 ,"1.5","4.0"\n')
-    log = read_log(path)
-    np.testing.assert_array_equal(log.current_A, [1.5, 1.5])
-    np.testing.assert_array_equal(log.voltage_V, [4.1, 4.0])
-
-
 @pytest.mark.parametrize("cell", ["", "nan", "NaN", "NA", "null", "inf", "-inf", "--", "#DIV/0!"])
 def test_missing_and_infinite_cells_are_missing_values(tmp_path, cell):
     path = tmp_path / "log.csv"
@@ -137,14 +123,6 @@ def test_missing_and_infinite_cells_are_missing_values(tmp_path, cell):
     log = read_log(path)
     np.testing.assert_array_equal(log.current_A, [1, np.nan, 1])
     np.testing.assert_array_equal(log.known_current_A(), [1, 1, 1])
-
-
-def test_repeated_stamps_are_kept_and_counted(tmp_path):
-    columns = pulse_channels(600)
-    columns["time_s"][50] = columns["time_s"][49]
-    log = read_log(write_csv(tmp_path / "log.csv", columns))
-    assert len(log) == 600
-    assert log.repeated_stamps == 1
 
 
 def test_numbers_read_to_the_last_bit(tmp_path):
@@ -158,7 +136,7 @@ def test_numbers_read_to_the_last_bit(tmp_path):
 
 
 def test_a_log_of_many_batches_keeps_its_order(tmp_path):
-    n = 500_000  # some 10 MB: several batches
+    n = 250_000  # some 5 MB: several batches
     path = tmp_path / "log.csv"
     body = "\n".join(f"{k},{(k * 7) % 1000 / 500 - 1},{4 - k / 1e6}" for k in range(n))
     path.write_text(f"time_s,current_A,voltage_V\n{body}\n")
@@ -204,13 +182,6 @@ def test_units_that_the_name_tells(tmp_path, name, field, own, factor, offset):
     assert any(f"'{name}'" in notice and own in notice for notice in log.notices)
 
 
-def test_the_plain_unit_wins(tmp_path):
-    columns = {"current_mA": np.zeros(CHANNELS["time_s"].size), **CHANNELS}
-    log = read_log(write_csv(tmp_path / "log.csv", columns))
-    check(log)
-    assert any("not used: 'current_mA'" in notice for notice in log.notices)
-
-
 @pytest.mark.parametrize("make", [dict, pd.DataFrame, pa.table])
 def test_from_table(make):
     log = CellLog.from_table(make(CHANNELS), name="mine")
@@ -224,12 +195,6 @@ def test_from_table_refuses_what_read_log_refuses():
         CellLog.from_table({"time_s": [0, 1], "current_A": [0, 1]})
     with pytest.raises(InputError, match="'voltage_V'"):
         CellLog.from_table({"time_s": [0, 1], "current_A": [0, 1], "voltage_V": ["a", "b"]})
-
-
-def test_to_arrow_and_back():
-    log = CellLog.from_table(CHANNELS)
-    check(CellLog.from_table(log.to_arrow()))
-    check(CellLog.from_table(log.to_arrow().to_pandas()))
 
 
 def test_reads_every_measured_file(real_data):

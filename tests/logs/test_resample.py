@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,15 +83,6 @@ def test_a_pause_stays_a_pause():
     assert np.all(np.isfinite(even.voltage_V[outside]))
 
 
-def test_missing_voltage_stays_missing():
-    log = uneven_log()
-    v = log.voltage_V.copy()
-    v[100:200] = np.nan
-    even = resample(replace(log, voltage_V=v), 0.1)
-    hole = (even.time_s >= log.time_s[100]) & (even.time_s < log.time_s[199])
-    assert np.all(np.isnan(even.voltage_V[hole]))
-
-
 def test_a_row_that_begins_its_interval_is_turned_round():
     # interval_start: the current of row k flows from row k on; the result says interval_end.
     log = CellLog(np.arange(4.0), np.array([1.0, 2.0, 3.0, 4.0]), np.full(4, 3.6),
@@ -101,15 +90,6 @@ def test_a_row_that_begins_its_interval_is_turned_round():
     even = resample(log, 1.0)
     assert even.current_meaning == "interval_end"
     assert even.current_A[1:].tolist() == [1.0, 2.0, 3.0]
-
-
-def test_the_rest_of_the_log_comes_along():
-    even = resample(uneven_log(), 2.0)
-    assert even.name == "uneven"
-    assert even.step is not None
-    assert even.step[0] == 0
-    assert even.charge_Ah is not None
-    assert resample(uneven_log(charge_Ah=None, temperature_C=None, step=None), 2.0).step is None
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, float("nan"), float("inf"), 1e9, 1e-9])

@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from cellwise.studies.capacity_study_cells import embedded_lfp, published_orders
-from cellwise.studies.published import LFP_CAPACITIES, LFP_ERRORS
+from cellwise.studies.capacity_study_cells import embedded_lfp
 
 CC, WHOLE, HPPC = "cc-average", "cc-cv-average", "hppc-total"
-
-
-def test_the_papers_capacities_are_its_own_means():
-    cc = [row.cc_Ah for row in LFP_CAPACITIES.values()]
-    total = [row.total_Ah for row in LFP_CAPACITIES.values()]
-    assert LFP_ERRORS[CC].capacity_Ah == pytest.approx(sum(cc) / 4, abs=0.05)
-    assert LFP_ERRORS[WHOLE].capacity_Ah == pytest.approx(sum(total) / 4, abs=0.05)
-
-
-def test_the_paper_has_them_first_and_close():
-    assert published_orders()["lfp"][:2] == (CC, WHOLE)
-    rms = {name: row.rms_mV for name, row in LFP_ERRORS.items()}
-    assert rms[WHOLE] / rms[CC] < 1.2 < 2.0 < rms[HPPC] / rms[WHOLE]
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from cellwise.cli.studies import paper_rows
 from cellwise.errors import InputError
 from cellwise.studies.paper_tables import CHOICES
-from cellwise.studies.papers import paper_tables, papers_text, print_papers
+from cellwise.studies.papers import paper_tables
 
 pytestmark = pytest.mark.slow
 
@@ -133,17 +134,15 @@ def test_slower_rate_measures_more_capacity(tables):
     assert capacities[0] <= 5.1532  # true_capacity_Ah
 
 
-def test_text_says_that_the_published_cells_are_others(tables):
-    text = papers_text(tables, width=140)
-    assert text.count("measured on another cell") == 2
-    for word in ("Capacity by discharge tests", "Pulses of the HPPC tests", "Polynomials",
-                 "capacity choice", "Residuals", "47.71", "196.9"):  # fmt: skip
-        assert word in text
-
-
-def test_printing_shows_the_same(tables, capsys):
-    print_papers(tables)
-    assert "LFP040AHA paper" in capsys.readouterr().out
+def test_published_rows_stand_below_ours(as_dict):
+    head, rows = paper_rows(as_dict["lfp"]["capacity"])
+    assert head == ["", "rate", "total_Ah", "cc_Ah", "cv_Ah"]
+    assert rows[1] == ["published", "", "47.71", "46.3", "1.407"]
+    head, rows = paper_rows(as_dict["ncr18650b"]["rates"])
+    assert [row[0] for row in rows[:5]] == [
+        *("", "segments", "segments-relaxation", "ours", "published")
+    ]
+    assert rows[4][head.index("max_mV")] == "196.9"
 
 
 def test_progress_names_both_papers(tables, told):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -19,7 +20,8 @@ def once():
 
     def remembered(cell, *arguments):
         if cell.name not in kept:
-            kept[cell.name] = study(cell, *arguments)
+            quick = replace(cell, settings=replace(cell.settings, refine=False))
+            kept[cell.name] = study(quick, *arguments)
         return kept[cell.name]
 
     with pytest.MonkeyPatch.context() as patch:

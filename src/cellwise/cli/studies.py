@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
@@ -52,14 +52,40 @@ def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> 
 def run_papers(arguments: argparse.Namespace) -> None:
     """Print the tables of both papers."""
     from cellwise.data import datasets_folder
-    from cellwise.studies.papers import paper_tables, print_papers
+    from cellwise.studies.papers import paper_tables
 
     with printing.working("papers") as follow:
         found = paper_tables(datasets_folder(), follow)
     if arguments.json:
         printing.print_json(found.to_dict())
         return
-    print_papers(found)
+    for paper, tables in found.to_dict().items():
+        if isinstance(tables, dict):
+            printing.say(f"{paper} on {tables['cell']}; published: measured on another cell, "
+                         f"{tables['published_cell']}")  # fmt: skip
+            for title, entries in tables.items():
+                if isinstance(entries, list):
+                    printing.table(title, *paper_rows(entries))
+
+
+def paper_rows(entries: list[dict[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of a table: one for each entry, below it one for each record within."""
+    head, rows = [""], []
+    for entry in entries:
+        own = {k: v for k, v in entry.items() if v is not None and not isinstance(v, dict)}
+        within = {k: v for k, v in entry.items() if isinstance(v, dict) and k != "methods"}
+        for name, record in {"": own, **entry.get("methods", {}), **within}.items():
+            head += [key for key in record if key not in head]
+            shown = {"": name, **{k: figure_of(v) for k, v in record.items()}}
+            rows.append(shown)
+    return head, [[row.get(key, "") for key in head] for row in rows]
+
+
+def figure_of(value: Any) -> str:
+    """A figure, or the two ends of an interval."""
+    if isinstance(value, (list, tuple)):
+        return " .. ".join(map(figure_of, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def run_demo(arguments: argparse.Namespace) -> None:

@@ -20,7 +20,14 @@ from cellwise.live.samples import (
 from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.formats.vehicle_signals import UNITS, Signal, can_database, choose_signals
+from cellwise.logs.formats.vehicle_signals import (
+    UNITS,
+    Signal,
+    can_database,
+    choose_signals,
+    frame_values,
+    limits_of,
+)
 
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
@@ -124,10 +131,8 @@ class CanStream:
             key: Any
             found: Any
             key, found = signal.key
-            low, high, slack = found.minimum, found.maximum, 0.5 * abs(float(found.scale))
-            ranged = low is not None and high is not None and low < high
-            limits = (float(low) - slack, float(high) + slack) if ranged else (-math.inf, math.inf)
-            wanted.setdefault(key, []).append(Wanted(field, found.name, unit, *limits))
+            one = Wanted(field, found.name, unit, *limits_of(found))
+            wanted.setdefault(key, []).append(one)
         for signal, position in of_cells:
             key, found = signal.key
             milli = UNITS["voltage_V"][signal.unit.strip().lower()]
@@ -155,11 +160,8 @@ class CanStream:
         wanted = self._wanted.get(key)
         if wanted is None or message.is_error_frame or message.is_remote_frame:
             return None
-        try:
-            values = self._messages[key].decode(
-                bytes(message.data), decode_choices=False, allow_truncated=False
-            )
-        except Exception:  # what a short or broken frame raises is not one thing
+        values = frame_values(self._messages[key], bytes(message.data))
+        if not values:
             return Stray("a frame that the database does not describe")
         stamp = float(message.timestamp)
         voltage = math.nan

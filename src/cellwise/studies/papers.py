@@ -1,4 +1,4 @@
-"""The tables of the two papers that cellwise starts from, on the embedded data, and as text.
+"""The tables of the two papers that cellwise starts from, on the embedded data.
 
 The embedded cells are not the papers' cells: the published numbers stand beside ours as a
 reference for the method, not as a target.
@@ -7,16 +7,9 @@ reference for the method, not as a target.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from io import StringIO
 from pathlib import Path
-from typing import Any
-
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from typing import Any, NamedTuple
 
 from cellwise.cell.metrics import metrics_to_dict
 from cellwise.errors import InputError
@@ -25,178 +18,82 @@ from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 from cellwise.studies.paper_tables import (
-    CHOICES,
     LFP_EMBEDDED,
-    METHODS,
     NMC_EMBEDDED,
-    QUALITIES,
     LfpTables,
     RateResult,
     lfp_tables,
     ncr_tables,
 )
-from cellwise.studies.published import (
-    LFP_CAPACITIES,
-    LFP_CELL,
-    LFP_ERRORS,
-    LFP_POLYNOMIALS,
-    LFP_TEST_CHARGES_AH,
-    NCA_CELL,
-    NCA_RESIDUALS,
-)
 
-PAPER = "published"
-TEXT_WIDTH = 120
-TEXT_COLUMNS = {"method", "chosen as", "rate", ""}  # to the left; numbers to the right
-# A row of a table: ours, the paper's (dim), or None for a line between two groups.
-Rows = Iterator[tuple[str, ...] | None]
+LFP_CELL = "ThunderSky Winston LFP040AHA, 40 Ah"
+NCA_CELL = "NCR18650B, 3.4 Ah"
 
 
-def papers_text(found: PaperTables, width: int = TEXT_WIDTH) -> str:
-    """All tables as plain text of at most ``width`` columns."""
-    out = StringIO()
-    print_papers(found, Console(file=out, width=width, no_color=True, highlight=False))
-    return out.getvalue()
+class PublishedCapacity(NamedTuple):
+    """Discharged charge at one rate [Ah]."""
+
+    total_Ah: float
+    cc_Ah: float
+    cv_Ah: float
 
 
-def print_papers(found: PaperTables, console: Console | None = None) -> None:
-    """All tables on a console; without one, on standard output."""
-    if console is None:
-        console = Console()
-        if not console.is_terminal:
-            console.width = TEXT_WIDTH
-    lfp, ncr = found.lfp, found.ncr
-    parts: tuple[tuple[str, str, str, str, tuple[Table, ...]], ...] = (
-        ("LFP040AHA", LFP_EMBEDDED, "Columns", LFP_CELL,
-         (_capacity(lfp), _pulses(lfp), _polynomials(lfp), _errors(lfp))),
-        ("NCR18650B", NMC_EMBEDDED, "Rows", NCA_CELL, (_rate_errors(ncr), _residuals(ncr))),
-    )  # fmt: skip
-    for paper, cell, what, published_cell, tables in parts:
-        console.print(f"[bold]{paper} paper[/bold] on {cell}.")
-        console.print(
-            f"{what} headed '{PAPER}' are the paper's own, measured on another cell: "
-            f"{published_cell}.",
-            style="dim",
-        )
-        for table in tables:
-            console.print(table)
+class PublishedError(NamedTuple):
+    """Voltage error on the charge-depleting cycle for one capacity; window is 5 to 180 min."""
+
+    capacity_Ah: float
+    rms_mV: float
+    mean_pct: float
+    mean_window_pct: float
+    peak_pct: float
+    peak_window_pct: float
 
 
-def tabled(title: str, *columns: str) -> Callable[[Callable[..., Rows]], Callable[..., Table]]:
-    """Decorator: what yields rows gives a table; a row that says ``published`` is dim."""
+class PublishedResidual(NamedTuple):
+    """Voltage error of one characterization rate on its own HPPC current [mV]."""
 
-    def decorate(rows: Callable[..., Rows]) -> Callable[..., Table]:
-        def inside(found: LfpTables | Sequence[RateResult]) -> Table:
-            method = found.method if isinstance(found, LfpTables) else ""
-            table = Table(
-                title=title.format(method=method), title_justify="left", title_style="bold",
-                box=SIMPLE, pad_edge=False,
-            )  # fmt: skip
-            for name in columns:
-                table.add_column(name, justify="left" if name in TEXT_COLUMNS else "right")
-            for row in rows(found):
-                if row is None:
-                    table.add_section()
-                else:
-                    dim = any(cell.startswith(PAPER) for cell in row)
-                    table.add_row(*map(escape, row), style="dim" if dim else None)
-            return table
-
-        return inside
-
-    return decorate
+    capacity_Ah: float
+    rmse_mV: float
+    mae_mV: float
+    max_mV: float
+    mean_mV: float
+    std_mV: float
+    ci95_mV: tuple[float, float]
 
 
-@tabled(
-    "Capacity by discharge tests",
-    "rate", "total Ah", "CC part", "CV part", f"{PAPER}: total", "CC", "CV",
+LFP_CAPACITIES = {
+    "C/2": PublishedCapacity(47.71, 46.30, 1.407),
+    "1C": PublishedCapacity(47.71, 45.78, 1.934),
+    "2C": PublishedCapacity(47.70, 45.21, 2.495),
+    "3C": PublishedCapacity(47.62, 45.41, 2.212),
+}
+
+LFP_TEST_CHARGES_AH = (
+    2.41, 2.21, 4.21, 4.21, 4.22, 4.23, 4.22, 4.21, 4.22,
+    2.16, 2.18, 2.20, 2.21, 2.22, 2.20, 2.22, 0.92, 0.25,
 )  # fmt: skip
-def _capacity(found: LfpTables) -> Rows:
-    for row in found.capacities:
-        there = LFP_CAPACITIES.get(row.rate)
-        values = ("", "", "") if there is None else tuple(f"{x:.4g}" for x in there)
-        ours = (f"{x:.3f}" for x in (row.total_Ah, row.cc_Ah, row.cv_Ah))
-        yield (row.rate, *ours, *values)
 
+# Coefficients of a + b s + c s^2 + d s^3, R in ohm, C in farad (equation 9).
+LFP_POLYNOMIALS = {
+    "R0": (3.551e-3, -6.172e-3, 8.993e-3, -4.267e-3),
+    "R1": (9.601e-4, -1.154e-3, 1.611e-3, -5.716e-4),
+    "R2": (6.169e-3, -2.678e-2, 4.690e-2, -2.485e-2),
+    "C1": (5549.0, -1.359e4, 5.058e4, -3.397e4),
+    "C2": (1.712e4, 8.510e4, -2.850e4, -4.243e4),
+}
 
-@tabled("Pulses of the HPPC tests", "test", "from SOC", "Ah", *QUALITIES, f"{PAPER}: Ah")
-def _pulses(found: LfpTables) -> Rows:
-    counts = [[getattr(t, q) for q in QUALITIES] for t in found.tests]
-    for k, (test, count) in enumerate(zip(found.tests, counts, strict=True)):
-        there = f"{LFP_TEST_CHARGES_AH[k]:.2f}" if k < len(LFP_TEST_CHARGES_AH) else ""
-        ours = (str(test.number), f"{test.soc_start:.3f}", f"{test.charge_Ah:.4f}")
-        yield (*ours, *map(str, count), there)
-    yield None
-    sums = map(str, map(sum, zip(*counts, strict=True)))
-    yield ("all", "", f"{found.hppc_Ah:.4f}", *sums, f"{sum(LFP_TEST_CHARGES_AH):.2f}")
+LFP_ERRORS = {
+    "cc-average": PublishedError(45.7, 43.2, 0.977, 0.751, 14.9, 9.62),
+    "cc-cv-average": PublishedError(47.7, 48.7, 1.07, 0.805, 14.6, 9.83),
+    "hppc-total": PublishedError(50.7, 120.0, 2.44, 0.873, 22.9, 10.1),
+    "nominal": PublishedError(40.0, 167.0, 2.73, 0.579, 20.4, 9.04),
+}
 
-
-@tabled(
-    "Polynomials a + b s + c s^2 + d s^3 ({method} on healthy pulses)",
-    "", "a", "b", "c", "d", f"{PAPER}: a", "b", "c", "d",
-)  # fmt: skip
-def _polynomials(found: LfpTables) -> Rows:
-    for p in found.polynomials:
-        unit = "ohm" if p.parameter.startswith("R") else "F"
-        values = (p.a, p.b, p.c, p.d, *LFP_POLYNOMIALS[p.parameter])
-        yield (f"{p.parameter} [{unit}]", *(f"{x:.4g}" for x in values))
-
-
-@tabled(
-    "Charge-depleting cycle by capacity choice; % of the measured voltage; window 5-180 min",
-    "Q Ah", "chosen as", "method", "RMS mV", "mean %", "in window", "peak %", "in window",
-)  # fmt: skip
-def _errors(found: LfpTables) -> Rows:
-    for e in found.errors:
-        first = (f"{e.capacity_Ah:.3f}", CHOICES[e.choice])
-        for name, x in ((f"{found.method}, cubic", e.paper), ("varpro, refined", e.ours)):
-            shares = (x.mean_abs, x.mean_abs_window, x.peak, x.peak_window)
-            yield (*first, name, f"{1e3 * x.rms_V:.1f}", *(f"{100 * s:.3g}" for s in shares))
-            first = ("", "")
-        capacity, *there = LFP_ERRORS[e.choice]
-        yield (f"{capacity:.1f}", "", f"{PAPER}, pso, cubic", *(f"{x:.3g}" for x in there))
-        yield None
-
-
-@tabled(
-    "Voltage error on the same HPPC current",
-    "rate", "capacity Ah", "method", "RMSE mV", "MAE mV", "max mV",
-)  # fmt: skip
-def _rate_errors(found: Sequence[RateResult]) -> Rows:
-    for row in found:
-        first = (row.rate, f"{row.capacity_Ah:.3f}")
-        for name, m in row.errors.items():
-            sizes = (1e3 * m.rmse_V, 1e3 * m.mae_V, 1e3 * m.max_error_V)
-            yield (*first, METHODS[name], *(f"{x:.1f}" for x in sizes))
-            first = ("", "")
-        there = NCA_RESIDUALS.get(row.rate)
-        if there is not None:
-            sizes = (there.rmse_mV, there.mae_mV, there.max_mV)
-            capacity = f"{there.capacity_Ah:.3f}"
-            yield ("", capacity, f"{PAPER}, segments", *(f"{x:.1f}" for x in sizes))
-        yield None
-
-
-@tabled(
-    "Residuals, measured minus simulated",
-    "rate", "method", "mean mV", "std mV", "95 % interval mV",
-)  # fmt: skip
-def _residuals(found: Sequence[RateResult]) -> Rows:
-    for row in found:
-        rate = row.rate
-        for name, m in row.errors.items():
-            in_mV = (1e3 * v for v in (m.mean_error_V, m.std_error_V, *m.ci95_V))
-            yield (rate, METHODS[name], *_with_interval(*in_mV))
-            rate = ""
-        there = NCA_RESIDUALS.get(row.rate)
-        if there is not None:
-            theirs = _with_interval(there.mean_mV, there.std_mV, *there.ci95_mV)
-            yield ("", f"{PAPER}, segments", *theirs)
-        yield None
-
-
-def _with_interval(mean: float, std: float, low: float, high: float) -> tuple[str, str, str]:
-    return f"{mean:.1f}", f"{std:.1f}", f"[{low:.1f}, {high:.1f}]"
+NCA_RESIDUALS = {
+    "C/20": PublishedResidual(3.327, 21.3, 12.2, 196.9, -10.2, 18.7, (-46.8, 26.4)),
+    "C/5": PublishedResidual(3.375, 25.8, 16.8, 155.0, 2.1, 25.7, (-48.2, 52.5)),
+    "C/3": PublishedResidual(3.290, 21.4, 14.4, 195.5, -2.0, 21.3, (-43.7, 39.7)),
+}
 
 
 LFP_NOMINAL_AH = 2.3
@@ -288,7 +185,8 @@ def _lfp_dict(found: LfpTables) -> dict[str, Any]:
         ],
         "hppc_total_Ah": found.hppc_Ah,
         "polynomials": [
-            {**asdict(p), "published": LFP_POLYNOMIALS[p.parameter]} for p in found.polynomials
+            {**asdict(p), "published": dict(zip("abcd", LFP_POLYNOMIALS[p.parameter], strict=True))}
+            for p in found.polynomials
         ],
         "errors": [
             {

@@ -28,13 +28,6 @@ def test_parallel_cells_show_the_voltage_of_one(name, cells):
     np.testing.assert_allclose(together.soc, alone.soc, rtol=0.0, atol=1e-12)
 
 
-def test_scaling_there_and_back_changes_nothing():
-    model = stock_model("nmc-18650")
-    again = scaled_model(scaled_model(model, 50.0), model.capacity_Ah)
-    np.testing.assert_allclose(again.r0_ohm, model.r0_ohm, rtol=1e-14)
-    assert again.capacity_Ah == model.capacity_Ah
-
-
 def test_the_currents_of_its_data_grow_with_the_cell():
     model = stock_model("nmc-18650")
     low, high = model.validity.current_A

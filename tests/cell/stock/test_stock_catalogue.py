@@ -58,12 +58,6 @@ def test_a_file_of_that_name_has_precedence(tmp_path, monkeypatch):
     assert named_model("nca-18650").ocv_V.max() < 4.0
 
 
-def test_a_folder_of_that_name_does_not_hide_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "nca-18650").mkdir()
-    assert named_model("nca-18650").ocv_V.max() > 4.0
-
-
 def test_an_unknown_name_lists_those_there_are():
     with pytest.raises(InputError) as refused:
         named_model("nca-21700")

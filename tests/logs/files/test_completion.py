@@ -29,16 +29,6 @@ def test_a_counter_with_restarts_adds_up_to_what_moved(parts):
         assert accumulated(counter)[-1] == pytest.approx(total)
 
 
-def test_the_last_digit_is_no_restart():
-    counter = np.array([0.0, 1.00, 1.01, 1.00, 1.02])
-    np.testing.assert_array_equal(accumulated(counter), counter)
-
-
-def test_missing_readings_are_held():
-    counter = np.array([np.nan, 1.0, np.nan, 2.0, 0.5])
-    np.testing.assert_allclose(accumulated(counter), [1.0, 1.0, 1.0, 2.0, 2.5])
-
-
 def raw(**channels):
     return RawLog({name: np.asarray(values, dtype=float) for name, values in channels.items()})
 

@@ -331,21 +331,6 @@ def test_a_tick_of_the_other_counter_does_not_turn_a_charge(tmp_path):
     np.testing.assert_allclose(log.current_A, -current)
 
 
-def test_a_discharge_alone_without_sign_goes_by_its_counter(tmp_path):
-    rows = np.arange(60.0)
-    current = np.where(rows < 20, 0.0, 20.0)
-    path = tmp_path / "export.csv"
-    path.write_text(
-        table(
-            {"Total Time (Seconds)": rows, "Step": 1.0 + (rows >= 20), "Current (A)": current,
-             "Voltage (V)": 3.68 - 0.002 * current - 1e-4 * rows,
-             "Charge Capacity (Ah)": np.zeros(60),
-             "Discharge Capacity (Ah)": np.cumsum(current) / 3600.0}
-        )
-    )  # fmt: skip
-    np.testing.assert_allclose(read_log(path).current_A, current)
-
-
 def test_a_counter_against_a_current_that_no_voltage_confirms_is_said_first(tmp_path):
     """Hours of a milliampere: the voltage's drops are too small to tell."""
     rows = np.arange(300.0)
@@ -360,18 +345,6 @@ def test_a_counter_against_a_current_that_no_voltage_confirms_is_said_first(tmp_
         )
     )  # fmt: skip
     assert "runs against" in read_log(path).notices[0]
-
-
-def test_columns_in_rows_of_siblings_are_not_listed_one_by_one(tmp_path):
-    names = [f"Aux #{k}" for k in range(1, 17)] + [f"VAR{k}" for k in range(1, 16)]
-    names += [f"Odd {name}" for name in "abcdefghijklmnopqrst"]
-    path = tmp_path / "export.txt"
-    columns = columns_of(maccor().columns) | dict.fromkeys(names, np.zeros(T.size))
-    path.write_text(table(columns, sep="\t"))
-    (said,) = (n for n in read_log(path).notices if "does not know" in n)
-    assert "VAR" not in said
-    assert "Aux" not in said
-    assert "and 8 more" in said
 
 
 FOOTERS = {
@@ -486,19 +459,6 @@ def test_a_column_that_the_format_does_not_know_is_reported_with_the_nearest(tmp
     assert "'Aux_Temperatur_1(C)' (nearest: 'Aux_Temperature_1(C)')" in notices
 
 
-def test_any_table_is_read_with_the_columns_told(tmp_path):
-    path = tmp_path / "rig.csv"
-    head = "rig 7\noperator: x\n"
-    path.write_text(
-        head + table({"t / ms": 1000 * T, "Strom": 1000 * I, "Klemme": V, "Raum": TEMP}, sep=";")
-    )
-    told = {"time_ms": "t / ms", "current_mA": "Strom", "voltage_V": "Klemme"}
-    log = read_log(path, channels=told)
-    np.testing.assert_allclose(log.time_s, T)
-    np.testing.assert_allclose(log.current_A, I)
-    np.testing.assert_allclose(log.voltage_V, V)
-
-
 @pytest.mark.parametrize(
     ("names", "factors"),
     [
@@ -519,21 +479,6 @@ def test_the_advice_for_odd_headers_reads_them_in_their_units(names, factors, tm
     np.testing.assert_allclose(log.time_s, T, atol=1e-6)
     np.testing.assert_allclose(log.current_A, I, atol=1e-9)
     np.testing.assert_allclose(log.voltage_V, V, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("told", "says"),
-    [
-        ({"current_A": "Strm"}, "Nearest: 'Strom'"),
-        ({"curent_A": "Strom"}, "Did you mean current_A"),
-    ],
-)
-def test_a_column_told_that_is_not_there(told, says, tmp_path):
-    path = tmp_path / "rig.csv"
-    path.write_text(table({"time_s": T, "Strom": I, "voltage_V": V}))
-    with pytest.raises(InputError) as caught:
-        read_log(path, channels=told)
-    assert says in caught.value.action
 
 
 @pytest.mark.parametrize(

@@ -108,12 +108,6 @@ def test_a_ulog_that_was_cut_off_is_refused_unless_told(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_ulog_of_a_header_only(tmp_path):
-    path = write_ulog(tmp_path / "flight", [pack()])
-    path.write_bytes(path.read_bytes()[:16])
-    assert "no topic" in refused(path).found
-
-
 # dataflash
 
 
@@ -203,14 +197,6 @@ def test_signals_of_one_name_are_chosen_by_their_group(tmp_path):
     assert "'0.Current', '1.Current'" in error.found
     log = read_log(path, channels={"current_A": "1.Current"}, parallel=2)
     np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=1e-9)
-
-
-def test_an_mdf_file_without_volts(tmp_path):
-    t = CELL["time_s"]
-    path = write_mdf(tmp_path / "drive", [[("Speed", "km/h", t, t), ("Pack I", "A", t, t)]])
-    error = refused(path)
-    assert "no signal with a unit of voltage_V" in error.found
-    assert "Speed [km/h]" in error.found
 
 
 def test_an_mdf_file_of_can_frames_is_read_through_its_database(tmp_path):

@@ -57,14 +57,3 @@ def test_an_order_overrides_the_formats_sign(cycler_file):
     log = read_log(cycler_file, sign="discharge-positive")
     np.testing.assert_allclose(log.current_A, -pulse_channels()["current_A"], rtol=1e-15)
     assert any("`sign='charge-positive'`" in notice for notice in log.notices)
-
-
-def test_every_format_can_be_asked_for_by_name():
-    names = [known.name for known in FORMATS]
-    assert len(set(names)) == len(names)
-    for known in FORMATS:
-        assert {c.field for c in known.channels if c.required} >= {
-            "time_s",
-            "current_A",
-            "voltage_V",
-        }

@@ -1,4 +1,4 @@
-"""Channels of different clocks on one: charge is kept, nothing is bridged or invented."""
+"""Channels of different clocks on one, signals of frames: nothing is bridged or invented."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs.formats.vehicle_signals import Series, aligned
+from cellwise.logs.formats.vehicle_signals import (
+    Series,
+    aligned,
+    frame_values,
+    physical_values,
+)
 
 
 def at(step, until=100.0, start=0.0):
@@ -94,3 +99,34 @@ def test_channels_without_a_common_time_are_refused():
             },
             "x",
         )
+
+
+def decoded(message, frames):
+    found = [frame_values(message, data) for data in frames]
+    return physical_values(message.get_signal_by_name("X"), found)
+
+
+def test_of_a_multiplexed_message_only_the_frames_that_hold_the_signal():
+    text = (
+        'VERSION ""\n\nBU_: A\n\nBO_ 1 M: 3 A\n SG_ Which M : 0|8@1+ (1,0) [0|0] "" A\n'
+        ' SG_ X m1 : 8|16@1+ (0.1,0) [0|0] "V" A\n SG_ Y m2 : 8|16@1+ (1,0) [0|0] "A" A\n'
+    )
+    cantools = pytest.importorskip("cantools")
+    message = cantools.database.load_string(text).messages[0]
+    frames = [
+        message.encode({"Which": 1, "X": 4.1}),
+        message.encode({"Which": 2, "Y": 7}),
+        message.encode({"Which": 1, "X": 4.2}),
+    ]
+    values, whole = decoded(message, frames)
+    np.testing.assert_allclose(values, [4.1, 4.2])
+    assert whole.tolist() == [True, False, True]
+
+
+def test_frames_that_are_too_short_are_left_out():
+    text = 'VERSION ""\n\nBU_: A\n\nBO_ 1 M: 2 A\n SG_ X : 0|16@1+ (1,0) [0|0] "V" A\n'
+    cantools = pytest.importorskip("cantools")
+    message = cantools.database.load_string(text).messages[0]
+    values, whole = decoded(message, [b"\x01\x00", b"\x01", b"\x02\x00\x00"])
+    assert values.tolist() == [1.0, 2.0]
+    assert whole.tolist() == [True, False, True]

@@ -21,6 +21,7 @@ from cellwise.logs.formats.vehicle_signals import (
     aligned,
     can_database,
     choose_signals,
+    frame_values,
     physical_values,
 )
 
@@ -80,10 +81,15 @@ def _read(source: LogSource, known: Format) -> RawLog:
     ]
     chosen, notices = choose_signals(signals, source.options.channels, source.where)
     series: dict[str, Series] = {}
+    decoded = {
+        key: [frame_values(messages[key], data) for data in frames[key][1]]
+        for key in dict.fromkeys(signal.key[0] for _, signal, _ in chosen)
+    }
     for field, signal, unit in chosen:
         key: Any = signal.key[0]
         stamps, payloads = frames[key]
-        values, whole = physical_values(messages[key], str(signal.key[1]), payloads)
+        known_signal = messages[key].get_signal_by_name(str(signal.key[1]))
+        values, whole = physical_values(known_signal, decoded[key])
         if not whole.any():
             raise InputError(
                 f"frames of {len(payloads[0])} byte(s) in {source.where}: '{signal.name}' "

@@ -1,20 +1,17 @@
 """Signals of a vehicle's recording: which is the battery's, their values, one clock for all.
 
-The database library decodes frame by frame; a log has millions. The bits are laid out as a DBC file
-says: Intel signals begin at their least significant bit and run upwards, Motorola signals begin at
-their most significant bit and run downwards through each byte and on to the next. Names of signals
-differ by maker, so they are only taken when units and names leave one choice.
+Names of signals differ by maker, so they are only taken when units and names leave one choice.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
@@ -215,16 +212,24 @@ def can_database(path: Path | None, of: str) -> Any:
         ) from error
 
 
+def limits_of(signal: Any) -> tuple[float, float]:
+    """Between what the database allows a signal of cantools to be, half a digit more each way."""
+    low, high = signal.minimum, signal.maximum
+    if low is None or high is None or not low < high:
+        return -math.inf, math.inf
+    slack = 0.5 * abs(float(signal.scale))
+    return float(low) - slack, float(high) + slack
+
+
 def physical_values(
-    message: Any, name: str, payloads: Sequence[bytes]
+    signal: Any, frames: Sequence[Mapping[str, Any]]
 ) -> tuple[FloatArray, BoolArray]:
-    """Decode one signal of a message of cantools.
+    """Values of one signal.
 
     Parameters
     ----------
-    message : cantools message
-    name : str                  of the signal
-    payloads : sequence         data of its frames
+    signal : cantools signal
+    frames : sequence           of its message, as of `frame_values`
 
     Returns
     -------
@@ -232,46 +237,21 @@ def physical_values(
                                 outside the range that the database gives ("not available")
     whole : (n,) bool           frames that are long enough and, of a multiplexed message, hold it
     """
-    signal = message.get_signal_by_name(name)
-    length: int = message.length
-    whole = np.array([len(data) >= length for data in payloads], dtype=np.bool_)
-    kept = b"".join(data[:length] for data in payloads if len(data) >= length)
-    frames = np.frombuffer(kept, np.uint8).reshape(-1, max(length, 1))
-    holds = np.ones(frames.shape[0], dtype=np.bool_)
-    if signal.multiplexer_ids:
-        selector = message.get_signal_by_name(signal.multiplexer_signal)
-        holds = np.isin(_raw(frames, selector), signal.multiplexer_ids)
-    whole[whole] = holds
-    raw = _raw(frames[holds], signal)
-    values: FloatArray = raw.astype(np.float64) * float(signal.scale) + float(signal.offset)
-    low, high = signal.minimum, signal.maximum
-    if low is not None and high is not None and low < high:
-        slack = 0.5 * abs(float(signal.scale))
-        values[(values < float(low) - slack) | (values > float(high) + slack)] = np.nan
+    found = [frame.get(signal.name) for frame in frames]
+    whole = np.array([value is not None for value in found], dtype=np.bool_)
+    values = np.array([value for value in found if value is not None], dtype=np.float64)
+    low, high = limits_of(signal)
+    values[(values < low) | (values > high)] = np.nan
     return values, whole
 
 
-def _raw(frames: NDArray[np.uint8], signal: Any) -> NDArray[Any]:
-    """The number in the signal's bits, before scale and offset."""
-    if signal.byte_order == "little_endian":
-        first = signal.start
-        bits = np.unpackbits(frames, axis=1, bitorder="little")[:, first : first + signal.length]
-        bits = bits[:, ::-1]
-    else:
-        first = 8 * (signal.start // 8) + 7 - signal.start % 8
-        bits = np.unpackbits(frames, axis=1, bitorder="big")[:, first : first + signal.length]
-    if signal.is_float:
-        packed = np.packbits(bits, axis=1)
-        real: NDArray[Any] = packed.view(f">f{signal.length // 8}").ravel()
-        return real
-    weights = np.uint64(1) << np.arange(signal.length, dtype=np.uint64)[::-1]
-    number = (bits.astype(np.uint64) * weights).sum(axis=1, dtype=np.uint64)
-    if signal.is_signed:
-        shift = np.uint64(64 - signal.length)
-        signed: NDArray[Any] = (number << shift).view(np.int64) >> np.int64(64 - signal.length)
-        return signed
-    unsigned: NDArray[Any] = number
-    return unsigned
+def frame_values(message: Any, data: bytes) -> dict[str, Any]:
+    """The signals that a frame holds; none of one that the database does not describe."""
+    try:
+        found: dict[str, Any] = message.decode(data, decode_choices=False)
+    except Exception:  # what a short or broken frame raises is not one thing
+        return {}
+    return found
 
 
 FASTER = 1.5  # samples of current per sample of voltage, from which on the current is averaged
