@@ -164,23 +164,6 @@ def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(tmp_path, caps
     assert run(tmp_path / "app") == BITS + "\n"
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="no arm-none-eabi-gcc")
-def test_arduinos_compiler_fuses_nothing_without_a_flag(tmp_path, capsys):
-    place = exported(tmp_path, "arduino", capsys)
-    flags = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-std=gnu11"]
-    source, made = place / "src/cellwise_ekf.c", tmp_path / "ekf.o"
-
-    def fused():
-        run("arm-none-eabi-gcc", *flags, "-Os", "-c", source, "-o", made)
-        text = run("arm-none-eabi-objdump", "-d", made)
-        return sum(text.count(name) for name in ("vfma", "vfms", "vfnma", "vfnms"))
-
-    assert fused() == 0
-    source.write_text(source.read_text().replace("#pragma GCC optimize", "#pragma none"))
-    assert fused() > 0  # without it the bits would differ
-
-
 IDF = """
 cmake_minimum_required(VERSION 3.16)
 project(tree C)

@@ -206,21 +206,6 @@ def test_a_killed_worker_loses_nothing(model, folder, tmp_path, always):
         assert told.failed == 2
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
-def test_a_worker_that_starts_again_slowly_is_not_given_up(model, folder, tmp_path, monkeypatch):
-    """Dask gives up one that is not there again in time; here no time is enough."""
-    import cloudpickle
-    import dask
-
-    cloudpickle.register_pickle_by_value(sys.modules[Deadly.__module__])
-    monkeypatch.setattr(engine, "PATIENCE", engine.PATIENCE._replace(without_s=60.0))
-    task = Deadly(model, marker=str(tmp_path / "once"))
-    with dask.config.set({"distributed.deploy.lost-worker-timeout": "0s"}):
-        run_fleet(task, folder, tmp_path / "out", scheduler="processes", workers=1, batch=3)
-    assert len(rows_in(tmp_path / "out")) == 8
-
-
 class _Never:
     """A future that nobody works on."""
 
@@ -309,34 +294,6 @@ def test_a_cache_that_cannot_be_written_is_no_failure(model, folder, tmp_path):
     assert (told.failed, told.machine) == (2, 0)
     row = rows_in(tmp_path / "out")["truck_1/day_1.parquet"]
     assert "not kept in the cache" in row["notices"]
-
-
-def test_results_that_cannot_be_written_end_the_run(model, folder, tmp_path, monkeypatch):
-    from cellwise.errors import MachineError
-    from cellwise.fleet import store
-
-    def full(columns, types, path):
-        raise MachineError("a full disk", "space", "Make some.")
-
-    write = store.write_rows
-    monkeypatch.setattr(store, "write_rows", full)
-    with pytest.raises(MachineError):
-        run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1)
-    monkeypatch.setattr(store, "write_rows", write)
-    assert run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1).done == 8
-
-
-def test_a_log_of_another_cell_has_a_notice(model, folder, tmp_path):
-    from dataclasses import replace
-
-    from cellwise.logs import write_log
-
-    wrong = read_log(folder / "truck_1" / "day_0.parquet")
-    write_log(replace(wrong, voltage_V=wrong.voltage_V - 0.44), folder / "other.parquet")
-    run_fleet(ReplayTask(model, soc0=0.5), folder, tmp_path / "out", workers=1)
-    rows = rows_in(tmp_path / "out")
-    assert "another cell" in rows["other.parquet"]["notices"]
-    assert rows["truck_1/day_0.parquet"]["notices"] is None
 
 
 def test_hostile_files_are_rows_that_say_which_limit(model, folder, tmp_path, monkeypatch):

@@ -126,12 +126,6 @@ def test_a_battery_info_that_the_library_does_not_know_states_them_too(tmp_path,
         found(name, series=4)
 
 
-def test_a_battery_without_a_measured_cell_is_a_sum_over_two_fields(tmp_path):
-    name = tlog(tmp_path / "a.tlog", (1e9, status(cells=(65_534, 18_466))))
-    (one,), _ = found(name, series=20)
-    assert one.voltage_V == pytest.approx(4.2)
-
-
 def test_cells_come_one_by_one(tmp_path):
     name = tlog(tmp_path / "a.tlog", (1e9, status()), (1e9 + 1, status(cells=(3900, 3910))))
     first, second = list(open_source(name, ReadOptions(series=4), cells=4))

@@ -133,16 +133,6 @@ def test_stuck_current_but_not_a_constant_current():
     assert inspect_log(falling).stuck == {}
 
 
-@pytest.mark.parametrize("step", [0.01, 0.0025, 0.02])
-def test_resolution_of_quantised_channels(step):
-    rng = np.random.default_rng(11)
-    log = pulses()
-    noisy = log.current_A + rng.normal(0, 5 * step, len(log))
-    found = inspect_log(replace(log, current_A=step * np.round(noisy / step)))
-    assert found.resolution["current_A"] == pytest.approx(step, rel=1e-3)
-    assert inspect_log(replace(log, current_A=noisy)).resolution["current_A"] is None
-
-
 def test_sampling_tells_jitter_from_slow_logging():
     rng = np.random.default_rng(13)
     n = 3000

@@ -8,8 +8,6 @@ import time
 import numpy as np
 import pytest
 
-from cellwise.cell.compiled import for_kernel
-from cellwise.errors import InputError
 from cellwise.fleet.store import CHANNELS, read_prepared
 from cellwise.logs import CellLog, read_log, write_log
 from example_cells import random_log
@@ -67,13 +65,6 @@ def test_a_damaged_cache_is_passed_over(path, tmp_path):
         same(read_prepared(path, cache), read_log(path))
 
 
-def test_a_file_that_is_no_log_leaves_nothing_in_the_cache(tmp_path):
-    (tmp_path / "none.csv").write_text("x\n")
-    with pytest.raises(InputError):
-        read_prepared(tmp_path / "none.csv", tmp_path / "cache")
-    assert not (tmp_path / "cache").exists()
-
-
 def test_what_is_kept_beside_the_channels_is_what_the_log_would_find(tmp_path):
     time_s = np.concatenate((np.arange(2000.0), 5000.0 + np.arange(2000.0)))
     voltage_V = 3.7 + 0.1 * np.sin(time_s)
@@ -86,14 +77,3 @@ def test_what_is_kept_beside_the_channels_is_what_the_log_would_find(tmp_path):
     assert read.gap_rows.sum() == 1
     np.testing.assert_array_equal(kept.gap_rows, read.gap_rows)
     assert kept.typical_voltage_V == read.typical_voltage_V
-
-
-def test_a_kernel_shares_the_memory_of_a_log_that_stays_read_only(path, tmp_path):
-    for log in (read_prepared(path, tmp_path), read_prepared(path, tmp_path), read_log(path)):
-        shared = for_kernel(log.voltage_V)
-        assert np.shares_memory(shared, log.voltage_V)
-        assert shared.flags.writeable
-        assert not log.voltage_V.flags.writeable
-        part = for_kernel(log.voltage_V[::2])  # kernels are compiled for rows side by side
-        assert part.flags.c_contiguous
-        np.testing.assert_array_equal(part, log.voltage_V[::2])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
@@ -117,6 +119,29 @@ def write_sources(
     yield "cell_table.c", source_text(tables)
 
 
+def put(files: Mapping[str, str] | Iterable[tuple[str, str]], folder: Path) -> None:
+    """Texts by their names below a folder."""
+    for name, text in dict(files).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def filled(text: str, marks: Mapping[str, str]) -> str:
+    """A template with every mark replaced."""
+    for mark, content in marks.items():
+        text = text.replace(mark, content)
+    return text
+
+
+def zipped(files: Mapping[str, str | bytes]) -> bytes:
+    """Files by their names as a ZIP archive, the same bytes each time."""
+    place = io.BytesIO()
+    with zipfile.ZipFile(place, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
+    return place.getvalue()
+
+
 def initialiser(value: Any) -> str:
     """A number, an array of numbers or a record of them as C."""
     if np.ndim(value) or np.asarray(value).dtype.names:
@@ -128,9 +153,7 @@ def initialiser(value: Any) -> str:
 
 def comment(text: str) -> str:
     """Text that can neither end a comment nor begin one, join lines or be a trigraph."""
-    for marks, apart in (("*/", "* /"), ("/*", "/ *"), ("\\", "/"), ("??", "? ?")):
-        text = text.replace(marks, apart)
-    return _plain(text)
+    return _plain(filled(text, {"*/": "* /", "/*": "/ *", "\\": "/", "??": "? ?"}))
 
 
 def _plain(characters: Iterable[str]) -> str:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, put, write_sources
 
 Measured = Literal["step", "power", "remaining", "plan"]
 REPEATS = 64  # as in target_main.c
@@ -156,8 +156,7 @@ def build(
     cells: int = 0,
 ) -> Path:
     """Compile the C of a model with the test program for a core; the path of the ELF file."""
-    for name, text in write_sources(tables, "0" * 64):
-        (folder / name).write_text(text, encoding="utf-8")
+    put(write_sources(tables, "0" * 64), folder)
     port = firmware_folder() / "port"
     for path in port.iterdir():
         shutil.copy(path, folder)

@@ -21,7 +21,7 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.stepper import PackCalls, Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, write_sources
+from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, put, write_sources
 
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
@@ -163,8 +163,7 @@ def build_library(tables: FixedStepTables, folder: Path, compiler: Sequence[str]
     ------
     InputError        the compiler refuses
     """
-    for name, text in write_sources(tables, "0" * 64):
-        (folder / name).write_text(text, encoding="utf-8")
+    put(write_sources(tables, "0" * 64), folder)
     return compile_rows(folder, "cellwise", compiler)
 
 
@@ -179,8 +178,7 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
     text = (firmware_folder() / name).read_text(encoding="utf-8")
     if prefix != "cellwise":
         text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"port/{prefix}_host_rows.c"]
-    (folder / "port").mkdir(exist_ok=True)
-    (folder / name).write_text(text, encoding="utf-8")
+    put({name: text}, folder)
     library = folder / "librows.so"
     sources = [str(folder / f"{prefix}_ekf.c"), *map(str, folder.glob("*cell_table.c"))]
     command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]

@@ -10,7 +10,6 @@ import json
 import platform
 import re
 import tempfile
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -23,7 +22,14 @@ from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.fixed.options import Options
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import VOLTAGE_INVALID, VOLTAGE_LOST
-from cellwise.export.c_tables import STRICT_FLAGS, comment, firmware_folder, write_sources
+from cellwise.export.c_tables import (
+    STRICT_FLAGS,
+    comment,
+    firmware_folder,
+    put,
+    write_sources,
+    zipped,
+)
 from cellwise.export.firmware import compile_c, host_compiler, need_package
 from cellwise.files import write_atomically
 
@@ -134,13 +140,7 @@ def write_fmu(
         binary_place(name): binary,
         "extra/org.cellwise/cellwise_export.json": json.dumps(dict(description), indent=1) + "\n",
     }
-
-    def write(place: Path) -> None:
-        with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
-            for file, content in files.items():
-                archive.writestr(zipfile.ZipInfo(file), content, zipfile.ZIP_DEFLATED)
-
-    return write_atomically(path, write)
+    return write_atomically(path, zipped(files))
 
 
 def identifier(model: CellModel, what: What) -> str:
@@ -251,8 +251,7 @@ def built(sources: Mapping[str, str], folder: Path) -> bytes:
     InputError        no compiler, no headers, or C that does not compile
     """
     headers = f"-I{need_package('fmpy', 'fmu')[0]}/c-code"
-    for file, text in sources.items():
-        (folder / file).write_text(text, encoding="utf-8")
+    put(sources, folder)
     library = folder / "fmu.so"
     c_files = [str(folder / f) for f in sources if f.endswith(".c")]
     command = [*host_compiler(), *STRICT_FLAGS, "-s", "-shared", "-fPIC", headers]

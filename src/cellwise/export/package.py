@@ -21,7 +21,7 @@ from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.tables import FixedStepTables, shortest_step_s
 from cellwise.estimate.noise import Noise
-from cellwise.export.c_tables import firmware_folder, prefixed, write_sources
+from cellwise.export.c_tables import filled, firmware_folder, prefixed, put, write_sources
 from cellwise.export.example import BUILD, example_files
 
 DESCRIPTION = "cellwise_export.json"
@@ -153,9 +153,7 @@ def write_package(
     files = package_files(model, tables, description, prefix, layout)
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:
-            for file, text in files.items():
-                (Path(name) / file).parent.mkdir(parents=True, exist_ok=True)
-                (Path(name) / file).write_text(text, encoding="utf-8")
+            put(files, Path(name))
             folder.mkdir(exist_ok=True)
             for file in files:
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
@@ -252,10 +250,7 @@ def arranged(files: dict[str, str], layout: str, name: str, dt_s: float) -> dict
         )
     wanted = LAYOUTS[layout]
 
-    def filled(text: str) -> str:
-        text = text.replace("@UPPER@", name.upper()).replace("@DT_MS@", str(milliseconds))
-        return text.replace("@NAME@", name)
-
+    marks = {"@UPPER@": name.upper(), "@DT_MS@": str(milliseconds), "@NAME@": name}
     found: dict[str, str] = {}
     for file, text in files.items():
         if file == "example.c":
@@ -268,11 +263,11 @@ def arranged(files: dict[str, str], layout: str, name: str, dt_s: float) -> dict
         elif file.endswith(".c"):
             found[wanted.sources + file] = (UNFUSED if layout == "arduino" else "") + text
         else:
-            found[file] = text.replace(BUILD, filled(wanted.use))
+            found[file] = text.replace(BUILD, filled(wanted.use, marks))
     folder = firmware_folder() / "layouts" / layout
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            text = filled(path.read_text(encoding="utf-8"))
+            text = filled(path.read_text(encoding="utf-8"), marks)
             found[path.relative_to(folder).as_posix()] = text
     return found
 

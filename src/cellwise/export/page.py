@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +21,14 @@ from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import state_type
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import Status
-from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, write_sources
+from cellwise.export.c_tables import (
+    STRICT_FLAGS,
+    filled,
+    firmware_folder,
+    put,
+    write_sources,
+    zipped,
+)
 from cellwise.export.firmware import compile_c
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
@@ -78,23 +83,21 @@ def write_estimator_page(
         "state_bytes": state_type(tables.options).itemsize,
         "status": {str(bit.name): int(bit) for bit in Status},
         "wasm": _text_of(compiled(tables)),
-        "package": _text_of(zipped(package)),
+        "package": _text_of(zipped({f"cellwise/{k}": v for k, v in package.items()})),
         "package_name": f"cellwise-{tables.dt_s:g}s.zip",
         "example": _text_of(example(model, tables.dt_s)),
         "example_name": "Example: the model itself under a drive's current, with 2 mV of noise",
     }
     folder = firmware_folder() / "page"
     text = (folder / "page.html").read_text(encoding="utf-8")
-    filled = {
+    marks = {
         "@TITLE@": html.escape(name),
         "@DT@": f"{tables.dt_s:g}",
         "@CSS@": (folder / "page.css").read_text(encoding="utf-8"),
         "@JS@": (folder / "page.js").read_text(encoding="utf-8"),
         "@DATA@": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
     }
-    for mark, content in filled.items():
-        text = text.replace(mark, content)
-    return write_atomically(path, text)
+    return write_atomically(path, filled(text, marks))
 
 
 def check_wasm_compiler() -> str:
@@ -124,23 +127,13 @@ def compiled(tables: FixedStepTables) -> bytes:
     clang = check_wasm_compiler()
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
-        for file, text in write_sources(tables, "0" * 64):
-            (folder / file).write_text(text, encoding="utf-8")
-        (folder / "port").mkdir()
-        shutil.copy(firmware_folder() / "port" / "host_rows.c", folder / "port")
+        rows = "port/host_rows.c"
+        put(write_sources(tables, "0" * 64), folder)
+        put({rows: (firmware_folder() / rows).read_text(encoding="utf-8")}, folder)
         module = folder / "cellwise.wasm"
-        sources = [str(folder / f) for f in ("cellwise_ekf.c", "cell_table.c", "port/host_rows.c")]
+        sources = [str(folder / f) for f in ("cellwise_ekf.c", "cell_table.c", rows)]
         compile_c([clang, *STRICT_FLAGS, *WASM_FLAGS, *sources, "-o", str(module)])
         return module.read_bytes()
-
-
-def zipped(files: Mapping[str, str]) -> bytes:
-    """Texts as a ZIP archive, the same bytes each time."""
-    place = io.BytesIO()
-    with zipfile.ZipFile(place, "w") as archive:
-        for file, text in files.items():
-            archive.writestr(zipfile.ZipInfo(f"cellwise/{file}"), text, zipfile.ZIP_DEFLATED)
-    return place.getvalue()
 
 
 def example(model: CellModel, dt_s: float) -> bytes:

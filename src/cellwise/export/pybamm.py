@@ -23,7 +23,7 @@ from cellwise.cell.resolved import over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import ROWS_C
-from cellwise.export.c_tables import comment
+from cellwise.export.c_tables import comment, filled
 from cellwise.export.firmware import need_package
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
@@ -178,7 +178,7 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         "Jig-air heat transfer coefficient [W/K]": 1.0,
         "Entropic change [V/K]": 0.0,
     }
-    filled = {
+    marks = {
         "@NAME@": comment(model.name).replace('"', "'") or "unnamed",
         "@NOTICES@": " ".join(notices),
         "@BRANCHES@": str(branches),
@@ -194,10 +194,7 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         "@REFERENCE@": repr(warmth.reference_C + ZERO_CELSIUS_K),
         "@USUAL@": repr(usual_C),
     }
-    text = FILE
-    for mark, content in filled.items():
-        text = text.replace(mark, content)
-    return text, notices
+    return filled(FILE, marks), notices
 
 
 def _rows(table: FloatArray) -> str:

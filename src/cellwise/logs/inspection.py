@@ -1,4 +1,4 @@
-"""What is in a log: counts, ranges, sign, gaps, and everything odd about it."""
+"""What is in a log: counts, ranges, sign, gaps, rests, and everything odd about it."""
 
 from __future__ import annotations
 
@@ -35,28 +35,13 @@ NOTED = Noted()
 
 
 class Quiet(NamedTuple):
-    """Which share of the log's largest current is none: of a fine channel, of a coarse one.
+    """Which share of the log's largest current is none, and after how long a voltage is an OCV."""
 
-    ``digits`` are those of the channel that a resting sensor may show; after ``least_s`` a voltage
-    may be an open-circuit voltage.
-    """
-
-    fine: float = 0.005
-    coarse: float = 0.02
-    digits: float = 1.5
+    share: float = 0.005
     least_s: float = 60.0
 
 
-class Grid(NamedTuple):
-    """Values on a grid: so many, this share of their differences multiples; rows that show it."""
-
-    values: int = 20
-    share: float = 0.95
-    off: float = 0.05
-    rows: int = 200_000
-
-
-QUIET, GRID = Quiet(), Grid()
+QUIET = Quiet()
 
 
 class Rest(NamedTuple):
@@ -93,7 +78,7 @@ class Inspection:
 
     ``charge_Ah`` is the net charge drawn, by the tester's counter where there is one;
     ``counter_mismatch_percent`` how far the summed current ends from the counter, in percent of the
-    charge moved; ``resolution`` the step of a channel's last digit; ``missing`` the rows without a
+    charge moved; ``missing`` the rows without a
     value, by channel; ``soc0`` the stated SOC at the first row.
     """
 
@@ -113,7 +98,6 @@ class Inspection:
     counter_mismatch_percent: float | None
     rests: tuple[Rest, ...]
     stuck: dict[str, Stretch]
-    resolution: dict[str, float | None]
     missing: dict[str, int]
     notices: tuple[str, ...]
     soc0: float | None = None
@@ -188,10 +172,6 @@ def inspect_log(log: CellLog) -> Inspection:
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
-        resolution={
-            "current_A": resolution(log.current_A),
-            "voltage_V": resolution(log.voltage_V),
-        },
         missing=missing,
         notices=tuple(notices),
         soc0=log.soc0,
@@ -305,15 +285,9 @@ def _duration(seconds: float) -> str:
 
 
 def is_quiet(log: MeasuredLog) -> BoolArray:
-    """Rows whose interval is without current, shape (n,).
-
-    Current counts as none up to 0.5 % of the log's largest; where it is read no finer than that,
-    up to its last digit, but never above 2 %.
-    """
+    """Rows whose interval is without current: up to 0.5 % of the log's largest, shape (n,)."""
     current = np.abs(log.known_current_A())
-    largest = float(np.max(current))
-    digit = min(QUIET.digits * (resolution(log.current_A) or 0.0), QUIET.coarse * largest)
-    quiet: BoolArray = current <= max(QUIET.fine * largest, digit)
+    quiet: BoolArray = current <= QUIET.share * float(np.max(current))
     return quiet
 
 
@@ -327,26 +301,3 @@ def find_rests(log: MeasuredLog) -> list[Rest]:
         for a, b, seconds in zip(begins, last, duration_s, strict=True)
         if seconds >= QUIET.least_s
     ]
-
-
-def resolution(values: FloatArray) -> float | None:
-    """Step between values that a channel can show; None where they are on no grid.
-
-    The smallest difference between values that occur, if there are many and nearly all differences
-    are its multiples; else the last decimal place in which values were written.
-    """
-    finite = values[np.isfinite(values)]
-    distinct = np.unique(finite[:: -(-finite.size // GRID.rows) or 1])
-    if distinct.size < 3:
-        return None
-    steps = np.diff(distinct)
-    smallest = float(np.min(steps[steps > 1e-9 * np.max(np.abs(distinct))], initial=np.inf))
-    multiples = steps / smallest
-    whole = np.mean(np.abs(multiples - np.round(multiples)) < GRID.off) >= GRID.share
-    if whole and distinct.size >= GRID.values:
-        return float(f"{smallest:.4g}")
-    for place in range(9):
-        scaled = distinct * 10.0**place
-        if np.max(np.abs(scaled - np.round(scaled))) < 1e-4:
-            return float(10.0**-place)
-    return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import struct
 import time
 
@@ -12,9 +11,8 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import read_log
-from cellwise.logs import reading as isolated
 from log_files import pulse_channels
-from tester_files import far_cell_workbook, write_mat5, write_mpr
+from tester_files import far_cell_workbook, write_mpr
 from vehicle_files import write_mdf
 
 C = pulse_channels(600)
@@ -129,19 +127,6 @@ def test_a_limit_that_is_no_number_is_said(value, tmp_path, monkeypatch):
     path = tmp_path / "log.csv"
     path.write_text("time_s,current_A,voltage_V\n0,1,3.7\n1,1,3.7\n")
     assert "CELLWISE_READ_ROWS" in refusal(path)
-
-
-def test_one_process_reads_many_files(tmp_path):
-    """It is kept, and told apart from one that has gone."""
-    path = write_mat5(tmp_path / "log.mat", C)
-    read_log(path)
-    (kept,) = isolated._idle[-1:]
-    read_log(path)
-    assert isolated._idle[-1] is kept
-    os.kill(kept._child.pid, 9)
-    kept._child.wait()
-    assert len(read_log(path)) == C["time_s"].size
-    assert isolated._idle[-1] is not kept
 
 
 def test_progress_comes_from_the_other_process(tmp_path):
