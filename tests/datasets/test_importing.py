@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import zipfile
 
@@ -158,12 +157,3 @@ def test_what_cannot_be_imported_is_refused_and_nothing_written(folder, tmp_path
     with pytest.raises(InputError, match="holds something"):
         import_dataset("calce_a123", folder, out)
     assert main(["data", "import", "calce_a123", str(empty), "-o", str(tmp_path / "o")]) == 2
-
-
-def test_the_command_prints_one_object(folder, tmp_path, capsys):
-    code = main(["data", "import", "calce_a123", str(folder), "-o", str(tmp_path / "o"), "--json"])
-    assert code == 0
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["imported"]) == 2
-    assert told["left_out"][0]["file"] == "25degC/broken.csv"
-    assert main(["data", "import", "calce_a123", str(folder), "-o", str(tmp_path / "p")]) == 0

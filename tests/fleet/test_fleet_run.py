@@ -140,17 +140,6 @@ def test_other_settings_and_other_folders_are_refused_and_stay(model, folder, tm
     assert os.listdir(precious) == ["thesis.txt"]
 
 
-def test_no_folder_no_logs_no_scheduler(model, folder, tmp_path):
-    for arguments, more in (
-        ((tmp_path / "nowhere", tmp_path / "o1"), {}),
-        ((folder, tmp_path / "o2"), {"pattern": "*.xyz"}),
-        ((folder, tmp_path / "o3"), {"workers": 0}),
-    ):
-        with pytest.raises(InputError):
-            run_fleet(ReplayTask(model), *arguments, **more)
-        assert not arguments[1].exists()
-
-
 def test_results_inside_the_folder_of_logs_are_not_taken_for_logs(model, folder):
     out = folder / "results"
     run_fleet(ReplayTask(model), folder, out, workers=1)

@@ -109,22 +109,6 @@ def test_unknown_and_broken_frames_are_survived(joined):
     assert [type(f) for f in found] == [Stray, Sample]
 
 
-def test_soc_goes_back_on_the_bus(joined):
-    stream, bus, _, database = joined
-    sender = SocSender(stream, "Cellwise.Soc", every_s=1.0)
-    sender.send(0.4567, 100.0)
-    sender.send(0.1, 100.5)  # too soon
-    sender.send(1.2, 101.0)  # beyond what the signal holds
-    first, second = bus.recv(1.0), bus.recv(1.0)
-    message = database.get_message_by_name("Cellwise")
-    assert first.arbitration_id == message.frame_id
-    assert first.is_extended_id
-    assert message.decode(first.data)["Soc"] == pytest.approx(45.67)
-    assert message.decode(second.data)["Soc"] == pytest.approx(100.0)
-    assert bus.recv(0.0) is None
-    assert sender.sent == 2
-
-
 @pytest.mark.parametrize("target", ["Cellwise.Charge", "Nobody.Soc", "Soc", ""])
 def test_a_signal_that_is_not_there_is_refused(joined, target):
     with pytest.raises(InputError, match=r"Cellwise\.Soc"):

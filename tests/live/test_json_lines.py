@@ -74,13 +74,6 @@ def test_units_packs_and_signs():
     assert one[:4] == pytest.approx((1.5, 1.5, 4.0, 25.0))
 
 
-def test_a_file_is_a_stream_too(tmp_path):
-    (tmp_path / "log.jsonl").write_text(LINES)
-    source = open_source(f"json:{tmp_path / 'log.jsonl'}")
-    assert sum(isinstance(s, Sample) for s in source) == 6
-    source.close()
-
-
 @pytest.mark.parametrize(
     "told", ["", "serial:0", "json:", "can:", "can:virtual", "ulog:", "json:nowhere.jsonl"]
 )

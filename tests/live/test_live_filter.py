@@ -85,15 +85,6 @@ def test_no_state_yet_and_a_file_that_a_loss_of_power_left_empty_start_again(tmp
     assert not live.resume(tmp_path / "empty.json", 0.0)
 
 
-@pytest.mark.parametrize("content", ["{", "[1]", "{}", '{"kind": "cellwise.CellModel"}'])
-def test_a_file_that_is_no_state_is_refused_and_stays(tmp_path, content):
-    place = tmp_path / "precious.json"
-    place.write_text(content)
-    with pytest.raises(InputError):
-        LiveFilter(curved_cell()).resume(place, 0.0)
-    assert place.read_text() == content
-
-
 def test_the_state_of_another_model_is_refused(tmp_path):
     live = LiveFilter(curved_cell(), soc0=0.5)
     live.take(Sample(0.0, 1.0, 3.7))

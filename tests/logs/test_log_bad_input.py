@@ -34,14 +34,6 @@ def test_missing_file_names_the_near_ones(tmp_path):
     assert "drive_25.csv" in error.action
 
 
-def test_missing_folder(tmp_path):
-    assert "no folder" in refusal(tmp_path / "nowhere" / "x.csv").action
-
-
-def test_folder(tmp_path):
-    assert "a folder" in refusal(tmp_path).found
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
 def test_unreadable_file(tmp_path):
     path = write_csv(tmp_path / "log.csv", pulse_channels())
@@ -90,24 +82,6 @@ def test_truncated_gzip_of_many_blocks(tmp_path):
     path = tmp_path / "log.csv.gz"
     path.write_bytes(whole[: int(0.8 * len(whole))])
     assert "gzip" in refusal(path).found
-
-
-@pytest.mark.parametrize("keep", [0.99, 0.5, 0.01])
-def test_truncated_parquet(tmp_path, keep):
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(pulse_channels()), path)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(keep * len(content))])
-    assert "parquet" in refusal(path).found
-
-
-def test_damaged_parquet_data(tmp_path):
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(pulse_channels()), path, compression="gzip")
-    content = bytearray(path.read_bytes())
-    content[10:200] = bytes(190)
-    path.write_bytes(content)
-    assert "parquet" in refusal(path).found
 
 
 def test_wrong_columns_are_listed_and_near_names_suggested(tmp_path):
@@ -187,9 +161,3 @@ def test_mostly_without_time(tmp_path):
     columns = pulse_channels(600)
     columns["time_s"][::3] = np.nan
     assert "without a time" in refusal(write_csv(tmp_path / "log.csv", columns)).found
-
-
-def test_unknown_sign(tmp_path):
-    path = write_csv(tmp_path / "log.csv", pulse_channels())
-    with pytest.raises(InputError, match="sign 'positive'"):
-        read_log(path, sign="positive")

@@ -65,19 +65,6 @@ def test_gap_repeated_stamps_missing_values():
     assert found.missing["current_A"] == 5
 
 
-def test_wrong_sign_is_reported_once():
-    columns = pulse_channels(6000)
-    columns["current_A"] = -columns["current_A"]
-    columns["ampere_hours"] = -columns["ampere_hours"]
-    for log in (
-        CellLog.from_table(columns),
-        CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"]),
-    ):
-        found = inspect_log(log)
-        assert found.sign == "contradicted"
-        assert sum("`sign='charge-positive'`" in notice for notice in found.notices) == 1
-
-
 def test_undetermined_sign_says_why():
     log = CellLog(np.arange(100.0), np.zeros(100), np.full(100, 3.7))
     assert inspect_log(log).sign == "undetermined"

@@ -25,9 +25,9 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble, complete
 from cellwise.logs.files.format import Format, damaged, detect_format
-from cellwise.logs.files.limits import Limits
 from cellwise.logs.files.source import (
     FROM_FILE,
+    Limits,
     LogSource,
     Progress,
     RawLog,

@@ -101,16 +101,6 @@ def test_missing_values_and_gaps_do_not_disturb():
     assert verify_sign(flipped(log)).verdict == "contradicted"
 
 
-def test_auto_tells_of_a_wrong_sign_and_turns_nothing_round(tmp_path):
-    columns = pulse_channels()
-    for name in ("current_A", "ampere_hours"):
-        columns[name] = -columns[name]
-    path = write_csv(tmp_path / "log.csv", columns)
-    log = read_log(path)
-    np.testing.assert_array_equal(log.current_A, columns["current_A"])
-    assert any("`sign='charge-positive'`" in notice for notice in log.notices)
-
-
 def test_charge_positive_turns_current_and_counter_round(tmp_path):
     truth, columns = pulse_channels(), pulse_channels()
     for name in ("current_A", "ampere_hours"):
@@ -120,12 +110,6 @@ def test_charge_positive_turns_current_and_counter_round(tmp_path):
     np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
     assert verify_sign(log).verdict == "verified"
     assert not any("LOOKS WRONG" in notice for notice in log.notices)
-
-
-def test_an_order_against_the_data_is_reported(tmp_path):
-    path = write_csv(tmp_path / "log.csv", pulse_channels())
-    log = read_log(path, sign="charge-positive")
-    assert any("`sign='discharge-positive'`" in notice for notice in log.notices)
 
 
 @pytest.mark.slow

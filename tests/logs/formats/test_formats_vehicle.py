@@ -90,12 +90,6 @@ def test_of_several_batteries_the_measured_one_or_the_one_asked_for(tmp_path):
     assert "0: 16.4 V, 1: 24.5 V, 2: 49.1 V" in error.found
 
 
-def test_a_ulog_without_a_battery_lists_its_topics(tmp_path):
-    error = refused(write_ulog(tmp_path / "flight", [pack()], topic="vehicle_status"))
-    assert "no topic 'battery_status'" in error.found
-    assert "vehicle_status" in error.found
-
-
 def test_a_ulog_that_was_cut_off_is_refused_unless_told(tmp_path, capfd):
     path = write_ulog(tmp_path / "flight", [pack()])
     path.write_bytes(path.read_bytes()[:-7])
@@ -126,22 +120,6 @@ def test_old_dataflash_logs_count_in_hundredths(tmp_path):
     path = write_dataflash(tmp_path / "flight", [pack()], "old")
     log = read_log(path, series=4, parallel=2)
     assert_is_the_cell(log, current=0.0026, voltage=0.0013)
-
-
-def test_a_dataflash_log_without_a_battery_lists_its_messages(tmp_path):
-    path = write_dataflash(tmp_path / "flight", [pack()], "old")
-    path.write_bytes(path.read_bytes().replace(b"CURR", b"OTHR"))
-    error = refused(path)
-    assert "no battery message" in error.found
-    assert "OTHR" in error.found
-
-
-def test_a_dataflash_log_that_was_cut_off(tmp_path, capfd):
-    path = write_dataflash(tmp_path / "flight", [pack()], "instances")
-    path.write_bytes(path.read_bytes()[:-10])
-    assert "`partial=True`" in refused(path).action
-    assert len(read_log(path, partial=True)) == 599
-    assert capfd.readouterr() == ("", "")
 
 
 # MDF
@@ -302,17 +280,6 @@ def test_candump_without_times_is_told_what_to_do(tmp_path):
     assert "candump -L" in refused(path, dbc=dbc).action
 
 
-def test_a_can_log_without_a_database_asks_for_it(tmp_path):
-    assert "`dbc=" in refused(write_can(tmp_path / "drive", pack(), "log")).action
-
-
-def test_the_wrong_database_is_reported_with_both_sides(tmp_path):
-    dbc = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
-    error = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc)
-    assert "0x100" in error.found
-    assert "0x101 BMS_Pack" in error.found
-
-
 def test_a_database_with_longer_frames_is_the_wrong_one(tmp_path):
     long = DBC.replace("BMS_Pack: 8", "BMS_Pack: 16")
     dbc = write_dbc(tmp_path / "other.dbc", long)
@@ -327,18 +294,3 @@ def test_values_outside_the_databases_range_are_missing(tmp_path):
     log = read_log(write_can(tmp_path / "drive", c, "blf"), dbc=dbc, parallel=2)
     assert np.nanmax(log.current_A) < 5
     assert any("5 value(s) of 'BMS_Pack.PackCurrent' outside" in n for n in log.notices)
-
-
-@pytest.mark.parametrize("content", ["", "hello", "BO_ nonsense"])
-def test_a_file_that_is_no_database(content, tmp_path):
-    dbc = write_dbc(tmp_path / "x.dbc", content)
-    found = refused(write_can(tmp_path / "drive", pack(), "log"), dbc=dbc).found
-    assert "no CAN database" in found or "no frame" in found
-
-
-def test_options_that_the_format_cannot_follow(tmp_path):
-    dbc = write_dbc(tmp_path / "bms.dbc")
-    assert "a DBC file for" in refused(write_ulog(tmp_path / "f", [pack()]), dbc=dbc).found
-    can = write_can(tmp_path / "drive", pack(), "log")
-    assert "holds one battery" in refused(can, dbc=dbc, instance=1).found
-    assert "does not state" in refused(can, dbc=dbc, series="auto").found

@@ -28,8 +28,7 @@ from cellwise.logs.files.csv_layout import (
     native_layout,
 )
 from cellwise.logs.files.format import Format, without_late_errors
-from cellwise.logs.files.limits import Limits, TimedStream
-from cellwise.logs.files.source import LogSource, RawLog, damaged_gzip
+from cellwise.logs.files.source import Limits, LogSource, RawLog, TimedStream, damaged_gzip
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:

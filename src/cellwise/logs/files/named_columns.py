@@ -12,8 +12,7 @@ from cellwise.errors import InputError
 from cellwise.logs.files.cells import DayFirstError, arrow_values, no_clock, to_numpy
 from cellwise.logs.files.columns import Channel, Column, Unit, choose_columns, folded
 from cellwise.logs.files.format import Format, damaged
-from cellwise.logs.files.limits import Limits
-from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
