@@ -19,15 +19,7 @@ from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, reference_soc
-from cellwise.fleet.store import (
-    BY_LOG,
-    DIAGNOSE,
-    HISTORY,
-    PACK,
-    REPLAY,
-    failure,
-    read_prepared,
-)
+from cellwise.fleet.store import BY_LOG, DIAGNOSE, HISTORY, PACK, REPLAY, failure, read_prepared
 from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
