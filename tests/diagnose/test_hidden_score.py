@@ -8,26 +8,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from emulator import Sensor, emulate, flat, measure
 from emulator_cells import MODEL_POINTS, Misfit, known_model, random_cell
 from emulator_drives import random_load
 from emulator_effects import EFFECTS, NAMES, World, draw_effect
 from hidden_cases import Plan, hidden_case
-from hidden_score import allowed_misses, judge
+from hidden_score import judge
 from hide import emulated_cell, hide_in
 
 PERFECT = Misfit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("cases", [1, 4, 8, 15, 30, 100])
-@pytest.mark.parametrize("rate", [0.05, 0.1, 0.2])
-def test_the_bound_is_the_tail_of_the_binomial(cases, rate):
-    """By another's tail: more misses than allowed come once in a thousand, one less does not."""
-    allowed = allowed_misses(cases, rate)
-    assert binom.sf(allowed, cases, rate) < 1e-3
-    assert allowed == 0 or binom.sf(allowed - 1, cases, rate) >= 1e-3
 
 
 def told(verdict: str, parameters: dict[str, float], before: float = 0.01, after: float = 0.002):

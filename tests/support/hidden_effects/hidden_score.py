@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
 
 from emulator_cells import FINE
 from emulator_effects import PRINCIPAL
@@ -127,37 +127,9 @@ def gain_share(truth: Truth, causes: tuple[Any, ...]) -> float:
 def allowed_misses(cases: int, miss_rate: float, once_in: float = 1000.0) -> int:
     """Most misses that a build with this ``miss_rate`` exceeds less than once in so many runs.
 
-    The number of misses of independent cases is binomial; its tail is summed exactly.
+    The number of misses of independent cases is binomial.
     """
-    tail, k = 1.0, -1
-    while tail >= 1.0 / once_in:
-        k += 1
-        tail -= math.comb(cases, k) * miss_rate**k * (1.0 - miss_rate) ** (cases - k)
-    return k
-
-
-def confusion(outcomes: Iterable[Outcome]) -> dict[str, dict[str, int]]:
-    """How often each verdict was given for each single hidden effect (``none`` for nothing)."""
-    table: dict[str, dict[str, int]] = {}
-    for outcome in outcomes:
-        if len(outcome.hidden) < 2:
-            row = table.setdefault(outcome.hidden[0] if outcome.hidden else "none", {})
-            row[outcome.verdict] = row.get(outcome.verdict, 0) + 1
-    return table
-
-
-def smallest_found(found_at: Callable[[float], bool], sizes: tuple[float, ...]) -> float:
-    """The smallest of rising sizes that is found, by bisection; infinite if the largest is not.
-
-    Halving takes it that what is found at one size is found at every larger one.
-    """
-    if not found_at(sizes[-1]):
-        return math.inf
-    low, high = -1, len(sizes) - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if found_at(sizes[middle]) else (middle, high)
-    return sizes[high]
+    return int(binom.isf(1.0 / once_in, cases, miss_rate))
 
 
 def _numbers(parameters: Any) -> dict[str, float]:
