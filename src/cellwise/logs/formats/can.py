@@ -81,9 +81,9 @@ def _read(source: LogSource, known: Format) -> RawLog:
     ]
     chosen, notices = choose_signals(signals, source.options.channels, source.where)
     series: dict[str, Series] = {}
+    wanted: dict[Any, None] = dict.fromkeys(signal.key[0] for _, signal, _ in chosen)
     decoded = {
-        key: [frame_values(messages[key], data) for data in frames[key][1]]
-        for key in dict.fromkeys(signal.key[0] for _, signal, _ in chosen)
+        key: [frame_values(messages[key], data) for data in frames[key][1]] for key in wanted
     }
     for field, signal, unit in chosen:
         key: Any = signal.key[0]
