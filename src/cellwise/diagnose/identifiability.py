@@ -39,9 +39,10 @@ class Shown(NamedTuple):
     """When logs or a test show an effect.
 
     ``neutral_std``: a coordinate that the tolerances do not have is known to be neutral [its unit];
-    less than ``rounding`` of an information, or of a fault's, is what differences leave of none. Effects of ``times``
-    their limit must be separated by ``apart`` nats, as much as 0.9 against 0.1 is. ``clear_V``: a
-    separation that a cell's own scatter cannot hide, in a test of rows every ``step_s``.
+    less than ``rounding`` of an information, or of a fault's, is what differences leave of none.
+    Effects of ``times`` their limit must be separated by ``apart`` nats, as much as 0.9 against 0.1
+    is. ``clear_V``: a separation that a cell's own scatter cannot hide, in a test of rows every
+    ``step_s``.
     """
 
     neutral_std: float = 1e-6
