@@ -115,7 +115,8 @@ class _Search:
         left, _ = _solved((rows @ rows.T)[at[:, :, None], at[:, None, :]])
         fast, slow = ln_tau[pairs[int(np.argmin(left))]]
         far = (slow - self.apart - self.low) / self.room
-        return np.clip([far, (fast - self.low) / self.room / max(far, 1e-12)], 0.0, 1.0)
+        near = (fast - self.low) / self.room / max(far, 1e-12)
+        return np.asarray(np.clip([far, near], 0.0, 1.0))
 
     def residual(self, at: FloatArray) -> FloatArray:
         """What is left of the voltage at a point, as its rows count [V], shape (n,)."""
