@@ -11,4 +11,4 @@ import sys
 
 from benchmarks.measured_data import REPOSITORY
 
-sys.path.insert(0, str(REPOSITORY / "tests" / "support" / "hidden_effects"))
+sys.path.insert(0, str(REPOSITORY / "tests" / "support"))

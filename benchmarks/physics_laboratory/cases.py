@@ -20,7 +20,7 @@ from benchmarks.physics_laboratory.virtual_laboratory import (
     shown,
 )
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
+from random_loads import random_load
 
 ROWS = 5400
 HOLD_ROWS = 9  # a drive's demand changes every so many seconds

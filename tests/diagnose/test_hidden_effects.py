@@ -1,135 +1,112 @@
-"""An effect is hidden, the diagnosis must find it; the answer stays sealed until the verdict.
+"""An effect is hidden, the diagnosis must name it first; where nothing is, nothing.
 
-Every case is drawn from its seed: cell, loads, instrument, effect, size. One effect of each kind
-and one cell without any are quick tests, all of them slow ones. Beside the fixed seeds a fresh one
-is drawn in every slow run and printed; its bound is one that a build as good as this one was misses
-less than once in a thousand runs (the binomial tail, see `allowed_misses`).
+In simulated cells, which are as far from their model as that states, every cause; in measured
+drives, whose residual no model knows, those that the ablation bench hides, at twice its sizes.
+Cells of other physics: `test_physics_laboratory`.
 """
 
 from __future__ import annotations
 
-import os
-from functools import lru_cache
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.ablation.diagnosis import HIDDEN, ROWS, STEP_S, with_effect
 
+from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
+from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
-from emulator_effects import NAMES
-from hidden_cases import Plan, hidden_case, random_pair
-from hidden_score import SMALL_V, Outcome, allowed_misses, judge
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.fit.rows import gather
+from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.logs import CellLog, read_log
+from cellwise.logs.cell_log import resample
+from example_cells import curved_cell, within_its_error
+from random_loads import random_load
 
-FIXED = 41_000
-QUICK = ("voltage_offset", "resistance_scale")  # an instrument's, a cell's; the others are slow
-ROWS = 4000
-# Shares that the build may miss: what it missed on development seeds (1 of 90 singles, 1 of 12
-# with nothing hidden) and on the fixed ones below, rounded up. The targets are 0.05, 0.05, 0.20.
-MISS_SINGLE, MISS_NONE, MISS_PAIR = 0.07, 0.10, 0.25
-FALSE = 0.02  # of what is named, at most
-
-
-def outcome(seed: int, effects: tuple[str, ...], times: float = 3.0) -> Outcome:
-    """The diagnosis of a case whose effects have so many times SMALL_V."""
-    size = times * SMALL_V if effects else 0.0
-    case = hidden_case(seed, effects, size, Plan(rows=ROWS))
-    said = diagnose(
-        case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0
-    )
-    return judge(case, said)
-
-
-def check(outcomes: list[Outcome], miss_rate: float, what: str, once_in: float = 1000.0) -> None:
-    """Few enough misses; says which when there are too many."""
-    missed = [o for o in outcomes if not o.right]
-    allowed = allowed_misses(len(outcomes), miss_rate, once_in)
-    lines = "\n".join(o.line() for o in missed)
-    print(f"{what}: {len(missed)} of {len(outcomes)} missed, {allowed} allowed\n{lines}")
-    assert len(missed) <= allowed, f"{what}:\n{lines}"
-
-
-@lru_cache(maxsize=1)
-def fresh_seed() -> int:
-    return int(os.environ.get("CELLWISE_HIDDEN_SEED", 0)) or int.from_bytes(os.urandom(4)) + 10**6
+SOC0 = 0.9
+# Cause to its coordinates: 10 to 40 mV each. Losses of electrodes: `causes/test_electrodes`.
+EFFECTS = {
+    "current_offset": {"offset_A": 0.10},
+    "current_gain": {"ln_gain": 0.06},
+    "voltage_offset": {"offset_V": -0.020},
+    "time_skew": {"skew_s": 0.8},
+    "initial_soc": {"soc0:0": -0.05},
+    "capacity": {"ln_capacity": -0.08},
+    "resistance_scale": {"ln_scale": 0.3},
+    "ohmic_resistance": {"added_r0": 0.4},
+    "entropy": {"docv_dT": 1.5e-3},
+    "ocv_shift": {"ocv_3": 0.02, "ocv_4": 0.04, "ocv_5": 0.02},
+    "slow_diffusion": {"r3": 1.0},
+    "hysteresis": {"m_V": 0.03, "ln_gamma": 0.7},
+    "temperature_dependence": {"activation_K": 3000.0},
+    "rate_dependence": {"rate_h": 0.4},
+    "charge_asymmetry": {"ln_charge_scale": 0.4},
+    "self_heating": {"rth_K_per_W": 40.0},
+    "self_discharge": {"leak_A": 0.15},
+}
+MISSED = 0.1  # of the effects, at most; as many names may be false
 
 
-@lru_cache
-def fixed_single(name: str) -> Outcome:
-    return outcome(FIXED + NAMES.index(name), (name,))
+def said_of(name: str):
+    """The diagnosis of two logs with an effect, a third held out and a clean one as baseline."""
+    effect = EFFECTS.get(name, {})
+    rng = np.random.default_rng(41)
+    error = ModelError.of_white_and_slow(1e-3, (2e-3,), 120.0, 0.01)
+    model = replace(curved_cell(), error=error).with_effect(TemperatureDependence(2000.0))
+    cell = Coordinates(within_its_error(model, rng))
+    made = []
+    for k in range(4):
+        load = random_load(
+            rng, 3.0, SOC0, rows=2500, rate_hz=1.0, charge=True, temperature_C=(10.0, 40.0)
+        )
+        here = {} if k == 3 else effect
+        read = load.current_A * np.exp(here.get("ln_gain", 0.0)) + here.get("offset_A", 0.0)
+        log = CellLog(load.time_s, read, np.full(read.size, 3.7), load.temperature_C)
+        rows = gather(cell.model, [(log, InitialSoc(SOC0, 0.002, "given"))])
+        voltage, _ = rows.simulate(cell, here)
+        made.append(replace(log, voltage_V=voltage + rng.normal(0.0, 1e-3, voltage.size)))
+    return diagnose(model, made[:2], holdout=made[2:3], baseline=made[3:], soc0=SOC0)
 
 
-@lru_cache(maxsize=1)
-def fixed_pairs() -> list[Outcome]:
-    pairs = [random_pair(np.random.default_rng(FIXED + 200 + k)) for k in range(6)]
-    return [outcome(FIXED + 200 + k, pair) for k, pair in enumerate(pairs)]
-
-
-def fixed_singles() -> list[Outcome]:
-    return [fixed_single(name) for name in NAMES]
-
-
-def test_one_effect_of_each_kind_is_named_first():
-    check([fixed_single(name) for name in QUICK], MISS_SINGLE, "one of each", once_in=20.0)
-
-
-def test_nothing_is_found_in_one_cell_without_any():
-    assert outcome(FIXED + 100, ()).right
+def test_an_effect_is_named_first_and_where_nothing_is_hidden_nothing():
+    assert said_of("voltage_offset").verdict == "voltage_offset"
+    assert said_of("nothing").verdict == "none"
 
 
 @pytest.mark.slow
-def test_single_effects_of_fixed_seeds_are_named_first():
-    check(fixed_singles(), MISS_SINGLE, "single effects", once_in=20.0)
+def test_nine_of_ten_effects_are_named_first_and_hardly_a_false_one():
+    found = {name: said_of(name) for name in EFFECTS}
+    missed = {n: f"{s.verdict} {s.causes}" for n, s in found.items() if s.verdict != n}
+    false = [(n, c.name) for n, s in found.items() for c in s.causes if c.name != n]
+    assert len(missed) <= MISSED * len(found), missed
+    assert len(false) <= MISSED * len(found), false
+
+
+@cache
+def measured(folder):
+    """Model of the Panasonic cell by its laboratory tests, and three drives."""
+    hppc, ocv, one_C, nn, us06, clean = (
+        read_log(folder / f"panasonic_18650pf/{name}.csv.gz")
+        for name in ("hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1", "drive_p25_nn",
+                     "drive_p25_us06", "drive_p25_hwfta")
+    )  # fmt: skip
+    tests = TestLogs(hppc=((hppc, None),), ocv=(ocv,), capacity=(one_C,))
+    model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    return model, [resample(log, STEP_S).part(0, ROWS) for log in (nn, us06, clean)]
 
 
 @pytest.mark.slow
-def test_the_size_of_what_was_named_is_within_a_fifth():
-    errors = np.array([o.parameter_error for o in fixed_singles() if o.right])
-    assert np.mean(errors <= 0.2) >= 0.9, [o.line() for o in fixed_singles()]
-
-
-@pytest.mark.slow
-def test_what_was_named_gains_most_of_what_could_be_gained():
-    shares = np.array([o.gain_share for o in fixed_singles() if o.right])
-    assert np.mean(shares >= 0.8) >= 0.9, [o.line() for o in fixed_singles()]
-
-
-@pytest.mark.slow
-def test_nothing_is_found_where_nothing_is_hidden():
-    check([outcome(FIXED + 100 + k, ()) for k in range(8)], MISS_NONE, "nothing", once_in=20.0)
-
-
-@pytest.mark.slow
-def test_what_is_likelier_than_nothing_is_not_called_none():
-    """A rate dependence of 14 mV whose set has 0.76, nothing 0.22: neither named nor denied."""
-    case = hidden_case(2026112224, ("rate_dependence",), 0.01434, Plan(rows=ROWS))
-    said = diagnose(
-        case.model, case.logs, holdout=case.holdout, baseline=case.baseline, soc0=case.soc0
-    )
-    nothing = sum(one.probability for one in said.competing if not one.causes)
-    assert said.verdict != "none" or nothing >= 0.5
-    if not said.causes and nothing < 0.5:
-        assert said.verdict == "undetermined"
-        assert said.next_test
-
-
-@pytest.mark.slow
-def test_pairs_of_effects_are_both_named():
-    check(fixed_pairs(), MISS_PAIR, "pairs", once_in=20.0)
-
-
-@pytest.mark.slow
-def test_nothing_is_named_that_is_not_there():
-    """What a power of the evidence is for: rather `undetermined` than a wrong name."""
-    found = [*fixed_singles(), *fixed_pairs()]
-    false = [o.line() for o in found if not set(o.causes) <= set(o.hidden)]
-    assert len(false) <= allowed_misses(sum(len(o.causes) for o in found), FALSE, 20.0), false
-
-
-@pytest.mark.slow
-def test_a_fresh_seed_in_every_run():
-    seed = fresh_seed()
-    print(f"fresh seed {seed}: CELLWISE_HIDDEN_SEED={seed} repeats it")
-    rng = np.random.default_rng(seed)
-    names = rng.permutation(NAMES)[:5]
-    single = [outcome(seed + k, (str(n),), rng.uniform(2.0, 5.0)) for k, n in enumerate(names)]
-    check(single, MISS_SINGLE, f"single effects of seed {seed}")
-    check([outcome(seed + 50 + k, ()) for k in range(2)], MISS_NONE, f"nothing, seed {seed}")
+def test_effects_in_measured_drives_are_named_first(real_data):
+    model, (nn, us06, clean) = measured(real_data)
+    missed, false = [], []
+    for effect, (right, size) in HIDDEN.items():
+        a, b = (with_effect(log, effect, 2.0 * size, model.capacity_Ah) for log in (nn, us06))
+        said = diagnose(model, a, holdout=b, baseline=clean, soc0=1.0)
+        missed += [] if said.verdict in right else [f"{effect}: {said}"]
+        false += [f"{effect}: {c.name}" for c in said.causes if c.name not in right]
+    assert len(missed) <= 1, missed
+    assert not false
+    assert diagnose(model, nn, holdout=us06, baseline=clean, soc0=1.0).verdict == "none"

@@ -147,23 +147,3 @@ def between(low: CellPoint, high: CellPoint, w: float) -> CellPoint:
         low.entropy_V + w * (high.entropy_V - low.entropy_V),
         low.entropy_slope_V + w * (high.entropy_slope_V - low.entropy_slope_V),
     )
-
-
-@inline
-def rise(low: CellPoint, high: CellPoint, sloped: float, held: float) -> CellPoint:
-    """Rise of the tables from one point to another times a factor: OCV and entropy ``sloped``."""
-    return CellPoint(
-        (high.ocv_V - low.ocv_V) * sloped,
-        0.0,
-        (high.r0_ohm - low.r0_ohm) * held,
-        (high.r1_ohm - low.r1_ohm) * held,
-        (high.tau1_s - low.tau1_s) * held,
-        (high.r2_ohm - low.r2_ohm) * held,
-        (high.tau2_s - low.tau2_s) * held,
-        (high.r3_ohm - low.r3_ohm) * held,
-        (high.tau3_s - low.tau3_s) * held,
-        (high.m_V - low.m_V) * held,
-        (high.error_V - low.error_V) * held,
-        (high.entropy_V - low.entropy_V) * sloped,
-        0.0,
-    )

@@ -167,7 +167,7 @@ def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) 
     if not any(z.get(n, 0.0) for n in MEASURED_NAMES):
         return log
     known = log.known_current_A()
-    shifted, _ = shifted_current(log.time_s, log.interval_s, known, z.get("skew_s", 0.0))
+    shifted = shifted_current(log.time_s, log.interval_s, known, z.get("skew_s", 0.0))
     current = (shifted - z.get("offset_A", 0.0)) / math.exp(z.get("ln_gain", 0.0))
     current[~np.isfinite(log.current_A)] = np.nan
     return replace(log, current_A=current, voltage_V=log.voltage_V - z.get("offset_V", 0.0))

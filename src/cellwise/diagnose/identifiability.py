@@ -21,10 +21,9 @@ import numpy as np
 
 from cellwise.cell.equations import empty_state
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import start_hysteresis
+from cellwise.cell.simulate import simulate_rows, start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.causes.sensitivity_kernels import Flow, voltage_rows
 from cellwise.diagnose.decision.explanations import Explanation
 from cellwise.diagnose.decision.outcome import Outcome
 from cellwise.diagnose.extension import value_of
@@ -40,9 +39,10 @@ class Shown(NamedTuple):
     """When logs or a test show an effect.
 
     ``neutral_std``: a coordinate that the tolerances do not have is known to be neutral [its unit];
-    less than ``rounding`` of an information is what rounding leaves of none. Effects of ``times``
-    their limit must be separated by ``apart`` nats, as much as 0.9 against 0.1 is. ``clear_V``: a
-    separation that a cell's own scatter cannot hide, in a test of rows every ``step_s``.
+    less than ``rounding`` of an information, or of a fault's, is what differences leave of none.
+    Effects of ``times`` their limit must be separated by ``apart`` nats, as much as 0.9 against 0.1
+    is. ``clear_V``: a separation that a cell's own scatter cannot hide, in a test of rows every
+    ``step_s``.
     """
 
     neutral_std: float = 1e-6
@@ -158,7 +158,7 @@ def _sizes(
         if place not in wide:
             continue
         known = seen.left(place)
-        if known <= 0.0:
+        if known * wide[place] ** 2 <= SHOWN.rounding:
             continue  # these logs say nothing of it
         s2 = 1.0 / known
         t2, w2 = s2 + seen.tolerance[place] ** 2, s2 + wide[place] ** 2
@@ -343,13 +343,6 @@ def _simulated(
     n = current.size
     voltage, soc = np.empty(n), np.empty(n)
     start = empty_state(experiment.soc0, start_hysteresis(experiment.soc0))
-    voltage_rows(
-        inputs.tables,
-        start,
-        Flow(np.full(n, SHOWN.step_s), flow, np.full(n, experiment.temperature_C)),
-        inputs.added_V,
-        1,
-        voltage,
-        soc,
-    )
-    return voltage
+    dt, warm = np.full(n, SHOWN.step_s), np.full(n, experiment.temperature_C)
+    simulate_rows(inputs.tables, start, dt, flow, warm, voltage, soc)
+    return voltage + inputs.added_V

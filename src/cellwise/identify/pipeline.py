@@ -272,7 +272,7 @@ def _provenance(
     """Where the numbers of OCV, pulses and tables came from."""
     sets = [s for t in temperatures for s in t.pulse_sets]
     return {
-        "ocv": {"source": ocv.source, "notes": list(ocv.notes), "function": ocv.function.kind},
+        "ocv": {"source": ocv.source, "notes": list(ocv.notes)},
         "pulses": {
             "method": settings.method,
             "tables": settings.tables,

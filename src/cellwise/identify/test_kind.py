@@ -66,7 +66,7 @@ def kind_of(log: CellLog, capacity_Ah: float | None = None) -> TestKind:
         return TestKind("drive", f"a load that changes during {driven / under:.0%} of its time")
     pulses = [
         p
-        for p in pulses_to_fit(find_pulses(log, phases=phases))
+        for p in pulses_to_fit(find_pulses(log))
         if abs(p.charge_Ah) <= LARGEST_PULSE * capacity
         and abs(p.current_A) > LOW_RATE.low_rate * capacity  # less is the dither of a low-rate test
     ]

@@ -6,7 +6,6 @@ import ast
 from pathlib import Path
 
 from cellwise.cell import equations
-from cellwise.printing.straight_line import parsed
 
 BEGIN, END = "<!-- printed: equations -->", "<!-- end of what is printed -->"
 
@@ -50,6 +49,13 @@ def statements(body: list[ast.stmt]) -> list[str]:
                 if not (isinstance(result, ast.Call) and ast.unparse(result.func)[:1].isupper()):
                     found.append(ast.unparse(result))
     return found
+
+
+def parsed() -> dict[str, ast.FunctionDef]:
+    """Every function of the equations, by its name."""
+    files = sorted(Path(equations.__file__).parent.glob("*.py"))
+    nodes = (n for f in files for n in ast.parse(f.read_text(encoding="utf-8")).body)
+    return {n.name: n for n in nodes if isinstance(n, ast.FunctionDef)}
 
 
 def table() -> list[str]:

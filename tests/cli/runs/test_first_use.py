@@ -77,14 +77,13 @@ def test_after_it_the_usual_kernels_are_compiled(tmp_path):
     subprocess.run([sys.executable, "-m", "cellwise.first_use"], env=env, check=True)
     seen = (
         "from cellwise.cell.compiled import is_compiled, others_compile\n"
-        "from cellwise.diagnose.causes.sensitivity_kernels import row_derivatives\n"
         "from cellwise.estimate.adaptive.adaptive_kernels import adaptive_rows\n"
         "from cellwise.estimate.filters.kalman_kernels import kalman_rows\n"
         "from cellwise.forecast.remaining_kernels import forecast_rows\n"
-        "kernels = row_derivatives, adaptive_rows, kalman_rows, forecast_rows\n"
+        "kernels = adaptive_rows, kalman_rows, forecast_rows\n"
         "print(*(is_compiled(k) for k in kernels), others_compile().exists())\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", seen], env=env, check=True, capture_output=True, text=True
     )
-    assert done.stdout.split() == ["True"] * 4 + ["False"]
+    assert done.stdout.split() == ["True"] * 3 + ["False"]

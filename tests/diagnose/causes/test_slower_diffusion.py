@@ -15,8 +15,8 @@ from cellwise.diagnose.causes.catalogue import CAUSES, forms_of
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import extend_model, parameters_of
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
 from example_cells import curved_cell
+from random_loads import random_load
 
 SOC0, R3_OHM, TAU3_S = 0.9, 0.015, 900.0
 GROWN, LONGER = 1.8, 1.5

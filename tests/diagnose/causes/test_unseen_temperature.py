@@ -25,8 +25,8 @@ from cellwise.diagnose.extension import extend_model, with_error_at
 from cellwise.diagnose.fit.priors import needs_activation
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
 from example_cells import curved_cell
+from random_loads import random_load
 
 COLD_C = 2.0
 START = InitialSoc(0.9, 0.01, "given")

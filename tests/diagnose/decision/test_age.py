@@ -11,8 +11,8 @@ from cellwise import CellModel, simulate
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
 from example_cells import curved_cell
+from random_loads import random_load
 
 SOC0 = 0.9
 

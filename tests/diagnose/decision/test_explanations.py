@@ -31,8 +31,8 @@ from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.log_runs import kept
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
 from example_cells import curved_cell
+from random_loads import random_load
 
 SOC0 = 0.9
 TRIED = [CAUSES[n] for n in ("current_gain", "capacity", "voltage_offset", "time_skew")]

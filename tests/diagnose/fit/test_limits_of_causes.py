@@ -22,8 +22,8 @@ from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.identifiability import limits
 from cellwise.diagnose.log_runs import log_runs, with_use
 from cellwise.logs.cell_log import CellLog
-from emulator_drives import random_load
 from example_cells import curved_cell
+from random_loads import random_load
 
 CELL = curved_cell()
 NOISE = Noise()

@@ -5,13 +5,9 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs, steady_rows
-from cellwise.identify.ocv.curve import fit_ocv_function
-from cellwise.identify.ocv.ocv_function import OCV_KINDS, fit_monotone_spline
+from cellwise.identify.ocv.ocv_function import fit_monotone_spline
 from cellwise.identify.ocv.ocv_points import leave_out_turns
-from cellwise.identify.papers.log_linear_exp import LogLinearExp, fit_log_linear_exp
 from cellwise.logs import read_log
-
-EQUATION_8 = LogLinearExp(a=3.31, b=0.035, c=0.012, d=0.06, e=42.0, f=1.03)
 
 
 def lfp(s):
@@ -34,37 +30,25 @@ def rms(x):
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-CURVES = {"lfp": lfp, "narrow": narrow, "equation 8": EQUATION_8.evaluate}
+CURVES = {"lfp": lfp, "narrow": narrow}
 
 
-@pytest.mark.parametrize("kind", OCV_KINDS)
 @pytest.mark.parametrize("curve", CURVES)
-def test_every_form_rises_strictly_everywhere(kind, curve):
+def test_it_rises_strictly_everywhere(curve):
     rng = np.random.default_rng(3)
     s = np.sort(rng.uniform(0.02, 0.99, 40))
-    fit = fit_ocv_function(s, CURVES[curve](s) + rng.normal(0.0, 4e-3, s.size), kind)
-    assert fit.kind == kind
-    assert np.all(np.diff(fit.function.evaluate(np.linspace(-0.1, 1.1, 2401))) > 0.0)
+    fit = fit_monotone_spline(s, CURVES[curve](s) + rng.normal(0.0, 4e-3, s.size))
+    assert np.all(np.diff(fit.evaluate(np.linspace(-0.1, 1.1, 2401))) > 0.0)
 
 
-@pytest.mark.parametrize("kind", OCV_KINDS)
 @pytest.mark.parametrize("curve", CURVES)
-def test_slope_is_the_derivative(kind, curve):
+def test_slope_is_the_derivative(curve):
     s = np.linspace(0.0, 1.0, 60)
-    f = fit_ocv_function(s, CURVES[curve](s), kind).function
+    f = fit_monotone_spline(s, CURVES[curve](s))
     at = np.arange(-0.0953, 1.1, 0.005)
     h = 1e-6
     numeric = (f.evaluate(at + h) - f.evaluate(at - h)) / (2 * h)
     assert f.slope(at) == pytest.approx(numeric, rel=1e-4, abs=1e-4)
-
-
-def test_equation_8_is_found_again_from_its_own_points():
-    s = np.linspace(0.0, 1.0, 30)
-    found = fit_log_linear_exp(s, EQUATION_8.evaluate(s))
-    fine = np.linspace(0.0, 1.0, 500)
-    assert rms(found.evaluate(fine) - EQUATION_8.evaluate(fine)) < 1e-5
-    for name in "abcdef":
-        assert getattr(found, name) == pytest.approx(getattr(EQUATION_8, name), rel=0.02)
 
 
 @pytest.mark.parametrize("curve", CURVES)
@@ -107,7 +91,7 @@ def test_rests_of_one_level_are_left_out_together():
 )
 def test_bad_points_are_refused(soc, voltage, said):
     with pytest.raises(InputError, match=said):
-        fit_ocv_function(np.array(soc), np.array(voltage))
+        fit_monotone_spline(np.array(soc), np.array(voltage))
 
 
 def discharge_curve(path):
@@ -132,9 +116,5 @@ def test_spline_through_every_twentieth_predicts_the_rest_of_a_real_curve(real_d
     order = np.argsort(s)
     some = np.interp(np.arange(0.05, 1.0, 0.05), s[order], v[order])
     between = (s > 0.05) & (s < 0.95)
-    errors = {}
-    for kind in OCV_KINDS:
-        f = fit_ocv_function(np.arange(0.05, 1.0, 0.05), some, kind).function
-        errors[kind] = rms(f.evaluate(s[between]) - v[between])
-    assert errors["spline"] < limit_V
-    assert errors["spline"] < errors["log-linear-exp"]
+    f = fit_monotone_spline(np.arange(0.05, 1.0, 0.05), some)
+    assert rms(f.evaluate(s[between]) - v[between]) < limit_V

@@ -189,7 +189,6 @@ def test_a_short_window_says_that_it_does_not_see_tau2():
     t = stamps(pulse_s=10.0, rest_s=10.0, before_s=20.0)
     data = closed_pulse(Circuit(), t, 20.0, 10.0, 40.0, 5e-4 * rng.standard_normal(t.size))
     fit = fit_varpro(data)
-    assert fit.error.tau2_s > 0.3 * fit.tau2_s
     assert not fit.identified.tau2_s
     assert fit.identified.r0_ohm
     assert not fit.identified.ocv_slope_V

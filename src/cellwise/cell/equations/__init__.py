@@ -2,7 +2,6 @@
 
 A model without an effect is a model with that effect's neutral value, so there is one set of
 equations. The order of operations is part of them: the same bits come out wherever they are used.
-Their derivatives are printed from these files' own text.
 """
 
 from cellwise.cell.equations.interval import advance, loaded, look_up

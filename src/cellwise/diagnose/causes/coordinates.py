@@ -54,16 +54,22 @@ class Range(NamedTuple):
 
     ``capacity``: between these shares of the model's. ``slowed``: diffusion becomes slower by a
     factor of at most this, never faster, else it would take back from the slow branches what one
-    factor on all resistances has given them too much. ``loss_step``: of the numerical derivative of
-    an OCV by what its electrodes have lost.
+    factor on all resistances has given them too much.
     """
 
     capacity: tuple[float, float] = (0.3, 2.0)
     slowed: float = 20.0
-    loss_step: float = 1e-4
 
 
-KNOTS, STARTS, RANGE = Knots(), Shapes(), Range()
+class Steps(NamedTuple):
+    """Of numerical derivatives [V/K, K, the coordinate's unit]: far above rounding."""
+
+    volt_per_K: float = 1e-7
+    activation_K: float = 1.0
+    other: float = 1e-5
+
+
+KNOTS, STARTS, RANGE, STEPS = Knots(), Shapes(), Range(), Steps()
 REFERENCE_C = 25.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(KNOTS.ocv))
@@ -89,7 +95,6 @@ class KernelInputs(NamedTuple):
     offset_A: float
     gain: float
     skew_s: float
-    point: Mapping[str, float]
 
     @property
     def tables(self) -> CellTables:
@@ -261,13 +266,6 @@ class Coordinates:
             return np.zeros(self.model.soc.size), 1.0
         return self.electrodes.aged(self.model.soc, *losses)
 
-    def by_loss(self, name: str, z: Mapping[str, float]) -> tuple[FloatArray, float]:
-        """Derivatives of the OCV [V] and of ln capacity by a share that is lost."""
-        at = z.get(name, 0.0)
-        high, low = (self._aged({**z, name: at + s * RANGE.loss_step}) for s in (1.0, -1.0))
-        share = (high[1] - low[1]) / (2.0 * RANGE.loss_step * self._aged(z)[1])
-        return (high[0] - low[0]) / (2.0 * RANGE.loss_step), share
-
     def capacity_Ah(self, z: Mapping[str, float]) -> float:
         """What the cell holds at a point, after what its electrodes have lost [Ah]."""
         own = self.model.capacity_Ah * math.exp(z.get("ln_capacity", 0.0))
@@ -339,8 +337,14 @@ class Coordinates:
             at("offset_A"),
             math.exp(at("ln_gain")),
             base.skew_s + at("skew_s"),
-            dict(z),
         )
+
+
+def step_of(name: str) -> float:
+    """Step of a numerical derivative by a coordinate: a small share of what it may move by."""
+    if name == "docv_dT" or name.endswith("V_per_K"):
+        return STEPS.volt_per_K
+    return STEPS.activation_K if name.endswith("_K") else STEPS.other
 
 
 def _hats(points: int, knots: int) -> FloatArray:

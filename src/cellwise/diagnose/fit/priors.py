@@ -19,8 +19,13 @@ from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.causes.coordinates import LOSS_NAMES, OCV_NAMES, R_NAMES, Coordinates
-from cellwise.diagnose.causes.directions import table_direction
+from cellwise.diagnose.causes.coordinates import (
+    LOSS_NAMES,
+    OCV_NAMES,
+    R_NAMES,
+    Coordinates,
+    step_of,
+)
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import Evidence
@@ -240,9 +245,9 @@ def start_readings(
     inputs = coordinates.inputs({})
     moved: dict[str, FloatArray] = {}
     for n in asked:
-        direction = None if n == "offset_V" else table_direction(coordinates, n, inputs)
-        column = M if n == "m_V" else OCV
-        moved[n] = np.ones(soc.size) if direction is None else direction[0, :, column]
+        column, step = M if n == "m_V" else OCV, step_of(n)
+        change = (coordinates.inputs({n: step}).table - inputs.table)[0, :, column] / step
+        moved[n] = np.ones(soc.size) if n == "offset_V" else change
     found: dict[str, dict[str, float]] = {}
     for name, log in read:
         at = (log.start.beginning or log.start).soc

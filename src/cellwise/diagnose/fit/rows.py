@@ -9,13 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.equations import CellState, empty_state
+from cellwise.cell.equations import empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, Coordinates, KernelInputs
-from cellwise.diagnose.causes.directions import directions
-from cellwise.diagnose.causes.sensitivity_kernels import Flow, derivative_rows, voltage_rows
+from cellwise.cell.simulate import known_temperature_C, simulate_rows, start_hysteresis
+from cellwise.diagnose.causes.coordinates import Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -82,9 +80,14 @@ class LogRows:
             self.clock_s[:scored],
         )
 
-    def state(self, soc_shift: float) -> CellState:
-        """The cell at rest at the start, ``soc_shift`` away from its stated SOC."""
-        return empty_state(self.start.soc + soc_shift, start_hysteresis(self.start.soc))
+    def simulate(self, inputs: KernelInputs, soc_shift: float) -> tuple[FloatArray, FloatArray]:
+        """Voltage [V] and SOC of the scored rows, from ``soc_shift`` away from the stated start."""
+        start = empty_state(self.start.soc + soc_shift, start_hysteresis(self.start.soc))
+        shifted = shifted_current(self.log.time_s, self.dt_s, self.current_A, inputs.skew_s)
+        flow = (shifted - inputs.offset_A) / inputs.gain
+        voltage, soc = np.empty(flow.size), np.empty(flow.size)
+        simulate_rows(inputs.tables, start, self.dt_s, flow, self.temperature_C, voltage, soc)
+        return voltage[:: self.stride] + inputs.added_V, soc[:: self.stride]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,83 +155,58 @@ class Evidence:
     ) -> tuple[FloatArray, FloatArray]:
         """Voltage [V] and SOC of every scored row of the logs from the ``first`` one on."""
         inputs = coordinates.inputs(z)
-        many = sum(g.scored for g in self.logs[first:])
-        voltage, soc = np.empty(many), np.empty(many)
-        place = 0
-        for k, log in enumerate(self.logs[first:], first):
-            flow, _ = _flow(log, inputs)
-            rows = slice(place, place + log.scored)
-            voltage_rows(
-                inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0)),
-                Flow(log.dt_s, flow, log.temperature_C),
-                inputs.added_V,
-                log.stride,
-                voltage[rows],
-                soc[rows],
-            )
-            place += log.scored
-        return voltage, soc
+        parts = [
+            log.simulate(inputs, z.get(f"soc0:{k}", 0.0))
+            for k, log in enumerate(self.logs[first:], first)
+        ]
+        voltage, soc = zip(*parts, strict=True)
+        return np.concatenate(voltage), np.concatenate(soc)
 
     def jacobian(
         self, coordinates: Coordinates, z: Mapping[str, float], names: Sequence[str]
     ) -> FloatArray:
-        """Derivatives of the simulated voltage, shape (rows, names)."""
+        """Derivatives of the simulated voltage by differences, shape (rows, names).
+
+        A start moves its own log alone, and inwards: full and empty are the ends of its tables.
+        """
+        here, _ = self.simulate(coordinates, z)
         inputs = coordinates.inputs(z)
-        result = np.zeros((self.rows, len(names)))
-        place = 0
-        for k, log in enumerate(self.logs):
-            mine = [j for j, n in enumerate(names) if ":" not in n or n == f"soc0:{k}"]
-            if not mine:
-                place += log.scored
+        found = np.zeros((self.rows, len(names)))
+        places = dict(zip(self.starts(), self.each(), strict=True))
+        for j, name in enumerate(names):
+            step, at = step_of(name), z.get(name, 0.0)
+            rows = slice(0, self.rows)
+            if name in places:
+                log, rows = places[name]
+                step = step if log.start.soc + at <= 0.5 else -step
+                moved, _ = log.simulate(inputs, at + step)
+            elif ":" in name:  # of a log that is not among these
                 continue
-            local = [names[j].split(":")[0] for j in mine]
-            flow, by = _flow(log, inputs)
-            by_name = directions(coordinates, local, inputs, by)
-            part = np.empty((log.scored, len(mine)))
-            derivative_rows(
-                inputs.tables,
-                log.state(z.get(f"soc0:{k}", 0.0)),
-                Flow(log.dt_s, flow, log.temperature_C),
-                by_name,
-                log.stride,
-                part,
-            )
-            result[place : place + log.scored, mine] = part
-            place += log.scored
-        return result
+            else:
+                moved, _ = self.simulate(coordinates, {**z, name: at + step})
+            found[rows, j] = (moved - here[rows]) / step
+        return found
 
 
 def shifted_current(
     time_s: FloatArray, dt_s: FloatArray, current_A: FloatArray, skew_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Mean current over every row's interval moved back by ``skew_s``, its derivative [A/s].
+) -> FloatArray:
+    """Mean current over every row's interval moved back by ``skew_s`` [A].
 
     Row k's current flows from row k - 1 to row k; before the first row and after the last one the
     nearest current flows on. A negative skew moves forward.
     """
-    if time_s.size < 2:
-        return current_A.copy(), np.zeros(current_A.size)
+    if time_s.size < 2 or skew_s == 0.0:
+        return current_A
     charge = np.cumsum(np.concatenate(([0.0], current_A[1:] * dt_s[1:])))
     moment = time_s - skew_s
     j = np.clip(np.searchsorted(time_s, moment), 1, time_s.size - 1)
     at_end = charge[j] - current_A[j] * (time_s[j] - moment)
     lasts = dt_s[1:] > 0.0
-    length = np.where(lasts, dt_s[1:], 1.0)
-    shifted = np.concatenate((current_A[:1], np.diff(at_end) / length))
-    by_skew = np.concatenate(([0.0], np.where(lasts, -np.diff(current_A[j]) / length, 0.0)))
+    shifted = np.concatenate((current_A[:1], np.diff(at_end) / np.where(lasts, dt_s[1:], 1.0)))
     # In no time flows what flowed before.
     before = np.maximum.accumulate(np.where(np.append(True, lasts), np.arange(time_s.size), 0))
-    return shifted[before], by_skew
-
-
-def _flow(log: LogRows, inputs: KernelInputs) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """The current that flowed [A], and its derivatives."""
-    shifted, by_skew = shifted_current(log.log.time_s, log.dt_s, log.current_A, inputs.skew_s)
-    flow = (shifted - inputs.offset_A) / inputs.gain
-    by_offset = np.full(flow.size, -1.0 / inputs.gain)
-    values = (by_offset, -flow, by_skew / inputs.gain)
-    return flow, dict(zip(CURRENT_NAMES, values, strict=True))
+    return np.asarray(shifted[before])
 
 
 def gather(

@@ -44,7 +44,7 @@ class _Limits(NamedTuple):
     sigmas: float = 5.0  # of the noise: a smaller answer is none
     misfit_sigmas: float = 3.0  # of it: a smaller misfit is none
     # A misfit of 1 % of the response shifts tau1 of a 60 s pulse by about half (synthetic cells
-    # with a bending OCV), so the score is one half there. What every pulse of a test shows, as
+    # with a bending OCV). What every pulse of a test shows, as
     # nonlinear kinetics in the cold, is not the distortion of some: the border rises to twice that
     # of the better pulses, if so many are there, up to the worst (Panasonic at -20 degC: 23 pulses
     # healthy with it, 2 without).
@@ -57,11 +57,10 @@ LIMITS = _Limits()
 
 
 class Verdict(NamedTuple):
-    """Quality of a pulse, the reason, and a figure from 0 (useless) to 1."""
+    """Quality of a pulse, and the reason."""
 
     quality: PulseQuality
     reason: str
-    score: float
 
 
 def judge_loads(log: CellLog, loads: Sequence[Load]) -> tuple[Verdict, ...]:
@@ -187,12 +186,12 @@ def _spurious(
     v = log.voltage_V
     inside = v[x.start : x.stop]
     if np.any(gaps[x.start : x.stop]):
-        return Verdict("spurious", "a gap in the log lies inside the pulse", 0.0)
+        return Verdict("spurious", "a gap in the log lies inside the pulse")
     if duration <= 0.0:
-        return Verdict("spurious", "no time passes in the pulse", 0.0)
+        return Verdict("spurious", "no time passes in the pulse")
     missing = int(np.count_nonzero(np.isnan(inside)))
     if missing > LIMITS.missing * inside.size or np.isnan(v[x.rest_start : x.start]).all():
-        return Verdict("spurious", f"{missing} voltage samples are missing in the pulse", 0.0)
+        return Verdict("spurious", f"{missing} voltage samples are missing in the pulse")
     moved = _end(v, x.start, x.stop) - _end(v, x.rest_start, x.start)
     noise = noise_of(v[x.rest_start : x.start])
     if moved * x.current_A >= 0.0 or abs(moved) < LIMITS.sigmas * noise:
@@ -200,24 +199,21 @@ def _spurious(
             "spurious",
             f"the voltage does not answer: {1e3 * moved:+.1f} mV for {x.current_A:+.3g} A "
             f"(noise {1e3 * noise:.1f} mV)",
-            0.0,
         )
     ended = _at_limit(_end(v, x.start, x.stop), limit, x.current_A > 0.0)
     if x.cc_stop < x.stop and not ended:
         return Verdict(
             "spurious",
             f"the current falls at {_end(v, x.start, x.stop):.3f} V, which is no limit here",
-            0.0,
         )
     if not ended and x.role == "pulse" and duration < LIMITS.far_short * expected:
         return Verdict(
             "spurious",
             f"{duration:.3g} s long where its siblings last {expected:.3g} s, and no limit is near "
             f"({_end(v, x.start, x.stop):.3f} V)",
-            0.0,
         )
     if not ended and x.stop - x.start < 2:
-        return Verdict("spurious", "a single row long", 0.0)
+        return Verdict("spurious", "a single row long")
     return None
 
 
@@ -233,7 +229,6 @@ def _trimmed(
             f"{np.nanmedian(v[x.cc_stop : x.stop]):.3f} V was reached after {constant:.3g} s of "
             f"{planned:.3g} s and held while the current fell from {abs(x.current_A):.4g} A to "
             f"{abs(i[x.stop - 1]):.4g} A",
-            0.5 * constant / planned,
         )
     end = _end(v, x.start, x.stop)
     if duration < LIMITS.short * expected and _at_limit(end, limit, x.current_A > 0.0):
@@ -241,7 +236,6 @@ def _trimmed(
             "trimmed",
             f"ended after {duration:.3g} s of {expected:.3g} s at {end:.3f} V, the limit of "
             f"{limit:.3f} V",
-            0.5 * duration / expected,
         )
     return None
 
@@ -249,16 +243,15 @@ def _trimmed(
 def _shape(misfit: Misfit | None, border: float) -> Verdict:
     """Healthy or distorted, by what a passive circuit leaves unexplained."""
     if misfit is None:
-        return Verdict("healthy", "too few rows to test the shape of the response", 0.5)
+        return Verdict("healthy", "too few rows to test the shape of the response")
     share = misfit.relative
-    score = float(1.0 / (1.0 + (share / LIMITS.distorted) ** 2))
     figure = f"{1e3 * misfit.rms_V:.2g} mV rms of {1e3 * misfit.response_V:.3g} mV"
     if share <= border or misfit.rms_V <= LIMITS.misfit_sigmas * misfit.noise_V:
-        return Verdict("healthy", f"a passive circuit explains all but {figure}", score)
+        return Verdict("healthy", f"a passive circuit explains all but {figure}")
     why = "the relaxation does not mirror the pulse"
     if misfit.growth > 1.0:
         why = (
             f"the response bends against a passive circuit (end of the pulse {misfit.growth:.2g} "
             "times as fast as its middle)"
         )
-    return Verdict("distorted", f"{why}: {figure} unexplained, {100 * border:.2g} % allowed", score)
+    return Verdict("distorted", f"{why}: {figure} unexplained, {100 * border:.2g} % allowed")

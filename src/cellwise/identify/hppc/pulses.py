@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,6 @@ class _Limits(NamedTuple):
     """What a pulse is, and what a move."""
 
     rest_s: float = 5.0  # before it
-    average_s: float = 10.0  # of its voltage, as in the LFP paper
     # In a log that is mostly a drive, idling and cruising look like pulses.
     drive: float = 0.5
     drive_pulse_s: float = 5.0
@@ -53,9 +52,8 @@ class Pulse:
 
     current_A : level, positive on discharge [A]
     duration_s, charge_Ah : of rows start to stop; charge from the current [s, Ah]
-    voltage_before_V : mean over the last 10 s of the rest before [V]
     role : ``pulse``, or ``move``: a long one that takes the cell to another SOC
-    quality, reason, score : verdict, its reason, and a figure from 0 to 1
+    quality, reason : verdict, and its reason
     """
 
     start: int
@@ -66,35 +64,19 @@ class Pulse:
     current_A: float
     duration_s: float
     charge_Ah: float
-    voltage_before_V: float
     role: PulseRole
     quality: PulseQuality
     reason: str
-    score: float
-
-    @property
-    def kind(self) -> Literal["charge", "discharge"]:
-        """Direction of the current."""
-        return "discharge" if self.current_A > 0.0 else "charge"
 
 
-def find_pulses(
-    log: CellLog,
-    phases: Sequence[Phase] | None = None,
-) -> tuple[Pulse, ...]:
+def find_pulses(log: CellLog) -> tuple[Pulse, ...]:
     """Find and judge the pulses of a log, short ones and moves, in order.
 
     A pulse is a constant current right after a rest, followed by a rest or by another constant
     current. Empty where there is none: a log that never rests, a drive, noise.
-
-    Parameters
-    ----------
-    log : CellLog
-    phases : sequence of Phase    of this log, where they are known already
     """
-    found = find_phases(log) if phases is None else tuple(phases)
     flow = log.known_current_A() * log.interval_s / 3600.0
-    loads = _loads(log, found, flow)
+    loads = _loads(log, find_phases(log), flow)
     verdicts = judge_loads(log, loads)
     return tuple(_pulse(log, flow, x, verdict) for x, verdict in zip(loads, verdicts, strict=True))
 
@@ -228,10 +210,7 @@ def _level(current: FloatArray) -> float:
 
 
 def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Pulse:
-    t, v = log.time_s, log.voltage_V
-    last = max(x.rest_start, int(np.searchsorted(t, t[x.start - 1] - KINDS.average_s)))
-    rested = v[min(last, x.start - 1) : x.start]
-    known = rested[np.isfinite(rested)]
+    t = log.time_s
     return Pulse(
         start=x.start,
         stop=x.stop,
@@ -241,9 +220,7 @@ def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Puls
         current_A=x.current_A,
         duration_s=float(t[x.stop - 1] - t[x.start - 1]),
         charge_Ah=float(np.sum(flow_Ah[x.start : x.stop])),
-        voltage_before_V=float(np.mean(known)) if known.size else float("nan"),
         role=x.role,
         quality=verdict.quality,
         reason=verdict.reason,
-        score=verdict.score,
     )

@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
-from cellwise.identify.ocv.ocv_function import OcvFunction, OcvKind, fit_monotone_spline
+from cellwise.identify.ocv.ocv_function import MonotoneSpline, fit_monotone_spline
 from cellwise.identify.ocv.ocv_points import POINTS, checked_points, leave_out_turns
-from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.typing import FloatArray
 
 GRID_INTERVALS = 200
@@ -31,58 +30,6 @@ MOVED = _Moved()
 
 
 @dataclass(frozen=True, eq=False)
-class OcvFit:
-    """A fitted OCV function and how well it says the points again."""
-
-    function: OcvFunction
-    soc: FloatArray
-    weight: FloatArray
-    residual_V: FloatArray
-
-    @property
-    def kind(self) -> OcvKind:
-        """Which form was fitted."""
-        return self.function.kind
-
-    @property
-    def rmse_V(self) -> float:
-        """Root mean square of the residual at the points [V]."""
-        return float(np.sqrt(np.mean(self.residual_V**2)))
-
-
-def fit_ocv_function(
-    soc: FloatArray,
-    voltage_V: FloatArray,
-    kind: OcvKind = "spline",
-    *,
-    weight: FloatArray | None = None,
-) -> OcvFit:
-    """Fit one form of OCV function to points.
-
-    The spline is the usual one: over low-rate curves of four chemistries, sampled as rests at every
-    5 % or 10 % or densely, its median error between the points was the smallest each time.
-
-    Parameters
-    ----------
-    soc, voltage_V : (n,) float      points in any order; missing values are left out
-    kind : str                       ``spline``, or the LFP paper's ``log-linear-exp``
-    weight : (n,) float              how much each point counts, default equally
-
-    Returns
-    -------
-    OcvFit        residuals are measured minus fitted, at the points given
-
-    Raises
-    ------
-    InputError    fewer than four points, SOC far outside 0..1, all at one SOC, voltage that does
-                  not rise with SOC
-    """
-    s, v, w = checked_points(soc, voltage_V, weight)
-    function = (fit_monotone_spline if kind == "spline" else fit_log_linear_exp)(s, v, w)
-    return OcvFit(function, s, w, v - function.evaluate(s))
-
-
-@dataclass(frozen=True, eq=False)
 class OcvCurve:
     """Open-circuit voltage over SOC, where it came from and how well it is known.
 
@@ -90,7 +37,7 @@ class OcvCurve:
     ----------
     soc, voltage_V : (n,) float              uniform grid from 0 to 1, voltage strictly rising
     capacity_Ah : float                      the capacity that SOC refers to [Ah]
-    fit : OcvFit                             the function, and its residuals at the points
+    function : MonotoneSpline                through the points
     points_soc, points_V, points_weight : (m,) float     what was fitted
     discharge_V, charge_V : (n,) or None     low-rate branches on the grid, nan where not measured
     source : str                             log or logs, and method
@@ -101,7 +48,7 @@ class OcvCurve:
     soc: FloatArray
     voltage_V: FloatArray
     capacity_Ah: float
-    fit: OcvFit
+    function: MonotoneSpline
     points_soc: FloatArray
     points_V: FloatArray
     points_weight: FloatArray
@@ -110,11 +57,6 @@ class OcvCurve:
     source: str = ""
     notes: tuple[str, ...] = ()
     temperature_C: float | None = None
-
-    @property
-    def function(self) -> OcvFunction:
-        """The fitted function of SOC."""
-        return self.fit.function
 
     @property
     def gap_V(self) -> FloatArray | None:
@@ -136,17 +78,27 @@ def curve_from_points(
     notes: tuple[str, ...] = (),
     temperature_C: float | None = None,
 ) -> OcvCurve:
-    """Fit points of OCV over SOC and hold the result on the uniform grid."""
-    fit = fit_ocv_function(soc, voltage_V, weight=weight)
+    """Fit points of OCV over SOC and hold the result on the uniform grid.
+
+    A spline: over low-rate curves of four chemistries, sampled as rests at every 5 % or 10 % or
+    densely, its median error between the points was smaller than that of the LFP paper's form.
+
+    Raises
+    ------
+    InputError    fewer than four points, SOC far outside 0..1, all at one SOC, voltage that does
+                  not rise with SOC
+    """
+    s, v, w = checked_points(soc, voltage_V, weight)
+    function = fit_monotone_spline(s, v, w)
     grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
     return OcvCurve(
         soc=grid,
-        voltage_V=fit.function.evaluate(grid),
+        voltage_V=function.evaluate(grid),
         capacity_Ah=capacity_Ah,
-        fit=fit,
-        points_soc=fit.soc,
-        points_V=fit.function.evaluate(fit.soc) + fit.residual_V,
-        points_weight=fit.weight,
+        function=function,
+        points_soc=s,
+        points_V=v,
+        points_weight=w,
         discharge_V=discharge_V,
         charge_V=charge_V,
         source=source,

@@ -1,14 +1,13 @@
-"""The open-circuit voltage as a function of SOC, and the strictly rising spline through its points.
+"""The open-circuit voltage as a function of SOC: the strictly rising spline through its points.
 
-Every form rises strictly with SOC, because a filter divides by nothing but relies on the sign of
-the slope, and goes on as a straight line outside 0..1, because a filter's first guesses may lie
-there. The spline follows any cell; the LFP paper's own form is among the papers' methods.
+It rises strictly with SOC, because a filter divides by nothing but relies on the sign of the slope,
+and goes on as a straight line outside 0..1, because a filter's first guesses may lie there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, get_args
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -23,26 +22,6 @@ from cellwise.identify.ocv.ocv_points import (
     strictly_rising,
 )
 from cellwise.typing import FloatArray
-
-OcvKind = Literal["spline", "log-linear-exp"]
-OCV_KINDS: tuple[OcvKind, ...] = get_args(OcvKind)
-
-
-class OcvFunction(Protocol):
-    """Open-circuit voltage over SOC."""
-
-    @property
-    def kind(self) -> OcvKind:
-        """Which form it is."""
-        ...
-
-    def evaluate(self, soc: FloatArray | float) -> FloatArray:
-        """Open-circuit voltage [V], the shape of ``soc``."""
-        ...
-
-    def slope(self, soc: FloatArray | float) -> FloatArray:
-        """dOCV/dsoc [V per unit of SOC], the shape of ``soc``."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +40,6 @@ class MonotoneSpline:
 
     knots: FloatArray
     coefficients: FloatArray
-
-    @property
-    def kind(self) -> OcvKind:
-        """Name of the form."""
-        return "spline"
 
     def evaluate(self, soc: FloatArray | float) -> FloatArray:
         """Open-circuit voltage [V], the shape of ``soc``."""

@@ -12,7 +12,6 @@ range from bending tau2; a tabulated OCV takes its place.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -45,17 +44,6 @@ class _Numerics(NamedTuple):
 
 
 NUMERICS = _Numerics()
-
-
-class _Thinned(NamedTuple):
-    """Rows for a search."""
-
-    above: int = 800  # rows: fewer are searched as they are
-    part: float = 0.03  # of the time since the last step: so long is a group of rows
-    step: float = 0.01  # of the largest current: so large a change is a step
-
-
-THINNED = _Thinned()
 
 
 class TauBounds(NamedTuple):
@@ -107,33 +95,6 @@ class Circuit:
         response = np.empty((tau_s.size, self.dt_s.size))
         respond(self.dt_s, self.current_A, tau_s, response)
         return response
-
-    def thinned(self) -> Circuit:
-        """Neighbouring rows averaged, finer after a step of the current: enough for a search.
-
-        A group of rows spans a small part of the time since the last step, so against the rows that
-        it replaces it errs by the square of that; rows at a step stay alone.
-        """
-        if self.dt_s.size <= THINNED.above:
-            return self
-        time = np.cumsum(self.dt_s)
-        peak = np.max(np.abs(self.current_A))
-        steps = np.abs(np.diff(self.current_A, prepend=self.current_A[0])) > THINNED.step * peak
-        last = np.maximum.accumulate(np.where(steps, time - self.dt_s, 0.0))
-        age = np.log(np.maximum(time - last, 1e-9)) / THINNED.part
-        begins = np.diff(np.floor(age), prepend=np.nan) != 0.0
-        for shift in (-1, 0, 1):
-            begins |= np.roll(steps, shift)
-        rows = np.flatnonzero(begins)
-        count = np.diff(np.append(rows, time.size))
-        few = copy(self)
-        few.dt_s = np.diff(np.add.reduceat(time, rows) / count, prepend=0.0)
-        few.current_A = np.add.reduceat(self.current_A, rows) / count
-        few.x = np.add.reduceat(self.x, rows) / count
-        few.weight = np.add.reduceat(self.weight, rows)
-        seen = np.maximum(few.weight, 1e-300)
-        few.known = np.add.reduceat(self.weight * self.known, rows) / seen
-        return few
 
     def tau_bounds(self) -> TauBounds:
         """Time constants that the window can show.

@@ -2,17 +2,16 @@
 
 Only the two time constants enter a pulse's voltage nonlinearly. At given ones the rest is a small
 linear problem with R >= 0 (Golub and Pereyra, doi:10.1137/0710036), so the search runs over two
-numbers: a grid, then downhill from its minima.
+numbers: a grid, then downhill from its best pair.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from cellwise.errors import InputError
 from cellwise.identify.papers.segments import fit_segments
@@ -23,8 +22,8 @@ from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParamete
 from cellwise.typing import FloatArray
 
 Method = Literal["varpro", "segments", "pso"]
-GRID = 10  # time constants from which the search begins, in every pair
-SEARCH = {"xatol": 1e-4, "fatol": 1e-10, "maxfev": 200}  # of the range of ln tau; of the variance
+GRID = 16  # time constants from which the search begins, in every pair
+SEARCH: dict[str, Any] = {"method": "dogbox", "xtol": 1e-8, "ftol": 1e-12, "gtol": None}
 
 
 def fit_pulse(
@@ -81,18 +80,9 @@ def fit_varpro(data: PulseData, bounds: TauBounds | None = None) -> PulseFit:
     InputError        too few settled rows
     """
     circuit = Circuit(data)
-    bounds = circuit.tau_bounds() if bounds is None else bounds
-    search = _Search(circuit.thinned(), bounds)
-    found = min((search.downhill(at) for at in search.starts()), key=search.cost)
-    fit = circuit.described("varpro", *_Search(circuit, bounds).result(found))
-    return replace(fit, error=search.along_valley(fit))
-
-
-class _Point(NamedTuple):
-    """A point of the plane, and the mean square of the residual there [V^2]."""
-
-    at: FloatArray
-    left: float
+    search = _Search(circuit, circuit.tau_bounds() if bounds is None else bounds)
+    found = least_squares(search.residual, search.start(), bounds=(0.0, 1.0), **SEARCH)
+    return circuit.described("varpro", *search.result(found.x))
 
 
 class _Search:
@@ -115,76 +105,29 @@ class _Search:
         fast = self.low + at[0] * at[1] * self.room
         return np.asarray(np.exp([fast, self.low + at[0] * self.room + self.apart]))
 
-    def starts(self) -> list[FloatArray]:
-        """Where the grid has minima along tau2."""
-        best = np.pad([x.left for x in self.valley], 1, constant_values=np.inf)
-        lowest = np.flatnonzero((best[1:-1] <= best[:-2]) & (best[1:-1] < best[2:]))
-        return [self.valley[k].at for k in lowest]
-
-    @cached_property
-    def valley(self) -> list[_Point]:
-        """At each of ten values of tau2 the best tau1, and all else fitted."""
+    def start(self) -> FloatArray:
+        """The best pair of a grid, all else fitted."""
         ln_tau = np.linspace(self.low, self.low + self.room + self.apart, GRID)
-        gram, _ = self._normal(np.exp(ln_tau))
+        rows, _ = self._rows(np.exp(ln_tau))
         head = len(self.plain)
         pairs = np.argwhere(ln_tau - ln_tau[:, None] >= self.apart)
         at = np.column_stack((np.tile(np.arange(head), (len(pairs), 1)), head + pairs))
-        left, _ = _solved(gram[at[:, :, None], at[:, None, :]])
-        found = []
-        for j in np.unique(pairs[:, 1]):
-            best = min(np.flatnonzero(pairs[:, 1] == j), key=left.__getitem__)
-            far = (ln_tau[j] - self.apart - self.low) / self.room
-            near = (ln_tau[pairs[best, 0]] - self.low) / self.room / max(far, 1e-12)
-            found.append(_Point(np.clip([far, near], 0.0, 1.0), float(left[best])))
-        return found
+        left, _ = _solved((rows @ rows.T)[at[:, :, None], at[:, None, :]])
+        fast, slow = ln_tau[pairs[int(np.argmin(left))]]
+        far = (slow - self.apart - self.low) / self.room
+        near = (fast - self.low) / self.room / max(far, 1e-12)
+        return np.asarray(np.clip([far, near], 0.0, 1.0))
 
-    def downhill(self, at: FloatArray) -> FloatArray:
-        """The minimum near a point."""
-        from scipy.optimize import minimize
-
-        simplex = [at, *(at + np.diag(np.where(at < 0.5, 0.5, -0.5) / GRID))]
-        found = minimize(
-            self.cost,
-            at,
-            method="Nelder-Mead",
-            bounds=[(0.0, 1.0), (0.0, 1.0)],
-            options=SEARCH | {"initial_simplex": simplex},
-        )
-        return np.asarray(found.x)
-
-    def cost(self, at: FloatArray) -> float:
-        """Share of the voltage's variance that is left."""
-        gram, _ = self._normal(self.tau_s(at))
-        return float(_solved(gram)[0]) / max(float(gram[0, 0]), 1e-300)
-
-    def along_valley(self, fit: PulseFit) -> PulseParameters:
-        """Standard errors that also hold along the valley of tau2.
-
-        A window that is short against tau2 fits almost as well with a tau2 twice as long, an OCV
-        slope a little lower and a larger R2: a long valley, or a second one. The curvature at its
-        lowest point says nothing of that. The deviations along it, weighted by the likelihood
-        there, give a second variance; the larger of it and the linear one counts.
-        """
-        linear = np.array(fit.error)
-        independent = (fit.rows - fit.left_out) / fit.rows_per_residual
-        least = min(fit.rmse_V**2, *(x.left for x in self.valley))
-        likelihood = np.exp([-0.5 * independent * (x.left / least - 1.0) for x in self.valley])
-        others = np.array([self.result(x.at)[0] for x in self.valley])
-        # What the optimum's own surroundings weigh against a step of the grid.
-        width = min(fit.error.tau2_s / fit.tau2_s, self.room)
-        own = np.sqrt(2.0 * np.pi) * width * (len(self.valley) - 1) / self.room
-        spread = likelihood @ (others - np.array(fit.value)) ** 2
-        finite = np.isfinite(linear)
-        wide = (own * np.where(finite, linear, 0.0) ** 2 + spread) / (own + np.sum(likelihood))
-        return PulseParameters(
-            *np.where(finite, np.maximum(linear, np.sqrt(wide)), linear).tolist()
-        )
+    def residual(self, at: FloatArray) -> FloatArray:
+        """What is left of the voltage at a point, as its rows count [V], shape (n,)."""
+        rows, _ = self._rows(self.tau_s(at))
+        return np.asarray(rows[0] - _solved(rows @ rows.T)[1] @ rows[1:])
 
     def result(self, at: FloatArray) -> tuple[PulseParameters, list[str], list[str]]:
         """Parameters at a point, which of them were free, and which a bound holds."""
         tau = self.tau_s(at)
-        gram, mean = self._normal(tau)
-        x = _solved(gram)[1]
+        rows, mean = self._rows(tau)
+        x = _solved(rows @ rows.T)[1]
         slope = self.circuit.table_slope_V
         value = PulseParameters(
             r0_ohm=float(x[0]),
@@ -197,17 +140,15 @@ class _Search:
         )
         free = [n for n in value._fields if n != "ocv_slope_V" or slope is None]
         held = [n for n in free if n not in ("tau1_s", "tau2_s") and getattr(value, n) <= 0.0]
-        low, high = np.asarray(at) < NUMERICS.at_bound, np.asarray(at) > 1.0 - NUMERICS.at_bound
-        held += ["tau1_s"] if low[1] or high[1] or low[0] else []
-        held += ["tau2_s"] if low[0] or high[0] or high[1] else []
+        if np.any(np.abs(at - 0.5) > 0.5 - NUMERICS.at_bound):
+            held += ["tau1_s", "tau2_s"]  # where one is held, the other stands for both
         return value, free, held
 
-    def _normal(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Weighted products of voltage, linear columns and branches, means taken out; the means."""
+    def _rows(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Voltage, linear columns and branches less their means, as rows count; the means."""
         rows = np.vstack((self.plain, -self.circuit.responses(tau_s)))
         mean = rows @ self.share
-        rows -= mean[:, None]
-        return (rows * self.share) @ rows.T, mean
+        return (rows - mean[:, None]) * np.sqrt(self.share), mean
 
 
 def _solved(gram: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,6 +1,7 @@
-"""Derivatives of single equations of a cell.
+"""Derivatives of single equations of :mod:`cellwise.cell.equations`, for the joint fit.
 
-Printed from :mod:`cellwise.cell.equations` by `python -m cellwise.printing`; do not edit.
+It knows the SOC and has splines for tables, so it goes through the equations one by one and carries
+derivatives with respect to its own coefficients.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ def _capacity_rows(identification: Identification) -> list[tuple[object, ...]]:
 def _ocv_rows(identification: Identification) -> list[tuple[object, ...]]:
     curve, model = identification.ocv, identification.model
     value = f"{model.ocv_V.min():.3f} to {model.ocv_V.max():.3f} V"
-    how = f"{curve.source}; {curve.function.kind}, {plural(curve.points_soc.size, 'point')}"
+    how = f"{curve.source}; {plural(curve.points_soc.size, 'point')}"
     errors = _errors(identification, "ocv_V")
     text = listed([millivolt(e) for e in errors])
     return [("OCV", value, text, how + (", corrected by refinement" if errors else ""))]

@@ -85,9 +85,8 @@ def pulse_content(identification: Identification) -> Markup:
         ("duration", lambda one: duration(one[1].duration_s)),
         ("role", lambda one: one[1].role),
         ("verdict", lambda one: one[1].quality),
-        ("score", lambda one: f"{one[1].score:.2f}"),
         ("why", lambda one: one[1].reason),
-        text_columns=(0, 4, 5, 7),
+        text_columns=(0, 4, 5, 6),
     )
     summary = f"Why {plural(len(unhealthy), 'pulse')} and moves were not called healthy{cut}"
     return Markup(counts + details(summary, reasons))

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from emulator import Array
+Array = NDArray[np.float64]
 
 LOWEST_SOC, FULL_SOC = 0.12, 0.985  # of the nominal cell: room for a cell that holds less
 
