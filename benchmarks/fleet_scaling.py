@@ -27,7 +27,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.example_cell import load_log, three_branches
-from benchmarks.machine import describe_machine, machine_lines
+from benchmarks.figures import describe_machine, machine_lines
 from cellwise.estimate.estimators import make_estimator
 from cellwise.fleet import ReplayTask, run_fleet
 from cellwise.logs import write_log

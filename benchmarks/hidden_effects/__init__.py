@@ -1,1 +1,0 @@
-"""Effects hidden in emulated and measured logs: which are found, and from what size on."""
