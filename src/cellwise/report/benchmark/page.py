@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.replay import CONVERGED_SOC
 from cellwise.report.benchmark.overview import (
     OVERVIEW_COLUMNS,
     Matrix,
@@ -18,7 +17,6 @@ from cellwise.report.benchmark.overview import (
     fault_rows,
     healthy,
     log_matrix,
-    log_name,
     mean_of,
     overviews,
     start_name,
@@ -37,7 +35,7 @@ from cellwise.report.page.markup import (
     table,
 )
 from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
+from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
@@ -45,11 +43,6 @@ MOST_POINTS = 12.0  # of SOC, that an axis shows: a lost start would press all e
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
 BAD = style.TINTS[-1]
-
-
-def _colours(estimators: Sequence[str]) -> dict[str, str]:
-    """Colour of every estimator, the same in every picture."""
-    return {name: style.CYCLE[k % len(style.CYCLE)] for k, name in enumerate(estimators)}
 
 
 @pictured(
@@ -104,66 +97,6 @@ def starts_table(rows: Rows) -> Markup:
     )
 
 
-def curve_pictures(
-    rows: Rows, curves: Mapping[int, Mapping[str, Sequence[float]]]
-) -> tuple[Picture, ...]:
-    """SOC error over time of the first logs, every estimator from the farthest start."""
-    groups: dict[str, list[int]] = {}
-    for k in curves:
-        groups.setdefault(log_name(rows[k]), []).append(k)
-    pictures = []
-    for log, members in list(groups.items())[: MOST.curves]:
-        far = max(abs(float(rows[k]["start_error"])) for k in members)
-        chosen = [k for k in members if abs(float(rows[k]["start_error"])) == far]
-        first = float(rows[chosen[0]]["start_error"])
-        chosen = [k for k in chosen if rows[k]["start_error"] == first]
-        picture = _curve_picture(rows, curves, chosen, log)
-        key, caption = f"{picture.key}-{safe_key(log)}", picture.caption
-        where = f"{log}, {start_name(first)}"
-        pictures.append(picture._replace(key=key, caption=f"{where}: {caption}"))
-    return tuple(pictures)
-
-
-@pictured(
-    "benchmark-curve",
-    "estimated minus true SOC, and the filter's own band of two standard deviations as thin lines.",
-)
-def _curve_picture(
-    rows: Rows,
-    curves: Mapping[int, Mapping[str, Sequence[float]]],
-    chosen: Sequence[int],
-    log: str,
-) -> style.Figure:
-    """Error curves of several runs."""
-    figure = style.new_figure(3.4)
-    axes = figure.subplots()
-    order = [o.estimator for o in overviews(rows)]
-    colours = _colours(order)
-    largest = 2.0 * 100.0 * CONVERGED_SOC
-    for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
-        curve = curves[k]
-        hours = np.array(curve["time_s"]) / 3600.0
-        error, std = 100.0 * np.array(curve["error"]), 100.0 * np.array(curve["std"])
-        colour = colours[rows[k]["estimator"]]
-        name = f"{rows[k]['estimator']}: {percent(rows[k]['settled_rmse'])}"
-        axes.plot(hours, error, color=colour, label=name)
-        for side in (-2.0, 2.0):
-            axes.plot(hours, side * std, color=colour, linewidth=0.5, alpha=0.6)
-        late = error[hours.size // 5 :]
-        if rows[k]["settled_rmse"] < 0.1 and late.size:
-            largest = max(largest, 1.3 * float(np.nanmax(np.abs(late))))
-    style.zero_line(axes)
-    for level in (-100.0 * CONVERGED_SOC, 100.0 * CONVERGED_SOC):
-        axes.axhline(level, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    largest = min(largest, MOST_POINTS)
-    axes.set_ylim(-largest, largest)
-    best = min(chosen, key=lambda k: rows[k]["settled_rmse"])
-    style.finding(axes, f"{log}: {rows[best]['estimator']} comes nearest")
-    style.labels(axes, "time [h]", "SOC error [points]")
-    style.legend(axes, columns=2, place="upper right")
-    return figure
-
-
 MEANS = (
     "Settled: after the error has stayed within two points for ten minutes, over the second half "
     "of a log where it never did. Reference: the tester's counter, never what the filter saw. "
@@ -173,7 +106,7 @@ MEANS = (
 
 
 class BenchmarkTable(NamedTuple):
-    """Rows of a benchmark with their columns by name, and SOC errors over time of some rows.
+    """Rows of a benchmark with their columns by name.
 
     ``parts`` are those of the leaderboard of a frozen suite, ``not_run`` names and reasons.
     """
@@ -181,7 +114,6 @@ class BenchmarkTable(NamedTuple):
     name: str
     about: str
     rows: Sequence[Mapping[str, Any]]
-    curves: Mapping[int, Mapping[str, Sequence[float]]]
     parts: Sequence[Mapping[str, Any]] = ()
     not_run: Sequence[tuple[str, str]] = ()
 
@@ -256,9 +188,6 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
         robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
         title = "With a fault that the filter does not know of"
         sections.append(Section("faults", title, robust, "Faults"))
-    curves = curve_pictures(rows, found.curves)
-    if curves:
-        sections.append(Section("curves", "SOC error over time", curves, "Curves"))
     sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
     return sections
 

@@ -19,7 +19,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.identify.identification import Identification, OwnLog
-from cellwise.report.findings import identify_finding, model_kind
+from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
     ocv_content,
@@ -69,6 +69,10 @@ from cellwise.report.page.section import (
     write_page,
 )
 
+NOT_JUDGED = (
+    "Every log here took part in the fit: judge the model on another one "
+    "(cellwise simulate, replay or diagnose)."
+)
 TABLES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s", "r3_ohm", "tau3_s")
 
 
@@ -273,7 +277,11 @@ def identify_page(
         f"{model_kind(identification)} of {cell_name(identification)}, by cellwise",
         identify_sections(identification),
         identification.to_dict(),
-        lead=lead_of(_alerts(identification), identify_tiles(identification)),
+        lead=lead_of(
+            _alerts(identification),
+            identify_tiles(identification),
+            () if unseen_drives(identification) else (NOT_JUDGED,),
+        ),
         figures=figures,
     )
 
@@ -325,7 +333,7 @@ def identify_tiles(identification: Identification) -> Markup:
         ("largest error there", millivolt(fit.max_error_V)),
     ]
     if limits is not None:
-        facts.append(("valid from, to", " to ".join(celsius(v) for v in limits)))
+        facts.append(("temperature of the data", " to ".join(celsius(v) for v in limits)))
     if sum(counts.values()):
         facts.append(("healthy pulses", f"{counts['healthy']} of {sum(counts.values())}"))
     return tiles(facts)
