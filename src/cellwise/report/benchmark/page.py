@@ -22,7 +22,6 @@ from cellwise.report.benchmark.overview import (
     start_name,
     step_time,
 )
-from cellwise.report.benchmark.standings import standings_sections
 from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
@@ -34,8 +33,8 @@ from cellwise.report.page.markup import (
     record_table,
     table,
 )
-from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.numerals import NONE, duration, listed, percent, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture, pictured
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
@@ -64,6 +63,8 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
+    if style.on_phone():
+        axes.tick_params(axis="x", rotation=40)
     axes.set_yticks(range(len(matrix.labels)), matrix.labels)
     axes.grid(visible=False)
     axes.tick_params(length=0)
@@ -142,7 +143,12 @@ def benchmark_page(
 
 
 def benchmark_finding(found: BenchmarkTable) -> str:
-    """One line: the best estimator and the best baseline."""
+    """One line: who is first where a leaderboard has ranks, else the best and the last."""
+    if found.parts and (first := found.parts[0]["first"]):
+        part = found.parts[0]
+        best = f"{part['names'][0]} is first of {len(part['names'])}, {100 * part['hard'][0]:.2f}"
+        rest = f"; {listed(first[1:])} may be as good" if first[1:] else ""
+        return f"{found.name}: {best} points of SOC on hard runs{rest}"
     ranked = [o for o in overviews(found.rows) if o.runs and o.settled == o.settled]
     if not ranked:
         return f"{found.name}: nothing could be judged"
@@ -181,8 +187,10 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     sections = [
         *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
-        Section("starts", "From a wrong start", (starts_table(rows),), "Starts"),
     ]
+    if len({row["start_error"] for row in healthy(rows)}) > 1:
+        starts = (starts_table(rows),)
+        sections.append(Section("starts", "From a wrong start", starts, "Starts"))
     if faults.labels:
         text = coverage_text(rows)
         robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
@@ -226,3 +234,61 @@ def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:
         paragraph(f"{plural(len(bad), 'run')} of {len(rows)} not judged:")
         + bullets(list(text)[:8], "notices")
     )
+
+
+STANDINGS = (
+    "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
+    "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
+    "column of their own and no part in a rank. In brackets what holds 95 % over resampled logs. "
+    "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
+    "band of two deviations and 40 times what lies outside, smaller is better."
+)
+
+
+def standings_sections(
+    parts: Sequence[Mapping[str, Any]], not_run: Sequence[tuple[str, str]] = ()
+) -> list[Section]:
+    """A section for each part of a leaderboard, as `cellwise.benchmark.submission` makes them."""
+    sections = []
+    for k, part in enumerate(parts):
+        blocks: list[Markup | Picture] = [
+            _standings_picture(part)._replace(key=f"benchmark-standings-{k}"),
+            table(part["head"], part["cells"], caption=STANDINGS, text_columns=(1,)),
+            table(part["band_head"], part["bands"], text_columns=(0, 7, 8)),
+        ]
+        if not_run and k == 0:
+            said = [f"{name}: {why}" for name, why in not_run]
+            blocks += [paragraph("Not run:"), bullets(said, "notices")]
+        sections.append(Section(f"standings-{k}", part["title"], tuple(blocks), part["title"]))
+    return sections
+
+
+def standings_page(suite: str, parts: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    """The leaderboard alone, as a page."""
+    title = f"Leaderboard '{suite}', by cellwise"
+    return write_page(path, title, title, standings_sections(parts), {"suite": suite})
+
+
+@pictured(
+    "benchmark-standings",
+    "Large: mean over the hard runs of all logs. Small: every log. Further left is better; the "
+    "scale is logarithmic.",
+)
+def _standings_picture(part: Mapping[str, Any]) -> style.Figure:
+    """Dots over a logarithmic scale, a line per estimator, the best on top."""
+    names = part["names"]
+    figure = style.new_figure(1.0 + 0.3 * max(len(names), 2))
+    axes = figure.subplots()
+    for place, (means, hard) in enumerate(zip(part["by_log"], part["hard"], strict=True)):
+        dots = np.maximum(100.0 * np.array(means), 0.02)
+        axes.plot(dots, np.full(dots.size, place), "o", color=style.MUTED, markersize=3)
+        if hard is not None:
+            axes.plot([100.0 * hard], [place], "D", color=style.CYCLE[0], markersize=7)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    style.plain_numbers(axes.xaxis)
+    if part["hard"][0] is not None:
+        style.finding(axes, f"{names[0]} comes nearest: {100 * part['hard'][0]:.2f} points")
+    style.labels(axes, "settled SOC RMSE, hard runs [points]", " ")
+    return figure

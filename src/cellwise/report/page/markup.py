@@ -100,7 +100,7 @@ def table(
     puts the rows in its order.
     """
     rows = list(rows)
-    said = [any(row[k] not in ("", NONE) for row in rows) for k in range(len(head))]
+    said = [any(row[k] not in ("", "-", NONE) for row in rows) for k in range(len(head))]
     kept = [k for k, one in enumerate(said) if one or not rows]
     text = {kept.index(k) for k in text_columns if k in kept}
     head, *rows = [[row[k] for k in kept] for row in (head, *rows)]
