@@ -52,6 +52,7 @@ from cellwise.report.page.markup import (
 )
 from cellwise.report.page.numerals import (
     ampere_hours,
+    capitalised,
     celsius,
     duration,
     listed,
@@ -226,14 +227,28 @@ def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
 
 
 def _effects(identification: Identification) -> Markup:
-    return record_table(
-        identification.to_dict()["effects"],
-        ("effect", lambda one: str(one["name"]).replace("_", " ")),
-        ("decision", lambda one: "in the model" if one["accepted"] else "refused"),
-        ("gain", lambda one: "" if one["gain"] is None else percent(one["gain"])),
-        ("why", lambda one: one["reason"]),
-        caption="Effects beyond the two RC branches. Gain: fall of the RMSE on logs held out.",
-        text_columns=(0, 1, 3),
+    def name(one: Mapping[str, Any]) -> str:
+        return str(one["name"]).replace("_", " ")
+
+    effects = identification.to_dict()["effects"]
+    plain = [one for one in effects if one["accepted"] and one["gain"] is None]
+    tried = [one for one in effects if one not in plain]
+    said = [f"{capitalised(listed([*map(name, plain)]))}: {plain[0]['reason']}."] if plain else []
+    return Markup(
+        "".join(map(paragraph, said))
+        + (
+            record_table(
+                tried,
+                ("effect", name),
+                ("decision", lambda one: "in the model" if one["accepted"] else "refused"),
+                ("gain", lambda one: "" if one["gain"] is None else percent(one["gain"])),
+                ("why", lambda one: one["reason"]),
+                caption="Effects that were tried. Gain: fall of the RMSE on logs held out.",
+                text_columns=(0, 1, 3),
+            )
+            if tried
+            else ""
+        )
     )
 
 
