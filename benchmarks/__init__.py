@@ -1,7 +1,7 @@
 """What developers run for the speed and accuracy of cellwise itself.
 
-``python -m benchmarks.speed``, ``accuracy``, ``firmware``, ``real_findings``, ``fleet_scaling``,
-``live_latency``, ``physics_laboratory``, ``replay_bits``. Benchmarks that a user runs over suites
+``python -m benchmarks.speed``, ``accuracy``, ``firmware``, ``ablation``, ``physics_laboratory``,
+``real_findings``, ``logs_to_firmware``, ``live_latency``. Benchmarks that a user runs over suites
 of estimators and logs are the package :mod:`cellwise.benchmark`; studies of the papers and of the
 choice of capacity are :mod:`cellwise.studies`.
 

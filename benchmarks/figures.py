@@ -1,11 +1,16 @@
-"""One measured figure, the tables of them, and the clock."""
+"""Measured figures: their tables, the clock, the machine, the command line of a benchmark."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
+import platform
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +21,7 @@ from rich.table import Table
 Progress = Callable[[str], None]
 WIDTH = 140  # of the table in a file or a pipe
 NAME_WIDTH = 66
+PACKAGES = ("cellwise", "numpy", "numba", "scipy", "pyarrow", "filterpy", "pybamm", "thevenin")
 
 
 @dataclass(frozen=True)
@@ -181,3 +187,96 @@ def _number(x: float) -> str:
     if abs(x) >= 1000.0:
         return f"{x:,.0f}"
     return f"{x:.3g}"
+
+
+def describe_machine() -> dict[str, Any]:
+    """Processor, cores this process may use, load of others, versions."""
+    return {
+        "processor": _processor(),
+        "cores": usable_cores(),
+        "load": _load(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "blas_threads": os.environ.get("OMP_NUM_THREADS", "not set"),
+        **{name: _version(name) for name in PACKAGES},
+    }
+
+
+def machine_lines(machine: dict[str, Any]) -> list[str]:
+    """The same as text."""
+    packages = ", ".join(f"{name} {machine[name]}" for name in PACKAGES if machine[name])
+    load = "" if machine["load"] is None else f", load average {machine['load']:.1f}"
+    return [
+        f"Machine: {machine['processor']}, {machine['cores']} cores{load}, {machine['system']}, "
+        f"{machine['blas_threads']} BLAS thread(s)",
+        f"Python {machine['python']}, {packages}",
+    ]
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _load() -> float | None:
+    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def judged_run(
+    title: str,
+    about: str,
+    parts: Sequence[str],
+    measure: Callable[..., list[Figure]],
+    arguments: list[str] | None = None,
+    **switches: str,
+) -> int:
+    """The command line of a benchmark: measures the parts asked for, prints table or JSON.
+
+    ``measure(parts, say)``; each of ``switches`` (name and help) is one of its keywords.
+    """
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser.add_argument("--only", default=",".join(parts), help="comma-separated parts")
+    for name, help_ in switches.items():
+        parser.add_argument(f"--{name}", action="store_true", help=help_)
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
+    parser.add_argument("-o", "--output", type=Path, help="write the JSON to this file as well")
+    chosen = parser.parse_args(arguments)
+    wanted = [part for part in parts if part in chosen.only.split(",")]
+    if not wanted:
+        parser.error(f"--only {chosen.only}: name at least one of {', '.join(parts)}")
+    began = time.perf_counter()
+    machine = describe_machine()
+    figures = measure(wanted, _say, **{name: getattr(chosen, name) for name in switches})
+    report = report_json(figures, machine, began)
+    if chosen.output:
+        write_json(chosen.output, report)
+    if chosen.json:
+        print(json.dumps(report))
+        return 0
+    met = report["targets"]
+    lines = [f"{met['met']} of {met['judged']} targets met"] if met["judged"] else []
+    print_figures(figures, title, [*lines, *machine_lines(machine), f"{report['seconds']:.0f} s"])
+    return 0
+
+
+def _say(what: str) -> None:
+    """Say on standard error what is being measured."""
+    print(f"  {what} ...", file=sys.stderr, flush=True)

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from textwrap import fill
 
 if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -25,6 +26,7 @@ from cellwise.benchmark.submission import read_entries, standings_text
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 
+WIDTH = 120  # of the docs' lines
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BEGIN, END = (
     "<!-- printed: python -m benchmarks.leaderboard print -->",
@@ -62,8 +64,11 @@ def tables(kept: Path) -> Iterator[str]:
         yield f"### {folder.name}\n\nSuite's file: SHA-256 `{suite.sha256[:16]}`.\n"
         yield standings_text(entries)
         about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
-        yield from (f"- **{name}**: {what}." for name, what in about.items())
-        yield from (f"- **{one.name}**, not run: {one.why}." for one in suite.not_run)
+        said = [f"- **{name}**: {what}." for name, what in about.items()]
+        said += [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]
+        yield from (
+            fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said
+        )
         yield ""
 
 

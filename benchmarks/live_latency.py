@@ -24,7 +24,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.example_cell import three_branches
-from benchmarks.machine import describe_machine, machine_lines
+from benchmarks.figures import describe_machine, machine_lines
 
 DBC = """VERSION ""
 

@@ -1,17 +1,16 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,cold,leaf,a123,lfp,faults,power,embedded] [--json]
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,lfp,faults,power,embedded] [--json]
 """
 
 from __future__ import annotations
 
 import sys
 
-from benchmarks.figures import Figure, Progress, missing
-from benchmarks.judged_run import judged_run
+from benchmarks.figures import Figure, Progress, judged_run, missing
 from benchmarks.measured_data import HOW, data_folder
 
-PARTS = ("panasonic", "cold", "leaf", "a123", "lfp", "faults", "power", "embedded")
+PARTS = ("panasonic", "cold", "leaf", "lfp", "faults", "power", "embedded")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -21,7 +20,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(parts: list[str], say: Progress) -> list[Figure]:
     """Figures of the cells, in order; a row that says so where the data are not there."""
-    from benchmarks.accuracy.a123 import a123_figures
     from benchmarks.accuracy.cold import cold_figures
     from benchmarks.accuracy.embedded import embedded_figures
     from benchmarks.accuracy.faults import faults_figures
@@ -34,7 +32,6 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
         "panasonic": panasonic_figures,
         "cold": cold_figures,
         "leaf": leaf_figures,
-        "a123": a123_figures,
         "lfp": lfp_figures,
         "faults": faults_figures,
         "power": power_figures,

@@ -1,8 +1,7 @@
-"""Cold and warm: Panasonic identified at each temperature by itself, A123 at one it has not seen.
+"""Cold and warm: Panasonic identified at each temperature by itself, and at all of them.
 
-Panasonic: HPPC and drives cycle 1 and 2 of a temperature; judged on US06, HWFET, UDDS, LA92, NN of
-that temperature, from full and 30 points wrong. A123: low rate at the temperature, drives at the
-two nearest others; judged on the drive at that temperature.
+Of HPPC and drives cycle 1 and 2 of a temperature; judged on US06, HWFET, UDDS, LA92, NN of that
+temperature, 30 points wrong from full.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.model import CellModel
-from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay, replay
 from cellwise.logs import CellLog
 
@@ -27,20 +25,12 @@ TARGETS = {25.0: 0.4, 10.0: 0.6, 0.0: 1.0, -10.0: 1.3, -20.0: 1.8}
 TAGS = {25.0: "p25", 10.0: "p10", 0.0: "p00", -10.0: "n10", -20.0: "n20"}
 CYCLES = ("us06", "hwfet", "hwfta", "udds", "la92", "nn")
 LOST_BY_ONE_MODEL = 0.3
-A123 = "plett_a123"
-A123_AH = 2.0725
-A123_TAGS = {-25.0: "n25", -15.0: "n15", 5.0: "p05", 25.0: "p25", 35.0: "p35", 45.0: "p45"}
-NEIGHBOURS = 2
 RESTED_FULL_V = 4.175
 REST_SHARE = 0.01
 
 
 def cold_figures(data: Path, say: Progress) -> list[Figure]:
-    """Both cells at all their temperatures."""
-    return [*_panasonic(data, say), *_a123(data, say)]
-
-
-def _panasonic(data: Path, say: Progress) -> list[Figure]:
+    """One model of each temperature, one of all."""
     figures: list[Figure] = []
     tests = {t: panasonic_tests(data, tag, t) for t, tag in TAGS.items()}
     held_out = {t: _held_out(data, tag) for t, tag in TAGS.items()}
@@ -150,20 +140,14 @@ def _cycles(group: str, model: CellModel, logs: list[CellLog], target: float) ->
     return figures
 
 
-def _judge(
-    model: CellModel,
-    log: CellLog,
-    estimator: str,
-    start: float = 1.0 - POINTS_OFF,
-    reference_Ah: float = PANASONIC_AH,
-) -> Replay:
+def _judge(model: CellModel, log: CellLog, estimator: str) -> Replay:
     return replay(
         model,
         log,
         estimator,
-        soc0=start,
+        soc0=1.0 - POINTS_OFF,
         reference_soc0=1.0,
-        reference_capacity_Ah=reference_Ah,
+        reference_capacity_Ah=PANASONIC_AH,
     )
 
 
@@ -177,43 +161,3 @@ def _settled_note(runs: list[Replay]) -> str:
     covered = np.mean([r.coverage_2sigma for r in runs if r.coverage_2sigma is not None])
     nis = np.mean([r.nis_mean for r in runs if r.nis_mean is not None])
     return f"within 2 % after {within}; 2-sigma band covers {100 * covered:.0f} %; NIS {nis:.2f}"
-
-
-def _a123(data: Path, say: Progress) -> list[Figure]:
-    figures: list[Figure] = []
-    for temperature, tag in A123_TAGS.items():
-        say(f"A123 {temperature:.0f} degC")
-        near = sorted(A123_TAGS, key=lambda t: abs(t - temperature))[1 : NEIGHBOURS + 1]
-        group = f"A123 {temperature:.0f} degC, drives at {', '.join(f'{t:.0f}' for t in near)} degC"
-        tests = TestLogs(
-            ocv=tuple(measured_log(data, f"{A123}/ocv_{tag}_s{k}") for k in (1, 2, 3, 4)),
-            # One group, so that an Arrhenius factor joins them.
-            drive=tuple((_a123_drive(data, t), temperature) for t in near),
-        )
-        settings = IdentifySettings(nominal_Ah=2.3, name="A123 26650", chemistry="LFP")
-        try:
-            model = identify_cell(tests, settings).model
-        except InputError as error:
-            figures.append(Figure(group, "EKF", None, "%", note=str(error)))
-            continue
-        log = _a123_drive(data, temperature)
-        right, wrong, ukf = (
-            _judge(model, log, who, start, A123_AH)
-            for who, start in (("ekf", 1.0), ("ekf", 1.0 - POINTS_OFF), ("ukf", 1.0 - POINTS_OFF))
-        )
-        rmse = float("nan") if right.errors is None else 100 * right.errors.rmse
-        figures += [
-            Figure(group, "EKF from the right start: SOC RMSE", rmse, "%", target=2.0,
-                   note=_settled_note([right])),
-            Figure(group, "EKF from 70 % at full: settled SOC RMSE", _mean_settled([wrong]), "%",
-                   target=3.0, note=_settled_note([wrong])),
-            Figure(group, "UKF from 70 % at full: settled SOC RMSE", _mean_settled([ukf]), "%",
-                   note=_settled_note([ukf])),
-        ]  # fmt: skip
-    return figures
-
-
-def _a123_drive(data: Path, temperature_C: float) -> CellLog:
-    """The dynamic test with its chamber's temperature, which the file does not hold."""
-    log = measured_log(data, f"{A123}/dyn_{A123_TAGS[temperature_C]}_s1")
-    return replace(log, temperature_C=np.full(len(log), temperature_C))

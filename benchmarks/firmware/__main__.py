@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks.figures import Figure, Progress, missing
-from benchmarks.judged_run import judged_run
+from benchmarks.figures import Figure, Progress, judged_run, missing
 from benchmarks.measured_data import HOW, data_folder
 
 PARTS = ("target", "host", "agreement", "endurance")

@@ -2,7 +2,6 @@
 
 ``python -m benchmarks.physics_laboratory make FOLDER`` needs PyBaMM (``pip install
 'cellwise[benchmark]'``) and writes cases; ``judge FOLDER`` diagnoses them and needs no PyBaMM.
-``filter_runs FOLDER`` runs the filters on such cells.
 """
 
 from __future__ import annotations

@@ -9,13 +9,14 @@ import pytest
 from benchmarks.figures import (
     Figure,
     clock,
+    describe_machine,
+    machine_lines,
     missing,
     print_figures,
     report_json,
     with_ratios,
     write_json,
 )
-from benchmarks.machine import describe_machine, machine_lines
 
 
 @pytest.mark.parametrize(

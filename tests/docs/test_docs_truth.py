@@ -30,6 +30,8 @@ from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from cellwise.logs import Gap
 from sources import tree_of
 
+WIDTH = 120
+LATER = ("measured.md", "README.md")  # figures are added to them as they are measured
 PACKAGE = REPOSITORY / "src" / "cellwise"
 # Unit of a name by its suffix.
 UNITS = {**{unit: unit for unit in ("V", "A", "s", "ohm", "Ah", "K", "F")}, "C": "°C", "V2": "V²"}
@@ -162,6 +164,14 @@ def test_equations_are_closed():
         assert text.count("$$") % 2 == 0, page.name
         for number, line in enumerate(text.replace("$$", "").splitlines(), start=1):
             assert line.count("$") % 2 == 0, f"{page.name}, line {number}: {line}"
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name not in LATER], ids=page_name)
+def test_text_is_wrapped_at_one_width(page):
+    """Tables and equations cannot be; what is printed into a page is."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(("|", "<", "$$"))]
+    assert [line for line in lines if len(line) > WIDTH] == []
 
 
 def test_every_page_is_in_the_index():

@@ -159,9 +159,11 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                 " getComputedStyle(e).backgroundImage === 'none').length"
             )
             smallest[kind] = await browser.value(
-                "Math.min(...[...document.querySelectorAll('figure svg text')]"
-                ".filter(e => e.getBoundingClientRect().height)"
-                ".map(e => [parseFloat(getComputedStyle(e).fontSize), e.getScreenCTM()])"
+                "Math.min(...[...document.querySelectorAll('body *:not(script):not(style)')]"
+                ".filter(e => e.getBoundingClientRect().height"
+                " && [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()))"
+                ".map(e => [parseFloat(getComputedStyle(e).fontSize),"
+                " e.getScreenCTM ? e.getScreenCTM() : {a: 1, b: 0}])"
                 ".map(([size, m]) => size * Math.hypot(m.a, m.b)))"  # however it is turned
             )
         return widths, unshaded, smallest

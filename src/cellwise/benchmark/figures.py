@@ -11,7 +11,6 @@ from cellwise.estimate.replay import Replay, soc_errors
 from cellwise.typing import FloatArray
 
 LOW_SOC = 0.1
-CURVE_POINTS = 200
 MISSING = float("nan")
 OUTSIDE = 0.05  # share of the rows that a band of two deviations may leave outside
 
@@ -64,19 +63,6 @@ def whole_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row with every column."""
     empty = {str: "", float: MISSING, int: 0, bool: False}
     return {name: row.get(name, empty[kind]) for name, kind in COLUMNS.items()}
-
-
-def error_curve(found: Replay, truth: FloatArray) -> dict[str, list[float]]:
-    """SOC error and its deviation over time, few points for a picture."""
-    t = found.log.time_s - found.log.time_s[0]
-    rows = np.unique(np.searchsorted(t, np.linspace(0.0, t[-1], CURVE_POINTS)))
-    rows = np.minimum(rows, t.size - 1)
-    error = found.trace.soc - truth
-    return {
-        "time_s": [round(float(v), 1) for v in t[rows]],
-        "error": [round(float(v), 5) for v in error[rows]],
-        "std": [round(float(v), 5) for v in found.trace.soc_std[rows]],
-    }
 
 
 def state_bytes(estimator: object) -> int:

@@ -48,13 +48,11 @@ KEPT = "rows.jsonl"
 class BenchmarkResult:
     """Rows of a suite, in the suite's order, and where they were written.
 
-    Every row holds the columns of :data:`cellwise.benchmark.figures.COLUMNS`; ``curves`` are the
-    SOC errors over time of runs without a fault, by row number.
+    Every row holds the columns of :data:`cellwise.benchmark.figures.COLUMNS`.
     """
 
     suite: Suite
     rows: tuple[dict[str, Any], ...]
-    curves: dict[int, dict[str, list[float]]]
     parquet: Path
     page: Path | None
     resumed: int
@@ -181,7 +179,6 @@ def _finish(
     figures: FigureFiles | None,
 ) -> BenchmarkResult:
     rows = tuple({name: row[name] for name in COLUMNS} for row in kept)
-    curves = {k: row["curve"] for k, row in enumerate(kept) if row.get("curve")}
     parquet = write_columns(
         {name: [row[name] for row in rows] for name in COLUMNS}, place.folder / "results.parquet"
     )
@@ -209,11 +206,9 @@ def _finish(
         from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(
-            suite.name, about, rows, curves, standings_parts(entries), _missing(suite)
-        )
+        table = BenchmarkTable(suite.name, about, rows, standings_parts(entries), _missing(suite))
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
-    return BenchmarkResult(place.suite, rows, curves, parquet, written, resumed)
+    return BenchmarkResult(place.suite, rows, parquet, written, resumed)
 
 
 def _missing(suite: Suite) -> list[tuple[str, str]]:

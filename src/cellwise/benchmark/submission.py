@@ -117,6 +117,7 @@ def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
                 for s in found
             ],
             "names": [s.estimator for s in found], "hard": [s.hard for s in found],
+            "first": [s.estimator for s in found if s.low == 1],
             "by_log": [hard_by_log(runs[s.estimator]) for s in found],
         })  # fmt: skip
     return parts

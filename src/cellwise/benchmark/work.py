@@ -14,7 +14,7 @@ import numpy as np
 
 from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
-from cellwise.benchmark.figures import error_curve, figures_of, state_bytes, whole_row
+from cellwise.benchmark.figures import figures_of, state_bytes, whole_row
 from cellwise.benchmark.package_rows import (
     PackageRow,
     RowError,
@@ -209,20 +209,18 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
         "noise": "model" if noise is None else "tuned",
         **marks(suite, run),
     }
-    curve: dict[str, list[float]] | None = None
     try:
-        figures, curve = _judge(place, run, judged, (true_model, noise), key)
-        row |= figures
+        row |= _judge(place, run, judged, (true_model, noise), key)
     except RowError as error:
         row["problem"] = str(error)
     except Exception as error:  # whatever somebody's filter does, the others go on
         row["problem"] = described(error)
-    return {**whole_row(row), "curve": curve if run.fault.name == NONE else None}
+    return whole_row(row)
 
 
 def _judge(
     place: Place, run: Run, judged: JudgedLog, identified: tuple[CellModel, Noise | None], key: str
-) -> tuple[dict[str, Any], dict[str, list[float]]]:
+) -> dict[str, Any]:
     suite, (true_model, noise) = place.suite, identified
     rng = np.random.default_rng([SEED, zlib.crc32(f"{judged.log.name}{run.fault.name}".encode())])
     log = faulty_log(run.fault, judged.log, judged.reference_Ah, rng)
@@ -243,14 +241,14 @@ def _judge(
     )
     lost = int(np.sum(~np.isfinite(found.trace.soc) & np.isfinite(judged.truth)))
     if lost:
-        return {"problem": f"no SOC in {lost} of {len(log)} rows"}, error_curve(found, judged.truth)
+        return {"problem": f"no SOC in {lost} of {len(log)} rows"}
     figures = figures_of(found, judged.truth)
     if isinstance(estimator, RowEstimator):
         figures["ns_per_step"] = estimator.ns_per_step
         figures["process_MB"] = estimator.process_MB
     elif run.fault.name == NONE:
         figures["ns_per_step"] = _best_ns(found, log, estimator, suite.soc0_std)
-    return {**figures, "state_bytes": state_bytes(estimator)}, error_curve(found, judged.truth)
+    return {**figures, "state_bytes": state_bytes(estimator)}
 
 
 def _best_ns(found: Replay, log: CellLog, estimator: Estimator, soc0_std: float) -> float:

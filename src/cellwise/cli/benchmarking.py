@@ -168,7 +168,7 @@ def run_submit(arguments: argparse.Namespace) -> None:
     names = submit(Path(arguments.row), folder)
     page = None
     if not arguments.no_page:
-        from cellwise.report.benchmark.standings import standings_page
+        from cellwise.report.benchmark.page import standings_page
 
         entries = read_entries(folder / LEADERBOARD)
         parts = standings_parts(entries)

@@ -488,7 +488,7 @@ def print_forecasts(
     """Remaining time and energy, for people; nothing where there is no load."""
     forecasts = [] if flight is None else [("at the present load", flight.last)]
     if flight is not None and flight.typical is not None:
-        forecasts.append(("at the log's usual load", flight.typical.last))
+        forecasts.insert(0, ("at the log's usual load", flight.typical.last))
     if at_load is not None:
         forecasts.append((f"at the given load, from {at_load.time_s:.0f} s", at_load))
     if not forecasts:

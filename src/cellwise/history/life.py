@@ -126,12 +126,16 @@ class Life:
 
     @property
     def resistance(self) -> tuple[float, float]:
-        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs."""
+        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs.
+
+        Where these scatter by more than each states, the deviation is as much larger.
+        """
         last = self.logs[-max(len(self.logs) // 5, 1) :]
         weight = np.array([one.resistance_std**-2.0 for one in last])
         values = np.array([one.resistance_scale for one in last])
         mean = float((weight * values).sum() / weight.sum())
-        return max(mean, 0.05), float(1.0 / np.sqrt(weight.sum()))
+        scatter = float((weight * (values - mean) ** 2).sum()) / max(values.size - 1, 1)
+        return max(mean, 0.05), float(np.sqrt(max(scatter, 1.0) / weight.sum()))
 
     @property
     def next_reference(self) -> str:

@@ -16,6 +16,7 @@ SOURCES = {
     "physics": "cells of porous electrodes",
     "measured": "runs of measured logs",
 }
+NARROW = 0.8  # share of the time inside two standard deviations: below, the band misleads
 SHOWN = 20  # worst cases on the page; all that are named stand in its data
 
 
@@ -47,7 +48,11 @@ def certificate_page(
         f"Worst by {name}: {_named(max(groups, key=lambda g: groups[g]['rmse']))}, "
         f"{_percent(max(g['rmse'] for g in groups.values()), 1)} RMS."
         for name, groups in _shown(by).items()
+        if len(groups) > 1
     )
+    inside = data["coverage_2sigma"]
+    narrow = [f"Do not rely on the filter's band: it holds {_percent(inside, 0)} of the time, 95 % "
+              "if it were right."] if inside < NARROW else []  # fmt: skip
     figures_of_all = tiles(
         (
             ("SOC error, RMS", _percent(error["rmse"], 2)),
@@ -63,7 +68,7 @@ def certificate_page(
         f"Certificate of the exported filter of {model or 'an unnamed cell'}, by cellwise",
         sections,
         data,
-        lead=lead_of((), figures_of_all, list(worst)),
+        lead=lead_of(narrow, figures_of_all, list(worst)),
         figures=figures,
     )
 
@@ -98,7 +103,7 @@ def group_picture(data: Mapping[str, Any]) -> style.Figure:
     """RMS and 95 % error of every group, one panel for age, temperature and fault."""
     by = _shown(data["by"])
     rows = sum(len(groups) for groups in by.values())
-    figure = style.new_figure(0.9 + 0.27 * rows)
+    figure = style.new_figure(0.5 + 0.5 * len(by) + 0.27 * rows)
     panels = figure.subplots(
         len(by), 1, sharex=True, gridspec_kw={"height_ratios": [len(g) for g in by.values()]}
     )

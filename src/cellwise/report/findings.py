@@ -47,13 +47,17 @@ def identify_finding(identification: Identification) -> str:
         size = significant(model.capacity_Ah)
         text = f"{prior['name']}, updated: {size} ± {band}{SPACE}Ah"
     text += f": {error} RMSE on its own {_own(identification)}"
-    unseen = [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
-    if unseen:
+    if unseen := unseen_drives(identification):
         worst = float(np.max([s.metrics.rmse_V for s in unseen]))
         one = len(unseen) == 1
         where = unseen[0].log.name or "a log" if one else plural(len(unseen), "log")
         text += f", {'' if one else 'at most '}{millivolt(worst)} on {where} outside the fit"
     return f"{text}."
+
+
+def unseen_drives(identification: Identification) -> list[Simulation]:
+    """The drives that were given and took no part in the fit."""
+    return [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
 
 
 def model_kind(identification: Identification) -> str:
@@ -129,5 +133,5 @@ def replay_name(replay: Replay) -> str:
 
 
 def _own(identification: Identification) -> str:
-    logs = len(identification.simulations)
+    logs = sum(own.used for own in identification.own_logs)
     return "log" if logs == 1 else plural(logs, "log")

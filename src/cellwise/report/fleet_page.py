@@ -10,7 +10,7 @@ from textwrap import shorten
 from typing import Any, NamedTuple
 
 from cellwise.report.page.markup import MOST, lead_of, paragraph, record_table, tiles
-from cellwise.report.page.numerals import NONE, millivolt, percent, plural, significant
+from cellwise.report.page.numerals import millivolt, percent, plural, significant
 from cellwise.report.page.section import Section, write_page
 
 SAID = 100  # characters of an error or notice that stand in the table
@@ -110,18 +110,13 @@ def fleet_page(rows: Rows, path: str | Path) -> Path:
     shown = cells[: MOST.runs]
     known = sorted((c.voltage_rmse_V, c.name) for c in cells if math.isfinite(c.voltage_rmse_V))
     middle = median(size for size, _ in known) if known else math.nan
-    finding = f"{plural(len(cells), 'cell')}: {millivolt(middle)} voltage RMSE in the middle"
+    finding = f"{plural(len(cells), 'cell')}: {millivolt(middle)} voltage RMSE for the median cell"
     if known:
         finding += f", {millivolt(known[-1][0])} at worst ({known[-1][1]})"
     if failed:
         finding = f"{plural(failed, 'log')} of {len(rows['log'])} failed. {finding}"
-    known_columns = [
-        (head, read)
-        for head, read in COLUMNS
-        if head in ("cell", "said first") or any(read(c) not in ("", NONE) for c in shown)
-    ]
-    text_columns = [k for k, (head, _) in enumerate(known_columns) if head in TEXT]
-    table = record_table(shown, *known_columns, text_columns=text_columns, sortable=True)
+    text_columns = [k for k, (head, _) in enumerate(COLUMNS) if head in TEXT]
+    table = record_table(shown, *COLUMNS, text_columns=text_columns, sortable=True)
     note = "Those with a log that failed come first, then by the voltage error of their worst log; "
     note += "a click on a column's head sorts by it. Health is that of the adaptive filter."
     if len(shown) < len(cells):

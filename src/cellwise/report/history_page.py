@@ -51,9 +51,15 @@ def history_page(
         f"{plural(len(found.logs), 'log')} of one life, by cellwise",
         sections,
         data,
-        lead=lead_of(list(dict.fromkeys(notices)), key_figures, [f"Next reference test: {test}."]),
+        lead=lead_of(list(dict.fromkeys(notices)), key_figures, [_next(test)]),
         figures=figures,
     )
+
+
+def _next(test: str) -> str:
+    """Whether to test the cell, as a sentence."""
+    none, _, why = test.partition(": ")
+    return f"No reference test is needed: {why}." if none == "none" else f"Next test: {test}."
 
 
 def _now(found: Life) -> str:

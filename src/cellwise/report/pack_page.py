@@ -88,7 +88,7 @@ def _figures(found: PackEstimate) -> Markup:
     facts = [
         ("SOC, lowest to highest", f"{percent(soc['min'], 1)} to {percent(soc['max'], 1)}"),
         ("how well it is known", f"± {percent(2.0 * soc_std, 1)}"),
-        ("usable as the cells are", f"{significant(data['usable_Ah'], 4)}{band} Ah"),
+        ("usable as the cells are", f"{significant(data['usable_Ah'])}{band} Ah"),
         ("balancing would bring", f"{significant(data['balancing_gain_Ah'], 2)} Ah"),
         ("least SOC", weakest["by_soc"]),
         ("least capacity", weakest["by_capacity"]),

@@ -11,7 +11,7 @@ import pytest
 
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
-from cellwise.report.page.numerals import duration
+from cellwise.report.page.numerals import duration_between
 from cellwise.report.replay.page import flight_finding, flight_picture
 from cellwise.report.replay.replay_section import soc_picture
 from report_cases import drive, model, replay
@@ -49,8 +49,11 @@ def test_the_finding_names_time_and_band_at_the_usual_load(flight):
     """An hour of flight, then a rest at a small load: 3.9 h at that is no answer."""
     _, left = flight
     text = flight_finding(left)
-    assert re.search(r" left at .*A \(.* with its usual peaks, .* at most\)\.$", text)
-    assert duration(left.typical.last.remaining_s).split()[0] in text
+    now = left.typical.last
+    assert text.endswith("A.")
+    assert duration_between(now.remaining_s, *now.remaining_s_band) + " left at the usual" in text
+    unusual = flight_finding(replace(left, typical=None))
+    assert "at the last minute's" in unusual
 
 
 @pytest.mark.usefixtures("undrawn")

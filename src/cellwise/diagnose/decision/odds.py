@@ -44,7 +44,7 @@ class Naming(NamedTuple):
     ``draws``: random weights of the blocks of time. ``none`` is said where nothing is likelier than
     ``likely``. Where nothing is named ``reasons`` say why: a rest that lies ``refuted`` nats off
     (three standard deviations) refutes a claim on charge. A parameter known to no less than
-    ``narrower`` of its prior only repeats it.
+    ``narrower`` of its prior only repeats it: the logs say less of it than the prior does.
     """
 
     least: float = 0.9
@@ -53,7 +53,7 @@ class Naming(NamedTuple):
     likely: float = 0.5
     reasons: int = 3
     refuted: float = 0.5 * 3.0**2
-    narrower: float = 0.9
+    narrower: float = math.sqrt(0.5)
 
     @property
     def nats(self) -> float:

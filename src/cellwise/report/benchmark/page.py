@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.estimate.replay import CONVERGED_SOC
 from cellwise.report.benchmark.overview import (
     OVERVIEW_COLUMNS,
     Matrix,
@@ -18,13 +17,11 @@ from cellwise.report.benchmark.overview import (
     fault_rows,
     healthy,
     log_matrix,
-    log_name,
     mean_of,
     overviews,
     start_name,
     step_time,
 )
-from cellwise.report.benchmark.standings import standings_sections
 from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
@@ -36,8 +33,8 @@ from cellwise.report.page.markup import (
     record_table,
     table,
 )
-from cellwise.report.page.numerals import NONE, duration, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture, pictured, safe_key
+from cellwise.report.page.numerals import NONE, duration, listed, percent, plural, significant
+from cellwise.report.page.picture import FigureFiles, Picture, pictured
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
@@ -45,11 +42,6 @@ MOST_POINTS = 12.0  # of SOC, that an axis shows: a lost start would press all e
 GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
 LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
 BAD = style.TINTS[-1]
-
-
-def _colours(estimators: Sequence[str]) -> dict[str, str]:
-    """Colour of every estimator, the same in every picture."""
-    return {name: style.CYCLE[k % len(style.CYCLE)] for k, name in enumerate(estimators)}
 
 
 @pictured(
@@ -71,6 +63,8 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
+    if style.on_phone():
+        axes.tick_params(axis="x", rotation=40)
     axes.set_yticks(range(len(matrix.labels)), matrix.labels)
     axes.grid(visible=False)
     axes.tick_params(length=0)
@@ -104,66 +98,6 @@ def starts_table(rows: Rows) -> Markup:
     )
 
 
-def curve_pictures(
-    rows: Rows, curves: Mapping[int, Mapping[str, Sequence[float]]]
-) -> tuple[Picture, ...]:
-    """SOC error over time of the first logs, every estimator from the farthest start."""
-    groups: dict[str, list[int]] = {}
-    for k in curves:
-        groups.setdefault(log_name(rows[k]), []).append(k)
-    pictures = []
-    for log, members in list(groups.items())[: MOST.curves]:
-        far = max(abs(float(rows[k]["start_error"])) for k in members)
-        chosen = [k for k in members if abs(float(rows[k]["start_error"])) == far]
-        first = float(rows[chosen[0]]["start_error"])
-        chosen = [k for k in chosen if rows[k]["start_error"] == first]
-        picture = _curve_picture(rows, curves, chosen, log)
-        key, caption = f"{picture.key}-{safe_key(log)}", picture.caption
-        where = f"{log}, {start_name(first)}"
-        pictures.append(picture._replace(key=key, caption=f"{where}: {caption}"))
-    return tuple(pictures)
-
-
-@pictured(
-    "benchmark-curve",
-    "estimated minus true SOC, and the filter's own band of two standard deviations as thin lines.",
-)
-def _curve_picture(
-    rows: Rows,
-    curves: Mapping[int, Mapping[str, Sequence[float]]],
-    chosen: Sequence[int],
-    log: str,
-) -> style.Figure:
-    """Error curves of several runs."""
-    figure = style.new_figure(3.4)
-    axes = figure.subplots()
-    order = [o.estimator for o in overviews(rows)]
-    colours = _colours(order)
-    largest = 2.0 * 100.0 * CONVERGED_SOC
-    for k in sorted(chosen, key=lambda k: order.index(rows[k]["estimator"])):
-        curve = curves[k]
-        hours = np.array(curve["time_s"]) / 3600.0
-        error, std = 100.0 * np.array(curve["error"]), 100.0 * np.array(curve["std"])
-        colour = colours[rows[k]["estimator"]]
-        name = f"{rows[k]['estimator']}: {percent(rows[k]['settled_rmse'])}"
-        axes.plot(hours, error, color=colour, label=name)
-        for side in (-2.0, 2.0):
-            axes.plot(hours, side * std, color=colour, linewidth=0.5, alpha=0.6)
-        late = error[hours.size // 5 :]
-        if rows[k]["settled_rmse"] < 0.1 and late.size:
-            largest = max(largest, 1.3 * float(np.nanmax(np.abs(late))))
-    style.zero_line(axes)
-    for level in (-100.0 * CONVERGED_SOC, 100.0 * CONVERGED_SOC):
-        axes.axhline(level, color=style.MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    largest = min(largest, MOST_POINTS)
-    axes.set_ylim(-largest, largest)
-    best = min(chosen, key=lambda k: rows[k]["settled_rmse"])
-    style.finding(axes, f"{log}: {rows[best]['estimator']} comes nearest")
-    style.labels(axes, "time [h]", "SOC error [points]")
-    style.legend(axes, columns=2, place="upper right")
-    return figure
-
-
 MEANS = (
     "Settled: after the error has stayed within two points for ten minutes, over the second half "
     "of a log where it never did. Reference: the tester's counter, never what the filter saw. "
@@ -173,7 +107,7 @@ MEANS = (
 
 
 class BenchmarkTable(NamedTuple):
-    """Rows of a benchmark with their columns by name, and SOC errors over time of some rows.
+    """Rows of a benchmark with their columns by name.
 
     ``parts`` are those of the leaderboard of a frozen suite, ``not_run`` names and reasons.
     """
@@ -181,7 +115,6 @@ class BenchmarkTable(NamedTuple):
     name: str
     about: str
     rows: Sequence[Mapping[str, Any]]
-    curves: Mapping[int, Mapping[str, Sequence[float]]]
     parts: Sequence[Mapping[str, Any]] = ()
     not_run: Sequence[tuple[str, str]] = ()
 
@@ -210,7 +143,12 @@ def benchmark_page(
 
 
 def benchmark_finding(found: BenchmarkTable) -> str:
-    """One line: the best estimator and the best baseline."""
+    """One line: who is first where a leaderboard has ranks, else the best and the last."""
+    if found.parts and (first := found.parts[0]["first"]):
+        part = found.parts[0]
+        top = f"{part['names'][0]} is first of {len(part['names'])}, {100 * part['hard'][0]:.2f}"
+        rest = f"; {listed(first[1:])} may be as good" if first[1:] else ""
+        return f"{found.name}: {top} points of SOC on hard runs{rest}"
     ranked = [o for o in overviews(found.rows) if o.runs and o.settled == o.settled]
     if not ranked:
         return f"{found.name}: nothing could be judged"
@@ -249,16 +187,15 @@ def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     sections = [
         *standings_sections(found.parts, found.not_run),
         Section("overview", "Estimators, without a fault", blocks, "Overview"),
-        Section("starts", "From a wrong start", (starts_table(rows),), "Starts"),
     ]
+    if len({row["start_error"] for row in healthy(rows)}) > 1:
+        starts = (starts_table(rows),)
+        sections.append(Section("starts", "From a wrong start", starts, "Starts"))
     if faults.labels:
         text = coverage_text(rows)
         robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
         title = "With a fault that the filter does not know of"
         sections.append(Section("faults", title, robust, "Faults"))
-    curves = curve_pictures(rows, found.curves)
-    if curves:
-        sections.append(Section("curves", "SOC error over time", curves, "Curves"))
     sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
     return sections
 
@@ -297,3 +234,61 @@ def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:
         paragraph(f"{plural(len(bad), 'run')} of {len(rows)} not judged:")
         + bullets(list(text)[:8], "notices")
     )
+
+
+STANDINGS = (
+    "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
+    "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
+    "column of their own and no part in a rank. In brackets what holds 95 % over resampled logs. "
+    "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
+    "band of two deviations and 40 times what lies outside, smaller is better."
+)
+
+
+def standings_sections(
+    parts: Sequence[Mapping[str, Any]], not_run: Sequence[tuple[str, str]] = ()
+) -> list[Section]:
+    """A section for each part of a leaderboard, as `cellwise.benchmark.submission` makes them."""
+    sections = []
+    for k, part in enumerate(parts):
+        blocks: list[Markup | Picture] = [
+            _standings_picture(part)._replace(key=f"benchmark-standings-{k}"),
+            table(part["head"], part["cells"], caption=STANDINGS, text_columns=(1,)),
+            table(part["band_head"], part["bands"], text_columns=(0, 7, 8)),
+        ]
+        if not_run and k == 0:
+            said = [f"{name}: {why}" for name, why in not_run]
+            blocks += [paragraph("Not run:"), bullets(said, "notices")]
+        sections.append(Section(f"standings-{k}", part["title"], tuple(blocks), part["title"]))
+    return sections
+
+
+def standings_page(suite: str, parts: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    """The leaderboard alone, as a page."""
+    title = f"Leaderboard '{suite}', by cellwise"
+    return write_page(path, title, title, standings_sections(parts), {"suite": suite})
+
+
+@pictured(
+    "benchmark-standings",
+    "Large: mean over the hard runs of all logs. Small: every log. Further left is better; the "
+    "scale is logarithmic.",
+)
+def _standings_picture(part: Mapping[str, Any]) -> style.Figure:
+    """Dots over a logarithmic scale, a line per estimator, the best on top."""
+    names = part["names"]
+    figure = style.new_figure(1.0 + 0.3 * max(len(names), 2))
+    axes = figure.subplots()
+    for place, (means, hard) in enumerate(zip(part["by_log"], part["hard"], strict=True)):
+        dots = np.maximum(100.0 * np.array(means), 0.02)
+        axes.plot(dots, np.full(dots.size, place), "o", color=style.MUTED, markersize=3)
+        if hard is not None:
+            axes.plot([100.0 * hard], [place], "D", color=style.CYCLE[0], markersize=7)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    style.plain_numbers(axes.xaxis)
+    if part["hard"][0] is not None:
+        style.finding(axes, f"{names[0]} comes nearest: {100 * part['hard'][0]:.2f} points")
+    style.labels(axes, "settled SOC RMSE, hard runs [points]", " ")
+    return figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from cellwise.report.diagnosis.pictures import (
 from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
+    corrected_mV,
     diagnosis_finding,
     in_words,
     judged_run,
@@ -44,7 +45,6 @@ from cellwise.report.page.markup import (
     linked_among,
     paragraph,
     record_table,
-    table,
     tiles,
 )
 from cellwise.report.page.numerals import (
@@ -149,8 +149,7 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
         facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.metrics.rmse_V)))
         if diagnosis.causes:
             facts.append(("with the extended model", millivolt(judged.after.metrics.rmse_V)))
-        if judged.corrected is not None:
-            corrected = millivolt(judged.corrected.metrics.rmse_V)
+        if corrected := corrected_mV(judged):
             facts.append(("and with the log corrected", corrected))
     gain = diagnosis.soc_gain
     if gain is not None:
@@ -164,7 +163,9 @@ def alerts(diagnosis: Diagnosis) -> list[Markup]:
     """What sensors did wrong and where the model was not measured, with links to where."""
     logs = [run.log for run in diagnosis.runs]
     faults = (t for c in diagnosis.causes if c.name == "sensor_fault" for t in c.evidence)
-    return [linked_among(text, logs) for text in (*faults, *diagnosis.notices)]
+    far_off = {run.before.far_off for run in diagnosis.runs}
+    worst_first = sorted(diagnosis.notices, key=lambda text: text not in far_off)
+    return [linked_among(text, logs) for text in (*faults, *worst_first)]
 
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
@@ -236,36 +237,38 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
 
 def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     """Every log before and after."""
-    corrected = any(r.corrected is not None for r in runs)
-    own_start = any(r.own_start is not None for r in runs)
-    head = ["log", "used", "rows", "initial SOC", "RMSE before" if explained else "RMSE"]
-    if explained:
-        head += ["extended model", *(["log corrected, too"] if corrected else [])]
-        head += [*(["its own start"] if own_start else []), "less by"]
-    rows = []
-    for r in runs:
-        row = [clock_of(r.log), "held out" if r.used == "holdout" else "fitted"]
-        row += [counted(len(r.log)), f"{r.before.soc0:.3f}", millivolt(r.before.metrics.rmse_V)]
-        if explained:
-            row.append(millivolt(r.after.metrics.rmse_V))
-            row += [millivolt(r.corrected.metrics.rmse_V) if r.corrected else ""] * corrected
-            own = r.own_start
-            row += [
-                f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
-            ] * own_start
-            row.append(percent(r.gain, 0))
-        rows.append(row)
+
+    def own_start(run: LogRun) -> str:
+        own = run.own_start
+        return f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
+
     caption = (
         "What a simulation shows with either model: all rows of every log, from this initial SOC."
     )
-    if corrected:
+    if any(map(corrected_mV, runs)):
         caption += " Beside it, the corrected log from the SOC at which it is estimated to start."
-    if own_start:
+    if any(map(own_start, runs)):
         caption += (
             " Its own start: what `simulate` shows where no start is stated, since the extended "
             "model finds another one."
         )
-    return table(head, rows, caption=caption, text_columns=(0, 1))
+    after: list[tuple[object, Callable[[LogRun], object]]] = [
+        ("extended model", lambda r: millivolt(r.after.metrics.rmse_V)),
+        ("log corrected, too", corrected_mV),
+        ("its own start", own_start),
+        ("less by", lambda r: percent(r.gain, 0)),
+    ]
+    return record_table(
+        runs,
+        ("log", lambda r: clock_of(r.log)),
+        ("used", lambda r: "held out" if r.used == "holdout" else "fitted"),
+        ("rows", lambda r: counted(len(r.log))),
+        ("initial SOC", lambda r: f"{r.before.soc0:.3f}"),
+        ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.metrics.rmse_V)),
+        *(after if explained else ()),
+        caption=caption,
+        text_columns=(0, 1),
+    )
 
 
 def competing_table(diagnosis: Diagnosis) -> Markup:

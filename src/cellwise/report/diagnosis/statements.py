@@ -50,7 +50,8 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         said = [within(statement(diagnosis.causes[0], diagnosis))]
         if judged is not None:  # that the log is corrected stands before it
             size = change(judged).removesuffix(CORRECTED)
-            said.append(f"{named_log(judged)} {size}")
+            still = ", still far off" if judged.explained.far_off else ""
+            said.append(f"{named_log(judged)} {size}{still}")
         lost = losses(diagnosis)
         but = f", but {listed(lost)}" if lost else ""
         return f"{advice(diagnosis)}: {'; '.join(said)}{but}."
@@ -102,6 +103,12 @@ def unsure_lines(diagnosis: Diagnosis) -> list[str]:
         if c.probability < 1.0
     ]
     lines = [f"Probability of {listed(sure)}."] if sure else []
+    lines += [
+        f"The gain by {cause_name(c.name)} is not sure: {percent(c.gain, 0)} less error on "
+        f"held-out data, {' to '.join(percent(v, 0) for v in c.gain_ci95)} in 95 of 100 cases."
+        for c in diagnosis.causes
+        if c.gain_ci95[0] < 0.0
+    ]
     if diagnosis.verdict == "undetermined" and diagnosis.competing:
         parts = (f"{explanation(w)} {probability(w.probability)}" for w in diagnosis.competing[:3])
         lines.append(f"Possible are {listed(list(parts))}.")
@@ -166,12 +173,20 @@ def named_log(run: LogRun) -> str:
 def change(run: LogRun) -> str:
     """What `simulate` shows with both models; where the log is corrected, that beside it."""
     before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
-    if run.corrected is None:
+    corrected = corrected_mV(run)
+    if not corrected:
         return change_of(before, after)
-    corrected = run.corrected.metrics.rmse_V
     if math.isclose(before, after, rel_tol=1e-6):
-        return f"{change_of(before, corrected)}{CORRECTED}"
-    return f"{change_of(before, after)}, {millivolt(corrected)}{CORRECTED}, too"
+        return f"{change_of(before, run.explained.metrics.rmse_V)}{CORRECTED}"
+    return f"{change_of(before, after)}, {corrected}{CORRECTED}, too"
+
+
+def corrected_mV(run: LogRun) -> str:
+    """The RMSE of the corrected log; empty where it shows no other figure than the log itself."""
+    if run.corrected is None:
+        return ""
+    shown = millivolt(run.corrected.metrics.rmse_V)
+    return "" if shown == millivolt(run.after.metrics.rmse_V) else shown
 
 
 def change_of(before_V: float, after_V: float) -> str:

@@ -113,13 +113,15 @@ def ocv_content(identification: Identification) -> Markup:
 
 def _ocv_caption(identification: Identification) -> str:
     curve = identification.ocv
+    slow = curve.discharge_V is not None or curve.charge_V is not None
     text = (
         "The model's OCV, and what it stands on. Below: by how much each measurement lies above it."
+        if slow or measured_rests(identification).soc.size
+        else "The model's OCV; no rest and no slow test was measured."
     )
-    if curve.discharge_V is None and curve.charge_V is None:
-        rests = measured_rests(identification).soc.size
-        return text if rests else "The model's OCV; no rest and no slow test was measured."
-    return f"{text} The gap of slow charge and discharge is polarisation and hysteresis together."
+    if curve.discharge_V is not None and curve.charge_V is not None:
+        text += " The gap of slow charge and discharge is polarisation and hysteresis together."
+    return text + style.no_data_text(identification.model.validity.soc)
 
 
 @pictured("ocv", _ocv_caption)
@@ -167,7 +169,8 @@ def ocv_picture(identification: Identification) -> style.Figure:
     if measured:
         style.labels(below, "SOC [%]", "minus the model [mV]")
     style.labels(top, "" if measured else "SOC [%]", "voltage [V]")
-    for axes in (top, below):
+    for axes in {top, below}:
         style.soc_axis(axes, label=axes is below)
+        style.no_data(axes, model.validity.soc)
     style.legend(top, place="lower right")
     return figure

@@ -19,7 +19,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.identify.identification import Identification, OwnLog
-from cellwise.report.findings import identify_finding, model_kind
+from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
     ocv_content,
@@ -52,6 +52,7 @@ from cellwise.report.page.markup import (
 )
 from cellwise.report.page.numerals import (
     ampere_hours,
+    capitalised,
     celsius,
     duration,
     listed,
@@ -69,6 +70,10 @@ from cellwise.report.page.section import (
     write_page,
 )
 
+NOT_JUDGED = (
+    "Every log here took part in the fit: judge the model on another one "
+    "(cellwise simulate, replay or diagnose)."
+)
 TABLES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s", "r3_ohm", "tau3_s")
 
 
@@ -222,14 +227,28 @@ def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
 
 
 def _effects(identification: Identification) -> Markup:
-    return record_table(
-        identification.to_dict()["effects"],
-        ("effect", lambda one: str(one["name"]).replace("_", " ")),
-        ("decision", lambda one: "in the model" if one["accepted"] else "refused"),
-        ("gain", lambda one: "" if one["gain"] is None else percent(one["gain"])),
-        ("why", lambda one: one["reason"]),
-        caption="Effects beyond the two RC branches. Gain: fall of the RMSE on logs held out.",
-        text_columns=(0, 1, 3),
+    def name(one: Mapping[str, Any]) -> str:
+        return str(one["name"]).replace("_", " ")
+
+    effects = identification.to_dict()["effects"]
+    plain = [one for one in effects if one["accepted"] and one["gain"] is None]
+    tried = [one for one in effects if one not in plain]
+    said = [f"{capitalised(listed([*map(name, plain)]))}: {plain[0]['reason']}."] if plain else []
+    return Markup(
+        "".join(map(paragraph, said))
+        + (
+            record_table(
+                tried,
+                ("effect", name),
+                ("decision", lambda one: "in the model" if one["accepted"] else "refused"),
+                ("gain", lambda one: "" if one["gain"] is None else percent(one["gain"])),
+                ("why", lambda one: one["reason"]),
+                caption="Effects that were tried. Gain: fall of the RMSE on logs held out.",
+                text_columns=(0, 1, 3),
+            )
+            if tried
+            else ""
+        )
     )
 
 
@@ -273,7 +292,11 @@ def identify_page(
         f"{model_kind(identification)} of {cell_name(identification)}, by cellwise",
         identify_sections(identification),
         identification.to_dict(),
-        lead=lead_of(_alerts(identification), identify_tiles(identification)),
+        lead=lead_of(
+            _alerts(identification),
+            identify_tiles(identification),
+            () if unseen_drives(identification) else (NOT_JUDGED,),
+        ),
         figures=figures,
     )
 
@@ -325,7 +348,7 @@ def identify_tiles(identification: Identification) -> Markup:
         ("largest error there", millivolt(fit.max_error_V)),
     ]
     if limits is not None:
-        facts.append(("valid from, to", " to ".join(celsius(v) for v in limits)))
+        facts.append(("temperature of the data", " to ".join(celsius(v) for v in limits)))
     if sum(counts.values()):
         facts.append(("healthy pulses", f"{counts['healthy']} of {sum(counts.values())}"))
     return tiles(facts)

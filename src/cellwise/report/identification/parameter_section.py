@@ -33,12 +33,6 @@ NAMES = {
 LOG_FROM = 5.0
 VAGUE = 0.5  # two standard errors as a share: beyond, other values do nearly as well
 MIDDLE = 0.5  # SOC at which a panel's title states the value
-CAPTION = (
-    "R₀ is the drop at once, the branches are what follows within seconds (1), minutes (2) and "
-    "longer (3). Lines are the model's tables at the temperatures of the tests, their bands two "
-    "standard errors, left out beyond 50 % (≈ in a title). Marks are single pulses; they need not "
-    "meet the lines, for a short pulse sees only the beginning of what a whole log shows."
-)
 
 
 class PulseValues(NamedTuple):
@@ -138,7 +132,39 @@ def vague_names(identification: Identification) -> list[str]:
     ]
 
 
-@pictured("parameters", CAPTION)
+def _caption(identification: Identification) -> str:
+    """What is drawn: bands where they are narrow enough, marks where pulses were fitted."""
+    model = identification.model
+    slow = model_table(model, "r3_ohm", 0) is not None
+    branches = "seconds (1), minutes (2) and longer (3)" if slow else "seconds (1) and minutes (2)"
+    text = (
+        f"R₀ is the drop at once, the branches are what follows within {branches}. Lines are the "
+        "model's tables at the temperatures of the tests"
+    )
+    errors = [
+        error
+        for found in identification.temperatures
+        for name in shown_names(identification)
+        if (error := table_error(found, name, model.soc)) is not None
+    ]
+    if any(np.any(2.0 * e <= VAGUE) for e in errors):
+        text += ", their bands two standard errors, left out beyond 50 % (≈ in a title)"
+    elif errors:
+        text += ", each of them by itself known to no better than 50 % (≈ in a title)"
+    if has_pulses(identification):
+        text += (
+            ". Marks are single pulses; they need not meet the lines, for a short pulse sees only "
+            "the beginning of what a whole log shows"
+        )
+    return f"{text}.{style.no_data_text(model.validity.soc)}"
+
+
+def has_pulses(identification: Identification) -> bool:
+    """Whether single pulses were fitted."""
+    return any(found.fits for t in identification.temperatures for found in t.pulse_sets)
+
+
+@pictured("parameters", _caption)
 def parameter_picture(identification: Identification) -> style.Figure:
     """A grid of panels, one per parameter, resistances first."""
     names = shown_names(identification)
@@ -219,6 +245,7 @@ def _draw_parameter(
         axes.plot(soc, factor * line[shown], color=colour, linewidth=1.6, zorder=4)
         seen.append(factor * line)
     _scale(axes, np.concatenate(seen))
+    style.no_data(axes, model.validity.soc)
     where = f", {celsius(float(model.temperature_C[middle]))}" if len(lines) > 1 else ""
     title = f"{NAMES[name]} {sign} {significant(factor * size)} {unit}{band_text}"
     style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", share)
@@ -254,7 +281,7 @@ def _draw_key(figure: style.Figure, identification: Identification) -> None:
         Line2D([], [], color=colour, label=celsius(float(identification.model.temperature_C[row])))
         for colour, row in zip(temperature_colours(len(rows)), rows, strict=True)
     ]
-    if any(found.fits for t in identification.temperatures for found in t.pulse_sets):
+    if has_pulses(identification):
         for marker, alpha, name in (
             ("v", 1.0, "discharge pulse"),
             ("^", 1.0, "charge pulse"),

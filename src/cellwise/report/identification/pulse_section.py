@@ -92,13 +92,25 @@ def pulse_content(identification: Identification) -> Markup:
     return Markup(counts + details(summary, reasons))
 
 
-@pictured(
-    "pulses",
-    "Every short pulse at its SOC and current (discharge positive); thin marks are the long moves "
-    "between levels. Healthy: a passive circuit explains the response. Trimmed: a voltage limit "
-    "cut the current. Distorted: the response bends as no circuit does. Only healthy ones are "
-    "fitted.",
-)
+VERDICTS = {
+    "healthy": "Healthy: a passive circuit explains the response. Only healthy ones are fitted.",
+    "trimmed": "Trimmed: a voltage limit cut the current.",
+    "distorted": "Distorted: the response bends as no circuit does.",
+    "spurious": "Spurious: a gap, no answer of the voltage, or far too short.",
+}
+
+
+def _caption(identification: Identification) -> str:
+    """What the marks that are there mean."""
+    sets = [s for _, s in pulse_sets(identification)[: MOST.pulse_logs]]
+    found = {p.quality for s in sets for p in judged(s)}
+    text = "Every short pulse at its SOC and current (discharge positive)"
+    if any(len(judged(s)) < len(s.pulses) for s in sets):
+        text += "; thin marks are the long moves between levels"
+    return " ".join([f"{text}.", *(said for name, said in VERDICTS.items() if name in found)])
+
+
+@pictured("pulses", _caption)
 def pulse_picture(identification: Identification) -> style.Figure:
     """One panel per HPPC log."""
     sets = pulse_sets(identification)[: MOST.pulse_logs]

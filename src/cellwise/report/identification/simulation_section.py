@@ -29,11 +29,11 @@ def simulation_pictures(
 ) -> tuple[Picture, ...]:
     """One picture per simulated log; of very many logs those with the largest errors."""
     shown = worst_logs(simulations)
-    return tuple(
-        simulation_picture(s).of(s.log, f"{prefix}-{k + 1}")
-        for k, s in enumerate(simulations)
-        if k in shown
-    )
+    pictures = [
+        simulation_picture(simulations[k]).of(simulations[k].log, f"{prefix}-{k + 1}")
+        for k in shown
+    ]
+    return (*pictures[:1], *(p._replace(caption="") for p in pictures[1:]))
 
 
 def worst_logs(simulations: Sequence[Simulation]) -> list[int]:

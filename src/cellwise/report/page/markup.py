@@ -12,6 +12,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
 from cellwise.logs.cell_log import CellLog
+from cellwise.report.page.numerals import NONE
 
 T = TypeVar("T")
 
@@ -38,7 +39,6 @@ class PageLimits(NamedTuple):
     pulse_logs: int = 6
     pulses: int = 300  # rows of the table of those not healthy
     runs: int = 2000  # rows of a benchmark's table
-    curves: int = 3  # pictures of a benchmark's errors over time
     samples: int = 3_000_000  # in the plots of every sample
 
 
@@ -96,9 +96,14 @@ def table(
 ) -> Markup:
     """A table; columns hold numbers but for ``text_columns``; one row may be marked.
 
-    ``sortable``: a click on a column's head puts the rows in its order.
+    Columns of which no row says anything are left out. ``sortable``: a click on a column's head
+    puts the rows in its order.
     """
-    text = set(text_columns)
+    rows = list(rows)
+    said = [any(row[k] not in ("", "-", NONE) for row in rows) for k in range(len(head))]
+    kept = [k for k, one in enumerate(said) if one or not rows]
+    text = {kept.index(k) for k in text_columns if k in kept}
+    head, *rows = [[row[k] for k in kept] for row in (head, *rows)]
 
     def cells(row: Sequence[object], tag: str) -> str:
         kinds = ("" if k in text else ' class="n"' for k in range(len(row)))

@@ -46,6 +46,7 @@ SMALL_PT = 8.0  # of notes in a picture, the smallest text
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
 HEADING_PT = 11.5
+COVERED = 0.02  # of SOC: less is missing at either end of a test from full to empty
 RASTER_DPI = 150
 
 CLOSELY: Any = {"path.simplify_threshold": 0.02}
@@ -234,3 +235,19 @@ def soc_axis(axes: Axes, label: bool = True) -> None:
     axes.set_xlim(-2.0, 102.0)
     axes.set_xticks([0, 20, 40, 60, 80, 100])
     labels(axes, "SOC [%]" if label else "", axes.get_ylabel())
+
+
+def no_data(axes: Axes, soc: tuple[float, float] | None) -> None:
+    """Shades the SOC that no log covered; ``soc`` is where the data begin and end."""
+    for low, high in _without_data(soc):
+        axes.axvspan(100.0 * low, 100.0 * high, color=MUTED, alpha=0.12, linewidth=0, zorder=0.4)
+
+
+def no_data_text(soc: tuple[float, float] | None) -> str:
+    """The same in a caption; empty where all SOC is covered."""
+    return " Shaded: no log was there." if _without_data(soc) else ""
+
+
+def _without_data(soc: tuple[float, float] | None) -> list[tuple[float, float]]:
+    low, high = soc or (0.0, 1.0)
+    return [part for part in ((0.0, low), (high, 1.0)) if part[1] - part[0] > COVERED]

@@ -55,6 +55,7 @@ from cellwise.report.replay.replay_section import (
     replay_content,
     replay_pictures,
     soc_at_end,
+    soc_at_start,
 )
 
 FORECAST_EXPLAINED = (
@@ -64,14 +65,19 @@ FORECAST_EXPLAINED = (
 
 
 def flight_finding(flight: Flight) -> str:
-    """The first line of a flight's page: remaining time, and with its usual peaks."""
+    """The first line of a flight's page: what is left at the usual load, with its band."""
     now = (flight.typical or flight).last
-    scale, unit = time_unit(now.remaining_s_band[1])
-    value, low, high = (significant(s / scale, 2) for s in (now.remaining_s, *now.remaining_s_band))
-    return (
-        f"{points(now.soc)} SOC at {duration(now.time_s)}: {value}{SPACE}{unit} left at "
-        f"{significant(now.load_A)}{SPACE}A ({low} with its usual peaks, {high} at most)."
-    )
+    return f"{points(now.soc)} SOC at {duration(now.time_s)}: {_left(now)} left at {_load(flight)}."
+
+
+def _left(now: Forecast) -> str:
+    return duration_between(now.remaining_s, *now.remaining_s_band)
+
+
+def _load(flight: Flight) -> str:
+    """The load that is forecast; before the log has a usual one, that of its last minute."""
+    what = "the usual" if flight.typical else "the last minute's"
+    return f"{what} {significant((flight.typical or flight).last.load_A)}{SPACE}A"
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
@@ -105,7 +111,7 @@ def flight_content(flight: Flight, *, several: bool) -> Markup:
 def _figures(now: Forecast) -> tuple[str, ...]:
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
-        duration_between(now.remaining_s, *now.remaining_s_band),
+        _left(now),
         f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})",
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
@@ -137,14 +143,13 @@ def flight_picture(flight: Flight, of_log: str = "") -> style.Figure:
         axes.plot(t[known], values[known], color=style.FILTER)
         style.labels(axes, f"time [{unit}]" if axes is below else "", name)
         axes.set_ylim(0.0, 1.05 * max(float(np.max(band[known, 1], initial=0.0)), 1e-9))
-    now = shown.last
-    left = duration_between(now.remaining_s, *now.remaining_s_band)
-    title = f"{left} left at the end, at the usual {significant(now.load_A)} A"
+    title = f"{_left(shown.last)} left at the end, at {_load(flight)}"
     style.finding(above, f"{of_log}: {title}" if of_log else title)
     return figure
 
 
 USUAL_S = 10.0
+WIDE_SOC = 0.1  # two standard deviations of a SOC: beyond, it answers little
 NARROW = 0.8  # share of errors inside two standard deviations: below, the band misleads
 POWER_EXPLAINED = (
     "The largest constant {hold} which keeps terminal voltage, current and SOC within their limits "
@@ -258,7 +263,7 @@ def replay_page(
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    lines += list(filter(None, map(narrow_band, replays)))
+    lines += list(filter(None, (say(r) for r in replays for say in (narrow_band, unknown_start))))
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     sections = list(replay_sections(replays, simulations))
     if flights:
@@ -304,6 +309,17 @@ def narrow_band(replay: Replay) -> str | None:
     )
 
 
+def unknown_start(replay: Replay) -> str | None:
+    """What would narrow a wide SOC whose start nobody knows; None where it is known."""
+    last = 2.0 * float(replay.trace.soc_std[-1])
+    if last < WIDE_SOC or replay.start.std < 0.5 * WIDE_SOC:
+        return None
+    return (
+        f"SOC ends no better than ± {percent(last, 0)}, since this log does not show where it "
+        f"began ({soc_at_start(replay)}): state it where it is known (LOG@soc0=1 after a charge)."
+    )
+
+
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
 ) -> list[Markup]:
@@ -344,7 +360,7 @@ def replay_data(
 def replay_tiles(replay: Replay) -> Markup:
     """Key figures of a replay."""
     facts: list[tuple[object, object]] = [
-        ("initial SOC", points(replay.start.soc)),
+        ("initial SOC", soc_at_start(replay)),
         ("final SOC", soc_at_end(replay)),
     ]
     settled = replay.settled

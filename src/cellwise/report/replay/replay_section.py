@@ -304,8 +304,16 @@ def _soc_title(replay: Replay) -> str:
 
 def soc_at_end(replay: Replay) -> str:
     """``13.8 % ± 2.8 %``, two standard deviations."""
-    trace = replay.trace
-    return f"{points(float(trace.soc[-1]))} ± {percent(2.0 * float(trace.soc_std[-1]), 1)}"
+    return _soc(float(replay.trace.soc[-1]), float(replay.trace.soc_std[-1]))
+
+
+def soc_at_start(replay: Replay) -> str:
+    """The same of where the filter began."""
+    return _soc(replay.start.soc, replay.start.std)
+
+
+def _soc(soc: float, std: float) -> str:
+    return f"{points(soc)} ± {percent(2.0 * std, 1)}"
 
 
 def _convergence(replay: Replay) -> str:
@@ -359,11 +367,10 @@ def replay_content(replays: Sequence[Replay]) -> Markup:
 def replay_figures(replay: Replay) -> list[tuple[str, str]]:
     """Every figure of a replay by its name, as text."""
     trace = replay.trace
-    start = replay.start
     return [
         ("log", clock_of(replay.log)),
         ("samples", counted(len(trace))),
-        ("initial SOC", f"{points(start.soc)} ± {points(2.0 * start.std)}, {start.how}"),
+        ("initial SOC", f"{soc_at_start(replay)}, {replay.start.how}"),
         ("final SOC", soc_at_end(replay)),
         *_errors("", replay.errors),
         (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),

@@ -1,0 +1,114 @@
+"""What the pages of the commands lead with: adopt or not, what is left at the usual load."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+
+from cellwise.cell.model_file import write_model
+from cellwise.cell.simulate import simulate
+from cellwise.logs import write_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.report.page.markup import Markup
+from example_cells import curved_cell
+
+ROWS, DT_S, START = 2500, 2.0, 0.9
+OFFSET_A = 0.1
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Every picture that a page takes in."""
+    taken = []
+
+    def take(picture):
+        taken.append(picture)
+        return Markup("<figure id='f'></figure>")
+
+    monkeypatch.setattr("cellwise.report.page.section.inline", take)
+    return taken
+
+
+def text_of(page, tag):
+    """What stands in the elements of a kind, as a reader has it."""
+    parts = re.findall(rf"<{tag}[ >].*?</{tag}>", page.read_text("utf-8"), flags=re.S)
+    plain = unescape(re.sub(r"<[^>]*>", " ", "\n".join(parts)))
+    return plain.replace("\N{NO-BREAK SPACE}", " ")
+
+
+@pytest.fixture(scope="module")
+def odd_sensor(tmp_path_factory):
+    """A model, and two drives: the sensor adds a constant that the tester's counter has not."""
+    folder, cell = tmp_path_factory.mktemp("odd"), curved_cell()
+    write_model(cell, folder / "cell.json")
+    for k, name in enumerate(("drive", "held")):
+        rng = np.random.default_rng(k)
+        true = np.repeat(rng.uniform(-1.0, 3.0, ROWS // 20), 20)
+        log = CellLog(np.arange(ROWS) * DT_S, true, np.full(ROWS, 3.7))
+        voltage = simulate(cell, log, START).voltage_V + rng.normal(0.0, 1e-3, ROWS)
+        counter = np.cumsum(true * log.interval_s) / 3600.0
+        read = CellLog(log.time_s, true + OFFSET_A, voltage, charge_Ah=counter)
+        write_log(read, folder / f"{name}.csv")
+    return folder, cell
+
+
+@pytest.mark.usefixtures("drawn")
+def test_an_extension_that_makes_soc_worse_is_not_to_be_adopted(
+    odd_sensor, run_json, capsys, tmp_path
+):
+    """An OCV that is moved explains the voltages of an odd sensor, and loses its SOC."""
+    from cellwise.cli import main
+
+    folder, cell = odd_sensor
+    page, new = tmp_path / "page.html", tmp_path / "new.json"
+    command = ("diagnose", "--model", str(folder / "cell.json"), str(folder / "drive.csv"),
+               "--holdout", str(folder / "held.csv"), "--soc0", str(START), "--cause", "ocv_shift",
+               "--reference-capacity-ah", str(cell.capacity_Ah))  # fmt: skip
+    found = run_json(*command, "-o", str(new), "--report", str(page))
+    held = next(r for r in found["logs"] if r["used"] == "holdout")
+    gain = found["soc_gain"]
+    assert found["verdict"] == "ocv_shift"
+    assert held["rmse_after_V"] < 0.5 * held["rmse_before_V"]
+    assert gain["soc_rmse_after"] > 2.0 * gain["soc_rmse_before"]
+    assert found["adopt"] is False
+    before, after = (f"{100 * gain[f'soc_rmse_{k}']:.2f} %" for k in ("before", "after"))
+    headline = text_of(page, "h1")
+    assert headline.split()[:6] == ["Do", "not", "adopt", "the", "extended", "model:"]
+    assert f"but SOC gets worse, {before} → {after} RMSE" in headline
+    capsys.readouterr()
+    assert main(list(command)) == 0
+    said = capsys.readouterr().out.replace("\N{NO-BREAK SPACE}", " ")
+    assert " ".join(headline.split()) in " ".join(said.split())
+    # One figure of each log: in the JSON, on the page, by `simulate` with the model written.
+    one = run_json("simulate", "--model", str(new), str(folder / "held.csv"), "--soc0", str(START))
+    assert one["rmse_V"] == pytest.approx(held["rmse_after_V"], rel=1e-9)
+    assert f"{1e3 * one['rmse_V']:.1f} mV" in text_of(page, "dl")
+    assert f"{1e3 * one['rmse_V']:.1f} mV" in text_of(page, "table")
+
+
+def test_what_is_left_is_shown_at_the_usual_load_with_its_band(
+    model, drive, run_json, drawn, tmp_path
+):
+    page = tmp_path / "page.html"
+    found = run_json("replay", "--model", model, drive, "--report", str(page))
+    usual = found["forecast"]["typical"]
+    headline = text_of(page, "h1")
+    minutes = (usual["remaining_s"], *usual["remaining_s_band"])
+    whole = [float(n) for n in re.findall(r"\d+(?:\.\d+)?", headline.partition(":")[2])][:3]
+    scale = 3600.0 if " h (" in headline else 60.0 if " min (" in headline else 1.0
+    assert whole == pytest.approx([m / scale for m in minutes], rel=0.06, abs=0.06)
+    assert headline.rstrip().endswith("A.")
+    assert "left at the usual" in headline
+    assert text_of(page, "thead").index("usual load") < text_of(page, "thead").index("last minute")
+    assert drawn[0].key.startswith("flight")
+    above, below = drawn[0].figure.axes
+    for axes in (above, below):
+        (line,), (band,) = axes.lines, axes.collections
+        left = line.get_ydata()
+        # It falls with the charge and does not swing with every bend, as the last minute's does.
+        assert np.abs(np.diff(left)).max() < 0.05 * np.ptp(left)
+        low, high = band.get_datalim(axes.transData).intervaly
+        assert low < left.min() < left.max() < high

@@ -1,0 +1,156 @@
+"""No caption names what is not drawn, on pages by hand and by the command on measured files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+from cellwise.cli import main
+from cellwise.forecast.remaining import forecast
+from cellwise.report import identify_page, replay_page
+from cellwise.report.page import style
+from cellwise.report.page.markup import Markup
+from diagnosis_cases import diagnosis
+from page_cases import every_page
+from report_cases import drive, identification, model, replay
+
+
+def artists(figure, kind=object):
+    """What is visible within the axes of a figure."""
+    shown = (a for axes in figure.axes if axes.axison for a in axes.get_children())
+    return [a for a in shown if isinstance(a, kind) and a.get_visible()]
+
+
+def coloured(colour):
+    def drawn(figure):
+        found = [to_hex(line.get_color()) for line in artists(figure, Line2D)]
+        for one in artists(figure):
+            if hasattr(one, "get_facecolor") and np.ndim(one.get_facecolor()) in (1, 2):
+                found += [to_hex(c) for c in np.atleast_2d(one.get_facecolor()) if np.size(c) == 4]
+        return colour in found
+
+    return drawn
+
+
+def rows(figure):
+    """How many axes stand one below the other."""
+    return len({round(a.get_position().y0, 2) for a in figure.axes if a.axison})
+
+
+def marked(figure):
+    return any(line.get_marker() not in ("None", "", None) for line in artists(figure, Line2D))
+
+
+def filled(figure):
+    kinds = ("PolyCollection", "FillBetweenPolyCollection")
+    return any(type(a).__name__ in kinds for a in artists(figure))
+
+
+def boxed(figure):
+    return any(a not in [x.patch for x in figure.axes] for a in artists(figure, Rectangle))
+
+
+def named(word):
+    return lambda figure: any(
+        word in text
+        for axes in figure.axes
+        for text in (axes.get_ylabel(), axes.get_title(loc="left"),
+                     *axes.get_legend_handles_labels()[1])
+    )  # fmt: skip
+
+
+# What a caption says, and what must be there.
+NEEDED = {
+    r"\(grey\)|grey is": coloured(style.MEASURED),
+    r"\(vermillion\)": coloured(style.MODEL),
+    r"\(blue\)": coloured(style.FILTER),
+    r"[Bb]elow[,:]": lambda f: rows(f) > 1,
+    r"(upper|lower|to the) (left|right)|[Bb]elow (left|right)": lambda f: len(f.axes) > 2,
+    r"(?<!no )\b[Bb]ands?\b(?! two standard errors, left)": lambda f: filled(f) or boxed(f),
+    r"their bands two standard errors": filled,
+    r"[Dd]otted": lambda f: any(x.get_linestyle() not in ("-", "None") for x in
+                               artists(f, Line2D)),
+    r"\b[Dd]ots?\b|\bMarks\b|\bLarge:": marked,
+    r"\b[Bb]ars?\b": lambda f: boxed(f) or any(artists(f, LineCollection)),
+    r"with their current": named("current"),
+    r"\breference that": named("reference"),
+    r"innovation": named("innovation"),
+    r"Shaded": boxed,
+    r"thin marks": named("move"),
+    **{f"{name.capitalize()}:": named(name) for name in style.VERDICTS},
+}  # fmt: skip
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Every picture that a page takes in."""
+    taken = []
+
+    def take(picture):
+        taken.append(picture)
+        return Markup("<figure id='f'></figure>")
+
+    monkeypatch.setattr("cellwise.report.page.section.inline", take)
+    return taken
+
+
+def untrue(pictures):
+    """Key, word of the caption that names what is not there."""
+    return [
+        (picture.key, word)
+        for picture in pictures
+        for word, there in NEEDED.items()
+        if re.search(word, picture.caption) and not there(picture.figure)
+    ]
+
+
+def test_pages_by_hand(drawn, tmp_path):
+    every_page(tmp_path, diagnosis("current_offset"))
+    every_page(tmp_path, diagnosis())
+    identify_page(identification(refined=False), tmp_path / "plain.html")
+    run = replay(drive())
+    replay_page([run], tmp_path / "f.html", flights=[forecast(model(), run, cutoff_V=2.8)])
+    replay_page([replace(run, reference_soc=None)], tmp_path / "r.html")
+    assert len({p.key.split("-")[0] for p in drawn}) >= 8
+    assert untrue(drawn) == []
+
+
+def test_the_check_sees_what_is_missing(drawn, tmp_path):
+    """A caption of a residual and of bands over a picture of neither."""
+    replay_page([replace(replay(drive()), reference_soc=None)], tmp_path / "r.html")
+    soc = next(p for p in drawn if p.key.endswith("soc"))
+    said = "The reference that was counted (grey). Below, dotted lines. Trimmed: cut."
+    assert len(untrue([soc._replace(caption=said)])) == 4
+
+
+@pytest.mark.slow
+def test_pages_of_measured_files_by_the_command(drawn, real_data, tmp_path):
+    """A flight without a temperature, a stock model's update, a life, a pack, a cold drive."""
+    lipo, pages = str(tmp_path / "lipo.json"), iter(range(99))
+    flight = str(real_data / "native/ardupilot_dronekit-la_log171.bin")
+    warm, cold = (
+        str(real_data / f"panasonic_18650pf/drive_{t}_us06.csv.gz") for t in ("p25", "p00")
+    )
+    life = [str(real_data / f"samsung_30q_ageing/d1_cellA_cycle{k}.csv.gz") for k in ("011", "401")]
+    prior = ("--prior", "lipo-pouch", "--nominal-ah", "5.45", "-o", lipo)
+    for command in (
+        ("identify", "--drive", str(real_data / "lipo_5450/c2_cycle01.csv.gz"), *prior),
+        ("replay", "--model", lipo, flight, "--series", "4", "--power"),
+        ("history", "--model", "nmc-18650", "--capacity-ah", "3", *life),
+        ("pack", "--model", "lmo-pouch", "--capacity-ah", "65",
+         str(real_data / "leaf_pack/leaf_20170418.parquet")),
+        ("diagnose", "--model", "nmc-18650", "--capacity-ah", "2.9", cold, "--holdout", warm,
+         "--cause", "resistance_scale"),
+    ):  # fmt: skip
+        assert main([*command, "--report", str(tmp_path / f"{next(pages)}.html")]) == 0, command
+    keys = " ".join(p.key for p in drawn)
+    for kind in ("parameters", "flight", "power", "history", "pack", "before-after"):
+        assert kind in keys
+    assert untrue(drawn) == []
