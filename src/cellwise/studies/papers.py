@@ -68,7 +68,7 @@ def print_papers(found: PaperTables, console: Console | None = None) -> None:
     lfp, ncr = found.lfp, found.ncr
     parts: tuple[tuple[str, str, str, str, tuple[Table, ...]], ...] = (
         ("LFP040AHA", LFP_EMBEDDED, "Columns", LFP_CELL,
-         (_capacity(lfp), _pulses(lfp), _polynomials(lfp), _errors(lfp))),
+         (_capacity(lfp), _pulses(lfp), _ocv(lfp), _polynomials(lfp), _errors(lfp))),
         ("NCR18650B", NMC_EMBEDDED, "Rows", NCA_CELL, (_rate_errors(ncr), _residuals(ncr))),
     )  # fmt: skip
     for paper, cell, what, published_cell, tables in parts:
@@ -129,6 +129,20 @@ def _pulses(found: LfpTables) -> Rows:
     yield None
     sums = map(str, map(sum, zip(*counts, strict=True)))
     yield ("all", "", f"{found.hppc_Ah:.4f}", *sums, f"{sum(LFP_TEST_CHARGES_AH):.2f}")
+
+
+@tabled(
+    "OCV a + b ln(s + c) + d s + exp(e (s - f)) through the rests, beside the spline of identify",
+    "a V", "b V", "c", "d V", "e", "f", "RMSE mV", "spline",
+)  # fmt: skip
+def _ocv(found: LfpTables) -> Rows:
+    ocv = found.ocv
+    values = (ocv.a, ocv.b, ocv.c, ocv.d, ocv.e, ocv.f)
+    yield (
+        *(f"{x:.4g}" for x in values),
+        f"{1e3 * ocv.rmse_V:.2f}",
+        f"{1e3 * found.spline_rmse_V:.2f}",
+    )
 
 
 @tabled(
@@ -287,6 +301,7 @@ def _lfp_dict(found: LfpTables) -> dict[str, Any]:
             for test in found.tests
         ],
         "hppc_total_Ah": found.hppc_Ah,
+        "ocv": {**asdict(found.ocv), "spline_rmse_V": found.spline_rmse_V},
         "polynomials": [
             {**asdict(p), "published": LFP_POLYNOMIALS[p.parameter]} for p in found.polynomials
         ],
