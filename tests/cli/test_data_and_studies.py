@@ -100,6 +100,7 @@ def test_papers(run_json):
     found = run_json("papers")
     assert {"lfp", "ncr18650b", "seconds"} <= set(found)
     assert found["lfp"]
+    assert set("abcdef") < set(found["lfp"]["ocv"][0]), "the OCV function of equation 8"
     assert found["ncr18650b"]
 
 

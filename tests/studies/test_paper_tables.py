@@ -151,6 +151,12 @@ def test_progress_names_both_papers(tables, told):
     assert any(s.startswith("NCR18650B paper") for s in told)
 
 
+def test_equation_8_follows_the_rests_less_closely_than_the_spline(as_dict):
+    ocv = as_dict["lfp"]["ocv"][0]
+    assert ocv["spline_rmse_V"] < ocv["rmse_V"] < 0.03
+    assert 3.0 < ocv["a"] + ocv["b"] * np.log(0.5 + ocv["c"]) + 0.5 * ocv["d"] < 3.4, "LFP"
+
+
 def test_missing_log_is_named(tmp_path):
     with pytest.raises(InputError, match=r"lfp/hppc\.parquet"):
         paper_tables(tmp_path)

@@ -11,7 +11,7 @@ Which one the paper took is therefore inferred, not known: both are shown.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +24,7 @@ from cellwise.identify.capacity.capacity_choice import CapacityRow, capacity_tab
 from cellwise.identify.hppc.pulse_quality import PulseQuality
 from cellwise.identify.hppc.pulses import Pulse
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
+from cellwise.identify.papers.log_linear_exp import LogLinearExp, fit_log_linear_exp
 from cellwise.identify.papers.segments import SEGMENTS
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.identify.pulse_fit.fit_pulse import Method
@@ -98,6 +99,8 @@ class LfpTables:
 
     capacities: tuple[CapacityRow, ...]
     tests: tuple[TestPulses, ...]
+    ocv: LogLinearExp
+    spline_rmse_V: float
     polynomials: tuple[Polynomial, ...]
     errors: tuple[ChoiceError, ...]
     method: Method
@@ -119,7 +122,8 @@ def lfp_tables(
 ) -> LfpTables:
     """Identify the cell once for every capacity choice, by the paper's way and by ours.
 
-    The paper's way: single pulses, cubic polynomials over SOC, no refinement.
+    The paper's way: single pulses, equation 8 through the rests, cubic polynomials over SOC, no
+    refinement.
 
     Parameters
     ----------
@@ -147,14 +151,18 @@ def lfp_tables(
                 refine=False,
             ),
         )
-        first = paper if first is None else first
+        ocv = fit_log_linear_exp(paper.ocv.points_soc, paper.ocv.points_V)
+        if first is None:
+            first, first_ocv = paper, ocv
+        model = paper.model
+        model = replace(model, ocv_V=np.tile(ocv.evaluate(model.soc), (len(model.ocv_V), 1)))
         say(f"LFP paper, capacity {CHOICES[choice]}: varpro, refined")
         ours = identify_cell(tests, IdentifySettings(nominal_Ah=nominal_Ah, capacity_choice=choice))
         errors.append(
             ChoiceError(
                 choice,
-                paper.model.capacity_Ah,
-                cycle_error(paper.model, cycle),
+                model.capacity_Ah,
+                cycle_error(model, cycle),
                 cycle_error(ours.model, cycle),
             )
         )
@@ -165,10 +173,16 @@ def lfp_tables(
     return LfpTables(
         capacities=capacity_table(usable_tests(first.capacity_tests)),
         tests=split_tests(hppc, pulses.pulses, soc),
+        ocv=first_ocv,
+        spline_rmse_V=_rms(first.ocv.points_V - first.ocv.function.evaluate(first.ocv.points_soc)),
         polynomials=polynomials(pulses.fits),
         errors=tuple(errors),
         method=method,
     )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def cycle_error(

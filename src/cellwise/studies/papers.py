@@ -184,6 +184,7 @@ def _lfp_dict(found: LfpTables) -> dict[str, Any]:
             for test in found.tests
         ],
         "hppc_total_Ah": found.hppc_Ah,
+        "ocv": [{**asdict(found.ocv), "spline_rmse_V": found.spline_rmse_V}],
         "polynomials": [
             {**asdict(p), "published": dict(zip("abcd", LFP_POLYNOMIALS[p.parameter], strict=True))}
             for p in found.polynomials
