@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from cellwise.arguments import number, shown
 from cellwise.cell.model import CellModel
@@ -230,7 +230,7 @@ def claim_checks(
             continue
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
-        most2 = float(f_distribution.isf(CLAIM.rare, freedom, STATED.errors))
+        most2 = float(fdtri(freedom, STATED.errors, 1.0 - CLAIM.rare))
         found.append(
             ClaimCheck(
                 run.log.name,

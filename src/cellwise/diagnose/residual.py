@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
@@ -170,7 +170,7 @@ def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     if not jump.size:
         return {"floor_V": None, "share": None}
     for share in (0.5, 0.9):  # where most rows repeat the last (a coarse digit) by the others
-        white = math.sqrt(2.0) * float(norm.ppf(0.5 + 0.5 * share))
+        white = math.sqrt(2.0) * float(ndtri(0.5 + 0.5 * share))
         floor = float(np.quantile(jump, share)) / white
         if floor > 0.0:
             break

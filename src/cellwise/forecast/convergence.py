@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
-from scipy.stats import norm
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
@@ -30,7 +30,7 @@ class ExpectedConvergence:
 
         Stays means for ten minutes or to the log's end; None: not on this log.
         """
-        half = float(norm.ppf(0.75))  # half of a normal distribution lies within
+        half = NormalDist().inv_cdf(0.75)  # half of a normal distribution lies within
         row = converged_row(self.time_s, half * self.soc_std)
         return None if row is None else float(self.time_s[row] - self.time_s[0])
 

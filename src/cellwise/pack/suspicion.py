@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from cellwise.pack.differences import (
     CAPACITY,
@@ -165,7 +165,8 @@ def suspicions(
     for k, cell in enumerate(there.tolist()):
         ratio = np.array([g[k] for g in gains])
         tail = [
-            float(chi2.sf(2.0 * g, len(e.moves))) for g, e in zip(ratio, EXPLANATIONS, strict=True)
+            float(chdtrc(len(e.moves), 2.0 * max(g, 0.0)))
+            for g, e in zip(ratio, EXPLANATIONS, strict=True)
         ]
         if min(tail) >= allowed:
             continue
@@ -203,7 +204,7 @@ def scale_of(ratio: FloatArray, freedom: int) -> float:
     odd = max(int(np.ceil(ALARM.odd_share * cells)), 1)
     found = [
         float(ordered[min(int(share * cells), ratio.size - 1 - odd)])
-        / float(chi2.ppf(share, freedom))
+        / float(chdtri(freedom, 1.0 - share))
         for share in ALARM.tail_shares
     ]
     return max((cells * max(found) + USUAL.weight) / (cells + USUAL.weight), 1.0)
@@ -340,7 +341,7 @@ def self_discharging(drifts: Sequence[Drift]) -> list[Suspicion]:
     allowed = ALARM.false_alarms / (gain.size * len(EXPLANATIONS))
     cause = next(one for one in EXPLANATIONS if one.cause == "self_discharge")
     found = []
-    for cell in np.flatnonzero(chi2.sf(2.0 * gain, 1) < allowed).tolist():
+    for cell in np.flatnonzero(chdtrc(1, 2.0 * gain) < allowed).tolist():
         chance = math.exp(ALARM.penalty - math.log(allowed) - float(gain[cell]))
         found.append(
             Suspicion(

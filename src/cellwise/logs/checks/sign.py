@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -181,15 +182,25 @@ def _changes(
 
 
 def _contrast(window: float, causes: FloatArray, changes: FloatArray) -> Contrast:
-    """Shares of sum(changes^2) that -causes and +causes explain with weights >= 0."""
-    from scipy.optimize import nnls  # slow to import
+    """Shares of sum(changes^2) that -causes and +causes explain with weights >= 0.
 
+    Least squares with weights >= 0 are those of the causes that get one, so of all choices of
+    causes whose plain weights are >= 0 the best: no library for three causes.
+    """
     total = float(changes @ changes)
     shares = [0.0, 0.0]
     if total > 0.0:
         scale = np.sqrt(np.sum(causes**2, axis=0))
         scaled = causes / np.where(scale > 0.0, scale, 1.0)
-        shares = [max(1.0 - nnls(sign * scaled, changes)[1] ** 2 / total, 0.0) for sign in (-1, 1)]
+        products, moments = scaled.T @ scaled, scaled.T @ changes
+        for size in range(1, causes.shape[1] + 1):
+            for some in combinations(range(causes.shape[1]), size):
+                of = list(some)
+                weights = np.linalg.pinv(products[np.ix_(of, of)], hermitian=True) @ moments[of]
+                share = min(float(moments[of] @ weights) / total, 1.0)
+                for k, sign in enumerate((-1, 1)):
+                    if np.all(sign * weights >= 0.0):
+                        shares[k] = max(shares[k], share)
     return Contrast(window, changes.size, causes.shape[1], *shares)
 
 
