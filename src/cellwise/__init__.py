@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # `typing` takes longer than all that stands here
 if TYPE_CHECKING:
+    from typing import Any
+
     from cellwise.cell.initial_soc.pauses import simulate
     from cellwise.cell.metrics import ErrorMetrics
     from cellwise.cell.model import CellModel
@@ -119,6 +119,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    from importlib import import_module
+
     if name in _HOMES:
         value = getattr(import_module(_HOMES[name]), name)
         globals()[name] = value

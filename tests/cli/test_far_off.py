@@ -49,14 +49,24 @@ def test_no_health_and_no_power_of_a_log_that_is_far_off(drive, run_json, capsys
 
 
 def test_no_history_by_logs_that_are_all_far_off(drive, run_json, capsys, tmp_path):
-    saved = tmp_path / "aged.json"
+    saved, page = tmp_path / "aged.json", tmp_path / "life.html"
+    rows = tmp_path / "life.csv"
     arguments = ["history", *OTHER, drive, "--save-model", str(saved)]
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert "FAR OFF" in said
-    assert "--anyway" in said
+    found = run_json(*arguments, "-o", str(rows), "--report", str(page))
+    assert "FAR OFF" in found["notices"][0]
+    assert "--anyway" in found["notices"][0]
+    (log,) = found["logs"]
+    trend = found["trend"]
+    health = [log[k] for k in log if k.startswith(("capacity", "resistance"))]
+    assert {*health, *trend["use"].values(), *trend["capacity_share"]} == {None}
+    assert 0.0 <= log["soc_end"] <= 1.0
     assert not saved.exists()
-    assert run_json(*arguments, "--anyway")["trend"]["use"]["capacity_std_Ah"] > 0.0
+    assert "drive_b" in rows.read_text()
+    assert "Far off this model" in page.read_text(encoding="utf-8")
+    assert "FAR OFF" in first_line(capsys, *arguments)
+    anyway = run_json(*arguments, "--anyway")
+    assert anyway["trend"]["use"]["capacity_std_Ah"] > 0.0
+    assert saved.exists()
 
 
 def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, run_json, capsys):
@@ -140,9 +150,9 @@ def test_lfp_for_a_measured_drive_of_nickel_is_said_by_every_command(place, real
     given = ("--model", "lfp-26650", "--capacity-ah", "3", str(real_data / f"{place}.csv.gz"))
     replayed = run_json("replay", *given)
     assert replayed["forecast"] is None
-    for found in (replayed, run_json("simulate", *given), run_json("diagnose", *given)):
-        assert any("FAR OFF" in notice for notice in found["notices"][:2])
-    assert main(["history", *given]) == 2
+    for command in ("simulate", "diagnose", "history"):
+        assert any("FAR OFF" in notice for notice in run_json(command, *given)["notices"][:2])
+    assert any("FAR OFF" in notice for notice in replayed["notices"][:2])
 
 
 @pytest.mark.slow

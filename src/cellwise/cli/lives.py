@@ -47,7 +47,9 @@ def run_history(arguments: argparse.Namespace) -> None:
         found = life_of(model, logs, anyway=arguments.anyway)
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))
-    if arguments.save_model:
+    if arguments.save_model and found.withheld:
+        printing.warn("cellwise history: no model was written: all logs are far off the one given")
+    elif arguments.save_model:
         write_model(found.aged_model, arguments.save_model)
     page_options.hand_over(arguments, found, history_page, print_life)
 
@@ -56,21 +58,21 @@ def print_life(found: Life) -> None:
     """A life for people."""
     data = found.to_dict()
     printing.say_notices(found.far_off)
-    percent = printing.percent
     printing.record_table(
         f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
         zip(data["logs"], found.trend.share, found.trend.std, strict=True),
         ("log", lambda o: o[0]["log"]),
         ("capacity Ah", lambda o: _with_band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
         ("resistance", lambda o: _with_band(o[0]["resistance_scale"], o[0]["resistance_std"])),
-        ("trend %", lambda o: f"{percent(o[1], 1)} +- {percent(2 * o[2], 1)}"),
+        ("trend %", lambda o: _with_band(100 * float(o[1]), 100 * float(o[2]), 1)),
         ("by", lambda o: o[0]["how"]),
     )
     trend, use = data["trend"], data["trend"]["use"]
-    printing.say(
-        f"use now: {use['capacity_Ah']:.3f} +- {2 * use['capacity_std_Ah']:.3f} Ah, resistance "
-        f"{use['resistance_scale']:.2f} +- {2 * use['resistance_std']:.2f} of the model's"
-    )
+    if not found.withheld:
+        printing.say(
+            f"use now: {use['capacity_Ah']:.3f} +- {2 * use['capacity_std_Ah']:.3f} Ah, resistance "
+            f"{use['resistance_scale']:.2f} +- {2 * use['resistance_std']:.2f} of the model's"
+        )
     if trend["knee"] is not None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")
     printing.say(f"next reference test: {trend['next_reference']}")
@@ -78,5 +80,5 @@ def print_life(found: Life) -> None:
     printing.say_notices(n for n in notices if n not in found.far_off)
 
 
-def _with_band(value: float, std: float) -> str:
-    return f"{value:.3f} +- {2 * std:.3f}"
+def _with_band(value: float, std: float, digits: int = 3) -> str:
+    return "-" if value != value else f"{value:.{digits}f} +- {2 * std:.{digits}f}"

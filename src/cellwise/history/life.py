@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
 from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
@@ -79,7 +80,8 @@ class Reference(NamedTuple):
 class Life:
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
-    ``far_off`` names the logs that were left out for it.
+    ``far_off`` names the logs that were left out for it. ``withheld``: all are, and capacity and
+    resistance are NaN.
     """
 
     model: CellModel
@@ -88,8 +90,11 @@ class Life:
     way: FloatArray
     trend: Trend
     far_off: tuple[str, ...] = ()
+    withheld: bool = False
 
     def __repr__(self) -> str:
+        if self.withheld:
+            return f"Life({len(self.logs)} logs, FAR OFF this model)"
         scale, std = self.resistance
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
@@ -111,7 +116,18 @@ class Life:
 
     @property
     def aged_model(self) -> CellModel:
-        """The model as the cell is now: for `replay`, `live`, `export` without anything else."""
+        """The model as the cell is now: for `replay`, `live`, `export` without anything else.
+
+        Raises
+        ------
+        InputError        the logs are far off the model
+        """
+        if self.withheld:
+            raise InputError(
+                f"no log that is not far off: {self.far_off[0]}",
+                "logs of the model's cell, aged or not",
+                "Check the model and how the logs are read.",
+            )
         scale = self.resistance[0]
         capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
         aged = changed_model(self.model, capacity, float(np.log(scale)))
@@ -140,6 +156,8 @@ class Life:
     @property
     def next_reference(self) -> str:
         """The test that would make the trend known, where it is not."""
+        if self.withheld:
+            return "none before the model and how the logs are read have been checked"
         std = float(self.trend.std[-1])
         if std <= TESTED.unsure and any(one.counted for one in self.logs):
             return f"none: the share of the new cell's capacity is known to +- {200 * std:.1f} %"
@@ -160,7 +178,7 @@ class Life:
         ]
         found = [*self.far_off]
         first = next((one for one in self.logs if one.counted), None)
-        if first is not None:
+        if first is not None and not self.withheld:
             found.append(
                 f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
                 f"others are compared; the capacity to use is of the whole SOC range: the "
@@ -207,6 +225,21 @@ class Life:
             "notices": list(self.notices),
         }
 
+    def without_health(self, far_off: Sequence[str]) -> Life:
+        """The same of logs that are all far off, without what would be made of them."""
+        health = ("capacity", "share", "resistance")
+        unknown: dict[str, Any] = {
+            k: np.nan for k in LogOfLife.__dataclass_fields__ if k.startswith(health)
+        }
+        nothing = np.full(len(self.logs), np.nan)
+        return replace(
+            self,
+            logs=tuple(replace(one, **unknown) for one in self.logs),
+            trend=Trend(nothing, nothing, None),
+            far_off=tuple(map(withheld, far_off)),
+            withheld=True,
+        )
+
     def columns(self) -> dict[str, Any]:
         """One row per log."""
         rows = self.to_dict()["logs"]
@@ -230,11 +263,12 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     ----------
     model : CellModel          of the cell when it was new
     logs : sequence of CellLog      in the order of time
-    anyway : bool              logs that are far off the model take part, too
+    anyway : bool              logs that are far off the model take part, too; else they are left
+                               out, and nothing is said of health where all of them are
 
     Raises
     ------
-    InputError        no log; none that says anything, or all far off; days that run backwards
+    InputError        no log; none that says anything; days that run backwards
     """
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
@@ -254,11 +288,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         if one is not None:
             found.append(one)
     if not found and far_off:
-        raise InputError(
-            f"no log that is not far off: {far_off[0]}",
-            "logs of the model's cell, aged or not",
-            "Check the model and how the logs are read; `anyway=True` says what they would give.",
-        )
+        return life_of(model, logs, anyway=True).without_health(far_off)
     if not found:
         raise InputError(
             f"{len(logs)} log(s), none of which moves enough charge or has enough voltages",

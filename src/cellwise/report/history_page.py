@@ -29,22 +29,31 @@ def history_page(
     data = found.to_dict()
     use = data["trend"]["use"]
     now, now_std = found.resistance
-    known = f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g} Ah"
+    known = (
+        "unknown"
+        if found.withheld
+        else f"{use['capacity_Ah']:.3g} ± {2 * use['capacity_std_Ah']:.2g} Ah"
+    )
+    resistance = "unknown" if found.withheld else f"{now:.2f} ± {2 * now_std:.2f}"
     key_figures = tiles(
         [
             ("of the new cell's capacity", _now(found)),
             ("capacity to use", known),
-            ("resistance, times the model's", f"{now:.2f} ± {2 * now_std:.2f}"),
+            ("resistance, times the model's", resistance),
             ("logs", str(len(found.logs))),
         ]
     )
     notices = [*data["notices"], *(n for one in data["logs"] for n in one["notices"])]
     test = data["trend"]["next_reference"].replace("+-", "±")
     sections = [
-        Section("capacity", "Capacity", (capacity_picture(found),)),
-        Section("resistance", "Resistance", (resistance_picture(found),)),
         Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
     ]
+    if not found.withheld:
+        sections = [
+            Section("capacity", "Capacity", (capacity_picture(found),)),
+            Section("resistance", "Resistance", (resistance_picture(found),)),
+            *sections,
+        ]
     return write_page(
         path,
         _first_line(found),
@@ -64,12 +73,16 @@ def _next(test: str) -> str:
 
 def _now(found: Life) -> str:
     """The share of the new cell's capacity at the last log, the same everywhere."""
+    if found.withheld:
+        return "unknown"
     share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
     return f"{100.0 * share:.1f} ± {200.0 * std:.1f}{SPACE}%"
 
 
 def _first_line(found: Life) -> str:
     """What was lost, where that is more than two standard deviations of the trend."""
+    if found.withheld:
+        return "Far off this model: neither capacity nor resistance can be said"
     first, last = float(found.trend.share[0]), float(found.trend.share[-1])
     lost, known = 1.0 - last / first, 2.0 * float(found.trend.std[-1]) / first
     if abs(lost) > known:
