@@ -168,4 +168,4 @@ def host_figures(say: Progress) -> list[Figure]:
 def _host(tables: FixedStepTables) -> Stepper:
     from cellwise.export.firmware import HostLibrary
 
-    return HostLibrary(tables).stepper()
+    return HostLibrary(tables)

@@ -95,7 +95,7 @@ def test_the_same_bits(case):
         for samples in (drive, stress_samples(30_000)):
             ours, theirs = library.state(), library.state()
             stepper.begin(ours, 0.9, 0.02)
-            library.init(theirs, 0.9, 0.02)
+            library.begin(theirs, 0.9, 0.02)
             assert ours.tobytes() == theirs.tobytes()
             expected = stepper.rows(ours, samples)
             assert library.rows(theirs, samples).tobytes() == expected.tobytes(), flags
@@ -116,8 +116,8 @@ def test_one_buffer_is_stepped_by_either():
     stepper, library = numba_stepper(tables), HostLibrary(tables)
     samples = stress_samples(2000)
     alone, shared = library.state(), library.state()
-    library.init(alone, 0.5, 0.02)
-    library.init(shared, 0.5, 0.02)
+    library.begin(alone, 0.5, 0.02)
+    library.begin(shared, 0.5, 0.02)
     expected = library.rows(alone, samples)
     parts = np.array_split(samples, 40)
     found = [(stepper if k % 2 else library).rows(shared, p) for k, p in enumerate(parts)]

@@ -27,7 +27,7 @@ def samples(first, count):
 def compiled_c(tables):
     """The C of this machine's compiler; None without one."""
     try:
-        return HostLibrary(tables).stepper()
+        return HostLibrary(tables)
     except Exception:
         return None
 

@@ -7,6 +7,7 @@ The upper-case names stand for the options inside the step. They are known when 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,12 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel
+from cellwise.errors import InputError
+from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.power.fixed_tables import check_power
+
+if TYPE_CHECKING:
+    from cellwise.estimate.power.state_of_power import PowerSettings
 
 
 @dataclass(frozen=True)
@@ -77,32 +84,55 @@ class Options:
         return {f"CELLWISE_{f.name.upper()}": int(getattr(self, f.name)) for f in fields(self)}
 
 
-def options_of(
-    model: CellModel,
-    *,
-    offset: bool = False,
-    wide: bool = True,
-    watch: bool = True,
-    validity: bool = True,
-    power: bool = False,
-    remaining: bool = False,
-    health: bool = False,
-    cells: bool = False,
-    arrhenius_points: int = 0,
-) -> Options:
-    """What a model needs; an effect at its neutral value needs nothing.
+@dataclass(frozen=True)
+class Asked:
+    """What a fixed step is made with, beside its model, its noise and its time step.
 
     Parameters
     ----------
-    offset : bool             carry the current sensor's offset as a state
-    wide : bool               take care of slopes while SOC is badly known
+    points : int or None      SOC points of the tables; None: the model's own
+    offset_std_A : float      above 0 the current sensor's offset is a state, at the start within
+                              this [A]
+    wide : bool               take care of slopes while SOC is badly known; without it the code is
+                              smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
-    power : bool              the state of power at one horizon, a function of its own
-    remaining : bool          time and energy to empty at a load, a function of its own
-    health : bool               take capacity and resistance from a history
-    cells : bool              follow the cells of a pack beside the mean cell
-    arrhenius_points : int    points of each table over temperature where the model has that effect
+    power : PowerSettings or None   what the state of power is asked for: one horizon, currents held
+    remaining_V : float or None     cutoff down to which time and energy are asked for
+    health : bool                   take capacity and resistance from a history
+    cells : CellSettings or None    follow the cells of a pack beside the mean cell
+
+    Raises
+    ------
+    InputError        offset_std_A negative or not finite; a power over several horizons, or with
+                      a power held
+    """
+
+    points: int | None = None
+    offset_std_A: float = 0.0
+    wide: bool = True
+    watch: bool = True
+    validity: bool = True
+    power: PowerSettings | None = None
+    remaining_V: float | None = None
+    health: bool = False
+    cells: CellSettings | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.offset_std_A) and self.offset_std_A >= 0):
+            raise InputError(
+                f"an offset deviation of {self.offset_std_A} A",
+                "ampere, at least 0",
+                "Give e.g. 0.1.",
+            )
+        if self.power is not None:
+            check_power(self.power)
+
+
+def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options:
+    """What a model and a wish need; an effect at its neutral value needs nothing.
+
+    ``arrhenius_points`` are those of each table over temperature where the model has that effect.
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
     surface = model.effect(SurfaceSoc)
@@ -113,7 +143,7 @@ def options_of(
         temperatures=model.temperature_C.size,
         slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
         hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
-        offset=int(offset),
+        offset=int(asked.offset_std_A > 0),
         arrhenius=arrhenius,
         efficiency=int(model.charge_efficiency != 1.0),
         leak=int(model.effect(SelfDischarge).leak_A != 0.0),
@@ -124,13 +154,13 @@ def options_of(
         surface=int(surface.depth_h != 0.0),
         depth=depth,
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
-        wide=int(wide),
-        watch=int(watch),
-        validity=_watched(model) if validity else 0,
-        power=int(power),
-        remaining=int(remaining),
-        health=int(health),
-        cells=int(cells),
+        wide=int(asked.wide),
+        watch=int(asked.watch),
+        validity=_watched(model) if asked.validity else 0,
+        power=int(asked.power is not None),
+        remaining=int(asked.remaining_V is not None),
+        health=int(asked.health),
+        cells=int(asked.cells is not None),
     )
 
 
