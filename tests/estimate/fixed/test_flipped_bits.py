@@ -10,7 +10,7 @@ from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.export.firmware import HostLibrary
 from firmware_cases import tables_of
 
-CASES = ("lean", "offset", "full")
+CASES = ("lean", "full")
 
 
 def samples(first, count):

@@ -24,7 +24,6 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel
-from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.power.fixed_tables import check_power
 
@@ -49,7 +48,6 @@ class Options:
     temperatures: int = 1
     slow: int = 0
     hysteresis: int = 0
-    offset: int = 0
     arrhenius: int = 0
     efficiency: int = 0
     leak: int = 0
@@ -77,7 +75,7 @@ class Options:
     @property
     def states(self) -> int:
         """States of the filter: SOC, two branches, and what is compiled in."""
-        return 3 + self.slow + self.hysteresis + self.offset
+        return 3 + self.slow + self.hysteresis
 
     def defines(self) -> dict[str, int]:
         """The values as the C preprocessor sees them."""
@@ -91,8 +89,6 @@ class Asked:
     Parameters
     ----------
     points : int or None      SOC points of the tables; None: the model's own
-    offset_std_A : float      above 0 the current sensor's offset is a state, at the start within
-                              this [A]
     wide : bool               take care of slopes while SOC is badly known; without it the code is
                               smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
@@ -104,12 +100,10 @@ class Asked:
 
     Raises
     ------
-    InputError        offset_std_A negative or not finite; a power over several horizons, or with
-                      a power held
+    InputError        a power over several horizons, or with a power held
     """
 
     points: int | None = None
-    offset_std_A: float = 0.0
     wide: bool = True
     watch: bool = True
     validity: bool = True
@@ -119,12 +113,6 @@ class Asked:
     cells: CellSettings | None = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.offset_std_A) and self.offset_std_A >= 0):
-            raise InputError(
-                f"an offset deviation of {self.offset_std_A} A",
-                "ampere, at least 0",
-                "Give e.g. 0.1.",
-            )
         if self.power is not None:
             check_power(self.power)
 
@@ -143,7 +131,6 @@ def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options
         temperatures=model.temperature_C.size,
         slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
         hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
-        offset=int(asked.offset_std_A > 0),
         arrhenius=arrhenius,
         efficiency=int(model.charge_efficiency != 1.0),
         leak=int(model.effect(SelfDischarge).leak_A != 0.0),
@@ -170,7 +157,7 @@ def _watched(model: CellModel) -> int:
     return 2 if valid.temperature_C is not None else int(valid.known)
 
 
-SLOW = HYSTERESIS = OFFSET = 0  # states
+SLOW = HYSTERESIS = 0  # states
 EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
 TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
 WARM = SCALED = 0  # any of these, any factor on all resistances

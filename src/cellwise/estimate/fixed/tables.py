@@ -54,7 +54,6 @@ Float32Array = NDArray[np.float32]
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
-OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
 
 
 class TargetLimits(NamedTuple):
@@ -159,7 +158,7 @@ def fixed_step_tables(
         more |= cell_constants(wish.cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
-    for name, value in (_constants(model, dt_s, noise, options, wish.offset_std_A) | more).items():
+    for name, value in (_constants(model, dt_s, noise, options) | more).items():
         if name in (constants.dtype.names or ()):
             constants[name] = value
     for name in constants.dtype.names or ():
@@ -220,9 +219,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     }
 
 
-def _constants(
-    model: CellModel, dt_s: float, noise: Noise, options: Options, offset_std_A: float
-) -> dict[str, Any]:
+def _constants(model: CellModel, dt_s: float, noise: Noise, options: Options) -> dict[str, Any]:
     per_A = dt_s / (3600.0 * model.capacity_Ah)
     slow_s = noise.slow_s
     shared = max(2.0 * slow_s / dt_s, 1.0)
@@ -275,8 +272,6 @@ def _constants(
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "drift_soc": noise.offset_share * dt_s / 3600.0,
         "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
-        "offset_variance_A2": offset_std_A**2,
-        "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
         "heat_rate": dt_s / heating.thermal_s,
