@@ -11,11 +11,9 @@
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
 #define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12 */
-#define GROW 0x1.000004p+0f /* above rounding, so that P stays positive */
 #define BEYOND 0x1.99999ap-5f /* 0.05: how far the OCV goes on outside 0..1 */
 #define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond it the tangent is no guide */
 #define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06 */
-#define SMALL_MOVE 0x1.99999ap-5f /* 0.05: of a deviation: the slope is that of the spot left */
 #define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define TEMPERATURE_LOW_C (-60.0f)
 #define TEMPERATURE_HIGH_C 120.0f
@@ -78,7 +76,7 @@ static float between(float a, float b, float f)
     return a + (f * (b - a));
 }
 
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_CELLS || CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_OFFSET || CELLWISE_POWER || (CELLWISE_RATE && ((CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS)) || CELLWISE_REMAINING || CELLWISE_SURFACE || (CELLWISE_TEMPERATURES > 1) || CELLWISE_WATCH || CELLWISE_WIDE
+#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_CELLS || CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_POWER || (CELLWISE_RATE && ((CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS)) || CELLWISE_REMAINING || CELLWISE_SURFACE || (CELLWISE_TEMPERATURES > 1) || CELLWISE_WATCH || CELLWISE_WIDE
 /* Held within low..high. */
 static float clip(float x, float low, float high)
 {
@@ -161,16 +159,18 @@ typedef struct {
     float slope_V;
     float noise_V2;
     float r0_ohm;
-    float r1_ohm;
-    float gain1;
-    float r2_ohm;
-    float gain2;
-#if CELLWISE_SLOW
-    float r3_ohm;
-    float gain3;
-#endif
 #if CELLWISE_HYSTERESIS
     float m_V;
+#endif
+    float r1_ohm;
+    float r2_ohm;
+#if CELLWISE_SLOW
+    float r3_ohm;
+#endif
+    float gain1;
+    float gain2;
+#if CELLWISE_SLOW
+    float gain3;
 #endif
 } cellwise_point;
 
@@ -444,8 +444,9 @@ static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *pl
 /* ---- covariance.py: Covariance of the fixed step: what a step does to P and to the state
  * through it. */
 
-/* P H', with H = [slope, -1, -1, -1, m, r0], and the innovation variance it explains. */
+/* P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains. */
 typedef struct {
+    float variance;
     float s;
     float v1;
     float v2;
@@ -455,10 +456,6 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float h;
 #endif
-#if CELLWISE_OFFSET
-    float o;
-#endif
-    float variance;
 } cellwise_column;
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
@@ -483,26 +480,8 @@ static bool covariance_is_sound(const cellwise_state *x)
     if (!SIZE_WITHIN(x->s2, LARGE)) {
         return false;
     }
-    if (!NOT_NEGATIVE(x->p11, LARGE)) {
-        return false;
-    }
-    if (!SIZE_WITHIN(x->p12, LARGE)) {
-        return false;
-    }
-    if (!NOT_NEGATIVE(x->p22, LARGE)) {
-        return false;
-    }
 #if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->s3, LARGE)) {
-        return false;
-    }
-    if (!SIZE_WITHIN(x->p13, LARGE)) {
-        return false;
-    }
-    if (!SIZE_WITHIN(x->p23, LARGE)) {
-        return false;
-    }
-    if (!NOT_NEGATIVE(x->p33, LARGE)) {
         return false;
     }
 #endif
@@ -510,13 +489,38 @@ static bool covariance_is_sound(const cellwise_state *x)
     if (!SIZE_WITHIN(x->sh, LARGE)) {
         return false;
     }
+#endif
+    if (!NOT_NEGATIVE(x->p11, LARGE)) {
+        return false;
+    }
+    if (!SIZE_WITHIN(x->p12, LARGE)) {
+        return false;
+    }
+#if CELLWISE_SLOW
+    if (!SIZE_WITHIN(x->p13, LARGE)) {
+        return false;
+    }
+#endif
+#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->p1h, LARGE)) {
         return false;
     }
+#endif
+    if (!NOT_NEGATIVE(x->p22, LARGE)) {
+        return false;
+    }
+#if CELLWISE_SLOW
+    if (!SIZE_WITHIN(x->p23, LARGE)) {
+        return false;
+    }
+#endif
+#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->p2h, LARGE)) {
         return false;
     }
-    if (!NOT_NEGATIVE(x->phh, LARGE)) {
+#endif
+#if CELLWISE_SLOW
+    if (!NOT_NEGATIVE(x->p33, LARGE)) {
         return false;
     }
 #endif
@@ -525,27 +529,8 @@ static bool covariance_is_sound(const cellwise_state *x)
         return false;
     }
 #endif
-#if CELLWISE_OFFSET
-    if (!SIZE_WITHIN(x->so, LARGE)) {
-        return false;
-    }
-    if (!SIZE_WITHIN(x->p1o, LARGE)) {
-        return false;
-    }
-    if (!SIZE_WITHIN(x->p2o, LARGE)) {
-        return false;
-    }
-    if (!NOT_NEGATIVE(x->poo, LARGE)) {
-        return false;
-    }
-#endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    if (!SIZE_WITHIN(x->p3o, LARGE)) {
-        return false;
-    }
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    if (!SIZE_WITHIN(x->pho, LARGE)) {
+#if CELLWISE_HYSTERESIS
+    if (!NOT_NEGATIVE(x->phh, LARGE)) {
         return false;
     }
 #endif
@@ -557,37 +542,33 @@ static void forget_correlations(cellwise_state *x)
 {
     x->s1 = 0.0f;
     x->s2 = 0.0f;
-    x->p12 = 0.0f;
 #if CELLWISE_SLOW
     x->s3 = 0.0f;
-    x->p13 = 0.0f;
-    x->p23 = 0.0f;
 #endif
 #if CELLWISE_HYSTERESIS
     x->sh = 0.0f;
+#endif
+    x->p12 = 0.0f;
+#if CELLWISE_SLOW
+    x->p13 = 0.0f;
+#endif
+#if CELLWISE_HYSTERESIS
     x->p1h = 0.0f;
+#endif
+#if CELLWISE_SLOW
+    x->p23 = 0.0f;
+#endif
+#if CELLWISE_HYSTERESIS
     x->p2h = 0.0f;
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = 0.0f;
 #endif
-#if CELLWISE_OFFSET
-    x->so = 0.0f;
-    x->p1o = 0.0f;
-    x->p2o = 0.0f;
-#endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = 0.0f;
-#endif
 }
 
 /* SOC known with a variance, branches at rest, nothing known of hysteresis. */
-static void start_covariance(const cellwise_constants *c, cellwise_state *x, float soc_variance)
+static void start_covariance(cellwise_state *x, float soc_variance)
 {
-    (void)c;
     forget_correlations(x);
     x->ss = soc_variance;
     x->p11 = 0.0f;
@@ -598,52 +579,47 @@ static void start_covariance(const cellwise_constants *c, cellwise_state *x, flo
 #if CELLWISE_HYSTERESIS
     x->phh = 1.0f;
 #endif
-#if CELLWISE_OFFSET
-    x->poo = c->offset_variance_A2;
-#endif
 }
 
 /* The branches over one interval of constant current, exactly, and their covariance. A current
  * that is not known to `square_A2` drives them too; 1 - a^2 keeps the stationary spread
  * independent of the time step. What decays slowly is stated by how much it loses: 1 - 1e-5 as a
  * float is off by 0.3 % of that. */
-static void relax(cellwise_state *x, float r1_ohm, float gain1, float r2_ohm, float gain2,
+static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2,
 #if CELLWISE_SLOW
-    float r3_ohm,
     float gain3,
 #endif
     float flow, float square_A2)
 {
     const float a1 = 1.0f - gain1;
-    const float a2 = 1.0f - gain2;
-    x->v1_V = x->v1_V + (gain1 * ((r1_ohm * flow) - x->v1_V));
-    x->v2_V = x->v2_V + (gain2 * ((r2_ohm * flow) - x->v2_V));
+    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * flow) - x->v1_V));
     x->s1 = x->s1 - (gain1 * x->s1);
-    x->s2 = x->s2 - (gain2 * x->s2);
-    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (r1_ohm * r1_ohm)) - x->p11));
-    x->p12 = (a1 * a2) * x->p12;
-    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (r2_ohm * r2_ohm)) - x->p22));
-#if CELLWISE_SLOW
-    const float a3 = 1.0f - gain3;
-    add(&x->v3_V, &x->v3_carry_V, gain3 * ((r3_ohm * flow) - x->v3_V));
-    x->s3 = x->s3 - (gain3 * x->s3);
-    x->p13 = (a1 * a3) * x->p13;
-    x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
-    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (r3_ohm * r3_ohm)) - x->p33));
-#endif
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (gain1 * x->p1h);
+#endif
+    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
+    const float a2 = 1.0f - gain2;
+    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * flow) - x->v2_V));
+    x->s2 = x->s2 - (gain2 * x->s2);
+#if CELLWISE_HYSTERESIS
     x->p2h = x->p2h - (gain2 * x->p2h);
+#endif
+    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));
+#if CELLWISE_SLOW
+    const float a3 = 1.0f - gain3;
+    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * flow) - x->v3_V));
+    x->s3 = x->s3 - (gain3 * x->s3);
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h - (gain3 * x->p3h);
 #endif
-#if CELLWISE_OFFSET
-    x->p1o = x->p1o - (gain1 * x->p1o);
-    x->p2o = x->p2o - (gain2 * x->p2o);
+#if CELLWISE_SLOW
+    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (p->r3_ohm * p->r3_ohm)) - x->p33));
 #endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = x->p3o - (gain3 * x->p3o);
+    x->p12 = x->p12 - ((gain1 + (gain2 * a1)) * x->p12);
+#if CELLWISE_SLOW
+    x->p13 = x->p13 - ((gain1 + (gain3 * a1)) * x->p13);
+    x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
 #endif
 }
 
@@ -657,13 +633,12 @@ static void fade_hysteresis(cellwise_state *x, float keep)
     x->sh = keep * x->sh;
     x->p1h = keep * x->p1h;
     x->p2h = keep * x->p2h;
-    x->phh = (keep * keep) * x->phh;
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = keep * x->p3h;
 #endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = keep * x->pho;
+#if CELLWISE_HYSTERESIS
+    x->phh = (keep * keep) * x->phh;
 #endif
 }
 #endif
@@ -677,13 +652,12 @@ static void forget_hysteresis(cellwise_state *x)
     x->sh = 0.0f;
     x->p1h = 0.0f;
     x->p2h = 0.0f;
-    x->phh = 1.0f;
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = 0.0f;
 #endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = 0.0f;
+#if CELLWISE_HYSTERESIS
+    x->phh = 1.0f;
 #endif
 }
 #endif
@@ -694,80 +668,36 @@ static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slop
 {
     const float f1 = (w->rise1 * p->gain1) * flow;
     const float f2 = (w->rise2 * p->gain2) * flow;
-    x->p11 = x->p11 + (f1 * ((2.0f * x->s1) + (f1 * x->ss)));
-    x->p12 = x->p12 + (((f1 * x->s2) + (f2 * x->s1)) + ((f1 * f2) * x->ss));
-    x->p22 = x->p22 + (f2 * ((2.0f * x->s2) + (f2 * x->ss)));
 #if CELLWISE_SLOW
     const float f3 = (w->rise3 * p->gain3) * flow;
-    x->p13 = x->p13 + (((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss));
-    x->p23 = x->p23 + (((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss));
+#endif
+    x->p11 = x->p11 + (f1 * ((2.0f * x->s1) + (f1 * x->ss)));
+    float both = ((f1 * x->s2) + (f2 * x->s1)) + ((f1 * f2) * x->ss);
+    x->p12 = x->p12 + both;
+#if CELLWISE_SLOW
+    both = ((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss);
+    x->p13 = x->p13 + both;
+#endif
+    x->p22 = x->p22 + (f2 * ((2.0f * x->s2) + (f2 * x->ss)));
+#if CELLWISE_SLOW
+    both = ((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss);
+    x->p23 = x->p23 + both;
     x->p33 = x->p33 + (f3 * ((2.0f * x->s3) + (f3 * x->ss)));
 #endif
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h + (f1 * x->sh);
+#endif
+    x->s1 = x->s1 + (f1 * x->ss);
+#if CELLWISE_HYSTERESIS
     x->p2h = x->p2h + (f2 * x->sh);
 #endif
+    x->s2 = x->s2 + (f2 * x->ss);
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h + (f3 * x->sh);
 #endif
-#if CELLWISE_OFFSET
-    x->p1o = x->p1o + (f1 * x->so);
-    x->p2o = x->p2o + (f2 * x->so);
-#endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = x->p3o + (f3 * x->so);
-#endif
-    x->s1 = x->s1 + (f1 * x->ss);
-    x->s2 = x->s2 + (f2 * x->ss);
 #if CELLWISE_SLOW
     x->s3 = x->s3 + (f3 * x->ss);
 #endif
-}
-#endif
-
-#if CELLWISE_OFFSET
-/* The sensor's offset drives every state that the current drives. The offset's column of P has
- * decayed already; e is what one ampere of offset does to a state in one step. */
-static void spread_offset(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p)
-{
-    const float es = c->soc_per_A;
-    const float cs = x->so + (es * x->poo);
-    const float e1 = -(p->gain1 * p->r1_ohm);
-    const float c1 = x->p1o + (e1 * x->poo);
-    const float e2 = -(p->gain2 * p->r2_ohm);
-    const float c2 = x->p2o + (e2 * x->poo);
-    x->ss = x->ss + (es * (x->so + cs));
-    x->s1 = x->s1 + ((e1 * x->so) + (es * c1));
-    x->s2 = x->s2 + ((e2 * x->so) + (es * c2));
-    x->p11 = x->p11 + (e1 * (x->p1o + c1));
-    x->p12 = x->p12 + ((e2 * x->p1o) + (e1 * c2));
-    x->p22 = x->p22 + (e2 * (x->p2o + c2));
-#if CELLWISE_SLOW
-    const float e3 = -(p->gain3 * p->r3_ohm);
-    const float c3 = x->p3o + (e3 * x->poo);
-    x->s3 = x->s3 + ((e3 * x->so) + (es * c3));
-    x->p13 = x->p13 + ((e3 * x->p1o) + (e1 * c3));
-    x->p23 = x->p23 + ((e3 * x->p2o) + (e2 * c3));
-    x->p33 = x->p33 + (e3 * (x->p3o + c3));
-#endif
-#if CELLWISE_HYSTERESIS
-    x->sh = x->sh + (es * x->pho);
-    x->p1h = x->p1h + (e1 * x->pho);
-    x->p2h = x->p2h + (e2 * x->pho);
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
-    x->p3h = x->p3h + (e3 * x->pho);
-#endif
-    x->so = cs;
-    x->p1o = c1;
-    x->p2o = c2;
-#if CELLWISE_SLOW
-    x->p3o = c3;
-#endif
-    x->poo = x->poo * GROW;
-    if (x->poo < c->offset_variance_A2) {
-        x->poo = x->poo + c->offset_walk_A2;
-    }
 }
 #endif
 
@@ -776,65 +706,68 @@ static void column_of(const cellwise_state *x, const cellwise_point *p, float sl
                       cellwise_column *column)
 {
     (void)p;
-    column->s = (slope * x->ss) - (x->s1 + x->s2);
-    column->v1 = (slope * x->s1) - (x->p11 + x->p12);
-    column->v2 = (slope * x->s2) - (x->p12 + x->p22);
-#if CELLWISE_SLOW
-    column->v3 = (slope * x->s3) - ((x->p13 + x->p23) + x->p33);
-#endif
-#if CELLWISE_HYSTERESIS
-    column->h = (slope * x->sh) - (x->p1h + x->p2h);
-#endif
-#if CELLWISE_OFFSET
-    column->o = (slope * x->so) - (x->p1o + x->p2o);
-#endif
+    column->s = slope * x->ss;
+    column->s = column->s - x->s1;
+    column->s = column->s - x->s2;
 #if CELLWISE_SLOW
     column->s = column->s - x->s3;
-    column->v1 = column->v1 - x->p13;
-    column->v2 = column->v2 - x->p23;
 #endif
 #if CELLWISE_HYSTERESIS
     column->s = column->s + (p->m_V * x->sh);
+#endif
+    column->v1 = slope * x->s1;
+    column->v1 = column->v1 - x->p11;
+    column->v1 = column->v1 - x->p12;
+#if CELLWISE_SLOW
+    column->v1 = column->v1 - x->p13;
+#endif
+#if CELLWISE_HYSTERESIS
     column->v1 = column->v1 + (p->m_V * x->p1h);
+#endif
+    column->v2 = slope * x->s2;
+    column->v2 = column->v2 - x->p12;
+    column->v2 = column->v2 - x->p22;
+#if CELLWISE_SLOW
+    column->v2 = column->v2 - x->p23;
+#endif
+#if CELLWISE_HYSTERESIS
     column->v2 = column->v2 + (p->m_V * x->p2h);
-    column->h = column->h + (p->m_V * x->phh);
+#endif
+#if CELLWISE_SLOW
+    column->v3 = slope * x->s3;
+    column->v3 = column->v3 - x->p13;
+    column->v3 = column->v3 - x->p23;
+    column->v3 = column->v3 - x->p33;
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     column->v3 = column->v3 + (p->m_V * x->p3h);
+#endif
+#if CELLWISE_HYSTERESIS
+    column->h = slope * x->sh;
+    column->h = column->h - x->p1h;
+    column->h = column->h - x->p2h;
+#endif
+#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     column->h = column->h - x->p3h;
 #endif
-#if CELLWISE_OFFSET
-    column->s = column->s + (p->r0_ohm * x->so);
-    column->v1 = column->v1 + (p->r0_ohm * x->p1o);
-    column->v2 = column->v2 + (p->r0_ohm * x->p2o);
-    column->o = column->o + (p->r0_ohm * x->poo);
+#if CELLWISE_HYSTERESIS
+    column->h = column->h + (p->m_V * x->phh);
 #endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    column->v3 = column->v3 + (p->r0_ohm * x->p3o);
-    column->o = column->o - x->p3o;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    column->h = column->h + (p->r0_ohm * x->pho);
-    column->o = column->o + (p->m_V * x->pho);
-#endif
-    column->variance = (slope * column->s) - (column->v1 + column->v2);
+    column->variance = slope * column->s;
+    column->variance = column->variance - column->v1;
+    column->variance = column->variance - column->v2;
 #if CELLWISE_SLOW
     column->variance = column->variance - column->v3;
 #endif
 #if CELLWISE_HYSTERESIS
     column->variance = column->variance + (p->m_V * column->h);
 #endif
-#if CELLWISE_OFFSET
-    column->variance = column->variance + (p->r0_ohm * column->o);
-#endif
     column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
 }
 
 /* State + K innovation. */
-static void move(const cellwise_constants *c, cellwise_state *x, const cellwise_column *d,
-                 float inverse, float innovation)
+static void move(cellwise_state *x, const cellwise_column *d, float inverse, float innovation)
 {
-    (void)c;
     add(&x->soc, &x->soc_carry, (d->s * inverse) * innovation);
     x->v1_V = x->v1_V + ((d->v1 * inverse) * innovation);
     x->v2_V = x->v2_V + ((d->v2 * inverse) * innovation);
@@ -842,11 +775,8 @@ static void move(const cellwise_constants *c, cellwise_state *x, const cellwise_
     add(&x->v3_V, &x->v3_carry_V, (d->v3 * inverse) * innovation);
 #endif
 #if CELLWISE_HYSTERESIS
-    x->h = clip(x->h + ((d->h * inverse) * innovation), -1.0f, 1.0f);
-#endif
-#if CELLWISE_OFFSET
-    const float offset_A = x->offset_A + ((d->o * inverse) * innovation);
-    x->offset_A = clip(offset_A, -c->current_limit_A, c->current_limit_A);
+    x->h = x->h + ((d->h * inverse) * innovation);
+    x->h = clip(x->h, -1.0f, 1.0f);
 #endif
 }
 
@@ -868,9 +798,6 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 #if CELLWISE_HYSTERESIS
     x->sh = x->sh - (k * d->h);
 #endif
-#if CELLWISE_OFFSET
-    x->so = x->so - (k * d->o);
-#endif
     k = d->v1 * inverse;
     x->p11 = at_least(x->p11 - (k * d->v1), 0.0f);
     x->p12 = x->p12 - (k * d->v2);
@@ -880,9 +807,6 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 #if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (k * d->h);
 #endif
-#if CELLWISE_OFFSET
-    x->p1o = x->p1o - (k * d->o);
-#endif
     k = d->v2 * inverse;
     x->p22 = at_least(x->p22 - (k * d->v2), 0.0f);
 #if CELLWISE_SLOW
@@ -891,9 +815,6 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 #if CELLWISE_HYSTERESIS
     x->p2h = x->p2h - (k * d->h);
 #endif
-#if CELLWISE_OFFSET
-    x->p2o = x->p2o - (k * d->o);
-#endif
 #if CELLWISE_SLOW
     k = d->v3 * inverse;
     x->p33 = at_least(x->p33 - (k * d->v3), 0.0f);
@@ -901,82 +822,11 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h - (k * d->h);
 #endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = x->p3o - (k * d->o);
-#endif
 #if CELLWISE_HYSTERESIS
     k = d->h * inverse;
     x->phh = at_least(x->phh - (k * d->h), 0.0f);
 #endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = x->pho - (k * d->o);
-#endif
-#if CELLWISE_OFFSET
-    k = d->o * inverse;
-    x->poo = at_least(x->poo - (k * d->o), 0.0f);
-#endif
 }
-
-#if CELLWISE_WIDE
-/* What is added to an entry of P when a gain of one slope is judged by another (Joseph). */
-static float joseph_term(float ki, float kj, float ci, float cj, float e)
-{
-    return ((ki * kj) * e) - ((ki * cj) + (kj * ci));
-}
-#endif
-
-#if CELLWISE_WIDE
-/* The gain was that of another slope: by `less` than what it is judged by. */
-static void joseph_update(cellwise_state *x, const cellwise_column *d, float inverse, float less,
-                          float e, float wider)
-{
-    const float ks = d->s * inverse;
-    const float cs = less * x->ss;
-    const float k1 = d->v1 * inverse;
-    const float c1 = less * x->s1;
-    const float k2 = d->v2 * inverse;
-    const float c2 = less * x->s2;
-    x->ss = x->ss + wider;
-    x->s1 = x->s1 + joseph_term(ks, k1, cs, c1, e);
-    x->s2 = x->s2 + joseph_term(ks, k2, cs, c2, e);
-    x->p11 = x->p11 + joseph_term(k1, k1, c1, c1, e);
-    x->p12 = x->p12 + joseph_term(k1, k2, c1, c2, e);
-    x->p22 = x->p22 + joseph_term(k2, k2, c2, c2, e);
-#if CELLWISE_SLOW
-    const float k3 = d->v3 * inverse;
-    const float c3 = less * x->s3;
-    x->s3 = x->s3 + joseph_term(ks, k3, cs, c3, e);
-    x->p13 = x->p13 + joseph_term(k1, k3, c1, c3, e);
-    x->p23 = x->p23 + joseph_term(k2, k3, c2, c3, e);
-    x->p33 = x->p33 + joseph_term(k3, k3, c3, c3, e);
-#endif
-#if CELLWISE_HYSTERESIS
-    const float kh = d->h * inverse;
-    const float ch = less * x->sh;
-    x->sh = x->sh + joseph_term(ks, kh, cs, ch, e);
-    x->p1h = x->p1h + joseph_term(k1, kh, c1, ch, e);
-    x->p2h = x->p2h + joseph_term(k2, kh, c2, ch, e);
-    x->phh = x->phh + joseph_term(kh, kh, ch, ch, e);
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
-    x->p3h = x->p3h + joseph_term(k3, kh, c3, ch, e);
-#endif
-#if CELLWISE_OFFSET
-    const float ko = d->o * inverse;
-    const float co = less * x->so;
-    x->so = x->so + joseph_term(ks, ko, cs, co, e);
-    x->p1o = x->p1o + joseph_term(k1, ko, c1, co, e);
-    x->p2o = x->p2o + joseph_term(k2, ko, c2, co, e);
-    x->poo = x->poo + joseph_term(ko, ko, co, co, e);
-#endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    x->p3o = x->p3o + joseph_term(k3, ko, c3, co, e);
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    x->pho = x->pho + joseph_term(kh, ko, ch, co, e);
-#endif
-}
-#endif
 
 /* ---- state.py: State of the fixed step: whether it is sound, where it starts, what an interval
  * does to it. */
@@ -985,7 +835,7 @@ static void joseph_update(cellwise_state *x, const cellwise_column *d, float inv
 static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
 {
     (void)c;
-    if (!(NOT_NEGATIVE(x->soc, 1.0f) && SIZE_WITHIN(x->soc_carry, CARRY_MOST))) {
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) {
         return false;
     }
 #if CELLWISE_WIDE
@@ -993,21 +843,27 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
         return false;
     }
 #endif
-    if (!(SIZE_WITHIN(x->v1_V, LARGE) && SIZE_WITHIN(x->v2_V, LARGE))) {
+    if (!SIZE_WITHIN(x->soc_carry, CARRY_MOST)) {
         return false;
     }
 #if CELLWISE_SLOW
-    if (!(SIZE_WITHIN(x->v3_V, LARGE) && SIZE_WITHIN(x->v3_carry_V, CARRY_MOST))) {
+    if (!SIZE_WITHIN(x->v3_carry_V, CARRY_MOST)) {
+        return false;
+    }
+#endif
+    if (!SIZE_WITHIN(x->v1_V, LARGE)) {
+        return false;
+    }
+    if (!SIZE_WITHIN(x->v2_V, LARGE)) {
+        return false;
+    }
+#if CELLWISE_SLOW
+    if (!SIZE_WITHIN(x->v3_V, LARGE)) {
         return false;
     }
 #endif
 #if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->h, 1.0f)) {
-        return false;
-    }
-#endif
-#if CELLWISE_OFFSET
-    if (!SIZE_WITHIN(x->offset_A, c->current_limit_A)) {
         return false;
     }
 #endif
@@ -1076,24 +932,24 @@ uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float c
 static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float soc,
                            float soc_variance)
 {
+    (void)c;
     x->soc = soc;
-    x->soc_carry = 0.0f;
     x->v1_V = 0.0f;
     x->v2_V = 0.0f;
-#if CELLWISE_WIDE
-    x->ss_carry = 0.0f;
-#endif
 #if CELLWISE_SLOW
     x->v3_V = 0.0f;
+#endif
+    x->soc_carry = 0.0f;
+#if CELLWISE_SLOW
     x->v3_carry_V = 0.0f;
+#endif
+#if CELLWISE_WIDE
+    x->ss_carry = 0.0f;
 #endif
 #if CELLWISE_HYSTERESIS
     x->h = (soc > 0.5f) ? 1.0f : -1.0f;
 #endif
-#if CELLWISE_OFFSET
-    x->offset_A = 0.0f;
-#endif
-    start_covariance(c, x, soc_variance);
+    start_covariance(x, soc_variance);
     x->current_A = 0.0f;
     x->mismatch = 1.0f;
 #if CELLWISE_HEATING
@@ -1140,12 +996,8 @@ static float admitted(float rested_V2, float held_V, float limit_V)
 
 /* What the branches hold when nobody knows what was before. Nearly nothing at rest, half of the
  * load's steady voltage under load. */
-static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, float r1_ohm,
-                                    float r2_ohm,
-#if CELLWISE_SLOW
-    float r3_ohm,
-#endif
-    float current)
+static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x,
+                                    const cellwise_point *p, float current)
 {
 #if CELLWISE_WIDE
     float flow = 0.0f;
@@ -1162,14 +1014,14 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     float limit_V = LARGE;
 #endif
     forget_correlations(x);
-    x->v1_V = r1_ohm * flow;
-    x->v2_V = r2_ohm * flow;
-    x->p11 = admitted(c->branch_variance_V2, spread * r1_ohm, limit_V);
-    x->p22 = admitted(c->branch_variance_V2, spread * r2_ohm, limit_V);
+    x->v1_V = p->r1_ohm * flow;
+    x->p11 = admitted(c->branch_variance_V2, spread * p->r1_ohm, limit_V);
+    x->v2_V = p->r2_ohm * flow;
+    x->p22 = admitted(c->branch_variance_V2, spread * p->r2_ohm, limit_V);
 #if CELLWISE_SLOW
-    x->v3_V = r3_ohm * flow;
+    x->v3_V = p->r3_ohm * flow;
     x->v3_carry_V = 0.0f;
-    x->p33 = admitted(c->branch_variance_V2, spread * r3_ohm, limit_V);
+    x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
 #endif
 }
 
@@ -1213,9 +1065,8 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 #if CELLWISE_SLOW
     const float gain3 = risen(steps * p->gain3);
 #endif
-    relax(x, p->r1_ohm, gain1, p->r2_ohm, gain2,
+    relax(x, p, gain1, gain2,
 #if CELLWISE_SLOW
-        p->r3_ohm,
         gain3,
 #endif
         bridge, unknown_A2);
@@ -1242,9 +1093,8 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
     (void)w;
     const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
     const float square_A2 = (share * (flow * flow)) + unmeasured_A2;
-    relax(x, p->r1_ohm, p->gain1, p->r2_ohm, p->gain2,
+    relax(x, p, p->gain1, p->gain2,
 #if CELLWISE_SLOW
-        p->r3_ohm,
         p->gain3,
 #endif
         flow, square_A2);
@@ -1262,9 +1112,6 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
         add_variance(x, c->soc_walk);
     }
-#if CELLWISE_OFFSET
-    spread_offset(c, x, p);
-#endif
 }
 
 #if CELLWISE_HEATING
@@ -1272,7 +1119,9 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
 static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float seen,
                  float flow)
 {
-    float fall = (r0_ohm * seen) + (x->v1_V + x->v2_V);
+    float fall = r0_ohm * seen;
+    fall = fall + x->v1_V;
+    fall = fall + x->v2_V;
 #if CELLWISE_SLOW
     fall = fall + x->v3_V;
 #endif
@@ -1360,9 +1209,6 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
 #endif
     reading->flow = reading->seen;
-#if CELLWISE_OFFSET
-    reading->flow = reading->seen - x->offset_A;
-#endif
 #if CELLWISE_WATCH
     /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as
      * much as half a rate may flow either way. */
@@ -1480,7 +1326,9 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
 /* The voltage that the state gives at a point of the tables. */
 static float voltage_of(const cellwise_state *x, const cellwise_point *p, float drop)
 {
-    float voltage = p->ocv_V - (drop + (x->v1_V + x->v2_V));
+    float voltage = p->ocv_V - drop;
+    voltage = voltage - x->v1_V;
+    voltage = voltage - x->v2_V;
 #if CELLWISE_SLOW
     voltage = voltage - x->v3_V;
 #endif
@@ -1514,11 +1362,13 @@ static NOINLINE void search(const cellwise_model *m, const cellwise_place *place
     for (uint32_t k = 0u; k < RESTART_POINTS; k++) {
         const float away = ((float)k * RESTART_STEP) - x->soc;
         look_up(m, place, (float)k * RESTART_STEP, seen, &p);
-        float held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm);
+        float ohm2 = 0.0f;
+        ohm2 = ohm2 + (p.r1_ohm * p.r1_ohm);
+        ohm2 = ohm2 + (p.r2_ohm * p.r2_ohm);
 #if CELLWISE_SLOW
-        held = held + (p.r3_ohm * p.r3_ohm);
+        ohm2 = ohm2 + (p.r3_ohm * p.r3_ohm);
 #endif
-        held = (held_A * held_A) * held;
+        const float held = (held_A * held_A) * ohm2;
         float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
 #if CELLWISE_HYSTERESIS
         about = about + ((p.m_V * p.m_V) * x->phh);
@@ -1572,10 +1422,11 @@ static NOINLINE void recover(const cellwise_model *m, const cellwise_place *plac
     if (x->evidence >= FIRST_VOLTAGE) {
         held_A = c->recovery_A;
         limit_V = LOAD_LIMIT_V;
-        kept1 = x->v1_V * x->v1_V;
-        kept2 = x->v2_V * x->v2_V;
         variance = one_V2 + (polarisation_V * polarisation_V);
-        variance = variance + ((kept1 + x->p11) + (kept2 + x->p22));
+        kept1 = x->v1_V * x->v1_V;
+        variance = variance + (kept1 + x->p11);
+        kept2 = x->v2_V * x->v2_V;
+        variance = variance + (kept2 + x->p22);
 #if CELLWISE_SLOW
         kept3 = x->v3_V * x->v3_V;
         variance = variance + (kept3 + x->p33);
@@ -1601,11 +1452,7 @@ static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise
 {
     x->ss = RECOVERY_VARIANCE;
     x->evidence = FIRST_VOLTAGE;
-    guess_branches(c, x, p->r1_ohm, p->r2_ohm,
-#if CELLWISE_SLOW
-        p->r3_ohm,
-#endif
-        seen);
+    guess_branches(c, x, p, seen);
 }
 #endif
 
@@ -1725,7 +1572,9 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     cellwise_innovation *innovation)
 {
     const float drop = p->r0_ohm * s->seen;
-    innovation->polarisation_V = (magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V);
+    innovation->polarisation_V = magnitude(drop);
+    innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v1_V);
+    innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v2_V);
 #if CELLWISE_SLOW
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
 #endif
@@ -1746,37 +1595,6 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
 
 /* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
  * read now. */
-
-#if CELLWISE_WIDE
-/* Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
- * The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
- * stays as it is. */
-static NOINLINE bool gain_where_it_leads(const cellwise_model *m, const cellwise_place *place,
-                                         cellwise_state *x, const cellwise_point *p,
-    const cellwise_slopes *w, const cellwise_column *d, float inverse, float innovation, float seen)
-{
-    const float ks = d->s * inverse;
-    const float move = ks * innovation;
-    float flat = (p->slope_V < w->slope_V) ? p->slope_V : w->slope_V;
-    if (magnitude(move) > (SMALL_MOVE * w->spread)) {
-        cellwise_point landed;
-        look_up(m, place, x->soc + move, seen, &landed);
-        cellwise_slopes there;
-        slopes_of(m, place, x->soc + move, w->spread, seen, &landed, &there);
-        flat = (there.slope_V < landed.slope_V) ? there.slope_V : landed.slope_V;
-        flat = (flat < w->slope_V) ? flat : w->slope_V;
-    }
-    const float less = flat - w->slope_V;
-    const float e = less * ((2.0f * d->s) + (less * x->ss));
-    const float wider = joseph_term(ks, ks, less * x->ss, less * x->ss, e);
-    bool gained = false;
-    if (SIZE_WITHIN(wider, LARGE) && (wider < (ks * d->s))) {
-        gained = true;
-        joseph_update(x, d, inverse, less, e, wider);
-    }
-    return gained;
-}
-#endif
 
 /* A voltage beyond the gate, and recovery after too long a time of them in a row. A start that
  * is unsure of itself believes the first voltage at rest at once. */
@@ -1845,35 +1663,23 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
 /* State and covariance after a voltage within the gate. What the innovations have lately shown
  * beyond their variance makes evidence weigh less. A first sample under load says more of the
  * load than of the SOC. */
-static void fuse(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                 const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
-    const cellwise_innovation *i, float innovation)
+static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
+                 const cellwise_reading *s, const cellwise_innovation *i, float innovation)
 {
-    (void)place;
-    (void)p;
     (void)w;
     cellwise_shared shared;
-    shared_by(&m->constant, x, s->seen, &shared);
+    shared_by(c, x, s->seen, &shared);
     float weight = i->one_V2 * shared.above;
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
         weight = weight * x->mismatch;
     }
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
         const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
-        bool gained = true;
-#if CELLWISE_WIDE
-        if (w->spread > 0.0f) {
-            gained = gain_where_it_leads(m, place, x, p, w, &i->column, inverse, innovation,
-                                         s->seen);
-        }
-#endif
-        move(&m->constant, x, &i->column, inverse, innovation);
-        if (gained) {
-            narrow(x, &i->column, inverse);
-        }
+        move(x, &i->column, inverse, innovation);
+        narrow(x, &i->column, inverse);
 #if CELLWISE_WATCH
         if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
-            contradict(&m->constant, x, w, s, i->one_V2, innovation);
+            contradict(c, x, w, s, i->one_V2, innovation);
         }
 #endif
     }
@@ -1914,7 +1720,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
         recover(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
 #endif
     } else {
-        fuse(m, place, x, p, w, s, i, innovation);
+        fuse(c, x, w, s, i, innovation);
     }
     return status;
 }
@@ -2017,11 +1823,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     cellwise_point p;
     look_up(m, &place, x->soc, s.seen, &p);
     if (x->evidence == NOT_BEGUN) {
-        guess_branches(c, x, p.r1_ohm, p.r2_ohm,
-#if CELLWISE_SLOW
-            p.r3_ohm,
-#endif
-            s.seen);
+        guess_branches(c, x, &p, s.seen);
         x->evidence = NO_VOLTAGE_YET;
     }
     if (charge.missing != 0u) {

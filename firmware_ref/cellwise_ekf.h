@@ -50,22 +50,24 @@ typedef struct {
     float error_V; /* slow error of the model's voltage */
     float r0_ohm;
     float r1_ohm;
-    float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float r2_ohm;
-    float lag2;
 #if CELLWISE_SLOW
     float r3_ohm;
-    float lag3;
+#endif
+    float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
+    float lag2; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
+#if CELLWISE_SLOW
+    float lag3; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
 #endif
 #if CELLWISE_HYSTERESIS
     float m_V;
 #endif
 #if CELLWISE_POWER
-    float power_lag1; /* the lags over the horizon of the power */
-    float power_lag2;
+    float power_lag1; /* the same over the horizon of the power */
+    float power_lag2; /* the same over the horizon of the power */
 #endif
 #if CELLWISE_POWER && CELLWISE_SLOW
-    float power_lag3;
+    float power_lag3; /* the same over the horizon of the power */
 #endif
 } cellwise_row;
 
@@ -138,10 +140,6 @@ typedef struct {
 #if CELLWISE_WATCH
     float drift_soc; /* that a current which is off moves in one step */
     float contradicted_share; /* dt / 600 s */
-#endif
-#if CELLWISE_OFFSET
-    float offset_variance_A2; /* at the start */
-    float offset_walk_A2; /* gained in one step */
 #endif
 #if CELLWISE_HEATING
     float heat_K_per_W;
@@ -226,13 +224,10 @@ typedef struct {
     float v2_V; /* voltage of the second branch */
 #if CELLWISE_SLOW
     float v3_V; /* voltage of the slow branch */
-    float v3_carry_V; /* and from v3_V */
+    float v3_carry_V; /* what rounding has kept from v3_V, to be subtracted */
 #endif
 #if CELLWISE_HYSTERESIS
     float h; /* hysteresis, -1 to 1 */
-#endif
-#if CELLWISE_OFFSET
-    float offset_A; /* what the current sensor adds */
 #endif
     float ss;
 #if CELLWISE_WIDE
@@ -246,9 +241,6 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float sh;
 #endif
-#if CELLWISE_OFFSET
-    float so;
-#endif
     float p11;
     float p12;
 #if CELLWISE_SLOW
@@ -257,9 +249,6 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float p1h;
 #endif
-#if CELLWISE_OFFSET
-    float p1o;
-#endif
     float p22;
 #if CELLWISE_SLOW
     float p23;
@@ -267,26 +256,14 @@ typedef struct {
 #if CELLWISE_HYSTERESIS
     float p2h;
 #endif
-#if CELLWISE_OFFSET
-    float p2o;
-#endif
 #if CELLWISE_SLOW
     float p33;
 #endif
 #if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     float p3h;
 #endif
-#if CELLWISE_OFFSET && CELLWISE_SLOW
-    float p3o;
-#endif
 #if CELLWISE_HYSTERESIS
     float phh;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_OFFSET
-    float pho;
-#endif
-#if CELLWISE_OFFSET
-    float poo;
 #endif
     float current_A; /* last valid one */
     float mismatch; /* running mean of squared innovation over variance */

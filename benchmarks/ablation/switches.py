@@ -20,7 +20,7 @@ from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars
 ESTIMATE = "cellwise.estimate"
 RECOVERY = f"{ESTIMATE}.recovery_kernels"
 PAST = f"{ESTIMATE}.filters.past_kernels"
-UPDATE, STEP = f"{ESTIMATE}.filters.update_kernels", f"{ESTIMATE}.filters.step_kernels"
+STEP = f"{ESTIMATE}.filters.step_kernels"
 NEVER = 10**9
 
 
@@ -43,20 +43,6 @@ class Switch:
 
 
 @inline
-def same_slope(
-    tables: CellTables,
-    soc: float,
-    at: Slopes,
-    temperature_C: float,
-    current_A: float,
-    slow_A: float,
-    move: float,
-) -> float:
-    """In place of the slope where an update lands."""
-    return at.slope_V
-
-
-@inline
 def not_bent(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> bool:
     """In place of the look at a first voltage's bend."""
     return False
@@ -74,10 +60,6 @@ SWITCHES = (
     Switch("persistent", noise={"lasting_share": 0.0}),
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
-    Switch(
-        "judged where it lands",
-        names=((UPDATE, "landing_slope", same_slope),),
-    ),
     Switch(
         "search for a first voltage that is bent",
         names=((STEP, "bends", not_bent),),

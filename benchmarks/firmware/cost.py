@@ -44,14 +44,11 @@ def configurations() -> dict[str, tuple[CellModel, FixedStepTables]]:
         "4 states, --lean": (three, _tables(three, lean=True)),
         "3 states": (two, _tables(two)),
         "4 states": (three, _tables(three)),
-        "5 states, with current offset": (three, _tables(three, offset_std_A=0.1)),
     }
 
 
-def _tables(model: CellModel, *, lean: bool = False, offset_std_A: float = 0.0) -> FixedStepTables:
-    return fixed_step_tables(
-        model, DT_S, points=POINTS, offset_std_A=offset_std_A, wide=not lean, watch=not lean
-    )
+def _tables(model: CellModel, *, lean: bool = False) -> FixedStepTables:
+    return fixed_step_tables(model, DT_S, points=POINTS, wide=not lean, watch=not lean)
 
 
 def target_figures(say: Progress) -> list[Figure]:
@@ -168,4 +165,4 @@ def host_figures(say: Progress) -> list[Figure]:
 def _host(tables: FixedStepTables) -> Stepper:
     from cellwise.export.firmware import HostLibrary
 
-    return HostLibrary(tables).stepper()
+    return HostLibrary(tables)

@@ -93,7 +93,7 @@ def test_a_program_that_is_asked_to_stop_keeps_its_state(model, lines, tmp_path,
     run.stdin.close()
     run.stdout.close()
     run.stderr.close()
-    assert json.loads(state.read_text())["state"]["soc"] == last["soc"]
+    assert json.loads(state.read_text())["state"]["cell"]["soc"] == last["soc"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")

@@ -10,6 +10,8 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.estimate.adaptive.adaptive import Adaptive
+from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep
@@ -116,9 +118,17 @@ def test_from_a_known_start_the_estimate_follows_the_voltages(filter_, offset_sh
     assert rmse(filter_, log) < 0.001
 
 
-@pytest.mark.parametrize("filter_", [Ekf, Ukf])
-def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(filter_):
-    """SOC and offset together as a Kalman filter of matrices, from the same voltages."""
+def adaptive(model, noise):
+    """Offset and capacity free, neither of them wandering."""
+    still = AdaptiveSettings(
+        learn=("current_offset", "capacity"), offset_C_per_sqrt_h=0.0, charge_per_sqrt_h=0.0
+    )
+    return Adaptive(model, noise, still)
+
+
+@pytest.mark.parametrize("filter_", [Ekf, Ukf, adaptive])
+def test_on_a_linear_cell_what_is_free_is_one_more_state_of_a_filter(filter_):
+    """SOC, offset and capacity together as a Kalman filter of matrices, from the same voltages."""
     tiny = np.full(11, 1e-9)
     error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
     model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
@@ -126,30 +136,38 @@ def test_on_a_linear_cell_the_offset_is_that_of_a_filter_with_one_more_state(fil
         current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
         mismatch_cap=0.0, soc_per_sqrt_h=0.0,
     )  # fmt: skip
-    dt, rate_A, rows, offset_A = 10.0, 0.5, 600, 0.03 * model.capacity_Ah
-    log = CellLog(dt * np.arange(rows), np.full(rows, rate_A), np.full(rows, 3.7))
-    log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
-    off = replace(log, current_A=log.current_A + 0.7 * offset_A)
+    many = 3 if filter_ is adaptive else 2
+    dt, rows, offset_A = 10.0, 600, 0.03 * model.capacity_Ah
+    current = 0.6 + 0.6 * np.sign(np.sin(np.arange(rows) / 40.0))
+    log = CellLog(dt * np.arange(rows), current, np.full(rows, 3.7))
+    log = CellLog(log.time_s, current + 0.5 * offset_A, simulate(model, log, 0.9).voltage_V)
     ours = filter_(model, noise)
     state = ours.init(0.9, 0.005)
     r0, slope = float(model.r0_ohm.mean()), float(np.ptp(model.ocv_V)) / float(np.ptp(model.soc))
-    x, p = np.array([0.9, 0.0]), np.diag([0.005**2, 1.0])
-    h = np.array([slope, r0 * offset_A])
-    for interval, current, voltage in zip(
-        off.interval_s, off.current_A, off.voltage_V, strict=True
-    ):
+    x, p = np.array([0.9, 0.0, 0.0])[:many], np.diag([0.005**2, 1.0, 1.0][:many])
+    h = np.array([slope, r0 * offset_A, 0.0])[:many]
+    for interval, amps, voltage in zip(log.interval_s, log.current_A, log.voltage_V, strict=True):
         grow = interval / (3600.0 * model.capacity_Ah)
-        f = np.array([[1.0, grow * offset_A], [0.0, 1.0]])
-        x = f @ x - np.array([grow * current, 0.0])
+        f = np.eye(many)
+        f[0, 1:] = np.array([grow * offset_A, -grow * amps * AdaptiveSettings().charge])[: many - 1]
+        x = f @ x
+        x[0] -= grow * amps
         p = f @ p @ f.T
-        variance = h @ p @ h + noise.voltage_V**2
-        k = p @ h / variance
-        predicted = model.ocv_V.flat[0] + slope * x[0] - r0 * (current - offset_A * x[1])
+        k = p @ h / (h @ p @ h + noise.voltage_V**2)
+        predicted = model.ocv_V.flat[0] + slope * x[0] - r0 * (amps - offset_A * x[1])
         x = x + k * (voltage - predicted)
         p = p - np.outer(k, h @ p)
-        state, _ = ours.step(state, current, voltage, dt_s=interval)
-    assert state.drift.offset == pytest.approx(x[1], abs=1e-3)
+        state, _ = ours.step(state, amps, voltage, dt_s=interval)
+    d = state.filter.drift if filter_ is adaptive else state.drift
+    information, score = np.array([[d.information]]), [d.offset * d.information]
+    reach, believed = [d.reach], d.believed * d.reach
+    if filter_ is adaptive:
+        c = state.free.capacity
+        information = np.array([[d.information, c.cross], [c.cross, c.information]])
+        score, reach = [*score, c.score], [*reach, c.reach]
+        believed += c.believed * c.reach
+    mean = np.linalg.solve(information, score)
+    np.testing.assert_allclose(mean, x[1:], atol=5e-3)
     # Its branches begin 5 mV unsure, which the matrices leave out.
-    assert 1.0 / state.drift.information == pytest.approx(p[1, 1], rel=0.1)
-    free = state.soc + (state.drift.offset - state.drift.believed) * state.drift.reach
-    assert free == pytest.approx(x[0], abs=1e-4)
+    np.testing.assert_allclose(np.linalg.inv(information), p[1:, 1:], rtol=0.1, atol=1e-3)
+    assert state.soc - believed + mean @ reach == pytest.approx(x[0], abs=1e-3)

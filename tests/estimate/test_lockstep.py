@@ -19,6 +19,7 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
+from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
@@ -41,6 +42,7 @@ MODELS = {
         charge_efficiency=0.98,
     ),
     "Arrhenius": curved_cell(effects=(TemperatureDependence(activation_K=3000.0),)),
+    "beyond its data": curved_cell(validity=Validity(temperature_C=(18.0, 22.0))),
     "charge transfer": curved_cell(effects=(ChargeTransfer(asinh_per_V=60.0),)),
     "surface": curved_cell(effects=(SurfaceSoc(depth_h=0.08, tau_s=60.0),)),
     "heating": curved_cell(

@@ -17,7 +17,6 @@ from cellwise.cell.plausibility.validity import TOLERANCE, UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.lockstep.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.estimate.status import OUTSIDE
@@ -71,24 +70,12 @@ def test_within_its_data_a_model_estimates_to_the_bit_as_one_of_before(name):
 
 @pytest.mark.parametrize("name", ALL_STATES)
 @pytest.mark.parametrize("temperature_C", [0.0, -15.0])
-def test_in_the_cold_the_truth_is_within_two_deviations(name, temperature_C):
+def test_in_the_cold_the_truth_is_within_two_deviations_and_no_further_away(name, temperature_C):
     log = measured(curved_cell(effects=COLD), drive(temperature_C))
     wide, narrow = run(MODEL, log, name), run(BEFORE, log, name)
     assert np.all(wide.trace.status & OUTSIDE)
     assert wide.coverage_2sigma >= 0.95
     assert wide.coverage_2sigma >= narrow.coverage_2sigma
-
-
-@pytest.mark.parametrize(
-    ("name", "temperature_C"),
-    [
-        *((name, 0.0) for name in ALL_STATES),
-        *((name, -15.0) for name in ALL_STATES),
-    ],
-)
-def test_in_the_cold_the_wider_error_costs_no_accuracy(name, temperature_C):
-    log = measured(curved_cell(effects=COLD), drive(temperature_C))
-    wide, narrow = run(MODEL, log, name), run(BEFORE, log, name)
     assert wide.errors.rmse <= narrow.errors.rmse
 
 
@@ -140,22 +127,6 @@ def test_a_temperature_that_nobody_measured_is_no_news():
     model = replace(MODEL, validity=Validity(temperature_C=(-20.0, -10.0)))
     assert not np.any(Ekf(model).run(log, SOC0).status & OUTSIDE)
     assert simulate(model, log, SOC0).notices == ()
-
-
-def test_many_cells_in_lockstep_are_as_wide_as_one():
-    warm = np.array([25.0, 10.0, -10.0, np.nan])
-    fleet, one = LockstepEkf(MODEL, 4, 1.0), Ekf(MODEL)
-    state = fleet.init(0.8, 0.05)
-    single = [one.init(0.8, 0.05) for _ in warm]
-    rng = np.random.default_rng(5)
-    for _ in range(300):
-        current, voltage = 1.0 + rng.normal(), 3.85 + 0.003 * rng.normal()
-        state, info = fleet.step(state, np.full(4, current), np.full(4, voltage), warm)
-        for k in range(4):
-            single[k], said = one.step(single[k], current, voltage, warm[k], dt_s=1.0)
-            assert info.status[k] & OUTSIDE == said.status & OUTSIDE
-            assert info.soc_std[k] == pytest.approx(said.soc_std, rel=1e-3)
-    assert [int(s & OUTSIDE != 0) for s in info.status] == [0, 1, 1, 0]
 
 
 def test_noise_without_a_model_widens_nowhere():

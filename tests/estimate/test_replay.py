@@ -10,13 +10,14 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
+from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS, make_estimator
 from cellwise.estimate.replay import Replay, converged_row, reference_soc, replay, soc_errors
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell
+from example_cells import EFFECTS, curved_cell, random_log
 
 MODEL = curved_cell()
 
@@ -111,17 +112,6 @@ class TestFigures:
         error = np.array([0.0, 0.019, -0.019, 0.021, -0.5])
         assert by_hand(error, std=0.01).coverage_2sigma == pytest.approx(0.6)
 
-    def test_nis_leaves_out_what_was_not_used(self):
-        innovation = np.array([2.0, 1.0, 100.0, np.nan, 3.0])
-        variance = np.array([4.0, 1.0, 1.0, 1.0, 9.0])
-        status = np.array(
-            [0, 0, Status.INNOVATION_REJECTED, Status.VOLTAGE_INVALID, 0], dtype=np.int32
-        )
-        r = by_hand(np.zeros(5), innovation=innovation, variance=variance, status=status)
-        assert r.nis_mean == pytest.approx(1.0)
-        all_of_them = np.sqrt((4 + 1 + 1e4 + 9) / 4)
-        assert r.voltage_rmse_V == pytest.approx(all_of_them)
-
     def test_without_a_reference_there_is_no_judgement(self):
         r = replace_reference(by_hand(np.zeros(10)), None)
         assert r.errors is None
@@ -191,6 +181,39 @@ class TestReference:
 
     def test_no_capacity_means_no_judgement(self):
         assert replay(MODEL, drive(100), soc0=0.8).reference_soc is None
+
+
+@pytest.mark.parametrize("name", ["coulomb", "ekf", "ukf", "adaptive", "rest-ocv"])
+@pytest.mark.parametrize("effects", [(), EFFECTS], ids=["plain", "all effects"])
+def test_one_step_at_a_time_is_the_compiled_loop(name, effects):
+    """Loads and rests, missing readings, a repeated stamp, a gap; a step leaves its state alone."""
+    model = curved_cell(effects=effects)
+    log = random_log(np.random.default_rng(2), 2000, jitter=0.5, temperature_C=(0.0, 40.0))
+    current = np.where(np.arange(2000) % 1000 < 200, log.current_A, 0.0)
+    current[0], current[[50, 51]] = 1.0, np.nan  # it begins under load
+    time, voltage = log.time_s.copy(), simulate(model, log, 0.65).voltage_V
+    time[100] = time[99]
+    time[300:] += 900.0
+    voltage[120:125] = np.nan
+    log = replace(log, current_A=current, time_s=time, voltage_V=voltage)
+    one = make_estimator(name, model)
+    trace = one.run(log, 0.6, 0.1)
+    state = one.init(0.6, 0.1)
+    for k in range(len(log)):
+        readings = log.current_A[k], log.voltage_V[k], log.temperature_C[k]
+        readings = readings[: 1 if name == "coulomb" else 3]
+        before = repr(state)
+        after, info = one.step(state, *readings, dt_s=log.interval_s[k], gap=bool(log.gap_rows[k]))
+        assert repr(state) == before
+        state = after
+        for field in set(info._fields) & set(vars(trace)):
+            want = getattr(trace, field)[k]
+            found = float(getattr(info, field))
+            assert found == pytest.approx(want, rel=1e-12, abs=1e-12, nan_ok=True), (k, field)
+    seen = np.bitwise_or.reduce(trace.status)
+    assert seen & Status.CURRENT_INVALID
+    assert seen & Status.DUPLICATE
+    assert seen & Status.SEQUENCE_GAP
 
 
 class TestReplay:

@@ -271,12 +271,12 @@ class TestRestart:
         [
             lambda d: d.update(schema_version=0),
             lambda d: d.update(estimator="ukf"),
-            lambda d: d["state"].pop("soc"),
-            lambda d: d["state"].update(soc=None),
-            lambda d: d["state"].update(soc="0.5"),
-            lambda d: d["state"].update(soc=float("nan")),
-            lambda d: d.pop("watch"),
-            lambda d: d["watch"].update(extra=1.0),
+            lambda d: d["state"]["cell"].pop("soc"),
+            lambda d: d["state"]["cell"].update(soc=None),
+            lambda d: d["state"]["cell"].update(soc="0.5"),
+            lambda d: d["state"]["cell"].update(soc=float("nan")),
+            lambda d: d["state"].pop("watch"),
+            lambda d: d["state"]["watch"].update(extra=1.0),
         ],
     )
     def test_a_state_that_is_none_is_refused(self, spoil):
@@ -284,12 +284,6 @@ class TestRestart:
         spoil(saved)
         with pytest.raises(InputError, match="Start again"):
             state_from_dict(saved)
-
-    def test_a_state_of_before_the_surface_is_one_without_it(self):
-        state = Ekf(CURVED).init(0.5)
-        saved = state_to_dict(state)
-        del saved["state"]["slow_A"]
-        assert str(state_from_dict(json.loads(json.dumps(saved)))) == str(state)
 
     @pytest.mark.parametrize("text", ["", "{", "[1]", "3"])
     def test_a_file_that_is_none_is_refused(self, tmp_path, text):

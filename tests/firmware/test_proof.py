@@ -59,7 +59,6 @@ BUILDS = {
     # negative between its points, so that the SOC is looked at where the table has its root.
     "validity": {"model": curved_cell(5, validity=replace(VALID, soc=None)), "wide": False},
     "validity of SOC": {"model": curved_cell(5, validity=Validity(soc=VALID.soc))},
-    "offset": {"model": curved_cell(5), "offset_std_A": 0.1},
 }
 POWER = {
     "model": curved_cell(5),

@@ -60,12 +60,10 @@ def tables_of(name, dt_s=1.0):
         return fixed_step_tables(curved_cell(effects=(SurfaceSoc(0.08, 120.0),)), dt_s)
     if name == "validity":
         return fixed_step_tables(curved_cell(validity=VALID), dt_s)
-    if name == "offset":
-        return fixed_step_tables(curved_cell(), dt_s, offset_std_A=0.1)
     if name in ("power", "lean power"):
         return power_tables(curved_cell(), dt_s, wide=name == "power", watch=name == "power")
     if name == "full power":
-        return power_tables(full_model(), dt_s, offset_std_A=0.1)
+        return power_tables(full_model(), dt_s)
     if name in ("remaining", "lean remaining", "full remaining"):
         model = full_model() if name == "full remaining" else curved_cell()
         wide = name != "lean remaining"
@@ -84,7 +82,7 @@ def tables_of(name, dt_s=1.0):
             cells=CellSettings(),
             power=power_asked(model),
         )
-    return fixed_step_tables(full_model(), dt_s, offset_std_A=0.1)
+    return fixed_step_tables(full_model(), dt_s)
 
 
 def noisy_samples(count, seed=0):

@@ -27,7 +27,6 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     export.add_argument("-o", "--output", metavar="DIR", help="folder of C sources")
     sockets.add_options(export)
     options.count(export, "--points", "N", "SOC points [the model's]")
-    options.number(export, "--offset-std-a", "A", "current offset as a state", default=0.0)
     text = "smaller code, slower from a start far off, no watch for frozen or lost sensors"
     options.flag(export, "--lean", text)
     text = "leave out an effect of the model, e.g. the laboratory's time_skew; several"
@@ -81,7 +80,6 @@ def run_export(arguments: argparse.Namespace) -> None:
         model,
         noise=noise,
         points=arguments.points,
-        offset_std_A=arguments.offset_std_a,
         wide=not arguments.lean,
         watch=not arguments.lean,
         power=forecast_options.exported_power(arguments, model),
@@ -188,7 +186,6 @@ def write_pages(
                 arguments.dt,
                 soc0=options.start_of(log.soc0, arguments.soc0),
                 points=arguments.points,
-                offset_std_A=arguments.offset_std_a,
                 lean=arguments.lean,
                 noise=noise,
             )

@@ -8,60 +8,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cellwise.cell.equations import CellState
+from cellwise.cell.packed import fields_of
 from cellwise.errors import InputError
-from cellwise.estimate.filters.covariance_kernels import Covariance
-from cellwise.estimate.filters.drift_kernels import Drift, no_drift
 from cellwise.estimate.filters.filter_state import EkfState
-from cellwise.estimate.filters.past_kernels import Past, no_past
-from cellwise.estimate.sensing_kernels import Watch
 from cellwise.files import write_atomically
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
-# What a file of this version calls them.
-COUNTS = {
-    "rejections": "rejections",
-    "mismatch": "mismatch",
-    "lasting": "persistent",
-    "contradicted": "contradicted",
-}
-PARTS = {
-    "state": (*CellState._fields, *Covariance._fields, *COUNTS),
-    "drift": Drift._fields,
-    "past": Past._fields,
-    "watch": Watch._fields,
-}
-# Not in files of versions before it was carried,
-NEWER: dict[str, dict[str, float]] = {
-    "state": {"slow_A": 0.0, "contradicted": 0.0},
-    "drift": no_drift()._asdict(),
-    "past": no_past()._asdict(),
-    "watch": {"no_warm_s": -1.0},
-}
-# and in files of versions that carried it.
-GONE = ("room_up", "room_down", "fresh")
+MAY_BE_INFINITE = {"repeats", "rest_s"}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
 def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
-    """A state of the EKF or UKF as JSON values: a missing number is null.
+    """A state of the EKF or UKF as JSON values, records within records; missing numbers are null.
 
     After a restart pass ``gap=True`` and the time that has passed as ``dt_s`` with the first
     sample: nobody knows what has flowed meanwhile.
     """
-    counts = {name: getattr(state, field) for name, field in COUNTS.items()}
-    parts = {
-        "state": {**state.cell._asdict(), **state.p._asdict(), **counts},
-        "drift": state.drift._asdict(),
-        "past": state.past._asdict(),
-        "watch": state.watch._asdict(),
-    }
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "estimator": estimator,
-        **{part: {k: _to_json(float(v)) for k, v in of.items()} for part, of in parts.items()},
-    }
+    known = {"schema_version": SCHEMA_VERSION, "estimator": estimator}
+    return {**known, "state": _to_json(state)}
 
 
 def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfState:
@@ -78,16 +43,8 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             f"version {SCHEMA_VERSION} of '{estimator}'",
             "Start again with init() where there is no such state.",
         )
-    values = {part: _numbers(part, saved.get(part, {})) for part in PARTS}
-    state = values["state"]
-    return EkfState(
-        CellState(**{name: state[name] for name in CellState._fields}),
-        Covariance(**{name: state[name] for name in Covariance._fields}),
-        **{field: state[name] for name, field in COUNTS.items()},
-        drift=Drift(**values["drift"]),
-        watch=Watch(**values["watch"]),
-        past=Past(**values["past"]),
-    )
+    state: EkfState = _record("state", EkfState, saved.get("state"))
+    return state
 
 
 def write_state(state: EkfState, path: Path | str, estimator: str = "ekf") -> None:
@@ -109,28 +66,31 @@ def read_state(path: Path | str, estimator: str = "ekf") -> EkfState:
     return state_from_dict(saved, estimator)
 
 
-def _to_json(value: float) -> float | str | None:
+def _to_json(value: Any) -> Any:
+    if isinstance(value, tuple):
+        record: Any = value
+        return {k: _to_json(v) for k, v in record._asdict().items()}
     if math.isnan(value):
         return None
-    return value if math.isfinite(value) else str(value)
+    return float(value) if math.isfinite(value) else str(float(value))
 
 
-def _numbers(part: str, values: Any) -> dict[str, float]:
-    if isinstance(values, Mapping):
-        values = NEWER[part] | {k: v for k, v in values.items() if k not in GONE}
-    if not isinstance(values, Mapping) or set(values) != set(PARTS[part]):
+def _record(name: str, kind: Any, values: Any) -> Any:
+    if not isinstance(values, Mapping) or set(values) != set(kind._fields):
         raise InputError(
-            f"a saved state with {sorted(values) if isinstance(values, Mapping) else values}",
-            f"the fields {', '.join(PARTS[part])}",
+            f"a saved {name} with {sorted(values) if isinstance(values, Mapping) else values}",
+            f"the fields {', '.join(kind._fields)}",
             "Start again with init().",
         )
-    return {name: _number(name, values[name]) for name in PARTS[part]}
+    kinds = zip(kind._fields, fields_of(kind), strict=True)
+    return kind(*(_number(n, values[n]) if k is float else _record(n, k, values[n])
+                  for n, k in kinds))  # fmt: skip
 
 
 def _number(name: str, value: Any) -> float:
     if value is None and name in MAY_BE_MISSING:
         return math.nan
-    if isinstance(value, str) and value in INFINITE and name in ("repeats", "rest_s"):
+    if isinstance(value, str) and value in INFINITE and name in MAY_BE_INFINITE:
         return INFINITE[value]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start again.")

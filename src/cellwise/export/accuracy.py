@@ -217,7 +217,6 @@ def fixed_and_float(
     *,
     soc0: float | None = None,
     points: int | None = None,
-    offset_std_A: float = 0.0,
     lean: bool = False,
     noise: Noise | None = None,
 ) -> FixedAndFloat:
@@ -231,7 +230,6 @@ def fixed_and_float(
         noise,
         dt_s=dt_s,
         points=points,
-        offset_std_A=offset_std_A,
         wide=not lean,
         watch=not lean,
     )

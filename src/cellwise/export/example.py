@@ -14,7 +14,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import LANDING, PHASE, hex_float, state_type
-from cellwise.estimate.fixed.stepper import numba_stepper
+from cellwise.estimate.fixed.stepper import Stepper, numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import comment, firmware_folder, initialiser
 from cellwise.export.firmware import HostLibrary
@@ -81,7 +81,7 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
     inputs = samples_of(model, log, tables.dt_s).records
     state = np.zeros(1, dtype=state_type(tables.options))
     try:
-        stepper = HostLibrary(tables).stepper()
+        stepper: Stepper = HostLibrary(tables)
     except InputError:
         stepper = numba_stepper(tables)
     stepper.begin(state, VECTOR.soc, VECTOR.variance)

@@ -8,18 +8,15 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import FixedStep
-from cellwise.estimate.fixed.layout import CELL_OUTPUT, INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed.stepper import PackCalls, Stepper
+from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, put, write_sources
 
@@ -49,10 +46,10 @@ class Firmware(FixedStep):
     name = "firmware"
 
     def _make(self, tables: FixedStepTables) -> Stepper:
-        return HostLibrary(tables).stepper()
+        return HostLibrary(tables)
 
 
-class HostLibrary:
+class HostLibrary(Stepper):
     """The compiled C of one set of tables.
 
     Parameters
@@ -65,7 +62,7 @@ class HostLibrary:
     """
 
     def __init__(self, tables: FixedStepTables, compiler: Sequence[str] | None = None) -> None:
-        self.tables = tables
+        super().__init__(tables, self._call)
         with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
             path = build_library(tables, Path(folder), compiler or host_compiler())
             self._ffi, self._library = load_library(path)
@@ -75,69 +72,11 @@ class HostLibrary:
         """The model as it stands in the library's read-only memory."""
         return bytes(self._ffi.buffer(self._model, self.tables.flash_bytes))
 
-    def stepper(self) -> Stepper:
-        """The functions of the C as the fixed step takes them; arrays by their memory."""
-        pack = PackCalls(self._begin_cells, self._pack_rows, self._cells_now, self._pack_power)
-        power = partial(self._call, "cellwise_power_of")
-        remaining = partial(self._call, "cellwise_remaining_of")
-        health = partial(self._call, "cellwise_set_health_of")
-        return Stepper(
-            self.tables, self.init, self.rows, power, remaining, self._plan, health, pack
-        )
-
-    def state(self) -> NDArray[Any]:
-        """An empty state."""
-        return np.zeros(1, dtype=state_type(self.tables.options))
-
-    def init(self, state: NDArray[Any], soc: float, soc_variance: float) -> int:
-        """``cellwise_init``: its status."""
-        return int(self._call("cellwise_init", state, soc, soc_variance))
-
-    def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
-        """``cellwise_step`` for every sample: records of OUTPUT, shape (n,)."""
-        samples = np.ascontiguousarray(samples, dtype=INPUT)
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        if samples.size:
-            self._call("cellwise_rows", state, samples, outputs, samples.size)
-        return outputs
-
-    def _plan(
-        self,
-        state: NDArray[Any],
-        phases: NDArray[Any],
-        holds_power: bool,
-        above: float,
-        out: NDArray[Any],
-    ) -> None:
-        self._call("cellwise_plan_of", state, phases, phases.size, holds_power, above, out)
-
-    def _begin_cells(self, cells: NDArray[Any]) -> None:
-        self._call("cellwise_cells_begin", cells, cells.size)
-
-    def _pack_rows(
-        self, state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
-    ) -> NDArray[Any]:
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        voltage_V = np.ascontiguousarray(cell_V, dtype=np.float32)
-        if samples.size:
-            self._call(
-                "cellwise_pack_rows",
-                *(state, cells, cells.size, samples, voltage_V, outputs, samples.size),
-            )
-        return outputs
-
-    def _cells_now(self, state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
-        self._call("cellwise_cells_of", state, cells, cells.size, out)
-        return out
-
-    def _pack_power(self, state: NDArray[Any], cells: NDArray[Any], out: NDArray[Any]) -> None:
-        self._call("cellwise_pack_power_of", state, cells, cells.size, out)
-
-    def _call(self, name: str, *passed: Any) -> Any:
+    def _call(self, name: str, *handed: Any) -> Any:
         """A function of the C; of an array its memory."""
-        pointers = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in passed]
-        return getattr(self._library, name)(self._model, *pointers)
+        function = getattr(self._library, f"cellwise_{'init' if name == 'begin' else name}")
+        pointers = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
+        return function(self._model, *pointers)
 
 
 def host_compiler() -> list[str]:

@@ -15,7 +15,7 @@ from cellwise.estimate.adaptive.settings import ESTIMABLE, AdaptiveSettings, Hel
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
-from example_cells import EFFECTS, curved_cell, lfp_cell
+from example_cells import curved_cell, lfp_cell
 
 CAPACITY = 3.0
 ERROR = ModelError.of_white_and_slow(
@@ -245,27 +245,6 @@ class TestSteps:
         late = slice(len(LOG) // 5, None)
         assert np.max(np.abs(mine.soc - plain.soc)[late]) < 2e-3
         np.testing.assert_allclose(mine.soc_std[late], plain.soc_std[late], rtol=0.05, atol=1e-4)
-
-    @pytest.mark.parametrize("effects", [(), EFFECTS])
-    def test_steps_by_hand_are_the_replay(self, effects):
-        cell = curved_cell(effects=effects)
-        log = drive(cell, hours=0.1)
-        log = replace(log, current_A=log.current_A + 0.1)
-        adaptive = Adaptive(cell)
-        trace = adaptive.run(log, 0.8)
-        state = adaptive.init(0.8)
-        for k in range(len(log)):
-            before = repr(state)
-            after, info = adaptive.step(
-                state, log.current_A[k], log.voltage_V[k], 25.0, dt_s=log.interval_s[k]
-            )
-            assert repr(state) == before  # a step leaves its state as it was
-            state = after
-            assert info.soc == pytest.approx(trace.soc[k], abs=1e-12)
-        assert info.offset_A == pytest.approx(trace.offset_A[-1], abs=1e-12)
-        assert info.capacity_Ah == pytest.approx(trace.capacity_Ah[-1])
-        assert info.resistance_scale == pytest.approx(trace.resistance_scale[-1])
-        assert info.held_charge == trace.held[2, -1]
 
     def test_two_logs_do_not_know_of_each_other(self):
         adaptive = Adaptive(MODEL)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.model_error import ModelError
-from cellwise.cell.simulate import simulate
 from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.filters.drift_kernels import no_drift
@@ -17,8 +15,6 @@ from cellwise.estimate.filters.free_kernels import (
     soc_found,
     weighed,
 )
-from cellwise.estimate.noise import Noise
-from cellwise.logs.cell_log import CellLog
 from example_cells import linear_cell
 
 RULES = AdaptiveSettings().rules()
@@ -97,45 +93,3 @@ def test_a_soc_that_was_searched_for_leaves_what_is_known_of_the_capacity():
     after = soc_found(free).capacity
     assert after.reach == after.cross == after.shared == 0.0
     assert (after.score, after.information) == (c.score, c.information)
-
-
-def test_on_a_linear_cell_they_are_a_filter_with_two_more_states():
-    """SOC, offset and capacity together as a Kalman filter of matrices, from the same voltages."""
-    tiny = np.full(11, 1e-9)
-    error = ModelError.of_white_and_slow(white_V=0.001, slow_V=(1e-9,))
-    model = linear_cell(r1_ohm=tiny, r2_ohm=tiny, error=error)
-    noise = Noise(
-        current_A=0.0, branch_share=0.0, ocv_soc=0.0, voltage_V=0.01, slow_s=0.0, gate=1e9,
-        mismatch_cap=0.0, soc_per_sqrt_h=0.0,
-    )  # fmt: skip
-    settings = AdaptiveSettings(
-        learn=("current_offset", "capacity"), offset_C_per_sqrt_h=0.0, charge_per_sqrt_h=0.0
-    )
-    ours = Adaptive(model, noise, settings)
-    dt, rows, offset_A = 10.0, 600, settings.offset_C * model.capacity_Ah
-    current = 0.6 + 0.6 * np.sign(np.sin(np.arange(rows) / 40.0))
-    log = CellLog(dt * np.arange(rows), current, np.full(rows, 3.7))
-    log = CellLog(log.time_s, current + 0.5 * offset_A, simulate(model, log, 0.9).voltage_V)
-    state = ours.init(0.9, 0.005)
-    r0, slope = float(model.r0_ohm.mean()), float(np.ptp(model.ocv_V)) / float(np.ptp(model.soc))
-    x, p = np.array([0.9, 0.0, 0.0]), np.diag([0.005**2, 1.0, 1.0])
-    h = np.array([slope, r0 * offset_A, 0.0])
-    for interval, amps, voltage in zip(log.interval_s, log.current_A, log.voltage_V, strict=True):
-        grow = interval / (3600.0 * model.capacity_Ah)
-        f = np.eye(3)
-        f[0, 1:] = grow * offset_A, -grow * amps * settings.charge
-        x = f @ x - np.array([grow * amps, 0.0, 0.0])
-        p = f @ p @ f.T
-        k = p @ h / (h @ p @ h + noise.voltage_V**2)
-        predicted = model.ocv_V.flat[0] + slope * x[0] - r0 * (amps - offset_A * x[1])
-        x = x + k * (voltage - predicted)
-        p = p - np.outer(k, h @ p)
-        state, _ = ours.step(state, amps, voltage, dt_s=interval)
-    c, d = state.capacity, state.filter.drift
-    information = np.array([[d.information, c.cross], [c.cross, c.information]])
-    mean = np.linalg.solve(information, [d.offset * d.information, c.score])
-    np.testing.assert_allclose(mean, x[1:], atol=5e-3)
-    # Its branches begin 5 mV unsure, which the matrices leave out.
-    np.testing.assert_allclose(np.linalg.inv(information), p[1:, 1:], rtol=0.1, atol=1e-3)
-    own = state.soc - (d.believed * d.reach + c.believed * c.reach)
-    assert own + mean @ [d.reach, c.reach] == pytest.approx(x[0], abs=1e-3)

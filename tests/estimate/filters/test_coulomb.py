@@ -37,32 +37,6 @@ def test_charge_counts_with_its_efficiency():
     np.testing.assert_allclose(trace.soc, 0.6 - np.cumsum(used) / (3600 * 3.0), atol=1e-12)
 
 
-def test_one_step_at_a_time_is_the_compiled_loop():
-    model = linear_cell()
-    log = random_log(np.random.default_rng(2), 500, jitter=0.5)
-    current, time = log.current_A.copy(), log.time_s.copy()
-    current[[50, 51]] = np.nan
-    time[100] = time[99]
-    time[300:] += 900.0
-    log = replace(log, current_A=current, time_s=time)
-    counter = Coulomb(model)
-    trace = counter.run(log, 0.6, 0.1)
-    state = counter.init(0.6, 0.1)
-    for k in range(len(log)):
-        gap = bool(log.gap_rows[k])
-        state, info = counter.step(state, log.current_A[k], dt_s=log.interval_s[k], gap=gap)
-        assert (info.soc, info.soc_std, int(info.status)) == (
-            trace.soc[k], trace.soc_std[k], trace.status[k],
-        )  # fmt: skip
-    assert trace.status[50] == Status.CURRENT_INVALID
-    assert trace.status[100] == Status.DUPLICATE
-    assert trace.status[300] == Status.SEQUENCE_GAP
-    assert trace.soc[300] == trace.soc[299]
-    assert trace.soc[50] - trace.soc[51] == pytest.approx(
-        log.current_A[49] * log.interval_s[51] / (3600 * 3.0)
-    )
-
-
 def test_it_only_ever_becomes_less_sure():
     log = random_log(np.random.default_rng(3), 500)
     noise = Noise(soc_per_sqrt_h=0.01)

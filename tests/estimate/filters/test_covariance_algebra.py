@@ -77,42 +77,6 @@ def test_corrected_is_the_kalman_update():
     np.testing.assert_allclose(matrix(found), p - np.outer(gain, d), atol=1e-12)
 
 
-def test_joseph_then_corrected_is_the_steep_slopes_gain_on_the_flat_one():
-    """Joseph's form with the gain of one slope and the row of another."""
-    p, noise = drawn(7), 0.5
-    h = H
-    flat = h.copy()
-    flat[0] = 0.7
-    d = p @ h
-    k = d / (h @ d + noise)
-    a = np.eye(len(h)) - np.outer(k, flat)
-    want = a @ p @ a.T + noise * np.outer(k, k)
-    less = flat[0] - h[0]
-    e = less * (2.0 * d[0] + less * p[0, 0])
-    start = record(p)
-    found = five.joseph(start, five.Column(*k), five.soc_row(start, less), e)
-    found = five.corrected(found, five.Column(*k), five.Column(*d))
-    np.testing.assert_allclose(matrix(found), want, atol=1e-9)
-
-
-@pytest.mark.parametrize("flat_V", [0.0, 0.1, 0.3, 0.45])
-def test_a_plateau_teaches_nothing_and_loses_nothing(flat_V):
-    """A gain of a steep slope that leads onto a flat one never makes the SOC less known."""
-    slope, variance = 0.5, 0.0225
-    noise = slope**2 * variance
-    p = five.uncorrelated(variance, 0.0, 0.0, 0.0, 0.0)
-    d = five.column(p, slope, 0.0)
-    k = five.scaled(d, 1.0 / (slope * d.s + noise))
-    less = flat_V - slope
-    e = less * (2.0 * d.s + less * p.ss)
-    c = five.soc_row(p, less)
-    learnt = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
-    want = (1.0 - k.s * flat_V) ** 2 * variance + k.s**2 * noise
-    assert learnt == (want < variance)
-    after = five.corrected(five.joseph(p, k, c, e), k, d)
-    assert matrix(after)[0, 0] == pytest.approx(want)
-
-
 def test_given_the_soc_and_back():
     """P less the outer product of its first column over its root has no SOC left in it."""
     p = drawn(8)

@@ -11,8 +11,7 @@ from scipy.stats import norm
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.filters.filterpy_filters import FilterpyEkf
-from cellwise.estimate.filters.kalman import Ekf, Ukf
+from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
@@ -210,26 +209,6 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
         assert info.soc_std == pytest.approx(np.sqrt(p[0, 0] * wider), rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_filterpy_estimator_is_the_same_filter(seed):
-    rng = np.random.default_rng(10 + seed)
-    model = random_model(rng, temperatures=1 + seed)
-    noise = Noise(
-        current_A=0.02,
-        gate=OPEN_GATE,
-        mismatch_cap=0.0,
-        gap_soc=0.002,
-        lasting_share=0.0,
-        offset_share=0.0,
-    )
-    log = difficult_log(rng, model)
-    ours, theirs = (f.run(log, 0.5, 0.015) for f in (Ekf(model, noise), FilterpyEkf(model, noise)))
-    for name in ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"):
-        np.testing.assert_allclose(
-            getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-10, err_msg=name
-        )
-
-
 def kalman_log(model, rows=300):
     rng = np.random.default_rng(3)
     log = random_log(rng, rows, jitter=0.5)
@@ -285,31 +264,6 @@ def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):
 def test_on_a_linear_cell_it_is_the_kalman_filter():
     """From a start that knows nothing, within 0..1."""
     assert_is_the_kalman_filter(Ekf, mean=1e-11, covariance=1e-10, likelihood=1e-10)
-
-
-@pytest.mark.parametrize("kind", [Ekf, Ukf])
-def test_one_step_at_a_time_is_the_compiled_loop(kind):
-    rng = np.random.default_rng(4)
-    model = random_model(rng)
-    log = difficult_log(rng, model)
-    one = kind(model)
-    trace = one.run(log, 0.7, 0.2)
-    state = one.init(0.7, 0.2, log.current_A[0])
-    gaps = log.gap_rows
-    assert gaps.sum() == 1
-    for k in range(len(log)):
-        state, info = one.step(
-            state,
-            log.current_A[k],
-            log.voltage_V[k],
-            log.temperature_C[k],
-            dt_s=log.interval_s[k],
-            gap=bool(gaps[k]),
-        )
-        row = (trace.soc[k], trace.soc_std[k], trace.voltage_V[k], trace.innovation_V[k],
-               trace.innovation_variance_V2[k], trace.test_ratio[k], trace.status[k])  # fmt: skip
-        np.testing.assert_allclose(tuple(info), row, rtol=1e-12, atol=1e-15, equal_nan=True)
-    assert len(set(trace.status.tolist())) >= 4  # plain, missing, repeated, gap
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)

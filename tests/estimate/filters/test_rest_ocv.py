@@ -13,7 +13,7 @@ from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.filters.rest_ocv import REST_S, RestOcv
 from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell, lfp_cell, linear_cell, random_log
+from example_cells import lfp_cell, linear_cell
 
 REST_ROWS = 7200
 
@@ -57,28 +57,6 @@ def test_on_a_plateau_it_keeps_what_it_counted():
     assert np.max(np.abs(known.soc - truth)) < 0.005
     unsure = RestOcv(model).run(log, 0.6, 0.3)
     assert unsure.soc_std[-1] > 0.03
-
-
-def test_one_step_at_a_time_is_the_compiled_loop():
-    model = curved_cell()
-    log = random_log(np.random.default_rng(5), 3000, jitter=0.5)
-    current = np.where(np.arange(3000) % 1500 < 700, log.current_A, 0.0)
-    current[900], current[0] = np.nan, 1.0  # it begins under load
-    log = replace(log, current_A=current, temperature_C=np.full(3000, 31.0))
-    gauge = RestOcv(model, rest_s=300.0)
-    trace = gauge.run(log, 0.6, 0.1)
-    state = gauge.init(0.6, 0.1)
-    rested = 0
-    for k in range(len(log)):
-        state, info = gauge.step(
-            state, log.current_A[k], log.voltage_V[k], 31.0, dt_s=log.interval_s[k],
-            gap=bool(log.gap_rows[k]),
-        )  # fmt: skip
-        rested += info.rested
-        assert (info.soc, info.soc_std, int(info.status)) == (
-            trace.soc[k], trace.soc_std[k], trace.status[k],
-        )  # fmt: skip
-    assert rested > 100
 
 
 def test_a_replay_of_it_has_no_voltage_and_says_so():

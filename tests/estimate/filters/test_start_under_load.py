@@ -119,21 +119,6 @@ def test_another_mean_load_is_another_past():
     assert variance == pytest.approx(spread**2, rel=0.04)
 
 
-def test_a_state_moves_as_if_the_branch_had_been_taken_for_it_from_the_beginning():
-    """Voltages between: the posterior of the other prior mean, by the normal equations."""
-    rows = np.array([[1.0, -1.0], [1.3, -1.0], [0.8, -0.9]])  # of SOC and branch
-    seen, noise_V2 = np.array([0.02, 0.01, -0.01]), 1e-4
-    prior = np.diag([0.01, 0.015**2])
-    post = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows / noise_V2)
-
-    def state(branch_V):
-        told = np.linalg.inv(prior) @ np.array([0.0, branch_V])
-        return post @ (told + rows.T @ seen / noise_V2)
-
-    moved = post[:, 1] * 1.0 / max(post[1, 1], prior[1, 1]) * 0.012
-    np.testing.assert_allclose(state(0.008 + 0.012) - state(0.008), moved, rtol=1e-9)
-
-
 @pytest.mark.parametrize("kind", [Ekf, Ukf])
 def test_a_use_that_pauses_in_its_first_minutes_is_found_after_some_more(kind):
     """240 s at a fifth of the load before them say too little of a branch of hours."""
@@ -152,14 +137,6 @@ def test_a_use_that_pauses_in_its_first_minutes_is_found_after_some_more(kind):
     before, after = error[955], error[965]
     assert abs(before) > 0.003
     assert abs(after) < 0.5 * abs(before)
-
-
-def test_a_state_saved_before_reconsidering_is_still_read():
-    ekf = Ekf(linear())
-    state, _ = ekf.step(ekf.init(0.5, 0.15), 2.0, 3.6, dt_s=0.0)
-    saved = state_to_dict(state)
-    del saved["past"]["looked_A"]
-    assert state_from_dict(saved) == state
 
 
 def use(model: CellModel, soc0: float, seed: int) -> tuple[CellLog, np.ndarray]:

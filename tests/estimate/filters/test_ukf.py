@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,11 +22,9 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.filterpy_filters import FilterpyUkf
+from cellwise.estimate.filters.filterpy_filters import FilterpyEkf, FilterpyUkf
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.status import Status
-from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 # Every point with the resistances of its own SOC, as filterpy's.
@@ -36,10 +35,18 @@ POINTS = tuple(
 FIGURES = ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2")
 
 
-@pytest.mark.parametrize("points", POINTS)
+def ukf_pair(points):
+    return partial(Ukf, points=points), partial(FilterpyUkf, points=points)
+
+
+PAIRS = [*map(ukf_pair, POINTS), (Ekf, FilterpyEkf)]
+NAMES = ["UKF", "far out", "close", "EKF"]
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=NAMES)
 @pytest.mark.parametrize("seed", range(3))
-def test_three_points_are_all_eleven(seed, points):
-    """Mean, deviation, prediction and its variance, from a start 10 points wide, off the knots."""
+def test_it_is_filterpys_which_takes_all_eleven_points(pair, seed):
+    """Mean, deviation, prediction and its variance, off the knots; the UKF 10 points wide."""
     rng = np.random.default_rng(20 + seed)
     model = random_model(rng, temperatures=1 + seed)
     noise = Noise(
@@ -51,8 +58,8 @@ def test_three_points_are_all_eleven(seed, points):
         offset_share=0.0,
     )
     log = difficult_log(rng, model, rows=320)
-    ours = Ukf(model, noise, points).run(log, 0.503, 0.1)
-    theirs = FilterpyUkf(model, noise, points).run(log, 0.503, 0.1)
+    std = 0.015 if pair[0] is Ekf else 0.1
+    ours, theirs = (kind(model, noise).run(log, 0.503, std) for kind in pair)
     for name in FIGURES:
         np.testing.assert_allclose(
             getattr(ours, name), getattr(theirs, name), rtol=1e-7, atol=1e-9, err_msg=name
@@ -122,39 +129,6 @@ def test_its_mean_sees_the_bend_of_the_ocv():
     assert info.voltage_V == pytest.approx(points @ weights / weights.sum(), abs=1e-12)
     tangent = np.interp(soc, model.soc, model.ocv_V[0])
     assert abs(info.voltage_V - tangent) > 1e-4
-
-
-@pytest.mark.parametrize("off", [-0.3, 0.15])
-def test_it_finds_the_way_from_a_wrong_start(off):
-    model = curved_cell()
-    rng = np.random.default_rng(1)
-    current = np.repeat(rng.normal(0.3, 2.0, 361), 10)[:3600]
-    current[0] = 0.0
-    log = CellLog(np.arange(3600.0), current, np.full(3600, 3.7))
-    run = simulate(model, log, 0.8)
-    log = replace(log, voltage_V=run.voltage_V + 0.001 * rng.standard_normal(3600))
-    trace = Ukf(model).run(log, 0.8 + off, 0.15)
-    error = np.abs(trace.soc - run.soc)
-    assert np.max(error[600:]) < 0.03
-    assert np.mean(error <= 2 * trace.soc_std) > 0.9
-
-
-def test_faults_mean_the_same_as_in_the_ekf():
-    model = curved_cell()
-    log = random_log(np.random.default_rng(6), 400)
-    voltage = simulate(model, log, 0.7).voltage_V.copy()
-    current = log.current_A.copy()
-    voltage[50] += 0.6
-    voltage[100:103] = np.nan
-    voltage[150] = 60.0
-    current[200:230] = np.nan
-    voltage[300:] = voltage[300]
-    log = replace(log, voltage_V=voltage, current_A=current)
-    ekf, ukf = (f.run(log, 0.7, 0.02).status for f in (Ekf(model), Ukf(model)))
-    np.testing.assert_array_equal(ekf, ukf)
-    told = np.bitwise_or.reduce(ukf)
-    for bit in ("CURRENT_LOST", "OUT_OF_RANGE", "VOLTAGE_FROZEN", "INNOVATION_REJECTED"):
-        assert told & Status[bit], bit
 
 
 @pytest.mark.parametrize(

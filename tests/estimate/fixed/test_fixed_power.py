@@ -50,8 +50,8 @@ def test_the_same_bits_in_c_and_never_nan(case):
 
     tables = tables_of(case)
     stepper, library = numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])
-    state, in_c = library.state(), library.stepper()
-    library.init(state, 0.8, 0.02)
+    state, in_c = library.state(), library
+    library.begin(state, 0.8, 0.02)
     rng = np.random.default_rng(11)
     ours, theirs = np.zeros(1, CAPABILITY), np.zeros(1, CAPABILITY)
     seen = []

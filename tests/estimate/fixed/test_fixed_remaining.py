@@ -58,18 +58,18 @@ def test_the_same_bits_in_c_and_never_nan(case):
     tables = tables_of(case)
     stepper, library = numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])
     state = library.state()
-    library.init(state, 0.8, 0.02)
+    library.begin(state, 0.8, 0.02)
     rng = np.random.default_rng(11)
     ours, theirs = np.zeros(1, OUTLOOK), np.zeros(1, OUTLOOK)
 
     def both(load_A, holds_power):
-        for one, out in ((stepper, ours), (library.stepper(), theirs)):
+        for one, out in ((stepper, ours), (library, theirs)):
             one.remaining(state, load_A, holds_power, out)
         assert ours.tobytes() == theirs.tobytes()
         phases = np.zeros(int(rng.integers(0, 6)), PHASE)
         phases["seconds"] = rng.exponential(300.0, phases.size)
         phases["load"] = load_A * rng.normal(1.0, 1.0, phases.size)
-        for one, out in ((stepper, our_end), (library.stepper(), their_end)):
+        for one, out in ((stepper, our_end), (library, their_end)):
             one.plan(state, phases, holds_power, 0.4, out)
         assert our_end.tobytes() == their_end.tobytes()
         ends.append(our_end[0].item())

@@ -156,7 +156,7 @@ def test_compiled_code_is_single_precision_without_liberties():
     rows = njit(**options)(cached.py_func)  # numba keeps no text of what it has cached
     tables = STEPPER.tables
     samples = steady(2)
-    rows(tables.constants, tables.table, begun(), samples, np.zeros(2, OUTPUT))
+    rows(tables.constants, tables.table, begun(), samples, np.zeros(2, OUTPUT), 2)
     text = "".join(rows.inspect_llvm().values())
     assert "define" in text
     assert "fpext" not in text

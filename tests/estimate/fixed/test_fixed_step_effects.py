@@ -26,8 +26,6 @@ from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed import lookup
-from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.stepper import start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import write_sources
 from cellwise.export.firmware import Firmware
@@ -119,40 +117,17 @@ def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
     assert np.max((found.max(), *tiny)) <= 1.0
 
 
-@pytest.mark.parametrize("offset_A", [0.3, -0.1])
-def test_an_offset_is_found_and_its_charge_kept(offset_A):
-    model = curved_cell(capacity_Ah=5.1)
-    log = drive_of(model)
-    truth = simulate(model, log, 0.9).soc
-    records = samples_of(model, replace(log, current_A=log.current_A + offset_A), DT_S).records
-    rmse, states = [], []
-    for std_A in (0.0, 0.3):
-        stepper = Firmware(model, dt_s=DT_S, offset_std_A=std_A).stepper(DT_S)
-        state = start_state(stepper, 0.9, 0.02)
-        soc = stepper.rows(state, records)["soc"]
-        rmse.append(np.sqrt(np.mean((soc - truth) ** 2)))
-        states.append(state)
-    assert rmse[1] < 0.5 * rmse[0]
-    std_A = float(states[1]["poo"][0]) ** 0.5
-    assert states[1]["offset_A"][0] == pytest.approx(offset_A, abs=2 * std_A)
-    assert std_A < 0.1
-
-
-@pytest.mark.parametrize("name", [*EFFECTS, "offset"])
+@pytest.mark.parametrize("name", EFFECTS)
 def test_what_is_not_compiled_in_is_not_there(name, tmp_path):
-    words = ("offset_A", "poo") if name == "offset" else EFFECTS[name][1]
-    plain = preprocessed(curved_cell(), tmp_path)
+    words = EFFECTS[name][1]
+    plain, built = (preprocessed(m, tmp_path) for m in (curved_cell(), model_with(name)))
     assert not any(word in plain for word in words)
-    if name == "offset":
-        built = preprocessed(curved_cell(), tmp_path, offset_std_A=0.1)
-    else:
-        built = preprocessed(model_with(name), tmp_path)
     assert all(word in built for word in words)
 
 
-def preprocessed(model, folder, **options):
+def preprocessed(model, folder):
     """The C that the compiler sees of a lean build."""
-    tables = fixed_step_tables(model, DT_S, wide=False, watch=False, **options)
+    tables = fixed_step_tables(model, DT_S, wide=False, watch=False)
     for file, text in write_sources(tables, "0" * 64):
         (folder / file).write_text(text)
     done = subprocess.run(

@@ -16,7 +16,6 @@ from cellwise.estimate.fixed.layout import (
     INPUT,
     OUTPUT,
     constant_type,
-    hex_float,
     row_type,
     state_type,
 )
@@ -28,7 +27,7 @@ from firmware_cases import compile_and_run, stress_samples, tables_of
 
 pytest.importorskip("cffi")
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-CASES = ["lean", "plain", "slow", "transfer", "surface", "validity", "offset", "full", "full power"]
+CASES = ["lean", "plain", "slow", "transfer", "surface", "validity", "full", "full power"]
 
 
 @needs_gcc
@@ -74,12 +73,6 @@ def test_constants_are_those_of_the_source():
     assert checked >= 18
 
 
-def test_hex_floats_are_exact():
-    values = np.random.default_rng(0).integers(0, 2**31, 2000).astype(np.uint32).view(np.float32)
-    for value in values[np.isfinite(values)]:
-        assert np.float32(float.fromhex(hex_float(value).rstrip("f"))) == value
-
-
 @needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["lean", "full"])
@@ -95,7 +88,7 @@ def test_the_same_bits(case):
         for samples in (drive, stress_samples(30_000)):
             ours, theirs = library.state(), library.state()
             stepper.begin(ours, 0.9, 0.02)
-            library.init(theirs, 0.9, 0.02)
+            library.begin(theirs, 0.9, 0.02)
             assert ours.tobytes() == theirs.tobytes()
             expected = stepper.rows(ours, samples)
             assert library.rows(theirs, samples).tobytes() == expected.tobytes(), flags
@@ -116,8 +109,8 @@ def test_one_buffer_is_stepped_by_either():
     stepper, library = numba_stepper(tables), HostLibrary(tables)
     samples = stress_samples(2000)
     alone, shared = library.state(), library.state()
-    library.init(alone, 0.5, 0.02)
-    library.init(shared, 0.5, 0.02)
+    library.begin(alone, 0.5, 0.02)
+    library.begin(shared, 0.5, 0.02)
     expected = library.rows(alone, samples)
     parts = np.array_split(samples, 40)
     found = [(stepper if k % 2 else library).rows(shared, p) for k, p in enumerate(parts)]

@@ -10,7 +10,7 @@ from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.export.firmware import HostLibrary
 from firmware_cases import tables_of
 
-CASES = ("lean", "offset", "full")
+CASES = ("lean", "full")
 
 
 def samples(first, count):
@@ -27,7 +27,7 @@ def samples(first, count):
 def compiled_c(tables):
     """The C of this machine's compiler; None without one."""
     try:
-        return HostLibrary(tables).stepper()
+        return HostLibrary(tables)
     except Exception:
         return None
 

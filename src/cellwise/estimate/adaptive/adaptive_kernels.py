@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
-from cellwise.cell.equations import CellState, CellTables
-from cellwise.estimate.filters.covariance_kernels import Covariance
+from cellwise.cell.equations import CellTables
 from cellwise.estimate.filters.filter_state import (
     OUTPUTS,
     EkfInfo,
@@ -18,17 +17,15 @@ from cellwise.estimate.filters.filter_state import (
     ekf_start,
 )
 from cellwise.estimate.filters.free_kernels import (
-    Capacity,
     Free,
     FreeRules,
-    Resistances,
     no_capacity,
     no_resistances,
 )
 from cellwise.estimate.filters.kalman_kernels import put_info, reading_of
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Reading, Watch
+from cellwise.estimate.sensing_kernels import Reading
 
 # Rows of ``values`` behind the EKF's: mean and deviation of each number, probabilities, whether the
 # load moves enough to show a resistance, variance of the SOC.
@@ -47,50 +44,9 @@ class AdaptiveState(NamedTuple):
     filter: EkfState
     free: Free
 
-    @property
-    def cell(self) -> CellState:
-        """The cell."""
-        return self.filter.cell
-
-    @property
-    def p(self) -> Covariance:
-        """Covariance of its states, offset and capacity as the model's."""
-        return self.filter.p
-
-    @property
-    def mismatch(self) -> float:
-        """How the model has done."""
-        return self.filter.mismatch
-
-    @property
-    def watch(self) -> Watch:
-        """The sensors' past."""
-        return self.filter.watch
-
-    @property
-    def capacity(self) -> Capacity:
-        """What is known of the capacity."""
-        return self.free.capacity
-
-    @property
-    def resistances(self) -> Resistances:
-        """What is known of the resistances."""
-        return self.free.resistances
-
-    @property
-    def soc(self) -> float:
-        """State of charge."""
-        return self.cell.soc
-
-    @property
-    def current_A(self) -> float:
-        """The last valid current [A]."""
-        return self.watch.current_A
-
-    @property
-    def soc_std(self) -> float:
-        """Standard deviation of the state of charge, the capacity as it is believed."""
-        return self.filter.soc_std
+    def __getattr__(self, name: str) -> Any:
+        """What the EKF's state has: its SOC, offset and capacity as they are believed."""
+        return getattr(self.filter, name)
 
 
 @kernel

@@ -100,14 +100,14 @@ class FixedPack:
         sample["current_A"] = one_reading("current_A", current_A, "ampere")
         sample["temperature_C"] = one_reading("temperature_C", warm, "degC")
         sample["sequence"] = sequence_number(sequence)
-        out = stepper.pack.rows(state.mean, state.cells, sample, voltages[None, :])[0]
+        out = stepper.pack_rows(state.mean, state.cells, sample, voltages[None, :])[0]
         return info_of(out, self.filter.noise)
 
     def cells(self, state: PackState) -> NDArray[Any]:
         """What is known of every cell: records of ``layout.CELL_OUTPUT``, shape (cells,)."""
         stepper = self._stepper()
         self._check(state, stepper)
-        return stepper.pack.now(state.mean, state.cells)
+        return stepper.cells(state.mean, state.cells)
 
     def power(self, state: PackState) -> NDArray[Any]:
         """State of power of the pack as its weakest cell allows: one record of CAPABILITY [W].
@@ -120,7 +120,7 @@ class FixedPack:
         self._check(state, stepper)
         stepper.need("power")
         out = np.zeros(1, dtype=CAPABILITY)
-        stepper.pack.power(state.mean, state.cells, out)
+        stepper.pack_power(state.mean, state.cells, out)
         return out
 
     def run(
@@ -158,7 +158,7 @@ class FixedPack:
             state = state._replace(cells=np.array(cells))
             self._check(state, stepper)
         samples.records["sequence"] += np.uint32(sequence_number(sequence))
-        stepper.pack.rows(state.mean, state.cells, samples.records, voltages)
+        stepper.pack_rows(state.mean, state.cells, samples.records, voltages)
         return state
 
     def _stepper(self) -> Stepper:
@@ -166,7 +166,7 @@ class FixedPack:
 
     def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
         cells = np.zeros(self.count, dtype=CELL)
-        stepper.pack.begin(cells)
+        stepper.begin_cells(cells)
         return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def _check(self, state: PackState, stepper: Stepper) -> None:

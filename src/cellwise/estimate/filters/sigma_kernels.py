@@ -123,7 +123,7 @@ def by_points(
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
     p = with_noise(p, noise, s, now, no_voltage_s)
     slope = point.ocv_slope_V
-    at = Slopes(slope, 0.0, slope, root if wide else 0.0, 0.0, 0.0, 0.0)
+    at = Slopes(slope, 0.0, root if wide else 0.0, 0.0, 0.0, 0.0)
     return CellState(x.soc, v1, v2, v3, x.h, x.heat_K, x.slow_A), p, at
 
 

@@ -216,7 +216,7 @@ def filter_step(
     if v.recover:
         e = recover(tables, s, now, i)
     elif v.accepted:
-        e = update(tables, noise, sigma, rules, s, now, seen, i, v)
+        e = update(noise, rules, s, now, seen, i, v)
     else:
         e = counted(now)
     e = look_back(tables, noise, s, now, v, e)

@@ -15,13 +15,10 @@ from cellwise.estimate.evidence_kernels import (
     persistent_V,
 )
 from cellwise.estimate.filters.covariance_kernels import (
-    Column,
     Covariance,
     corrected,
-    joseph,
     moved,
     scaled,
-    soc_row,
     uncorrelated,
 )
 from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift
@@ -34,11 +31,11 @@ from cellwise.estimate.filters.free_kernels import (
     soc_found,
 )
 from cellwise.estimate.filters.past_kernels import Past, no_past
-from cellwise.estimate.filters.sigma_kernels import SigmaScalars, Voltage
+from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
 from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes, landing_slope
+from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
 
 
@@ -99,31 +96,8 @@ def counted(now: Predicted) -> Estimate:
 
 
 @inline
-def gained(
-    tables: CellTables, s: Sample, now: Predicted, k: Column, d: Column, move: float
-) -> Covariance:
-    """P after a gain; of a badly known SOC it is judged by the slope where the gain leads.
-
-    If that is flatter, less was gained (Joseph's form): on a plateau nothing.
-    """
-    p, at = now.p, now.at
-    gains = True
-    if at.spread > 0.0:
-        slope = landing_slope(tables, now.x.soc, at, now.warm_C, s.seen_A, now.x.slow_A, move)
-        less = slope - at.slope_V
-        e = less * (2.0 * d.s + less * p.ss)
-        c = soc_row(p, less)
-        gains = k.s * (k.s * e - 2.0 * c.s) < k.s * d.s
-        if gains:
-            p = joseph(p, k, c, e)
-    return corrected(p, k, d) if gains else p
-
-
-@inline
 def update(
-    tables: CellTables,
     noise: NoiseScalars,
-    sigma: SigmaScalars | None,
     rules: FreeRules | None,
     s: Sample,
     now: Predicted,
@@ -135,10 +109,7 @@ def update(
     old, slope = now.state, seen.slope_V
     k = scaled(seen.d, v.inverse)
     x = moved(now.x, k, v.innovation_V)
-    if sigma is None:
-        p = gained(tables, s, now, k, seen.d, k.s * v.innovation_V)
-    else:
-        p = corrected(now.p, k, seen.d)
+    p = corrected(now.p, k, seen.d)
     # fmt: off
     contradicted = contradicted_step(
         noise, old.contradicted, v.innovation_V, slope, i.one, old.watch.evidence_s, s.dt_s

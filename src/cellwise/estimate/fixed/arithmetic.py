@@ -4,7 +4,7 @@
 the same bits: full parentheses, no contraction, no exp, pow or sqrt, every constant float32, every
 conversion written out. What names a type here is C's type there.
 
-State x = [soc, v1, v2, v3, h, offset]; ``m`` is the model, ``c`` its constants, ``x`` the state,
+State x = [soc, v1, v2, v3, h]; ``m`` is the model, ``c`` its constants, ``x`` the state,
 ``p`` the tables at one SOC, ``w`` slopes over SOC, ``d`` the column P H': see ``layout``. Order:
 lookup, covariance, state, sensing, innovation, step, rows.
 """
@@ -41,7 +41,6 @@ Phases: TypeAlias = Any
 # There where an option is.
 SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
-OffsetFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
 SurfaceFloat: TypeAlias = Any
 
@@ -54,11 +53,9 @@ KNOW_NOTHING_SOC = F(0.5)
 KNOW_NOTHING_VARIANCE = F(0.09)
 SOC_VARIANCE_MOST = F(1.0)  # SOC lies in 0..1: more says nothing
 VARIANCE_FLOOR = F(1e-12)
-GROW = F(float.fromhex("0x1.000004p+0"))  # above rounding, so that P stays positive
 BEYOND = F(0.05)  # how far the OCV goes on outside 0..1
 WIDE_VARIANCE = F(4e-4)  # beyond it the tangent is no guide
 SHORTEST_CHORD = F(1e-6)
-SMALL_MOVE = F(0.05)  # of a deviation: the slope is that of the spot left
 RECOVERY_VARIANCE = F(0.09)
 TEMPERATURE_LOW_C = F(-60.0)
 TEMPERATURE_HIGH_C = F(120.0)

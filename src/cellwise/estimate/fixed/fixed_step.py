@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
+from cellwise.estimate.fixed.options import Asked
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,
@@ -31,9 +33,6 @@ from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log, resample
 from cellwise.typing import IntArray
 
-if TYPE_CHECKING:
-    from cellwise.estimate.power.state_of_power import PowerSettings
-
 
 class FixedStep:
     """Fixed-step EKF, compiled by numba.
@@ -43,14 +42,8 @@ class FixedStep:
     model : CellModel
     noise : Noise or None       None: from the model's own validation error
     dt_s : float or None        time step [s]; None: the median interval of the log that is run
-    points : int or None        SOC points of the tables; None: the model's own
-    offset_std_A : float        above 0 the current sensor's offset is a state [A]
-    wide : bool                 take care of slopes while SOC is badly known
-    watch : bool                watch for sensors that freeze or fall silent
-    validity : bool             say and widen beyond the model's data, where these are known
-    power : PowerSettings or None   what :meth:`power` is asked for: one horizon, currents held
-    health : bool                 take capacity and resistance from a history (:meth:`set_health`)
-    cells : CellSettings or None    follow the cells of a pack: see :class:`FixedPack`
+    asked                       fields of :class:`~cellwise.estimate.fixed.options.Asked`: an offset
+                                as a state, power, remaining time, a history, cells of a pack
     """
 
     name = "fixed-step"
@@ -61,29 +54,13 @@ class FixedStep:
         noise: Noise | None = None,
         *,
         dt_s: float | None = None,
-        points: int | None = None,
-        offset_std_A: float = 0.0,
-        wide: bool = True,
-        watch: bool = True,
-        validity: bool = True,
-        power: PowerSettings | None = None,
-        health: bool = False,
-        cells: CellSettings | None = None,
+        **asked: Any,
     ) -> None:
         check_is_model(model)
         self.model = model
         self.noise = noise_for(model, noise)
         self.dt_s = dt_s
-        self._asked: dict[str, Any] = {
-            "points": points,
-            "offset_std_A": offset_std_A,
-            "wide": wide,
-            "watch": watch,
-            "validity": validity,
-            "power": power,
-            "health": health,
-            "cells": cells,
-        }
+        self._asked = Asked(**asked)
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -91,7 +68,7 @@ class FixedStep:
     def stepper(self, dt_s: float) -> Stepper:
         """What runs the step at a time step, kept for the next call."""
         if self._stepper is None or self._stepper.tables.dt_s != dt_s:
-            tables = fixed_step_tables(self.model, dt_s, self.noise, **self._asked)
+            tables = fixed_step_tables(self.model, dt_s, self.noise, **vars(self._asked))
             self._stepper = self._make(tables)
         return self._stepper
 
@@ -158,7 +135,7 @@ class FixedStep:
         InputError        a cutoff that is not below the model's full OCV
         """
         made = copy(self)
-        made._asked = self._asked | {"remaining_V": cutoff_V}
+        made._asked = replace(self._asked, remaining_V=cutoff_V)
         made._stepper = None
         made.stepper(1.0 if made.dt_s is None else made.dt_s)
         return made
@@ -265,8 +242,7 @@ class FixedStep:
     @property
     def cell_settings(self) -> CellSettings | None:
         """How cells of a pack differ, where they are followed."""
-        cells: CellSettings | None = self._asked["cells"]
-        return cells
+        return self._asked.cells
 
     @property
     def known_dt_s(self) -> float:

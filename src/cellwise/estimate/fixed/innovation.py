@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from cellwise.cell.description import BRANCHES, H
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     COUNT_MOST,
     EVIDENCE_MOST,
@@ -40,23 +42,25 @@ from cellwise.estimate.fixed.arithmetic import (
 from cellwise.estimate.fixed.covariance import Column, column_of, forget_correlations
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up
-from cellwise.estimate.fixed.options import HYSTERESIS, SLOW, THERMAL, VALIDITY
+from cellwise.estimate.fixed.options import HYSTERESIS, THERMAL, VALIDITY
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.fixed.state import admitted, guess_branches
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
 
 
+@unrolled_by_option
 def voltage_of(x: State, p: Point, drop: Float) -> Float:
     """The voltage that the state gives at a point of the tables."""
-    voltage = p.ocv_V - (drop + (x.v1_V + x.v2_V))
-    if SLOW:
-        voltage = voltage - x.v3_V
-    if HYSTERESIS:
-        voltage = voltage + (p.m_V * x.h)
+    voltage = p.ocv_V - drop
+    for i in BRANCHES:
+        voltage = voltage - x.state[i]
+    for i in (H,):
+        voltage = voltage + (p.m_V * x.state[i])
     return voltage
 
 
 @noinline
+@unrolled_by_option
 def search(
     m: Model,
     place: Place,
@@ -87,10 +91,10 @@ def search(
     for k in range(RESTART_POINTS):
         away = (F(k) * RESTART_STEP) - x.soc
         p = look_up(m, place, F(k) * RESTART_STEP, seen)
-        held = (p.r1_ohm * p.r1_ohm) + (p.r2_ohm * p.r2_ohm)
-        if SLOW:
-            held = held + (p.r3_ohm * p.r3_ohm)
-        held = (held_A * held_A) * held
+        ohm2 = ZERO
+        for i in BRANCHES:
+            ohm2 = ohm2 + (p.r[i] * p.r[i])
+        held = (held_A * held_A) * ohm2
         about = (variance + p.noise_V2) + (held if held < most_V2 else most_V2)
         if HYSTERESIS:
             about = about + ((p.m_V * p.m_V) * x.phh)
@@ -119,6 +123,7 @@ def search(
 
 
 @noinline
+@unrolled_by_option
 def recover(
     m: Model,
     place: Place,
@@ -137,27 +142,21 @@ def recover(
     held_A = c.start_rest_A
     limit_V = REST_LIMIT_V
     variance = one_V2 + c.branch_variance_V2
-    kept1 = ZERO
-    kept2 = ZERO
-    if SLOW:
-        kept3 = ZERO
+    kept: dict[Any, Float] = {}
+    for i in BRANCHES:
+        kept[i] = ZERO
     if x.evidence >= FIRST_VOLTAGE:
         held_A = c.recovery_A
         limit_V = LOAD_LIMIT_V
-        kept1 = x.v1_V * x.v1_V
-        kept2 = x.v2_V * x.v2_V
         variance = one_V2 + (polarisation_V * polarisation_V)
-        variance = variance + ((kept1 + x.p11) + (kept2 + x.p22))
-        if SLOW:
-            kept3 = x.v3_V * x.v3_V
-            variance = variance + (kept3 + x.p33)
+        for i in BRANCHES:
+            kept[i] = x.state[i] * x.state[i]
+            variance = variance + (kept[i] + x.p[i, i])
     search(m, place, x, seen, voltage, variance, held_A, limit_V)
     p = look_up(m, place, x.soc, seen)
     forget_correlations(x)
-    x.p11 = admitted(c.branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1
-    x.p22 = admitted(c.branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2
-    if SLOW:
-        x.p33 = admitted(c.branch_variance_V2, held_A * p.r3_ohm, limit_V) + kept3
+    for i in BRANCHES:
+        x.p[i, i] = admitted(c.branch_variance_V2, held_A * p.r[i], limit_V) + kept[i]
     x.evidence = FIRST_VOLTAGE
 
 
@@ -165,7 +164,7 @@ def widen(c: Constants, x: State, p: Point, seen: Float) -> None:
     """Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes."""
     x.ss = RECOVERY_VARIANCE
     x.evidence = FIRST_VOLTAGE
-    guess_branches(c, x, p.r1_ohm, p.r2_ohm, p.r3_ohm, seen)
+    guess_branches(c, x, p, seen)
 
 
 class Innovation(NamedTuple):
@@ -266,12 +265,13 @@ def extrapolated(c: Constants, x: State, seen: Float, polarisation_V: Float) -> 
     return (share * polarisation_V) + moved_V
 
 
+@unrolled_by_option
 def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
     drop = p.r0_ohm * s.seen
-    polarisation_V = (magnitude(drop) + magnitude(x.v1_V)) + magnitude(x.v2_V)
-    if SLOW:
-        polarisation_V = polarisation_V + magnitude(x.v3_V)
+    polarisation_V = magnitude(drop)
+    for i in BRANCHES:
+        polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
     share = c.share_variance if s.seen >= ZERO else c.charge_variance
     one_V2 = p.noise_V2 + (

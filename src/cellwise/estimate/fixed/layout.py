@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.description import FIXED, SOC, V3, State, entry, triangle
+from cellwise.cell.description import BRANCHES, CARRIED, SOC, State, carry, entry, triangle
+from cellwise.cell.description import CELL as STATES
 from cellwise.estimate.fixed.options import Options, flags_of
 
 
@@ -39,20 +40,23 @@ class Model(NamedTuple):
     row: Any
 
 
+LAG = "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"
+POWER_LAG = "the same over the horizon of the power"
+
+
+def _beside(state: State, option: str) -> str:
+    """A state's option and another."""
+    return " and ".join(o for o in (state.option.upper(), option) if o)
+
+
 ROW = (
     Field("ocv_V"),
     Field("error_V", "slow error of the model's voltage"),
     Field("r0_ohm"),
-    Field("r1_ohm"),
-    Field("lag1", "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"),
-    Field("r2_ohm"),
-    Field("lag2"),
-    Field("r3_ohm", "", "SLOW"),
-    Field("lag3", "", "SLOW"),
+    *(Field(f"r{s.letter}_ohm", "", s.option.upper()) for s in BRANCHES),
+    *(Field(f"lag{s.letter}", LAG, s.option.upper()) for s in BRANCHES),
     Field("m_V", "", "HYSTERESIS"),
-    Field("power_lag1", "the lags over the horizon of the power", "POWER"),
-    Field("power_lag2", "", "POWER"),
-    Field("power_lag3", "", "SLOW and POWER"),
+    *(Field(f"power_lag{s.letter}", POWER_LAG, _beside(s, "POWER")) for s in BRANCHES),
 )
 
 CONSTANTS = (
@@ -98,8 +102,6 @@ CONSTANTS = (
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
     Field("drift_soc", "that a current which is off moves in one step", "WATCH"),
     Field("contradicted_share", "dt / 600 s", "WATCH"),
-    Field("offset_variance_A2", "at the start", "OFFSET"),
-    Field("offset_walk_A2", "gained in one step", "OFFSET"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
     Field("heat_rate", "dt / thermal time constant", "HEATING"),
@@ -156,13 +158,12 @@ def _option(*states: State) -> str:
 def _state() -> tuple[Field, ...]:
     """The state x, the upper triangle of P row by row, what was seen last."""
     found = []
-    for state in FIXED:
+    for state in STATES:
         found.append(Field(state.name, state.meaning, _option(state)))
-        if state is SOC:
-            found.append(Field("soc_carry", "what rounding has kept from soc, to be subtracted"))
-        if state is V3:
-            found.append(Field("v3_carry_V", "and from v3_V", "SLOW"))
-    for a, b in triangle(FIXED):
+        if state in CARRIED:
+            meaning = f"what rounding has kept from {state.name}, to be subtracted"
+            found.append(Field(carry(state), meaning, _option(state)))
+    for a, b in triangle(STATES):
         found.append(Field(entry(a, b), "", _option(a, b)))
         if b is SOC:
             found.append(Field("ss_carry", "what rounding has kept from ss", "WIDE"))

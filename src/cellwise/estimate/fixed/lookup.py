@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from cellwise.cell.description import BRANCHES, V1, V2, V3
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     ABOVE_2,
     ABOVE_3,
@@ -43,7 +45,6 @@ from cellwise.estimate.fixed.options import (
     HYSTERESIS,
     RATE,
     SCALED,
-    SLOW,
     SURFACE,
     TEMPERATURES,
     TRANSFER,
@@ -51,7 +52,8 @@ from cellwise.estimate.fixed.options import (
 )
 
 # Columns of the table: as the options have them once a step is compiled, by name in C.
-OCV_V = ERROR_V = R0_OHM = R1_OHM = LAG1 = R2_OHM = LAG2 = R3_OHM = LAG3 = M_V = 0
+OCV_V = ERROR_V = R0_OHM = M_V = 0
+R = LAG = dict.fromkeys(BRANCHES, 0)  # R1_OHM, LAG1 ...
 
 
 class Place(NamedTuple):
@@ -73,13 +75,23 @@ class Point(NamedTuple):
     slope_V: Float
     noise_V2: Float
     r0_ohm: Float
-    r1_ohm: Float
-    gain1: Float
-    r2_ohm: Float
-    gain2: Float
-    r3_ohm: SlowFloat
-    gain3: SlowFloat
     m_V: HysteresisFloat
+    r1_ohm: Float
+    r2_ohm: Float
+    r3_ohm: SlowFloat
+    gain1: Float
+    gain2: Float
+    gain3: SlowFloat
+
+    @property
+    def r(self) -> dict[Any, Float]:
+        """Resistances by the branch."""
+        return dict(zip(BRANCHES, self[5:8], strict=True))
+
+    @property
+    def gain(self) -> dict[Any, Float]:
+        """Gains by the branch."""
+        return dict(zip(BRANCHES, self[8:], strict=True))
 
 
 class Slopes(NamedTuple):
@@ -94,6 +106,11 @@ class Slopes(NamedTuple):
     rise1: Float
     rise2: Float
     rise3: SlowFloat
+
+    @property
+    def rise(self) -> dict[Any, Float]:
+        """Slopes of the resistances by the branch."""
+        return dict(zip(BRANCHES, self[3:], strict=True))
 
 
 def place_of(m: Model, temperature_C: Float) -> Place:
@@ -193,6 +210,7 @@ def charge_transfer(overvoltage: Float) -> Float:
     return known_fraction(above / (ONE + (y * below)))
 
 
+@unrolled_by_option
 def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
@@ -223,30 +241,35 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         at = index_of(below, points)
         share = known_fraction(below - F(at))
     r0_ohm = read(m, place, at, R0_OHM, share)
-    r1_ohm = read(m, place, at, R1_OHM, share)
-    gain1 = ONE / read(m, place, at, LAG1, share)
-    r2_ohm = read(m, place, at, R2_OHM, share)
-    gain2 = ONE / read(m, place, at, LAG2, share)
-    r3_ohm = read(m, place, at, R3_OHM, share) if SLOW else ZERO
-    gain3 = ONE / read(m, place, at, LAG3, share) if SLOW else ZERO
+    r: dict[Any, Float] = {}
+    gain: dict[Any, Float] = {}
+    for i in BRANCHES:
+        r[i] = read(m, place, at, R[i], share) if THERE else ZERO
+        gain[i] = ONE / read(m, place, at, LAG[i], share) if THERE else ZERO
     m_V = read(m, place, k, M_V, g) if HYSTERESIS else ZERO
     if SCALED:
         scale = place.scale
         if ASYMMETRY and current < ZERO:
             scale = scale * m.constant.charge_scale
-        if SLOW:
-            r3_ohm = r3_ohm * scale
+        for i in (V3,):  # knows no rate
+            r[i] = r[i] * scale
         if RATE:
             fall = ONE + (m.constant.rate_per_A * magnitude(current))
             scale = scale / clip(fall, LEAST_FALL, LARGE)
         r0_ohm = r0_ohm * scale
-        r1_ohm = r1_ohm * scale
-        r2_ohm = r2_ohm * scale
+        for i in (V1, V2):
+            r[i] = r[i] * scale
     if TRANSFER:
-        r1_ohm = r1_ohm * charge_transfer((m.constant.asinh_per_V * r1_ohm) * magnitude(current))
-    # fmt: off
-    return Point(ocv_V, slope_V, noise_V2, r0_ohm, r1_ohm, gain1, r2_ohm, gain2, r3_ohm, gain3, m_V)
-    # fmt: on
+        r[V1] = r[V1] * charge_transfer((m.constant.asinh_per_V * r[V1]) * magnitude(current))
+    return Point(
+        ocv_V,
+        slope_V,
+        noise_V2,
+        r0_ohm,
+        m_V,
+        *(r[i] for i in BRANCHES),
+        *(gain[i] for i in BRANCHES),
+    )
 
 
 def no_slopes(p: Point) -> Slopes:
@@ -255,6 +278,7 @@ def no_slopes(p: Point) -> Slopes:
 
 
 @noinline
+@unrolled_by_option
 def slopes_of(
     m: Model, place: Place, soc: Float, spread: Float, current: Float, p: Point
 ) -> Slopes:
@@ -267,26 +291,22 @@ def slopes_of(
     high = clip(soc + spread, ZERO, ONE)
     slope_V = p.slope_V
     bend_V = ZERO
-    rise1 = ZERO
-    rise2 = ZERO
-    rise3 = ZERO
+    rise: dict[Any, Float] = {}
+    for i in BRANCHES:
+        rise[i] = ZERO if THERE else ZERO  # noqa: RUF034  # named where it is there
     if (high - low) >= SHORTEST_CHORD:
         per = ONE / (high - low)
         end = look_up(m, place, low, current)
         ocv = end.ocv_V
         ohmic = end.r0_ohm
-        rise1 = end.r1_ohm
-        rise2 = end.r2_ohm
-        if SLOW:
-            rise3 = end.r3_ohm
+        for i in BRANCHES:
+            rise[i] = end.r[i]
         bend_V = end.ocv_V - p.ocv_V
         end = look_up(m, place, high, current)
         ocv = (end.ocv_V - ocv) * per
         ohmic = (end.r0_ohm - ohmic) * per
-        rise1 = (end.r1_ohm - rise1) * per
-        rise2 = (end.r2_ohm - rise2) * per
-        if SLOW:
-            rise3 = (end.r3_ohm - rise3) * per
+        for i in BRANCHES:
+            rise[i] = (end.r[i] - rise[i]) * per
         slope_V = ocv - (ohmic * current)
         bend_V = bend_V + (ocv * (soc - low))
-    return Slopes(slope_V, bend_V, spread, rise1, rise2, rise3)
+    return Slopes(slope_V, bend_V, spread, *(rise[i] for i in BRANCHES))

@@ -7,6 +7,7 @@ The upper-case names stand for the options inside the step. They are known when 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,11 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel
+from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.power.fixed_tables import check_power
+
+if TYPE_CHECKING:
+    from cellwise.estimate.power.state_of_power import PowerSettings
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,6 @@ class Options:
     temperatures: int = 1
     slow: int = 0
     hysteresis: int = 0
-    offset: int = 0
     arrhenius: int = 0
     efficiency: int = 0
     leak: int = 0
@@ -70,39 +75,52 @@ class Options:
     @property
     def states(self) -> int:
         """States of the filter: SOC, two branches, and what is compiled in."""
-        return 3 + self.slow + self.hysteresis + self.offset
+        return 3 + self.slow + self.hysteresis
 
     def defines(self) -> dict[str, int]:
         """The values as the C preprocessor sees them."""
         return {f"CELLWISE_{f.name.upper()}": int(getattr(self, f.name)) for f in fields(self)}
 
 
-def options_of(
-    model: CellModel,
-    *,
-    offset: bool = False,
-    wide: bool = True,
-    watch: bool = True,
-    validity: bool = True,
-    power: bool = False,
-    remaining: bool = False,
-    health: bool = False,
-    cells: bool = False,
-    arrhenius_points: int = 0,
-) -> Options:
-    """What a model needs; an effect at its neutral value needs nothing.
+@dataclass(frozen=True)
+class Asked:
+    """What a fixed step is made with, beside its model, its noise and its time step.
 
     Parameters
     ----------
-    offset : bool             carry the current sensor's offset as a state
-    wide : bool               take care of slopes while SOC is badly known
+    points : int or None      SOC points of the tables; None: the model's own
+    wide : bool               take care of slopes while SOC is badly known; without it the code is
+                              smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
     validity : bool           say and widen beyond the model's data, where these are known
-    power : bool              the state of power at one horizon, a function of its own
-    remaining : bool          time and energy to empty at a load, a function of its own
-    health : bool               take capacity and resistance from a history
-    cells : bool              follow the cells of a pack beside the mean cell
-    arrhenius_points : int    points of each table over temperature where the model has that effect
+    power : PowerSettings or None   what the state of power is asked for: one horizon, currents held
+    remaining_V : float or None     cutoff down to which time and energy are asked for
+    health : bool                   take capacity and resistance from a history
+    cells : CellSettings or None    follow the cells of a pack beside the mean cell
+
+    Raises
+    ------
+    InputError        a power over several horizons, or with a power held
+    """
+
+    points: int | None = None
+    wide: bool = True
+    watch: bool = True
+    validity: bool = True
+    power: PowerSettings | None = None
+    remaining_V: float | None = None
+    health: bool = False
+    cells: CellSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.power is not None:
+            check_power(self.power)
+
+
+def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options:
+    """What a model and a wish need; an effect at its neutral value needs nothing.
+
+    ``arrhenius_points`` are those of each table over temperature where the model has that effect.
     """
     arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
     surface = model.effect(SurfaceSoc)
@@ -113,7 +131,6 @@ def options_of(
         temperatures=model.temperature_C.size,
         slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
         hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
-        offset=int(offset),
         arrhenius=arrhenius,
         efficiency=int(model.charge_efficiency != 1.0),
         leak=int(model.effect(SelfDischarge).leak_A != 0.0),
@@ -124,13 +141,13 @@ def options_of(
         surface=int(surface.depth_h != 0.0),
         depth=depth,
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
-        wide=int(wide),
-        watch=int(watch),
-        validity=_watched(model) if validity else 0,
-        power=int(power),
-        remaining=int(remaining),
-        health=int(health),
-        cells=int(cells),
+        wide=int(asked.wide),
+        watch=int(asked.watch),
+        validity=_watched(model) if asked.validity else 0,
+        power=int(asked.power is not None),
+        remaining=int(asked.remaining_V is not None),
+        health=int(asked.health),
+        cells=int(asked.cells is not None),
     )
 
 
@@ -140,7 +157,7 @@ def _watched(model: CellModel) -> int:
     return 2 if valid.temperature_C is not None else int(valid.known)
 
 
-SLOW = HYSTERESIS = OFFSET = 0  # states
+SLOW = HYSTERESIS = 0  # states
 EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
 TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
 WARM = SCALED = 0  # any of these, any factor on all resistances

@@ -38,7 +38,7 @@ from cellwise.estimate.fixed.arithmetic import (
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, OFFSET, SKEW, WARM, WATCH
+from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, SKEW, WARM, WATCH
 from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -112,8 +112,6 @@ def see(c: Constants, x: State, sample: Sample, before: Count) -> Reading:
     if SKEW and news == INTERVAL:
         seen = current + (c.skew_share * (x.current_A - current))
     flow = seen
-    if OFFSET:
-        flow = seen - x.offset_A
     if WATCH:
         # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
         # much as half a rate may flow either way.

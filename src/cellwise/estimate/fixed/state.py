@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from cellwise.cell.description import BRANCHES, CARRIED, H
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     CARRY_MOST,
     HALF,
@@ -24,7 +26,6 @@ from cellwise.estimate.fixed.arithmetic import (
     F,
     Flag,
     Float,
-    SlowFloat,
     State,
     U,
     at_least,
@@ -47,7 +48,6 @@ from cellwise.estimate.fixed.covariance import (
     forget_correlations,
     forget_hysteresis,
     relax,
-    spread_offset,
     start_covariance,
     tilt,
 )
@@ -60,7 +60,6 @@ from cellwise.estimate.fixed.options import (
     HEATING,
     HYSTERESIS,
     LEAK,
-    OFFSET,
     SLOW,
     SURFACE,
     WARM,
@@ -70,20 +69,22 @@ from cellwise.estimate.fixed.options import (
 from cellwise.estimate.status import OUT_OF_RANGE
 
 
+@unrolled_by_option
 def is_sound(c: Constants, x: State) -> Flag:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
-    if not (not_negative(x.soc, ONE) and size_within(x.soc_carry, CARRY_MOST)):
+    if not not_negative(x.soc, ONE):
         return False
     if WIDE and not size_within(x.ss_carry, CARRY_MOST):
         return False
-    if not (size_within(x.v1_V, LARGE) and size_within(x.v2_V, LARGE)):
-        return False
-    if SLOW and not (size_within(x.v3_V, LARGE) and size_within(x.v3_carry_V, CARRY_MOST)):
-        return False
-    if HYSTERESIS and not size_within(x.h, ONE):
-        return False
-    if OFFSET and not size_within(x.offset_A, c.current_limit_A):
-        return False
+    for i in CARRIED:
+        if not size_within(x.carry[i], CARRY_MOST):
+            return False
+    for i in BRANCHES:
+        if not size_within(x.state[i], LARGE):
+            return False
+    for i in (H,):
+        if not size_within(x.state[i], ONE):
+            return False
     if not (size_within(x.current_A, LARGE) and not_negative(x.mismatch, LARGE)):
         return False
     if HEATING and not within(x.heat_K, -HEAT_MOST_K, HEAT_MOST_K):
@@ -122,22 +123,19 @@ def set_health(m: Model, x: State, capacity_share: Float, resistance_scale: Floa
 
 
 @noinline
+@unrolled_by_option
 def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     """A cell at rest; its branches are guessed at the first sample."""
     x.soc = soc
-    x.soc_carry = ZERO
-    x.v1_V = ZERO
-    x.v2_V = ZERO
+    for i in BRANCHES:
+        x.state[i] = ZERO
+    for i in CARRIED:
+        x.carry[i] = ZERO
     if WIDE:
         x.ss_carry = ZERO
-    if SLOW:
-        x.v3_V = ZERO
-        x.v3_carry_V = ZERO
-    if HYSTERESIS:
-        x.h = ONE if soc > HALF else -ONE
-    if OFFSET:
-        x.offset_A = ZERO
-    start_covariance(c, x, soc_variance)
+    for i in (H,):
+        x.state[i] = ONE if soc > HALF else -ONE
+    start_covariance(x, soc_variance)
     x.current_A = ZERO
     x.mismatch = ONE
     if HEATING:
@@ -174,9 +172,8 @@ def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
 
 
 @noinline
-def guess_branches(
-    c: Constants, x: State, r1_ohm: Float, r2_ohm: Float, r3_ohm: SlowFloat, current: Float
-) -> None:
+@unrolled_by_option
+def guess_branches(c: Constants, x: State, p: Point, current: Float) -> None:
     """What the branches hold when nobody knows what was before.
 
     Nearly nothing at rest, half of the load's steady voltage under load.
@@ -194,14 +191,11 @@ def guess_branches(
         spread = magnitude(flow) + c.start_rest_A
         limit_V = LARGE
     forget_correlations(x)
-    x.v1_V = r1_ohm * flow
-    x.v2_V = r2_ohm * flow
-    x.p11 = admitted(c.branch_variance_V2, spread * r1_ohm, limit_V)
-    x.p22 = admitted(c.branch_variance_V2, spread * r2_ohm, limit_V)
-    if SLOW:
-        x.v3_V = r3_ohm * flow
-        x.v3_carry_V = ZERO
-        x.p33 = admitted(c.branch_variance_V2, spread * r3_ohm, limit_V)
+    for i in BRANCHES:
+        x.state[i] = p.r[i] * flow
+        if i in CARRIED:
+            x.carry[i] = ZERO
+        x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
 
 
 def taken(c: Constants, x: State, current: Float) -> Float:
@@ -217,6 +211,7 @@ def taken(c: Constants, x: State, current: Float) -> Float:
     return used
 
 
+@unrolled_by_option
 def cross_gap(
     c: Constants, x: State, p: Point, missing: Count, current: Float, bridge: Float
 ) -> None:
@@ -235,12 +230,10 @@ def cross_gap(
         gain1 = risen(steps * p.gain1)
         gain2 = risen(steps * p.gain2)
         gain3 = risen(steps * p.gain3) if SLOW else ZERO
-        relax(x, p.r1_ohm, gain1, p.r2_ohm, gain2, p.r3_ohm, gain3, bridge, unknown_A2)
+        relax(x, p, gain1, gain2, gain3, bridge, unknown_A2)
     else:
-        x.p11 = x.p11 + (unknown_A2 * (p.r1_ohm * p.r1_ohm))
-        x.p22 = x.p22 + (unknown_A2 * (p.r2_ohm * p.r2_ohm))
-        if SLOW:
-            x.p33 = x.p33 + (unknown_A2 * (p.r3_ohm * p.r3_ohm))
+        for i in BRANCHES:
+            x.p[i, i] = x.p[i, i] + (unknown_A2 * (p.r[i] * p.r[i]))
     if HYSTERESIS:
         forget_hysteresis(x)
     if HEATING:
@@ -255,9 +248,7 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured
     """
     share = c.share_variance if flow >= ZERO else c.charge_variance
     square_A2 = (share * (flow * flow)) + unmeasured_A2
-    # fmt: off
-    relax(x, p.r1_ohm, p.gain1, p.r2_ohm, p.gain2, p.r3_ohm, p.gain3, flow, square_A2)
-    # fmt: on
+    relax(x, p, p.gain1, p.gain2, p.gain3, flow, square_A2)
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(flow))
         keep = ONE - rise
@@ -267,14 +258,13 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured
         tilt(x, p, w, flow)
     if positive_above(SOC_VARIANCE_MOST, x.ss):
         add_variance(x, c.soc_walk)
-    if OFFSET:
-        spread_offset(c, x, p)
 
 
+@unrolled_by_option
 def heat(c: Constants, x: State, r0_ohm: Float, seen: Float, flow: Float) -> None:
     """The cell's own warming over one interval."""
-    fall = (r0_ohm * seen) + (x.v1_V + x.v2_V)
-    if SLOW:
-        fall = fall + x.v3_V
+    fall = r0_ohm * seen
+    for i in BRANCHES:
+        fall = fall + x.state[i]
     change_K = c.heat_gain * ((c.heat_K_per_W * (flow * fall)) - x.heat_K)
     x.heat_K = clip(x.heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K)

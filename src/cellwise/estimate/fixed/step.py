@@ -11,15 +11,12 @@ from cellwise.estimate.fixed.arithmetic import (
     INTERVAL,
     KNOW_NOTHING_SOC,
     KNOW_NOTHING_VARIANCE,
-    LARGE,
     NO_VOLTAGE_YET,
     NOT_BEGUN,
     ONE,
     REPEATED,
-    SMALL_MOVE,
     SOC_VARIANCE_MOST,
     THREE,
-    TWO,
     VARIANCE_FLOOR,
     WIDE_VARIANCE,
     ZERO,
@@ -34,7 +31,6 @@ from cellwise.estimate.fixed.arithmetic import (
     U,
     clip,
     magnitude,
-    noinline,
     not_negative,
     out_of_range,
     positive_above,
@@ -43,7 +39,7 @@ from cellwise.estimate.fixed.arithmetic import (
     size_below,
     size_within,
 )
-from cellwise.estimate.fixed.covariance import Column, joseph_term, joseph_update, move, narrow
+from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
     Innovation,
     innovate,
@@ -75,41 +71,6 @@ from cellwise.estimate.status import (
     VOLTAGE_INVALID,
     VOLTAGE_LOST,
 )
-
-
-@noinline
-def gain_where_it_leads(
-    m: Model,
-    place: Place,
-    x: State,
-    p: Point,
-    w: Slopes,
-    d: Column,
-    inverse: Float,
-    innovation: Float,
-    seen: Float,
-) -> Flag:
-    """Judge the gain by the slope where it leads, if that is flatter; whether anything was gained.
-
-    The gain itself was that of the slope here: on a plateau nothing is gained, and the covariance
-    stays as it is.
-    """
-    ks = d.s * inverse
-    move = ks * innovation
-    flat = p.slope_V if p.slope_V < w.slope_V else w.slope_V
-    if magnitude(move) > (SMALL_MOVE * w.spread):
-        landed = look_up(m, place, x.soc + move, seen)
-        there = slopes_of(m, place, x.soc + move, w.spread, seen, landed)
-        flat = there.slope_V if there.slope_V < landed.slope_V else landed.slope_V
-        flat = flat if flat < w.slope_V else w.slope_V
-    less = flat - w.slope_V
-    e = less * ((TWO * d.s) + (less * x.ss))
-    wider = joseph_term(ks, ks, less * x.ss, less * x.ss, e)
-    gained = False
-    if size_within(wider, LARGE) and wider < (ks * d.s):
-        gained = True
-        joseph_update(x, d, inverse, less, e, wider)
-    return gained
 
 
 def reject(
@@ -167,35 +128,22 @@ def contradict(
             x.contradicted = now
 
 
-def fuse(
-    m: Model,
-    place: Place,
-    x: State,
-    p: Point,
-    w: Slopes,
-    s: Reading,
-    i: Innovation,
-    innovation: Float,
-) -> None:
+def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovation: Float) -> None:
     """State and covariance after a voltage within the gate.
 
     What the innovations have lately shown beyond their variance makes evidence weigh less. A first
     sample under load says more of the load than of the SOC.
     """
-    shared = shared_by(m.constant, x, s.seen)
+    shared = shared_by(c, x, s.seen)
     weight = i.one_V2 * shared.above
     if positive_above(x.mismatch, ONE):
         weight = weight * x.mismatch
     if s.news == INTERVAL or shared.above <= shared.below:
         inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
-        gained = True
-        if WIDE and w.spread > ZERO:
-            gained = gain_where_it_leads(m, place, x, p, w, i.column, inverse, innovation, s.seen)
-        move(m.constant, x, i.column, inverse, innovation)
-        if gained:
-            narrow(x, i.column, inverse)
+        move(x, i.column, inverse, innovation)
+        narrow(x, i.column, inverse)
         if WATCH and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
-            contradict(m.constant, x, w, s, i.one_V2, innovation)
+            contradict(c, x, w, s, i.one_V2, innovation)
     x.rejections = U(0)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
@@ -234,7 +182,7 @@ def weigh(
         if WIDE:
             recover(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
     else:
-        fuse(m, place, x, p, w, s, i, innovation)
+        fuse(c, x, w, s, i, innovation)
     return status
 
 
@@ -309,7 +257,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
         place = aged(x, place)
     p = look_up(m, place, x.soc, s.seen)
     if x.evidence == NOT_BEGUN:
-        guess_branches(c, x, p.r1_ohm, p.r2_ohm, p.r3_ohm, s.seen)
+        guess_branches(c, x, p, s.seen)
         x.evidence = NO_VOLTAGE_YET
     if charge.missing != U(0):
         cross_gap(c, x, p, charge.missing, s.current, charge.bridge)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from types import FunctionType, ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -40,7 +40,15 @@ from cellwise.estimate.fixed import (
 )
 from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import F, U
-from cellwise.estimate.fixed.layout import CELL_OUTPUT, OUTPUT, ROW, Model, row_names, state_type
+from cellwise.estimate.fixed.layout import (
+    CELL_OUTPUT,
+    INPUT,
+    OUTPUT,
+    ROW,
+    Model,
+    row_names,
+    state_type,
+)
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
@@ -91,10 +99,13 @@ def functions_of(module: ModuleType) -> list[FunctionType]:
     ]  # fmt: skip
 
 
-def rows(constants: Any, table: Any, state: Any, samples: Any, outputs: Any) -> None:
+# ---- what Python calls: as `firmware_ref/port/host_rows.c` has it ----
+
+
+def rows(constants: Any, table: Any, state: Any, samples: Any, outputs: Any, count: int) -> None:
     """Step every sample; ``state`` has one record and is stepped in place. Nothing is allocated."""
     m = Model(constants[0], table)
-    for k in range(samples.size):
+    for k in range(count):
         step(m, state[0], samples[k], outputs[k])
 
 
@@ -103,65 +114,81 @@ def begin(constants: Any, table: Any, state: Any, soc: float, soc_variance: floa
     init(Model(constants[0], table), state[0], F(soc), F(soc_variance))
 
 
-def ability(constants: Any, table: Any, state: Any, out: Any) -> None:
+def power_of(constants: Any, table: Any, state: Any, out: Any) -> None:
     """State of power of the one record of ``state`` into the one record of ``out``."""
     power(Model(constants[0], table), state[0], out[0])
 
 
-def outlook(
+def remaining_of(
     constants: Any, table: Any, state: Any, load_A: float, holds_power: bool, out: Any
 ) -> None:
     """Time and energy to empty of the one record of ``state`` into the one record of ``out``."""
     remaining(Model(constants[0], table), state[0], F(load_A), holds_power, out[0])
 
 
-def landing(
+def plan_of(
     constants: Any,
     table: Any,
     state: Any,
     phases: Any,
+    count: int,
     holds_power: bool,
     above: float,
     out: Any,
 ) -> None:
     """Where a plan, records of PHASE, takes the one record of ``state``; into that of ``out``."""
-    plan(
-        Model(constants[0], table), state[0], phases, U(phases.size), holds_power, F(above), out[0]
-    )
+    plan(Model(constants[0], table), state[0], phases, U(count), holds_power, F(above), out[0])
 
 
-def history(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
+def set_health_of(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
     """What a history says of the one record of ``state``."""
     return set_health(Model(constants[0], table), state[0], F(share), F(scale))
 
 
-def begin_cells(constants: Any, table: Any, cells: Any) -> None:
+def cells_begin(constants: Any, table: Any, cells: Any, count: int) -> None:
     """Start the records of ``cells``."""
-    start_cells(Model(constants[0], table), cells, U(cells.size))
+    start_cells(Model(constants[0], table), cells, U(count))
 
 
 def pack_rows(
-    constants: Any, table: Any, state: Any, cells: Any, samples: Any, cell_V: Any, outputs: Any
+    constants: Any,
+    table: Any,
+    state: Any,
+    cells: Any,
+    count: int,
+    samples: Any,
+    cell_V: Any,
+    outputs: Any,
+    steps: int,
 ) -> None:
     """Step every sample of a pack: ``cell_V`` (samples, cells); the samples take its means."""
     m = Model(constants[0], table)
-    count = U(cells.size)
-    for k in range(samples.size):
-        samples[k].voltage_V = mean_voltage(m, cells, cell_V[k], count)
+    many = U(count)
+    for k in range(steps):
+        samples[k].voltage_V = mean_voltage(m, cells, cell_V[k], many)
         step(m, state[0], samples[k], outputs[k])
-        step_cells(m, state[0], samples[k], cells, cell_V[k], count)
+        step_cells(m, state[0], samples[k], cells, cell_V[k], many)
 
 
-def cells_now(constants: Any, table: Any, state: Any, cells: Any, out: Any) -> None:
+def cells_of(constants: Any, table: Any, state: Any, cells: Any, count: int, out: Any) -> None:
     """What is known of every cell, into records of CELL_OUTPUT."""
     m = Model(constants[0], table)
-    for k in range(cells.size):
+    for k in range(count):
         cell_of(m, state[0], cells[k], out[k])
 
 
-def pack_ability(constants: Any, table: Any, state: Any, cells: Any, out: Any) -> None:
+def pack_power_of(constants: Any, table: Any, state: Any, cells: Any, count: int, out: Any) -> None:
     """State of power of the pack into the one record of ``out``."""
-    pack_power(Model(constants[0], table), state[0], cells, U(cells.size), out[0])
+    pack_power(Model(constants[0], table), state[0], cells, U(count), out[0])
+
+
+CALLED = {
+    f.__name__: f
+    for f in (
+        rows, begin, power_of, remaining_of, plan_of, set_health_of, cells_begin, pack_rows,
+        cells_of, pack_power_of,
+    )
+}  # fmt: skip
 
 
 @lru_cache
@@ -195,17 +222,18 @@ def compiled(function: Callable[..., Any], options: Options) -> Callable[..., An
     return _outer(function, options)  # type: ignore[arg-type]
 
 
-class Stepper(NamedTuple):
-    """Tables with the compiled code that steps them: numba's or C's."""
+class Stepper:
+    """Tables with the compiled code that steps them: numba's or C's.
 
-    tables: FixedStepTables
-    begin: Callable[[NDArray[Any], float, float], object]
-    rows: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
-    power: Callable[[NDArray[Any], NDArray[Any]], object]
-    remaining: Callable[[NDArray[Any], float, bool, NDArray[Any]], object]
-    plan: Callable[[NDArray[Any], NDArray[Any], bool, float, NDArray[Any]], object]
-    set_health: Callable[[NDArray[Any], float, float], int]
-    pack: PackCalls
+    Parameters
+    ----------
+    call : callable       a name of CALLED and what it is handed; what few ask for is compiled when
+                          it is asked for
+    """
+
+    def __init__(self, tables: FixedStepTables, call: Callable[..., Any]) -> None:
+        self.tables = tables
+        self.call = call
 
     def need(self, option: str) -> None:
         """Refuse to ask for what is not compiled in.
@@ -218,63 +246,88 @@ class Stepper(NamedTuple):
             what, how = MADE_WITH[option]
             raise InputError(f"no {what} in this fixed step", how, "Make it with that.")
 
+    def state(self) -> NDArray[Any]:
+        """An empty state."""
+        return np.zeros(1, dtype=state_type(self.tables.options))
 
-class PackCalls(NamedTuple):
-    """The cells of a pack: records of CELL beside the mean cell's state.
+    def begin(self, state: NDArray[Any], soc: float, soc_variance: float) -> None:
+        """Start a state."""
+        self.call("begin", state, soc, soc_variance)
 
-    ``begin(cells)``, ``rows(state, cells, samples, cell_V)`` gives records of OUTPUT, ``now(state,
-    cells)`` records of CELL_OUTPUT, ``power(state, cells, out)``.
-    """
+    def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
+        """Step every sample: records of OUTPUT, shape (samples,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            samples = np.ascontiguousarray(samples, dtype=INPUT)
+            self.call("rows", state, samples, outputs, samples.size)
+        return outputs
 
-    begin: Callable[[NDArray[Any]], object]
-    rows: Callable[[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
-    now: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
-    power: Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], object]
+    def power(self, state: NDArray[Any], out: NDArray[Any]) -> None:
+        """State of power into a record of CAPABILITY."""
+        self.call("power_of", state, out)
+
+    def remaining(
+        self, state: NDArray[Any], load_A: float, holds_power: bool, out: NDArray[Any]
+    ) -> None:
+        """Time and energy to empty into a record of OUTLOOK."""
+        self.call("remaining_of", state, load_A, holds_power, out)
+
+    def plan(
+        self,
+        state: NDArray[Any],
+        phases: NDArray[Any],
+        holds_power: bool,
+        above: float,
+        out: NDArray[Any],
+    ) -> None:
+        """Where records of PHASE end, into a record of LANDING."""
+        self.call("plan_of", state, phases, phases.size, holds_power, above, out)
+
+    def set_health(self, state: NDArray[Any], share: float, scale: float) -> int:
+        """What a history says; 0, or the bit of what is refused."""
+        return int(self.call("set_health_of", state, share, scale))
+
+    def begin_cells(self, cells: NDArray[Any]) -> None:
+        """Start records of CELL."""
+        self.call("cells_begin", cells, cells.size)
+
+    def pack_rows(
+        self, state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
+    ) -> NDArray[Any]:
+        """Step a pack: ``cell_V`` (samples, cells); records of OUTPUT of the mean cell."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            volts = np.ascontiguousarray(cell_V, dtype=np.float32)
+            handed = state, cells, cells.size, samples, volts, outputs
+            self.call("pack_rows", *handed, samples.size)
+        return outputs
+
+    def cells(self, state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
+        """What is known of every cell: records of CELL_OUTPUT."""
+        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
+        self.call("cells_of", state, cells, cells.size, out)
+        return out
+
+    def pack_power(self, state: NDArray[Any], cells: NDArray[Any], out: NDArray[Any]) -> None:
+        """State of power of a pack into a record of CAPABILITY."""
+        self.call("pack_power_of", state, cells, cells.size, out)
 
 
 def numba_stepper(tables: FixedStepTables) -> Stepper:
-    """The step in numba; what few ask for is compiled when it is asked for."""
-    known = (tables.constants, tables.table)
+    """The step in numba."""
 
-    def call(function: Callable[..., Any], *given: Any) -> Any:
-        return compiled(function, tables.options)(*known, *given)
+    def call(name: str, *handed: Any) -> Any:
+        function = compiled(CALLED[name], tables.options)
+        return function(tables.constants, tables.table, *handed)
 
-    loop, start = (compiled(f, tables.options) for f in (rows, begin))
-
-    def whole(state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        loop(*known, state, samples, outputs)
-        return outputs
-
-    def whole_pack(
-        state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
-    ) -> NDArray[Any]:
-        outputs = np.zeros(samples.size, dtype=OUTPUT)
-        call(pack_rows, state, cells, samples, cell_V, outputs)
-        return outputs
-
-    def now(state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
-        call(cells_now, state, cells, out)
-        return out
-
-    return Stepper(
-        tables,
-        partial(start, *known),
-        whole,
-        partial(call, ability),
-        partial(call, outlook),
-        partial(call, landing),
-        partial(call, history),
-        PackCalls(partial(call, begin_cells), whole_pack, now, partial(call, pack_ability)),
-    )
+    return Stepper(tables, call)
 
 
 def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
     """A state record at rest; see :meth:`FixedStep.init`."""
     check_soc0(soc0)
     check_soc0_std(soc0_std)
-    state = np.zeros(1, dtype=state_type(stepper.tables.options))
+    state = stepper.state()
     stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
     return state
 

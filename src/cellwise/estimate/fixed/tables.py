@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,13 @@ from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.resolved import needs_rows, over_temperature
 from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import CellSettings, cell_constants
+from cellwise.estimate.cells.settings import cell_constants
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
 from cellwise.estimate.fixed.layout import constant_type, row_names
-from cellwise.estimate.fixed.options import Options, options_of
+from cellwise.estimate.fixed.options import Asked, Options, options_of
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.fixed_tables import (
     CURRENT_LIMIT_C,
-    check_power,
     lag,
     power_columns,
     power_constants,
@@ -51,14 +50,10 @@ from cellwise.estimate.slopes_kernels import FLAT_SHARE
 from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.typing import FloatArray
 
-if TYPE_CHECKING:
-    from cellwise.estimate.power.state_of_power import PowerSettings
-
 Float32Array = NDArray[np.float32]
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
-OFFSET_WALK_H = 24.0  # the sensor's offset is new after so long
 
 
 class TargetLimits(NamedTuple):
@@ -128,81 +123,42 @@ def resampled(model: CellModel, points: int) -> CellModel:
 
 
 def fixed_step_tables(
-    model: CellModel,
-    dt_s: float,
-    noise: Noise | None = None,
-    *,
-    points: int | None = None,
-    offset_std_A: float = 0.0,
-    wide: bool = True,
-    watch: bool = True,
-    validity: bool = True,
-    power: PowerSettings | None = None,
-    remaining_V: float | None = None,
-    health: bool = False,
-    cells: CellSettings | None = None,
+    model: CellModel, dt_s: float, noise: Noise | None = None, **asked: Any
 ) -> FixedStepTables:
     """Tables of a model at a time step.
 
     Parameters
     ----------
     noise : Noise or None     None: from the model's own validation error
-    points : int or None      SOC points; None: the model's own
-    offset_std_A : float      how far off the current sensor may be at the start [A]; above 0 its
-                              offset is a state
-    wide : bool               take care of slopes while SOC is badly known; without it the code is
-                              smaller, and slower to recover from a start that is far off
-    watch : bool              watch for sensors that freeze or fall silent
-    validity : bool           say and widen beyond the model's data, where these are known
-    power : PowerSettings or None   what `cellwise_power` is asked for: one horizon, currents held
-    remaining_V : float or None     cutoff of `cellwise_remaining`; None: without it
-    health : bool               take capacity and resistance from a history (`cellwise_set_health`)
-    cells : CellSettings or None    follow the cells of a pack beside the mean cell
+    asked                     fields of :class:`~cellwise.estimate.fixed.options.Asked`
 
     Raises
     ------
     InputError        a time step that is not above zero; a model that float32 at this time step
-                      cannot hold (see :func:`check_holds`); a power over several horizons, or
-                      with a power held
+                      cannot hold (see :func:`check_holds`); what ``Asked`` refuses
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
         raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. `dt_s=0.1`.")
-    if not (np.isfinite(offset_std_A) and offset_std_A >= 0):
-        raise InputError(
-            f"an offset deviation of {offset_std_A} A", "ampere, at least 0", "Give e.g. 0.1."
-        )
-    if power is not None:
-        check_power(power)
+    wish = Asked(**asked)
     noise = Noise.of_model(model) if noise is None else noise
-    if points is not None and points != model.points:
-        model = resampled(model, points)
+    if wish.points is not None and wish.points != model.points:
+        model = resampled(model, wish.points)
     if needs_rows(model):
         model = over_temperature(model, ROWS_C)
-    options = options_of(
-        model,
-        offset=offset_std_A > 0,
-        wide=wide,
-        watch=watch,
-        validity=validity,
-        power=power is not None,
-        remaining=remaining_V is not None,
-        health=health,
-        cells=cells is not None,
-        arrhenius_points=ARRHENIUS_POINTS,
-    )
+    options = options_of(model, wish, ARRHENIUS_POINTS)
     check_holds(model, dt_s, options)
     columns = _columns(model, dt_s, noise)
     more: dict[str, Any] = {}
-    if power is not None:
-        columns |= power_columns(model, power)
-        more = power_constants(model, power)
-    if remaining_V is not None:
-        more |= remaining_constants(model, remaining_V, dt_s)
-    if cells is not None:
-        more |= cell_constants(cells, model, dt_s)
+    if wish.power is not None:
+        columns |= power_columns(model, wish.power)
+        more = power_constants(model, wish.power)
+    if wish.remaining_V is not None:
+        more |= remaining_constants(model, wish.remaining_V, dt_s)
+    if wish.cells is not None:
+        more |= cell_constants(wish.cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
     constants = np.zeros(1, dtype=constant_type(options))
-    for name, value in (_constants(model, dt_s, noise, options, offset_std_A) | more).items():
+    for name, value in (_constants(model, dt_s, noise, options) | more).items():
         if name in (constants.dtype.names or ()):
             constants[name] = value
     for name in constants.dtype.names or ():
@@ -263,9 +219,7 @@ def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArra
     }
 
 
-def _constants(
-    model: CellModel, dt_s: float, noise: Noise, options: Options, offset_std_A: float
-) -> dict[str, Any]:
+def _constants(model: CellModel, dt_s: float, noise: Noise, options: Options) -> dict[str, Any]:
     per_A = dt_s / (3600.0 * model.capacity_Ah)
     slow_s = noise.slow_s
     shared = max(2.0 * slow_s / dt_s, 1.0)
@@ -318,8 +272,6 @@ def _constants(
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "drift_soc": noise.offset_share * dt_s / 3600.0,
         "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
-        "offset_variance_A2": offset_std_A**2,
-        "offset_walk_A2": offset_std_A**2 * dt_s / (3600.0 * OFFSET_WALK_H),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
         "heat_rate": dt_s / heating.thermal_s,

@@ -7,10 +7,11 @@ import inspect
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout, options
 from cellwise.estimate.fixed.stepper import STEP_MODULES
@@ -75,8 +76,19 @@ def sources() -> list[Source]:
         text = inspect.getsource(module)
         line = text.find("# ---- from here on the C is printed ----")
         notes = comments_of(text)
-        found.append(Source(module, ast.parse(text), notes, text.count("\n", 0, max(line, 0))))
+        tree = written_out(ast.parse(text), vars(module))
+        found.append(Source(module, tree, notes, text.count("\n", 0, max(line, 0))))
     return found
+
+
+def written_out(tree: ast.Module, scope: dict[str, Any]) -> ast.Module:
+    """A module with the loops over states of its functions written out."""
+    for k, node in enumerate(tree.body):
+        if isinstance(node, ast.FunctionDef):
+            said = [ast.unparse(d) for d in node.decorator_list]
+            if unrolled_by_option.__name__ in said:
+                tree.body[k] = write_out(node, scope, by_option=True)
+    return tree
 
 
 def constants() -> dict[str, tuple[str, str]]:
@@ -196,7 +208,7 @@ def defines(read: Source, made: Program) -> Iterator[str]:
             if isinstance(value, np.float32):
                 text, note = float_literal(value), ""
                 if text.startswith("0x1."):
-                    note = "" if name == "GROW" else f"{float(value):.6g}"
+                    note = f"{float(value):.6g}"
                 text = f"({text})" if value < 0 else text
             else:
                 text, note = f"{int(value)}u" if value < 0x10000 else f"0x{int(value):X}u", ""

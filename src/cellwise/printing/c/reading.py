@@ -11,7 +11,6 @@ from cellwise.printing.c.text import ALWAYS, Guard, opposite
 
 FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
 FLOATS |= {
-    "OffsetFloat": "OFFSET",
     "WarmFloat": "WARM",
     "SurfaceFloat": "SURFACE",
 }  # and the option of each
