@@ -32,7 +32,7 @@ def rough_log(n: int = 3000, **more) -> CellLog:
         current,
         3.7 + rng.normal(0, 0.1, n),
         temperature_C=np.where(rng.random(n) < 0.2, np.nan, 25 + rng.normal(0, 1, n)),
-        charge_Ah=np.cumsum(np.nan_to_num(current)) / 3600.0,
+        charge_Ah=np.cumsum(np.nan_to_num(current) * np.diff(time, prepend=0.0)) / 3600.0,
         step=rng.integers(0, 9, n),
         **more,
     )

@@ -115,7 +115,7 @@ class LogTask:
         check_cells_in_series(self.model, log)
         return log
 
-    def log(self, path: Path) -> CellLog | PackLog:
+    def log(self, path: Path) -> Any:
         """A log as it was read or prepared before, with what is stated of it."""
         log = read_prepared(path, self.cache, **self.read)
         return log if self.stated is None else self.stated.applied(log)
