@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -263,8 +264,10 @@ def replay_page(
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    lines += list(filter(None, (say(r) for r in replays for say in (narrow_band, unknown_start))))
+    doubts = [say(r) for r in replays for say in (narrow_band, unknown_start, beyond_its_statement)]
+    lines[1:1] = filter(None, doubts)
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
+    of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections(replays, simulations))
     if flights:
         sections.insert(0, flight_section(flights))
@@ -284,7 +287,7 @@ def replay_page(
         f"State of charge on {listed(names)}, by cellwise",
         sections,
         data,
-        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(now), lines[1:]),
+        lead=lead_of(of_model, replay_tiles(now), [*lines[1:], *of_reading]),
         figures=figures,
     )
 
@@ -320,14 +323,28 @@ def unknown_start(replay: Replay) -> str | None:
     )
 
 
+def beyond_its_statement(replay: Replay) -> str | None:
+    """That the voltage is missed by more than two of the model's own deviations on some scale."""
+    if replay.nis is None or replay.model is None or not max(replay.nis) > 4.0:
+        return None
+    worst = int(np.argmax(replay.nis))
+    times = significant(math.sqrt(replay.nis[worst]), 2)
+    scale = duration(replay.model.error.scales_s[worst])
+    return f"The voltage over {scale} is missed by {times} times what the model states."
+
+
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
-) -> list[Markup]:
-    """What a reader should know of the logs and of how far the model is off, rows as links."""
-    found = [escape(n) for f in flights for n in f.notices]
-    found += [linked(n, r.log) for r in replays for n in r.notices]
-    found += [linked(n, s.log) for s in simulations for n in s.notices]
-    return list(dict.fromkeys(found))
+) -> tuple[list[Markup], list[Markup]]:
+    """What a reader should know of how far the model is off, and of how the logs were read.
+
+    Rows are links to where they are drawn.
+    """
+    read = {n for one in (*replays, *simulations) for n in one.log.notices if not is_grave(n)}
+    every = [(n, escape(n)) for f in flights for n in f.notices]
+    every += [(n, linked(n, one.log)) for one in (*replays, *simulations) for n in one.notices]
+    of_model, of_reading = ([m for n, m in every if (n in read) == side] for side in (False, True))
+    return list(dict.fromkeys(of_model)), list(dict.fromkeys(of_reading))
 
 
 def replay_sections(
