@@ -340,9 +340,10 @@ def noticed(
 
     Rows are links to where they are drawn.
     """
-    read = {n for one in (*replays, *simulations) for n in one.log.notices if not is_grave(n)}
+    runs: list[Replay | Simulation] = [*replays, *simulations]
+    read = {n for one in runs for n in one.log.notices if not is_grave(n)}
     every = [(n, escape(n)) for f in flights for n in f.notices]
-    every += [(n, linked(n, one.log)) for one in (*replays, *simulations) for n in one.notices]
+    every += [(n, linked(n, one.log)) for one in runs for n in one.notices]
     of_model, of_reading = ([m for n, m in every if (n in read) == side] for side in (False, True))
     return list(dict.fromkeys(of_model)), list(dict.fromkeys(of_reading))
 
