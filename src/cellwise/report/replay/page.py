@@ -31,6 +31,7 @@ from cellwise.report.page.markup import (
     lead_of,
     linked,
     paragraph,
+    record_table,
     table,
     tiles,
 )
@@ -82,14 +83,23 @@ def _load(flight: Flight) -> str:
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
-    """Pictures of all flights, then their figures."""
+    """Picture and figures of the last flight; of several a row for each."""
+    now = flights[-1]
     several = len(flights) > 1
-    pictures = []
-    for k, f in enumerate(flights[: MOST.replays]):
-        one = flight_picture(f, f.name if several else "")
-        key = f"flight-{k + 1}-{safe_key(f.name or 'log')}"
-        pictures.append(one._replace(key=key, caption=one.caption if k == 0 else ""))
-    blocks: Blocks = (*pictures, *(flight_content(f, several=several) for f in flights))
+    picture = flight_picture(now, now.name if several else "")
+    picture = picture._replace(key=f"flight-{safe_key(now.name or 'log')}")
+    blocks: Blocks = (picture, flight_content(now, several=several))
+    if several:
+        every = record_table(
+            flights,
+            ("log", lambda f: f.name),
+            ("SOC", lambda f: points((f.typical or f).last.soc)),
+            ("load", lambda f: f"{significant((f.typical or f).last.load_A)} A"),
+            ("remaining time", lambda f: _left((f.typical or f).last)),
+            ("remaining energy", lambda f: _energy((f.typical or f).last)),
+            caption="What was left at the end of every log, at its own usual load.",
+        )
+        blocks = (*blocks, every)
     return Section("left", "Remaining time and energy", blocks)
 
 
@@ -109,11 +119,15 @@ def flight_content(flight: Flight, *, several: bool) -> Markup:
     return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
 
 
+def _energy(now: Forecast) -> str:
+    return f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})"
+
+
 def _figures(now: Forecast) -> tuple[str, ...]:
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
         _left(now),
-        f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})",
+        _energy(now),
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
         now.by,
@@ -256,25 +270,27 @@ def replay_page(
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
-    now = next(r for r in replays if r.log is replays[-1].log)
-    lines = [replay_finding(r) for r in (now, *(r for r in replays if r is not now))]
+    about = listed(names) if len(names) <= MOST.bullets else f"{len(names)} logs, {names[-1]} last"
+    last = [r for r in replays if r.log is replays[-1].log]  # by one estimator or several
+    now, before = last[0], [r for r in replays if r.log is not replays[-1].log]
+    lines = [replay_finding(r) for r in last]
     if simulations:
         lines.append(simulation_finding(simulations))
     if flights:  # remaining time and energy come first where the estimate cannot be judged
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    doubts = [say(r) for r in replays for say in (narrow_band, unknown_start, beyond_its_statement)]
+    doubts = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
     lines[1:1] = filter(None, doubts)
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
-    sections = list(replay_sections(replays, simulations))
+    sections = list(replay_sections([*last, *before], simulations))
     if flights:
         sections.insert(0, flight_section(flights))
     if any(r.power is not None for r in replays):
         sections.insert(0, power_section(replays))
     few: list[tuple[str, HasPanels]] = [
-        (f"{r.estimator} on {clock_of(r.log)}", r) for r in replays[: MOST.replays]
+        (f"{r.estimator} on {clock_of(r.log)}", r) for r in [*last, *before][: MOST.replays]
     ]
     logs = {r.log.name: (f"{clock_of(r.log)} as it was measured", r.log) for r in replays}
     sections.append(trace_section([*few, *logs.values()]))
@@ -284,7 +300,7 @@ def replay_page(
     return write_page(
         path,
         lines[0],
-        f"State of charge on {listed(names)}, by cellwise",
+        f"State of charge on {about}, by cellwise",
         sections,
         data,
         lead=lead_of(of_model, replay_tiles(now), [*lines[1:], *of_reading]),
