@@ -67,7 +67,7 @@ FORECAST_EXPLAINED = (
 
 
 def flight_finding(flight: Flight) -> str:
-    """The first line of a flight's page: what is left at the usual load, with its band."""
+    """The first line of a flight's page: remaining time at the usual load, with its band."""
     now = (flight.typical or flight).last
     return f"{points(now.soc)} SOC at {duration(now.time_s)}: {_left(now)} left at {_load(flight)}."
 
@@ -280,8 +280,8 @@ def replay_page(
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    doubts = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
-    lines[1:1] = filter(None, doubts)
+    unsure = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
+    lines[1:1] = filter(None, unsure)
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections([*last, *before], simulations))
