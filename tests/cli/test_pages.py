@@ -10,7 +10,7 @@ import pytest
 
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.logs import write_log
+from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
 from cellwise.report.page.markup import Markup
 from example_cells import curved_cell
@@ -112,3 +112,21 @@ def test_what_is_left_is_shown_at_the_usual_load_with_its_band(
         assert np.abs(np.diff(left)).max() < 0.05 * np.ptp(left)
         low, high = band.get_datalim(axes.transData).intervaly
         assert low < left.min() < left.max() < high
+
+
+def test_several_logs_lead_with_the_last_one(model, drive, run_json, drawn, tmp_path):
+    """A day that is cut at its pauses: what is left now, and a row for each part."""
+    log = read_log(drive)
+    parts = [log.part(0, 2000), log.part(2000, 4000), log.part(4000, 5500)]
+    day = tmp_path / "day"
+    day.mkdir()
+    for k, part in enumerate(parts):
+        write_log(part, day / f"part_{k}.csv")
+    page = tmp_path / "page.html"
+    run_json("replay", "--model", model, str(day), "--report", str(page))
+    keys = [p.key for p in drawn]
+    assert [k for k in keys if k.startswith("flight")] == ["flight-part-2"]
+    assert "part-2" in keys[1], "SOC of the log that the headline is about comes first"
+    tables = text_of(page, "table")
+    assert all(f"part_{k}" in tables for k in range(3))
+    assert "left at the usual" in text_of(page, "h1")

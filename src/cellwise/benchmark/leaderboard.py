@@ -20,7 +20,6 @@ from cellwise.benchmark.paper_tables import (
 )
 
 AGAINST = "ekf"  # what every estimator is compared with
-FULL = 0.95  # a log that begins below this SOC begins in the middle
 ENDED = 0.03  # of SOC: gauge vendors count the discharges that end within three points
 HEAD = (
     "rank [95 %]", "estimator", "hard runs", "wrong start", "with a fault", "worst",
@@ -46,7 +45,8 @@ class Standing(NamedTuple):
 
     ``rank`` by ``hard`` (mean settled RMSE, every log with equal weight); ``low`` and ``high`` hold
     95 % of its ranks over resampled logs. ``ended``, ``converged``: shares of runs; ``failed``:
-    runs that could not be judged, which leave an estimator without a rank.
+    runs that could not be judged, which leave an estimator without a rank: what fails where it is
+    hard must not be the better for it.
     """
 
     estimator: str
@@ -72,24 +72,22 @@ class Standing(NamedTuple):
 
 
 def leaderboard(suite: str, suite_sha256: str, rows: Runs, **made_with: Any) -> dict[str, Any]:
-    """What a frozen suite's run says of every estimator that did all of its runs, or its quick cut.
+    """The runs of every estimator that did all of a frozen suite's, or its quick cut.
 
-    An estimator that could not be judged in one run has no figure over all runs: what fails where
-    it is hard must not be the better for it.
+    What they amount to is :func:`standings`.
     """
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         by_name.setdefault(str(row["estimator"]), []).append(row)
     whole = max((frozenset(map(_run, own)) for own in by_name.values()), key=len)
     quick = frozenset(_run(row) for row in rows if row.get("quick"))
-    compared = {d.estimator: d for d in differences(rows, against=AGAINST)}
     return {
         "suite": suite,
         "suite_sha256": suite_sha256,
         "made_with": provenance(),
         **made_with,
         "rows": [
-            _row(name, own, compared.get(name))
+            {"estimator": name, "runs": [{k: _plain(r.get(k)) for k in RUN_FIGURES} for r in own]}
             for name, own in by_name.items()
             if (found := set(map(_run, own))) == whole or (quick and found == quick)
         ],
@@ -98,25 +96,6 @@ def leaderboard(suite: str, suite_sha256: str, rows: Runs, **made_with: Any) -> 
 
 def _run(row: Mapping[str, Any]) -> tuple[Any, ...]:
     return row["log"], row["fault"], row["start_error"], row["dt_s"]
-
-
-def _row(name: str, own: Runs, against: Difference | None) -> dict[str, Any]:
-    healthy = [r for r in own if r["fault"] == NONE]
-    full = [r for r in healthy if r["soc0_true"] >= FULL]
-    return {
-        "estimator": name,
-        "problems": sum(bool(r["problem"]) for r in own),
-        "all_runs": _mean(own),
-        "right_start": _mean([r for r in full if not r["start_error"]]),
-        "wrong_start": _mean([r for r in full if r["start_error"]]),
-        "from_the_middle": _mean([r for r in healthy if r["soc0_true"] < FULL]),
-        "with_a_fault": _mean([r for r in own if r["fault"] != NONE]),
-        "largest": _known(np.max([float(r[FIGURE]) for r in own])),
-        "coverage_2sigma": _mean(own, "coverage_2sigma"),
-        "ns_per_step": _mean(healthy, "ns_per_step"),
-        "against": None if against is None else against._asdict(),
-        "runs": [{key: _plain(r.get(key)) for key in RUN_FIGURES} for r in own],
-    }
 
 
 def standings(rows: Mapping[str, Runs], *, quick: bool = False) -> list[Standing]:

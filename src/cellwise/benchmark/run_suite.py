@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.known_logs import file_digest
 from cellwise.benchmark.leaderboard import leaderboard
 from cellwise.benchmark.package_rows import (
@@ -114,15 +114,14 @@ def run_suite(
     digests = {row.name: row_digest(row, place.adapters) for row in suite.rows}
     used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
     runs = _every_run(suite, data)
-    kept = _kept_rows(place.folder / KEPT)
+    kept = KeptRows(place.folder / KEPT, COLUMNS)
     logs = [file_digest(locate(g.log, suite, data)) for g in suite.logs]
     names = {
         r: _run_key(place, r, keys[suite.logs[r.log].cell], logs[r.log], digests) for r in runs
     }
-    todo = [run for run in runs if names[run] not in kept]
+    todo = [run for run in runs if names[run] not in kept.rows]
     resumed = len(runs) - len(todo)
-    with _pool(processes) as pool, (place.folder / KEPT).open("a", encoding="utf-8") as file:
-        file.write("\n" if resumed else "")  # the last line may have been cut off
+    with _pool(processes) as pool:
         wanted = {suite.logs[run.log].cell for run in todo}
         models = [k for k in used if suite.cells[k].name in wanted]
         for done, name in enumerate(
@@ -136,14 +135,11 @@ def run_suite(
         groups = [tuple(g) for _, g in groupby(todo, key=lambda r: _task(r, order))]
         tasks = [(place, group, keys[suite.logs[group[0].log].cell]) for group in groups]
         for group, rows in _each_with(pool, run_all, tasks):
-            for run, row in zip(group[1], rows, strict=True):
-                kept[names[run]] = row
-                file.write(json.dumps({"key": names[run], "row": row}) + "\n")
-            file.flush()
+            kept.add({names[run]: row for run, row in zip(group[1], rows, strict=True)})
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
     close_rows()
-    found = [kept[names[run]] | marks(suite, run) for run in runs]
+    found = [kept.rows[names[run]] | marks(suite, run) for run in runs]
     return _finish(place, found, resumed, page, figures)
 
 
@@ -260,7 +256,7 @@ def _cell_key(place: Place, number: int) -> str:
     cell = place.suite.cells[number]
     locations = (*cell.tests, *([cell.model] if cell.model else []))
     files = [file_digest(locate(p, place.suite, place.data)) for p in locations]
-    return _hash([asdict(cell), files, version("cellwise")])
+    return key_of([asdict(cell), files, version("cellwise")])
 
 
 def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str, str]) -> str:
@@ -271,26 +267,7 @@ def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str,
         adapter = file_digest(file)
     named = replace(one, log="")
     rest = [asdict(named), log, asdict(run.fault), *run[2:], place.suite.soc0_std]
-    return _hash([cell_key, place.suite.name, adapter, *rest])
-
-
-def _hash(parts: list[Any]) -> str:
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def _kept_rows(path: Path) -> dict[str, dict[str, Any]]:
-    """Rows of an earlier run; a line that was cut off is none."""
-    if not path.is_file():
-        return {}
-    found: dict[str, dict[str, Any]] = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            kept = json.loads(line)
-            if set(COLUMNS) <= set(kept["row"]):
-                found[str(kept["key"])] = kept["row"]
-        except (ValueError, KeyError, TypeError):
-            continue
-    return found
+    return key_of([cell_key, place.suite.name, adapter, *rest])
 
 
 @contextmanager

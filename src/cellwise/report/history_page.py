@@ -66,7 +66,7 @@ def history_page(
 
 
 def _next(test: str) -> str:
-    """Whether to test the cell, as a sentence."""
+    """Whether to test the cell next, and how."""
     none, _, why = test.partition(": ")
     return f"No reference test is needed: {why}." if none == "none" else f"Next test: {test}."
 

@@ -94,11 +94,15 @@ def test_a_run_goes_on_where_it_stopped(folder, tmp_path, capsys, monkeypatch):
     assert rest == whole
 
 
-def test_results_of_other_settings_are_refused(folder, tmp_path, capsys):
-    run(capsys, folder, "--cells", "1", "--hours", "3", "-o", tmp_path)
-    code, data, err = run(capsys, folder, "--cells", "1", "--hours", "4", "-o", tmp_path)
-    assert (code, data) == (2, None)
-    assert "other settings" in err
+def test_results_of_other_settings_are_not_taken_over(folder, tmp_path, capsys):
+    asked = ("--cells", "1", "--hours")
+    _, three, _ = run(capsys, folder, *asked, "3", "-o", tmp_path)
+    _, four, _ = run(capsys, folder, *asked, "4", "-o", tmp_path)
+    _, again, _ = run(capsys, folder, *asked, "3", "-o", tmp_path)
+    assert four["hours"] == 4.0
+    assert four["soc_error"] != three["soc_error"]
+    assert again == three
+    assert len((tmp_path / "cells.jsonl").read_text().splitlines()) == 2  # none was made twice
 
 
 def test_a_perfect_cell_and_sensor_leave_little(folder, monkeypatch):

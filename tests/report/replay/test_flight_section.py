@@ -71,3 +71,19 @@ def test_captions_speak_of_what_is_drawn(flight):
     run, _ = flight
     assert "reference" in soc_picture(run).caption
     assert "reference" not in soc_picture(replace(run, reference_soc=None)).caption
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_is_unsure_comes_before_how_the_log_was_read(tmp_path):
+    """A start that nobody knows and a band that lies are read without a click."""
+    run = replay(drive())
+    read = replace(run.log, notices=tuple(f"column {k} was not used" for k in range(4)))
+    trace = replace(run.trace, soc_std=np.full(len(run.trace), 0.2))
+    start = replace(run.start, std=0.3)
+    unsure = replace(run, log=read, trace=trace, start=start, reference_soc=None)
+    text = replay_page([unsure], tmp_path / "p.html").read_text("utf-8").replace("\xa0", " ")
+    lead = text[text.index("</h1>") : text.index("<nav")]
+    shown, _, folded = lead.partition("<details>")
+    assert "SOC ends no better than ± 40 %" in shown
+    assert "LOG@soc0=1" in shown
+    assert "column 3 was not used" in folded

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -23,6 +22,7 @@ from cellwise.benchmark.certify.lives import (
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
 from cellwise.benchmark.certify.virtual_cells import START_STD, Sensor, usual_sensor
+from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.files import made_folder
@@ -65,14 +65,14 @@ def certify(
                                   for twenty of the model, none where PyBaMM is not installed
     measured : sequence of MeasuredLog     of this cell: each is run as it is and with each fault
     scheduler : str               where it runs: as for `run_fleet`
-    folder : path or None         finished cells are kept there, and a run goes on where it stopped
+    folder : path or None         finished cells are kept there, and a run of the same settings goes
+                                  on where it stopped
     keep_logs : int               what the filter saw in so many of the worst lives is written there
     follow : callable or None     called with how many lives are done, and of how many
 
     Raises
     ------
-    InputError        no cell, no hour; a folder of a run with other settings; physics without
-                      PyBaMM; logs to keep, and no folder
+    InputError        no cell, no hour; physics without PyBaMM; logs to keep, and no folder
     MachineError      a life that could not be run
     """
     if cells < 1 or not (math.isfinite(hours) and hours > SETTLED_S / 3600.0):
@@ -97,24 +97,22 @@ def certify(
         "seed": seed,
         "sensor": asdict(used),
     }
-    kept = _Kept(folder, settings)
-    names = fleet.names
-    rows = {name: kept.rows[name] for name in names if name in kept.rows}
-    waiting = [f"{source} {k}" for source, k in names if (source, k) not in rows]
+    place = None if folder is None else made_folder(folder, "the certificate")
+    kept = KeptRows(place and place / ROWS_FILE)
+    keys = {name: key_of([settings, name]) for name in (f"{s} {k}" for s, k in fleet.names)}
+    waiting = [name for name, key in keys.items() if key not in kept.rows]
     task = LifeTask(exported, fleet)
     with connected(scheduler, None) as client:
         for found in rows_of(client, task, exported.folder, waiting, 1):
             for row in found:
                 _check(row)
-                rows[row["source"], row["cell"]] = row
-                kept.add(row)
+                kept.add({keys[f"{row['source']} {row['cell']}"]: row})
                 if follow is not None:
-                    follow(len(rows), len(names))
-    certificate = Certificate(
-        [rows[name] for name in sorted(rows)], settings, exported.description, limits or Limits()
-    )
-    if keep_logs and folder is not None:
-        place = made_folder(Path(folder) / WORST_FOLDER, "the worst lives' logs")
+                    follow(sum(key in kept.rows for key in keys.values()), len(keys))
+    rows = sorted((kept.rows[k] for k in keys.values()), key=lambda r: (r["source"], r["cell"]))
+    certificate = Certificate(rows, settings, exported.description, limits or Limits())
+    if keep_logs and place is not None:
+        place = made_folder(place / WORST_FOLDER, "the worst lives' logs")
         for row in certificate.worst[:keep_logs]:
             life = fleet.life(exported.model, row["source"], row["cell"], exported.dt_s)
             file = write_log(_with_truth(life), place / f"{row['source']}_{row['cell']}.csv.gz")
@@ -215,32 +213,3 @@ def ends_of_discharges(log: CellLog) -> BoolArray:
         pauses = np.diff(log.time_s[rows], append=math.inf)
         ends[rows[pauses > PAUSE_S]] = True
     return ends
-
-
-class _Kept:
-    """Rows of finished cells in a folder: a line each, the first line what they were made with."""
-
-    def __init__(self, folder: str | Path | None, settings: dict[str, Any]) -> None:
-        self.rows: dict[tuple[str, int], dict[str, Any]] = {}
-        self._file = None if folder is None else made_folder(folder, "the certificate") / ROWS_FILE
-        if self._file is None:
-            return
-        lines = self._file.read_text(encoding="utf-8").split("\n") if self._file.exists() else []
-        whole = lines[:-1]  # what a cut-off run left of a line is done again
-        if whole and json.loads(whole[0]) != settings:
-            raise InputError(
-                f"cells in '{folder}' of a run with other settings",
-                "the export, hours, sensor and seed of that run, to go on with it",
-                "Name another folder.",
-            )
-        for line in whole[1:]:
-            row = json.loads(line)
-            self.rows[row["source"], row["cell"]] = row
-        text = [json.dumps(settings), *(json.dumps(row) for row in self.rows.values())]
-        self._file.write_text("\n".join([*text, ""]), encoding="utf-8")
-
-    def add(self, row: dict[str, Any]) -> None:
-        """One more finished cell."""
-        if self._file is not None:
-            with self._file.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.diagnose.log_runs import LogRun
-from cellwise.report.diagnosis.statements import change, named_log
+from cellwise.report.diagnosis.statements import change, corrected_mV, named_log
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, paragraph
 from cellwise.report.page.numerals import (
@@ -69,7 +69,7 @@ def drawn_runs(run: LogRun, explained: bool) -> list[Shown]:
     # What was taken off the measured voltage stands on the model's here: one measurement is drawn.
     after = run.explained
     moved = run.log.voltage_V - after.log.voltage_V
-    name = "after" if run.corrected is None else "after, log corrected"
+    name = "after, log corrected" if corrected_mV(run) else "after"
     return [before, Shown(name, after.voltage_V + moved, after.error_V, style.FILTER)]
 
 

@@ -27,6 +27,7 @@ KINDS = {
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
+CERTAIN = 0.9994  # a probability that is no longer written out
 CORRECTED = " with the log corrected"
 
 
@@ -97,18 +98,18 @@ def losses(diagnosis: Diagnosis) -> list[str]:
 
 def unsure_lines(diagnosis: Diagnosis) -> list[str]:
     """What the logs leave open: how probable a cause is, what is not separated, what not judged."""
-    sure = [
-        f"{cause_name(c.name)} {probability(c.probability)}"
-        for c in diagnosis.causes
-        if c.probability < 1.0
-    ]
-    lines = [f"Probability of {listed(sure)}."] if sure else []
-    lines += [
+    lines = [
         f"The gain by {cause_name(c.name)} is not sure: {percent(c.gain, 0)} less error on "
         f"held-out data, {' to '.join(percent(v, 0) for v in c.gain_ci95)} in 95 of 100 cases."
         for c in diagnosis.causes
         if c.gain_ci95[0] < 0.0
     ]
+    sure = [
+        f"{cause_name(c.name)} {probability(c.probability)}"
+        for c in diagnosis.causes
+        if c.probability <= CERTAIN
+    ]
+    lines += [f"Probability of {listed(sure)}."] if sure else []
     if diagnosis.verdict == "undetermined" and diagnosis.competing:
         parts = (f"{explanation(w)} {probability(w.probability)}" for w in diagnosis.competing[:3])
         lines.append(f"Possible are {listed(list(parts))}.")
@@ -129,7 +130,7 @@ def explanation(one: Weighed) -> str:
 
 def probability(share: float) -> str:
     """A probability the same way everywhere: never 100 % where it is less."""
-    if share > 0.9994:
+    if share > CERTAIN:
         return "more than 99.9\N{NO-BREAK SPACE}%"
     return f"{100.0 * share:.1f}\N{NO-BREAK SPACE}%"
 

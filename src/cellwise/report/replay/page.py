@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from cellwise.report.page.markup import (
     lead_of,
     linked,
     paragraph,
+    record_table,
     table,
     tiles,
 )
@@ -65,7 +67,7 @@ FORECAST_EXPLAINED = (
 
 
 def flight_finding(flight: Flight) -> str:
-    """The first line of a flight's page: what is left at the usual load, with its band."""
+    """The first line of a flight's page: remaining time at the usual load, with its band."""
     now = (flight.typical or flight).last
     return f"{points(now.soc)} SOC at {duration(now.time_s)}: {_left(now)} left at {_load(flight)}."
 
@@ -81,14 +83,23 @@ def _load(flight: Flight) -> str:
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
-    """Pictures of all flights, then their figures."""
+    """Picture and figures of the last flight; of several a row for each."""
+    now = flights[-1]
     several = len(flights) > 1
-    pictures = []
-    for k, f in enumerate(flights[: MOST.replays]):
-        one = flight_picture(f, f.name if several else "")
-        key = f"flight-{k + 1}-{safe_key(f.name or 'log')}"
-        pictures.append(one._replace(key=key, caption=one.caption if k == 0 else ""))
-    blocks: Blocks = (*pictures, *(flight_content(f, several=several) for f in flights))
+    picture = flight_picture(now, now.name if several else "")
+    picture = picture._replace(key=f"flight-{safe_key(now.name or 'log')}")
+    blocks: Blocks = (picture, flight_content(now, several=several))
+    if several:
+        every = record_table(
+            flights,
+            ("log", lambda f: f.name),
+            ("SOC", lambda f: points((f.typical or f).last.soc)),
+            ("load", lambda f: f"{significant((f.typical or f).last.load_A)} A"),
+            ("remaining time", lambda f: _left((f.typical or f).last)),
+            ("remaining energy", lambda f: _energy((f.typical or f).last)),
+            caption="What was left at the end of every log, at its own usual load.",
+        )
+        blocks = (*blocks, every)
     return Section("left", "Remaining time and energy", blocks)
 
 
@@ -108,11 +119,15 @@ def flight_content(flight: Flight, *, several: bool) -> Markup:
     return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
 
 
+def _energy(now: Forecast) -> str:
+    return f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})"
+
+
 def _figures(now: Forecast) -> tuple[str, ...]:
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
         _left(now),
-        f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})",
+        _energy(now),
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
         now.by,
@@ -255,23 +270,27 @@ def replay_page(
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
-    now = next(r for r in replays if r.log is replays[-1].log)
-    lines = [replay_finding(r) for r in (now, *(r for r in replays if r is not now))]
+    about = listed(names) if len(names) <= MOST.bullets else f"{len(names)} logs, {names[-1]} last"
+    last = [r for r in replays if r.log is replays[-1].log]  # by one estimator or several
+    now, before = last[0], [r for r in replays if r.log is not replays[-1].log]
+    lines = [replay_finding(r) for r in last]
     if simulations:
         lines.append(simulation_finding(simulations))
     if flights:  # remaining time and energy come first where the estimate cannot be judged
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    lines += list(filter(None, (say(r) for r in replays for say in (narrow_band, unknown_start))))
+    unsure = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
+    lines[1:1] = filter(None, unsure)
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
-    sections = list(replay_sections(replays, simulations))
+    of_model, of_reading = noticed(replays, simulations, flights)
+    sections = list(replay_sections([*last, *before], simulations))
     if flights:
         sections.insert(0, flight_section(flights))
     if any(r.power is not None for r in replays):
         sections.insert(0, power_section(replays))
     few: list[tuple[str, HasPanels]] = [
-        (f"{r.estimator} on {clock_of(r.log)}", r) for r in replays[: MOST.replays]
+        (f"{r.estimator} on {clock_of(r.log)}", r) for r in [*last, *before][: MOST.replays]
     ]
     logs = {r.log.name: (f"{clock_of(r.log)} as it was measured", r.log) for r in replays}
     sections.append(trace_section([*few, *logs.values()]))
@@ -281,10 +300,10 @@ def replay_page(
     return write_page(
         path,
         lines[0],
-        f"State of charge on {listed(names)}, by cellwise",
+        f"State of charge on {about}, by cellwise",
         sections,
         data,
-        lead=lead_of(noticed(replays, simulations, flights), replay_tiles(now), lines[1:]),
+        lead=lead_of(of_model, replay_tiles(now), [*lines[1:], *of_reading]),
         figures=figures,
     )
 
@@ -320,14 +339,29 @@ def unknown_start(replay: Replay) -> str | None:
     )
 
 
+def beyond_its_statement(replay: Replay) -> str | None:
+    """That the voltage is missed by more than two of the model's own deviations on some scale."""
+    if replay.nis is None or replay.model is None or not max(replay.nis) > 4.0:
+        return None
+    worst = int(np.argmax(replay.nis))
+    times = significant(math.sqrt(replay.nis[worst]), 2)
+    scale = duration(replay.model.error.scales_s[worst])
+    return f"The voltage over {scale} is missed by {times} times what the model states."
+
+
 def noticed(
     replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
-) -> list[Markup]:
-    """What a reader should know of the logs and of how far the model is off, rows as links."""
-    found = [escape(n) for f in flights for n in f.notices]
-    found += [linked(n, r.log) for r in replays for n in r.notices]
-    found += [linked(n, s.log) for s in simulations for n in s.notices]
-    return list(dict.fromkeys(found))
+) -> tuple[list[Markup], list[Markup]]:
+    """What a reader should know of how far the model is off, and of how the logs were read.
+
+    Rows are links to where they are drawn.
+    """
+    runs: list[Replay | Simulation] = [*replays, *simulations]
+    read = {n for one in runs for n in one.log.notices if not is_grave(n)}
+    every = [(n, escape(n)) for f in flights for n in f.notices]
+    every += [(n, linked(n, one.log)) for one in runs for n in one.notices]
+    of_model, of_reading = ([m for n, m in every if (n in read) == side] for side in (False, True))
+    return list(dict.fromkeys(of_model)), list(dict.fromkeys(of_reading))
 
 
 def replay_sections(
