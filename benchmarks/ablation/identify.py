@@ -31,6 +31,7 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify import pipeline
+from cellwise.identify.hppc import phases
 from cellwise.logs import CellLog, read_log
 
 DIGITS = 6  # of a fingerprint: what differs less is rounding
@@ -126,10 +127,12 @@ def thrown(names: tuple[tuple[str, str, Any], ...]) -> Iterator[None]:
             found = importlib.import_module(module)
             kept.append((found, name, getattr(found, name)))
             setattr(found, name, value)
+        phases._FOUND.clear()  # each log is cut once, by the rules of then
         yield
     finally:
         for found, name, value in reversed(kept):
             setattr(found, name, value)
+        phases._FOUND.clear()
 
 
 def begin_of(case: Case) -> str:

@@ -10,4 +10,4 @@ import sys
 
 from benchmarks.measured_data import REPOSITORY
 
-sys.path.insert(0, str(REPOSITORY / "tests" / "support"))
+sys.path.insert(0, str(REPOSITORY / "tests" / "support" / "loads"))

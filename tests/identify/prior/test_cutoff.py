@@ -12,7 +12,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
 from cellwise.data import list_datasets, load_dataset
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.prior.cutoff import left_at, lowest_row
+from cellwise.identify.prior.update import left_at, lowest_row
 from cellwise.logs.cell_log import CellLog
 
 

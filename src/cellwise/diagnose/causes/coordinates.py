@@ -266,6 +266,12 @@ class Coordinates:
             return np.zeros(self.model.soc.size), 1.0
         return self.electrodes.aged(self.model.soc, *losses)
 
+    def added_V(self, name: str, soc: FloatArray) -> FloatArray:
+        """What a unit of a coordinate of the OCV, or of a voltage offset, adds at a SOC [V]."""
+        if name not in OCV_NAMES:
+            return np.ones(soc.size)
+        return np.asarray(np.interp(soc, self.model.soc, self.hats[OCV_NAMES.index(name)]))
+
     def capacity_Ah(self, z: Mapping[str, float]) -> float:
         """What the cell holds at a point, after what its electrodes have lost [Ah]."""
         own = self.model.capacity_Ah * math.exp(z.get("ln_capacity", 0.0))

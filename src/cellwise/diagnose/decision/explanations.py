@@ -97,7 +97,8 @@ class Explanations:
 
     def search(self, causes: Sequence[Cause], base: Fit, noise: Noise) -> None:
         """Try sets of causes on top of the base until one more gains less than its rarity."""
-        none = self._explained((), base, noise, self.fits.prior)
+        here = self._freeze(base, noise, self.fits.prior)
+        none = self._explained((), base, noise, self.fits.prior, here)
         self.tried[frozenset()] = none
         with ThreadPoolExecutor(self.workers) as threads:
             for size in range(1, SEARCH.most_causes + 1):
@@ -150,8 +151,10 @@ class Explanations:
         return sorted(promising, key=lambda c: -most[c.name])[: SEARCH.added]
 
     def _frozen(self, start: Explanation) -> Frozen:
-        objective = self.fits.objective(start.noise)
-        return freeze(objective, start.fit.coordinates, start.prior.names, start.fit.z)
+        return self._freeze(start.fit, start.noise, start.prior)
+
+    def _freeze(self, found: Fit, noise: Noise, prior: Prior) -> Frozen:
+        return freeze(self.fits.objective(noise), found.coordinates, prior.names, found.z)
 
     def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
         """A set with one more cause, all of it fitted; None where the cause stays away."""
@@ -186,9 +189,9 @@ class Explanations:
         if len(beginnings) > 1:
             near = fits.fit(start.noise, shaped, wide, near.z, 3, frozen, moving)
         noise = fits.noise(near, wide)
-        here = freeze(fits.objective(noise), shaped, wide.names, near.z)
+        here = self._freeze(near, noise, wide)
         near = fits.fit(noise, shaped, wide, near.z, 5, here, moving)
-        return self._explained(causes, near, noise, wide)
+        return self._explained(causes, near, noise, wide, here)
 
     def _keep(self, one: Explanation) -> None:
         known = self.tried.get(one.key)
@@ -196,12 +199,11 @@ class Explanations:
             self.tried[one.key] = one
 
     def _explained(
-        self, causes: tuple[Cause, ...], found: Fit, noise: Noise, prior: Prior
+        self, causes: tuple[Cause, ...], found: Fit, noise: Noise, prior: Prior, near: Frozen
     ) -> Explanation:
         found = complete(self.fits.objective(noise), found, prior)
-        return Explanation(
-            causes, found, noise, prior, self.fits.explained(found, noise, prior, causes)
-        )
+        likely = self.fits.explained(found, noise, prior, causes, near)
+        return Explanation(causes, found, noise, prior, likely)
 
     def _say(self, size: int, part: float, name: str) -> None:
         if self.progress is not None:

@@ -24,6 +24,7 @@ from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import MEASURED_NAMES
 from cellwise.diagnose.fit.least_squares import (
+    NOTHING_KNOWN,
     SOLVING,
     Fit,
     Frozen,
@@ -157,11 +158,23 @@ class CauseFits:
         return plain.times(noise.scale)
 
     def explained(
-        self, found: Fit, noise: Noise, prior: Prior, causes: Iterable[Cause]
+        self,
+        found: Fit,
+        noise: Noise,
+        prior: Prior,
+        causes: Iterable[Cause],
+        near: Frozen = NOTHING_KNOWN,
     ) -> Prediction:
-        """How likely all rows are with the causes estimated, and what the logs read at rest."""
+        """How likely all rows are with the causes estimated, and what the logs read at rest.
+
+        ``near`` are the derivatives that the fit was made with: those by causes and starts are
+        taken again.
+        """
         kept = kept_coordinates(causes)
-        found_so = predict(self.objective(noise), found, prior, self.known, noise.scale, kept)
+        moving = [*kept, *self.evidence.starts()]
+        jacobian = near.jacobian_near(found, self.evidence, moving)
+        objective = self.objective(noise)
+        found_so = predict(objective, found, jacobian, prior, self.known, noise.scale, kept)
         more = self.at_rest(found) + ln_size(found.z, kept, prior)
         return found_so._replace(total=found_so.total + more)
 
@@ -210,6 +223,7 @@ class Prediction(NamedTuple):
 def predict(
     objective: Objective,
     found: Fit,
+    jacobian: FloatArray,
     prior: Prior,
     known: KnownScale,
     scale: float,
@@ -225,12 +239,12 @@ def predict(
     Parameters
     ----------
     objective, scale : what the fit was judged by, and the scale of its noise
+    jacobian : (rows, names) derivatives at the fit
     known : what is known of that scale
     """
     evidence = objective.evidence
     names = list(found.names)
     residual = np.nan_to_num(evidence.voltage_V - found.voltage_V)
-    jacobian = evidence.jacobian(found.coordinates, found.z, names)
     used = evidence.known & (evidence.role != IGNORED)
     white = objective.scaled(np.column_stack((residual, jacobian)))
     normal, gradient = normal_of(white, used, objective.clip)

@@ -214,6 +214,20 @@ class Frozen:
     names: tuple[str, ...]
     jacobian: FloatArray
 
+    def jacobian_near(self, found: Fit, evidence: Evidence, moving: Sequence[str]) -> FloatArray:
+        """Derivatives at a fit nearby, fresh by the coordinates in ``moving`` and by new ones."""
+        fresh = [n for n in found.names if n in moving or n not in self.names]
+        here = evidence.jacobian(found.coordinates, found.z, fresh)
+        columns = np.empty((evidence.rows, len(found.names)))
+        for k, name in enumerate(found.names):
+            known = name not in fresh
+            of, names = (self.jacobian, self.names) if known else (here, fresh)
+            columns[:, k] = of[:, names.index(name)]
+        return columns
+
+
+NOTHING_KNOWN = Frozen((), np.empty((0, 0)))
+
 
 def freeze(
     objective: Objective, coordinates: Coordinates, names: Sequence[str], z: Mapping[str, float]

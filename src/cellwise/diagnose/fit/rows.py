@@ -13,7 +13,7 @@ from cellwise.cell.equations import empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C, simulate_rows, start_hysteresis
-from cellwise.diagnose.causes.coordinates import Coordinates, KernelInputs, step_of
+from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
@@ -167,13 +167,17 @@ class Evidence:
     ) -> FloatArray:
         """Derivatives of the simulated voltage by differences, shape (rows, names).
 
-        A start moves its own log alone, and inwards: full and empty are the ends of its tables.
+        What only adds to the voltage has no memory and is not simulated. A start moves its own log
+        alone, and inwards: full and empty are the ends of its tables.
         """
-        here, _ = self.simulate(coordinates, z)
+        here, soc = self.simulate(coordinates, z)
         inputs = coordinates.inputs(z)
         found = np.zeros((self.rows, len(names)))
         places = dict(zip(self.starts(), self.each(), strict=True))
         for j, name in enumerate(names):
+            if name == "offset_V" or name in OCV_NAMES:
+                found[:, j] = coordinates.added_V(name, soc)
+                continue
             step, at = step_of(name), z.get(name, 0.0)
             rows = slice(0, self.rows)
             if name in places:

@@ -14,8 +14,7 @@ the four particles on either side. Kept as the paper's method and as a reference
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,41 +32,37 @@ class _Box(NamedTuple):
     slowest_s: float = 120.0
     ratio: float = 1.5  # between the time constants, where a window leaves little room
     rest_s: float = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
-    ocv: float = 0.1  # room of a free OCV over the voltage swing of the window
     wall: float = -0.5  # a particle that leaves is put on the wall and turned back at half pace
 
 
 BOX = _Box()
 
 
-@dataclass(frozen=True)
-class SwarmOptions:
-    """Choices of the swarm; the defaults are the paper's.
-
-    Parameters
-    ----------
-    particles, neighbours, iterations : int
-    cognition : float         phi, above 4
-    free : 5 or 7             R0, R1, tau1, R2, tau2 with the OCV from the rest before (the
-                              paper's), or the OCV and its slope as well
-    """
+class _Swarm(NamedTuple):
+    """The paper's swarm; ``cognition`` is phi, above 4."""
 
     particles: int = 64
     neighbours: int = 8
     iterations: int = 180
     cognition: float = 4.1
-    free: Literal[5, 7] = 5
+
+
+SWARM = _Swarm()
 
 
 def fit_swarm(
-    data: PulseData, options: SwarmOptions | None = None, rng: np.random.Generator | None = None
+    data: PulseData,
+    iterations: int = SWARM.iterations,
+    rng: np.random.Generator | None = None,
 ) -> PulseFit:
-    """Fit one pulse by fully informed particle swarm.
+    """Fit R0, R1, tau1, R2, tau2 of one pulse by fully informed particle swarm.
+
+    The OCV is that of the rest before, as in the paper.
 
     Parameters
     ----------
     data : PulseData
-    options : SwarmOptions
+    iterations : int          by default the paper's
     rng : numpy Generator     by default one seeded with 0
 
     Returns
@@ -78,24 +73,22 @@ def fit_swarm(
     ------
     InputError        bounds that leave no room, too few settled rows
     """
-    options = options or SwarmOptions()
     rng = rng or np.random.default_rng(0)
     circuit = Circuit(data.alone())
-    low, high = _box(circuit, options.free)
-    value = PulseParameters(*_swarm(circuit, low, high, options, rng).tolist())
-    slope = circuit.table_slope_V
-    searched = ("ocv_V",) if slope is not None else ("ocv_V", "ocv_slope_V")
-    free = [*value._fields[:5], *(searched if options.free == 7 else ())]
+    low, high = _box(circuit)
+    value = PulseParameters(*_swarm(circuit, low, high, iterations, rng).tolist())
+    free = value._fields[:5]
     held = [
         name
         for name, x, least, most in zip(value._fields, value, low, high, strict=True)
         if name in free and not least < x < (np.inf if name.endswith("ohm") else most)
     ]
+    slope = circuit.table_slope_V
     stated = value if slope is None else value._replace(ocv_slope_V=slope)
     return circuit.described("pso", stated, free, held)
 
 
-def _box(circuit: Circuit, free: int) -> tuple[FloatArray, FloatArray]:
+def _box(circuit: Circuit) -> tuple[FloatArray, FloatArray]:
     """Search box of R0, R1, tau1, R2, tau2, OCV, OCV slope, shape (7,) each.
 
     The paper's time constants, within what the window can show.
@@ -110,10 +103,6 @@ def _box(circuit: Circuit, free: int) -> tuple[FloatArray, FloatArray]:
     ocv = float(np.mean(circuit.known[rest]))
     low = np.array([0.0, 0.0, fastest, 0.0, between, ocv, 0.0])
     high = np.array([most, most, between, most, slowest, ocv, 0.0])
-    if free == 7:
-        low[5], high[5] = ocv - BOX.ocv * swing, ocv + BOX.ocv * swing
-        moved = max(float(np.ptp(circuit.x)), 1e-9)
-        high[6] = 0.0 if circuit.table_slope_V is not None else 2.0 * swing / moved
     return low, high
 
 
@@ -121,20 +110,20 @@ def _swarm(
     circuit: Circuit,
     low: FloatArray,
     high: FloatArray,
-    options: SwarmOptions,
+    iterations: int,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Best position, shape (7,)."""
-    phi = options.cognition
+    phi = SWARM.cognition
     chi = 2.0 / (phi - 2.0 + np.sqrt(phi * phi - 4.0 * phi))
-    count, half = options.particles, options.neighbours // 2
+    count, half = SWARM.particles, SWARM.neighbours // 2
     steps = np.concatenate((np.arange(-half, 0), np.arange(1, half + 1)))
     neighbours = (np.arange(count)[:, None] + steps) % count
     position = low + (high - low) * rng.random((count, low.size))
     velocity = np.zeros_like(position)
     best = position.copy()
     best_cost = costs_of(circuit, position)
-    for _ in range(options.iterations):
+    for _ in range(iterations):
         pull = phi / steps.size * rng.random((count, steps.size, low.size))
         velocity += np.sum(pull * (best[neighbours] - position[:, None, :]), axis=1)
         velocity *= chi

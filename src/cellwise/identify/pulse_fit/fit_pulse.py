@@ -119,7 +119,7 @@ class _Search:
         return np.asarray(np.clip([far, near], 0.0, 1.0))
 
     def residual(self, at: FloatArray) -> FloatArray:
-        """What is left of the voltage at a point, as its rows count [V], shape (n,)."""
+        """Residual of the voltage at a point, as its rows count [V], shape (n,)."""
         rows, _ = self._rows(self.tau_s(at))
         return np.asarray(rows[0] - _solved(rows @ rows.T)[1] @ rows[1:])
 

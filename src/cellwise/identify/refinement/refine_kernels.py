@@ -9,7 +9,7 @@ that are active:
     S'  = dv'/dv S + B tau dv'/dtau      with respect to those of ln tau
 
 Between temperatures ln R and ln tau are straight over 1/T, so that what lies between two of them is
-an activation energy. The equations are those of the cell, their derivatives are printed from them.
+an activation energy. The equations are those of the cell, and so are their derivatives.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import cached
+from cellwise.cell.compiled import cached, inline
 from cellwise.cell.equations import (
     hysteresis_decay,
     hysteresis_step,
@@ -31,14 +31,6 @@ from cellwise.cell.equations import (
     transfer_resistance,
 )
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.identify.refinement.derivative_kernels import (
-    branch_partials,
-    hysteresis_partials,
-    seen_partials,
-    thermal_partials,
-    transfer_partials,
-    voltage_partials,
-)
 from cellwise.identify.refinement.layout import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, SKEW_UNIT_S
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
@@ -100,6 +92,94 @@ def _value(
     return here
 
 
+class TransferPartials(NamedTuple):
+    """Of the resistance of a charge transfer."""
+
+    new_by_r_ohm: float
+    new_by_asinh_per_V: float
+    new_by_current_A: float
+
+
+@inline
+def transfer_partials(asinh_per_V: float, r_ohm: float, current_A: float) -> TransferPartials:
+    """Chain rule through `charge_transfer`, a ratio of two polynomials of the overvoltage."""
+    overvoltage = asinh_per_V * r_ohm * current_A
+    y = abs(overvoltage)
+    above = 0.42143288 + y * 0.01126451
+    above_2 = 0.66171232 + y * above
+    above_3 = 1.0 + y * above_2
+    below = 0.11957555 + y * 0.00170013
+    below_2 = 0.59291773 + y * below
+    below_3 = 0.66171232 + y * below_2
+    below_4 = 1.0 + y * below_3
+    charge_transfer = above_3 / below_4
+    new_by_below_4 = -(charge_transfer / below_4 * r_ohm)
+    new_by_below_3 = new_by_below_4 * y
+    new_by_below_2 = new_by_below_3 * y
+    new_by_below = new_by_below_2 * y
+    new_by_above_3 = r_ohm * (1.0 / below_4)
+    new_by_above_2 = new_by_above_3 * y
+    new_by_above = new_by_above_2 * y
+    new_by_y = (
+        new_by_below_4 * below_3
+        + new_by_below_3 * below_2
+        + new_by_below_2 * below
+        + new_by_below * 0.00170013
+        + new_by_above_3 * above_2
+        + new_by_above_2 * above
+        + new_by_above * 0.01126451
+    )
+    new_by_overvoltage = new_by_y * math.copysign(1.0, overvoltage)
+    new_by_r_ohm = charge_transfer + new_by_overvoltage * (asinh_per_V * current_A)
+    new_by_asinh_per_V = new_by_overvoltage * (r_ohm * current_A)
+    new_by_current_A = new_by_overvoltage * (asinh_per_V * r_ohm)
+    return TransferPartials(new_by_r_ohm, new_by_asinh_per_V, new_by_current_A)
+
+
+class BranchPartials(NamedTuple):
+    """Of a branch's voltage after an interval."""
+
+    new_by_v_V: float
+    new_by_current_A: float
+    new_by_r_ohm: float
+    new_by_tau_s: float
+
+
+@inline
+def branch_partials(
+    v_V: float, current_A: float, r_ohm: float, tau_s: float, dt_s: float
+) -> BranchPartials:
+    """Chain rule through `rc_step`."""
+    a = math.exp(-dt_s / tau_s)
+    new_by_tau_s = dt_s / tau_s / tau_s * a * (v_V - r_ohm * current_A)
+    return BranchPartials(a, r_ohm * (1.0 - a), current_A * (1.0 - a), new_by_tau_s)
+
+
+class HysteresisPartials(NamedTuple):
+    """Of the hysteresis state after an interval."""
+
+    new_by_h: float
+    new_by_hysteresis_rate: float
+    new_by_current_A: float
+
+
+@inline
+def hysteresis_partials(
+    cell: CellScalars, h: float, current_A: float, dt_s: float
+) -> HysteresisPartials:
+    """Chain rule through `hysteresis_decay` and `hysteresis_step`."""
+    per_A = dt_s / cell.charge_As
+    folds = -cell.hysteresis_rate * abs(current_A) * per_A
+    ah = math.exp(folds)
+    new_by_ah = h + math.copysign(1.0, current_A)
+    new_by_folds = new_by_ah * ah
+    new_by_hysteresis_rate = -(abs(current_A) * per_A * new_by_folds)
+    new_by_current_A = -(
+        cell.hysteresis_rate * math.copysign(1.0, current_A) * per_A * new_by_folds
+    )
+    return HysteresisPartials(ah, new_by_hysteresis_rate, new_by_current_A)
+
+
 @cached(error_model="numpy", nogil=True)
 def voltage_and_jacobian(
     log: LogRows,
@@ -132,13 +212,12 @@ def voltage_and_jacobian(
         dt = log.dt_s[k]
         seen = seen_current(cell, log.current_A[k], previous, dt)
         slope = 0.0
-        if skewed:
-            partials = seen_partials(cell, log.current_A[k], previous, dt)
-            slope = partials.seen_by_skew_s * SKEW_UNIT_S
+        if skewed and dt > 0.0 and cell.skew_s < dt:
+            slope = (previous - log.current_A[k]) / dt * SKEW_UNIT_S
         previous = log.current_A[k]
         x = log.inverse_K[k]
         scale = thermal_factor(cell.activation_K, x)
-        dscale = thermal_partials(cell.activation_K, x).factor_by_activation_K
+        dscale = scale * x
         share = log.share[k]
         # Where the active coefficients of this row's temperature stand within a block.
         f = log.row[k] * knots + log.first[k]
@@ -206,20 +285,18 @@ def voltage_and_jacobian(
         drop = polarisation(r0, seen, v[0], v[1], v[2])
         voltage_V[k] = loaded_voltage(ocv, m, h, drop)
         if log.evaluate[k]:
-            by_v = voltage_partials(ocv, m, h, r0, seen, v[0], v[1], v[2])
-            by_branch = by_v.voltage_by_v1_V  # all of them alike
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
-                by_ocv = by_v.voltage_by_ocv_V * log.ocv_basis[k, q]
+                by_ocv = log.ocv_basis[k, q]
                 row[of + q] = by_ocv
                 if lay.temperatures > 1:
                     at = lay.warm + log.row[k] * lay.knots_ocv + of + q
                     row[at] = (1.0 - share) * by_ocv
                     if share != 0.0:
                         row[at + lay.knots_ocv] = share * by_ocv
-                by_r0 = log.basis[k, q] * by_v.voltage_by_r0_ohm * r0
-                by_m = log.basis[k, q] * by_v.voltage_by_m_V
+                by_r0 = -log.basis[k, q] * seen * r0
+                by_m = log.basis[k, q] * h
                 row[lay.knots_ocv + f + q] = (1.0 - share) * by_r0
                 if hysteresis:
                     row[lay.m + f + q] = (1.0 - share) * by_m
@@ -228,24 +305,24 @@ def voltage_and_jacobian(
                     if hysteresis:
                         row[lay.m + f + knots + q] = share * by_m
             by_act = dscale * own_scale * ACTIVATION_UNIT_K
-            act = by_v.voltage_by_r0_ohm * warm_r0 * by_act
+            act = -seen * warm_r0 * by_act
             row[lay.own] = act
-            skw = by_v.voltage_by_current_A * slope
+            skw = -r0 * slope
             for j in range(branches):
                 o_r = lay.knots_ocv + block * (1 + 2 * j)
                 for q in range(block):
-                    row[o_r + q] = by_branch * sens[2 * j, q]
-                    row[o_r + block + q] = by_branch * sens[2 * j + 1, q]
-                act += by_branch * sens_act[j]
-                row[lay.own + 1 + 2 * j] = by_branch * sens_act[j]
-                row[lay.own + 2 + 2 * j] = by_branch * sens_tau_act[j]
-                skw += by_branch * sens_skew[j]
+                    row[o_r + q] = -sens[2 * j, q]
+                    row[o_r + block + q] = -sens[2 * j + 1, q]
+                act -= sens_act[j]
+                row[lay.own + 1 + 2 * j] = -sens_act[j]
+                row[lay.own + 2 + 2 * j] = -sens_tau_act[j]
+                skw -= sens_skew[j]
             if hysteresis:
-                row[lay.gamma] = by_v.voltage_by_h * h_gamma
-                skw += by_v.voltage_by_h * h_skew
+                row[lay.gamma] = m * h_gamma
+                skw += m * h_skew
             row[lay.activation] = act
             row[lay.skew] = skw
-            row[lay.asinh] = by_branch * sens_asinh
+            row[lay.asinh] = -sens_asinh
             out += 1
 
 
