@@ -234,3 +234,44 @@ def test_a_log_cut_anywhere_has_one_start_in_every_command(
         assert abs(life["soc_start"] - start) < max(3.0 * std, 0.06)
     full = run_json("simulate", *given, "--soc0", "1")
     assert simulated["rmse_V"] < 1.05 * full["rmse_V"] + 0.001
+
+
+def test_a_pack_begins_where_every_command_says(car, real_data, run_json):
+    """Whole days of the car, cells in mV, with pauses: the mean cell's start and no other."""
+    for day in ("leaf_20170522", "leaf_20170606", "leaf_20171010"):
+        given = ("--model", car, str(real_data / "leaf_pack" / f"{day}.parquet"))
+        start = run_json("simulate", *given)["soc0"]
+        assert run_json("pack", *given)["logs"][0]["soc0"] == start
+        replayed = run_json("replay", *given)
+        first = replayed.get("logs", [replayed])[0]
+        assert first["soc0_whole_log"]["value"] == start["value"]
+
+
+def test_a_measured_drive_as_a_stream_begins_as_the_log_does(
+    panasonic, real_data, run_json, tmp_path
+):
+    """Line by line, from a rest and cut under load: live sees one sample, and is less sure."""
+    log = read_log(real_data / PANASONIC / "drive_p25_us06.csv.gz")
+    loaded = 5000 + int(np.argmax(log.current_A[5000:] > 2.0))
+    for k, first in enumerate((0, loaded)):
+        part = replace(log.part(first, first + 4000), charge_Ah=None, soc0=None)
+        whole = str(write_log(part, tmp_path / f"{k}.parquet"))
+        stream = tmp_path / f"{k}.jsonl"
+        stream.write_text("".join(json.dumps(row) + "\n" for row in rows_of(part)))
+        given = ("--model", panasonic[1])
+        found = run_json("live", *given, "--source", f"json:{stream}")
+        replayed = run_json("replay", *given, whole)
+        simulated = run_json("simulate", *given, whole)["soc0"]
+        start, end = found["soc0"], (found["soc"], found["soc_std"])
+        assert found["samples"] == 4000
+        for other in (replayed["soc0"], simulated):
+            both = np.hypot(start["std"], other["std"])
+            assert abs(start["value"] - other["value"]) < 2.0 * both
+        assert abs(end[0] - replayed["soc_final"]) < 2.0 * end[1]
+
+
+def rows_of(log):
+    """As a sensor sends them."""
+    names = ("time_s", "current_A", "voltage_V", "temperature_C")
+    columns = (getattr(log, name).tolist() for name in names)
+    return (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))

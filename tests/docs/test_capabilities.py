@@ -17,6 +17,7 @@ from sources import tree_of
 
 TESTS = Path(__file__).resolve().parents[1]
 DOOR = "cli/test_door_twins.py"
+LINES = "cli/test_listed_lines.py"
 
 
 class Capability(NamedTuple):
@@ -75,14 +76,16 @@ CAPABILITIES = (
                why_none="forecasts are judged in the middle of a log, which is cut for it"),
     Capability("time to full", "forecast/test_charging.py",
                why_none="forecasts are judged at many rows of a charge"),
-    Capability("hidden effects named", "diagnose/test_hidden_in_measured.py",
+    Capability("hidden effects named", "diagnose/test_hidden_effects.py",
                why_none="the effect is hidden in Python"),
     Capability("a cold cell is not called aged", "diagnose/decision/test_rarity_hides.py",
                why_none="ten models of subsets of temperatures"),
     Capability("a flight sample by sample", "live/test_ulog_stream.py",
                why_none="the stream is compared with the library that reads the whole file"),
     Capability("an unknown start in a stream", "live/test_live_filter.py",
-               why_none="drives are cut and fed sample by sample"),
+               f"{DOOR}::test_a_measured_drive_as_a_stream_begins_as_the_log_does"),
+    Capability("a measured drive by a broker", "live/test_mqtt.py",
+               "live/test_mqtt.py::test_a_measured_drive_by_a_broker_is_the_same_as_by_a_file"),
 )  # fmt: skip
 
 
@@ -92,11 +95,27 @@ TRIED = {
         f"{DOOR}::test_a_month_of_a_car_holds_for_the_next",
         "cli/test_front_door.py::test_a_month_of_drives_is_identified_as_it_lies_there",
     ),
-    "charge pulses from empty": ("identify/test_one_test_alone.py::test_one_test_of_a_made_cell",),
+    "charge pulses from empty": (
+        "identify/test_one_test_alone.py::test_one_test_of_a_made_cell",
+        f"{LINES}::test_charge_pulses_from_empty_at_several_temperatures",
+    ),
+    "first tries": (
+        f"{LINES}::test_a_first_try_gives_a_model_within_bounds",
+        f"{LINES}::test_a_cell_of_no_kind_that_is_known_is_said_first",
+    ),
     "a diagnosis leads with what to do": (
+        f"{LINES}::test_an_extension_that_makes_soc_worse_is_not_sold",
         "cli/test_diagnose.py::test_what_only_repeats_its_prior_comes_last",
         "cli/test_diagnose.py::test_for_people",
     ),
+    "time left at the usual load": (
+        f"{LINES}::test_the_page_begins_with_the_time_left_at_the_usual_load",
+    ),
+    "one figure for one thing": (
+        f"{LINES}::test_a_diagnosis_has_one_figure_for_one_thing",
+        "cli/test_diagnose.py::test_one_probability_and_one_error_everywhere",
+    ),
+    "the page of a flight": (f"{LINES}::test_the_page_of_a_flight",),
     "instruments as they write": (
         "cli/refusals/test_instruments_as_they_write.py::test_milliamperes_of_a_tester",
         "cli/refusals/test_instruments_as_they_write.py"
@@ -105,6 +124,8 @@ TRIED = {
     "one log has one start": (
         f"{DOOR}::test_one_flight_has_one_start_and_is_followed_from_it",
         f"{DOOR}::test_a_log_cut_anywhere_has_one_start_in_every_command",
+        f"{DOOR}::test_a_pack_begins_where_every_command_says",
+        f"{DOOR}::test_a_measured_drive_as_a_stream_begins_as_the_log_does",
     ),
     "no answer beside an absurd error": (
         "cli/test_far_off.py::test_lfp_for_a_measured_drive_of_nickel_is_said_by_every_command",

@@ -18,6 +18,7 @@ from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.live import Sample, open_source
 from cellwise.live.mqtt import MqttSender, broker_of, discovery
+from cellwise.logs import read_log
 from cellwise.logs.files.source import ReadOptions
 
 paho = pytest.importorskip("paho.mqtt.client")
@@ -128,6 +129,29 @@ def test_a_sensor_s_objects_in_and_a_device_out(port, listener, capsys):
     assert said["remaining_s"] == pytest.approx(end["remaining_s"], abs=0.6)
     configs = {t: json.loads(v[0]) for t, v in heard.items() if t.startswith("homeassistant/")}
     assert configs == discovery("cellwise/shed")
+
+
+def test_a_measured_drive_by_a_broker_is_the_same_as_by_a_file(
+    port, listener, real_data, tmp_path, capsys
+):
+    """A thousand rows of a Panasonic drive: start and end are the same to the last digit."""
+    client, _ = listener
+    log = read_log(real_data / "panasonic_18650pf" / "drive_p25_us06.csv.gz").part(0, 1000)
+    names = ("time_s", "current_A", "voltage_V", "temperature_C")
+    columns = (getattr(log, name).tolist() for name in names)
+    lines = [json.dumps(dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
+    stream = tmp_path / "drive.jsonl"
+    stream.write_text("".join(f"{line}\n" for line in lines))
+    given = ("live", "--model", "nca-18650", "--capacity-ah", "2.9", "--json", "--source")
+    assert main([*given, f"json:{stream}"]) == 0
+    by_file = json.loads(capsys.readouterr().out)
+    retained = threading.Timer(3.0, lambda: [client.publish("drive/all", x, 1) for x in lines])
+    retained.start()
+    source = f"mqtt://me@127.0.0.1:{port}/drive/all"
+    assert main([*given, source, "--samples", "1000", "--idle", "60"]) == 0
+    by_broker = json.loads(capsys.readouterr().out)
+    for key in ("soc0", "soc", "soc_std", "voltage_V", "samples"):
+        assert by_broker[key] == by_file[key], key
 
 
 def test_what_home_assistant_asks_of_a_discovery_message():

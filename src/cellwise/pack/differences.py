@@ -14,12 +14,12 @@ bar-delta filtering; the columns for polling and offset are ours).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.pauses import stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.filters.kalman import Ekf
@@ -30,13 +30,12 @@ from cellwise.typing import BoolArray, FloatArray, IndexArray
 class Compared(NamedTuple):
     """Which rows of a pack's log are compared, and over how long.
 
-    ``pause_s``: a pause without a counter, in which the car may have been charged; ``fewest_rows``
-    between two of them. ``rate_s``: rates of the mean voltage are taken over this long or one
-    interval, so that a polling delay of seconds is seen whole, also where rows are closer;
-    ``longest_intervals`` of the usual length, over longer ones a rate says nothing.
+    ``fewest_rows`` between two pauses that nobody counted. ``rate_s``: rates of the mean voltage
+    are taken over this long or one interval, so that a polling delay of seconds is seen whole, also
+    where rows are closer; ``longest_intervals`` of the usual length, over longer ones a rate says
+    nothing.
     """
 
-    pause_s: float = 300.0
     fewest_rows: int = 10
     rate_s: float = 2.0
     longest_intervals: float = 3.0
@@ -49,11 +48,13 @@ COMPARED = Compared()
 class MeanCell:
     """The mean cell of a log.
 
-    ``soc``, ``soc_std``, ``voltage_V`` (one step ahead), shape (n,); ``part`` numbers the stretches
-    between pauses, -1 where one is too short to be estimated.
+    ``start`` is that of its first row, as every command finds it; ``soc``, ``soc_std``,
+    ``voltage_V`` (one step ahead), shape (n,); ``part`` numbers the stretches between pauses, -1
+    where one is too short to be estimated.
     """
 
     log: CellLog
+    start: InitialSoc
     soc: FloatArray
     soc_std: FloatArray
     voltage_V: FloatArray
@@ -82,23 +83,14 @@ def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> Mean
     n = len(log)
     soc, std, voltage = (np.full(n, np.nan) for _ in range(3))
     part: IndexArray = np.full(n, -1, dtype=np.intp)
-    ekf = Ekf(model)
-    paused = (log.interval_s > COMPARED.pause_s) & (log.charge_Ah is None)
-    edges = [0, *np.flatnonzero(paused).tolist(), n]
-    count = 0
-    for first, stop in pairwise(edges):
-        if stop - first < COMPARED.fewest_rows or not np.any(
-            np.isfinite(log.voltage_V[first:stop])
-        ):
-            continue
-        one = log if stop - first == n else log.part(first, stop)
-        start = initial_soc(model, one, soc0 if first == 0 else None, whole_log=True)
-        trace = ekf.run(one, start.soc, start.std)
-        rows = slice(first, stop)
+    ekf, begun = Ekf(model), initial_soc(model, log, soc0, whole_log=True)
+    long = [s for s in stretches(model, log, begun) if s.stop - s.first >= COMPARED.fewest_rows]
+    for count, one in enumerate(long):
+        trace = ekf.run(one.of(log), one.start.soc, one.start.std)
+        rows = slice(one.first, one.stop)
         soc[rows], std[rows], voltage[rows] = trace.soc, trace.soc_std, trace.voltage_V
         part[rows] = count
-        count += 1
-    return MeanCell(log, soc, std, voltage, part)
+    return MeanCell(log, begun, soc, std, voltage, part)
 
 
 class OcvSlope:

@@ -229,6 +229,7 @@ class PackEstimate:
                     "log": day.log.name,
                     "day": None if day.day is None else day.day.isoformat(),
                     "samples": len(day.log),
+                    "soc0": day.mean.start.to_dict(),
                     "mean_voltage_rmse_V": day.mean.rmse_V,
                 }
                 for day in self.days

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.effects import SlowDiffusion
+from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.identify.prior.corrections import Corrections
 
@@ -52,3 +52,13 @@ def test_the_slow_branches_go_together():
     slow = np.asarray(model.effect(SlowDiffusion).r3_ohm)
     before = np.asarray(c.prior.effect(SlowDiffusion).r3_ohm)
     np.testing.assert_allclose(slow / before, model.r2_ohm / c.prior.r2_ohm, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", stock_names())
+def test_no_correction_leaves_what_a_model_may_be(name):
+    """A kind of cell that cannot follow a log goes to its bounds, and is no error."""
+    c = corrections(name)
+    low, high = TemperatureDependence.bounds["activation_K"]
+    for size in (-100.0, 100.0):
+        warm = c.model(np.full(c.size, size)).effect(TemperatureDependence)
+        assert warm is None or low <= warm.activation_K <= high

@@ -139,7 +139,9 @@ class Corrections:
             r3 = np.clip(factor * np.asarray(effect.r3_ohm), *SlowDiffusion.bounds["r3_ohm"])
             return SlowDiffusion(r3, effect.tau3_s)
         if isinstance(effect, TemperatureDependence) and self.inverse_K.size == 1:
-            return replace(effect, activation_K=effect.activation_K + activation_K)
+            bounds = TemperatureDependence.bounds["activation_K"]
+            total = float(np.clip(effect.activation_K + activation_K, *bounds))
+            return replace(effect, activation_K=total)
         return effect
 
 

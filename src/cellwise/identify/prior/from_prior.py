@@ -26,7 +26,7 @@ from cellwise.identify.identification import (
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.prior.corrections import USUAL, Corrections
-from cellwise.identify.prior.seen import error_of, notices_of, seen_by
+from cellwise.identify.prior.seen import error_of, notices_of, poor_fit, seen_by
 from cellwise.identify.prior.update import PriorLog, update
 from cellwise.identify.refinement.model_error import POINTS
 from cellwise.identify.soc_anchor import full_before
@@ -116,6 +116,7 @@ def fit_prior(
     found = update(corrections, items)
     seen = seen_by(items, found)
     error, ocv_std = error_of(items, found, corrections)
+    unlike = (*poor_fit(items, found, name), *unlike)
     notices += notices_of(seen, name, prior)
     pairs = zip(items, found.soc0, strict=True)
     starts = [Start(item.log, float(soc0), item.compare) for item, soc0 in pairs]

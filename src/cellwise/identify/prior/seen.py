@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.plausibility.notice import RANGE_V, Notice
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.identify.prior.corrections import Corrections
 from cellwise.identify.prior.update import PriorLog, Update
@@ -23,6 +24,9 @@ from cellwise.identify.refinement.model_error import (
 from cellwise.typing import FloatArray
 
 BINS = 50  # of the SOC axis, for where the data have been
+# Half of the rows further off is another kind of cell: 5 points of SOC over a range of 1 V.
+# Right kinds leave 1 to 32 mV of ten cells from 40 to -20 degC, LFP for nickel 57 to 274.
+POOR_V = 0.05
 SHORT_OF_ALL = 0.02  # of the SOC range: a gap at an end that is no worth a word
 
 
@@ -126,6 +130,20 @@ def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:
             f"follows the prior {name}"
         )
     return found
+
+
+def poor_fit(logs: Sequence[PriorLog], found: Update, name: str) -> tuple[Notice, ...]:
+    """What is said first where the prior cannot be brought to a log, of the log furthest off."""
+    typical = [float(np.median(np.abs(r))) for r in found.residual_V]
+    worst = int(np.argmax(typical))
+    if typical[worst] <= POOR_V:
+        return ()
+    text = (
+        f"even updated, the prior {name} DOES NOT FIT: typically {1e3 * typical[worst]:.0f} mV off "
+        f"'{logs[worst].log.name}': another kind of cell, number of cells in series "
+        "(`series=N`) or unit?"
+    )
+    return (Notice(RANGE_V, text),)
 
 
 def _soc(item: PriorLog, soc0: float, model: CellModel) -> FloatArray:
