@@ -92,11 +92,9 @@ def pulses(log):
                     current_A=float(log.current_A[at]),
                     duration_s=float(length),
                     charge_Ah=float(log.current_A[at]) * length / 3600.0,
-                    voltage_before_V=float(log.voltage_V[at - 1]),
                     role=role,
                     quality=quality,
                     reason=f"because 1 < 2 & pulse {k}",
-                    score=1.0 if quality == "healthy" else 0.2,
                 )
             )
     return tuple(found)

@@ -5,7 +5,7 @@ const narrowed = (() => {
   const NAMES = "http://www.w3.org/2000/svg";
   // Sizes of text, height of its lines, room at the sides, for marks of a key, for colours [px]; heights of axes.
   const TEXT = 11, TITLE = 12.5, LINE = 16, SIDE = 8, MARK = 21, BAR = 56, NOTE = 46;
-  const LEAST = 90, MOST = 260, SHARE = 0.85;
+  const LEAST = 90, MOST = 260, SHARE = 0.85, MANY = 16, SINE = 0.643;  // of 40 degrees
   const FONT = '"DejaVu Sans", Verdana, sans-serif';
   const ruler = document.createElement("canvas").getContext("2d");
   const widthOf = (text, size = TEXT, weight = 400) => {
@@ -146,7 +146,11 @@ const narrowed = (() => {
       const last = !next || next.share !== axes.share;
       axes.x.shown = last;
       if (!last) return;
-      set.skip(LINE);
+      // Words that have no room side by side are turned.
+      const words = axes.x.words ? [...group.querySelectorAll('[data-axis="x"] [data-tick] text')] : [];
+      const long = words.map((text) => widthOf(text.textContent) + 4);
+      axes.x.turned = words.length < MANY && words.length * Math.max(0, ...long) > axes.at[2];
+      set.skip(axes.x.turned ? SINE * Math.max(...long) + LINE : LINE);
       const named = axes.x.label || (all.find((t) => t.share === axes.share && t.x.label) || axes).x.label;
       if (named) set.below(named);
     });

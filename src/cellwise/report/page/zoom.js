@@ -147,7 +147,9 @@
         if (!axes.at || side === "y" || !text || tick.style.display) continue;
         text.removeAttribute("transform");
         for (const [key, v] of [["x", old], ["y", top0 + tall0 + 14]]) text.setAttribute(key, v);
-        text.style.textAnchor = "middle";
+        text.style.textAnchor = axis.turned ? "end" : "middle";
+        if (axis.turned) text.setAttribute("transform", `rotate(-40 ${old} ${top0 + tall0 + 14})`);
+        if (axis.turned) continue;
         const half = text.getComputedTextLength() / 2;
         if (now - half < free) text.style.display = "none";
         else free = now + half + 4;
