@@ -11,7 +11,7 @@ from cellwise.report.page.picture import safe_key
 
 
 def captioned(picture):
-    """A picture as its caption: drawn, but not written as SVG, once wide and once for a phone."""
+    """A picture as its caption: drawn, but not written as SVG."""
     key = f"figure-{safe_key(picture.key)}"
     return Markup(f'<figure id="{key}"><figcaption>{escape(picture.caption)}</figcaption></figure>')
 

@@ -149,7 +149,7 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                          features=[{"name": "prefers-color-scheme", "value": scheme}])  # fmt: skip
         await browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844,
                          deviceScaleFactor=1, mobile=True)  # fmt: skip
-        widths, unshaded, smallest = {}, {}, {}
+        widths, unshaded, smallest, stacked = {}, {}, {}, {}
         for kind, page in pages.items():
             await browser.open(page, PICTURES if kind in DRAWN else "true")
             widths[kind] = await browser.value("document.documentElement.scrollWidth")
@@ -166,9 +166,15 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                 " e.getScreenCTM ? e.getScreenCTM() : {a: 1, b: 0}])"
                 ".map(([size, m]) => size * Math.hypot(m.a, m.b)))"  # however it is turned
             )
-        return widths, unshaded, smallest
+            stacked[kind] = await browser.value(
+                "[...document.querySelectorAll('figure[data-axes]')].every(f =>"
+                " JSON.parse(f.dataset.axes).every(({at: [x, y, w, h]}, k, all) => x >= 0 &&"
+                " x + w <= 390 && (k === 0 || y >= all[k - 1].at[1] + all[k - 1].at[3])))"
+            )
+        return widths, unshaded, smallest, stacked
 
-    widths, unshaded, smallest = in_browser(tmp_path, work)
+    widths, unshaded, smallest, stacked = in_browser(tmp_path, work)
+    assert stacked == dict.fromkeys(KINDS, True), "axes one below the other"
     assert {kind: s for kind, s in smallest.items() if s is not None and s < 11.0} == {}
     assert {kind: w for kind, w in widths.items() if w > 390} == {}
     assert set(unshaded.values()) == {0}

@@ -86,7 +86,7 @@ def test_nothing_is_loaded_and_only_our_plots_run(pages, kind):
     assert len(parsed.scripts) == 1
     running = [program for attrs, program in parsed.programs if "type" not in attrs]
     traces = ["interactive.js"] if kind in ("identify", "replay") else []
-    assert running == [script(name) for name in ("zoom.js", *traces)]
+    assert running == [script(name) for name in ("narrow.js", "zoom.js", *traces)]
     for program in running:
         assert "http" not in program.replace("http://www.w3.org", "")
     assert not {"link", "iframe", "object", "embed", "img", "audio", "video"} & set(parsed.tags)

@@ -25,7 +25,6 @@ class CellImage(NamedTuple):
     columns: int = 240
     rows: int = 5  # of a log in a column, at least
     labels: int = 12  # of days below the cells, at most
-    phone_labels: int = 4
     scale_mV: float = 3.0  # to either side of the mean, at least
 
 
@@ -152,8 +151,7 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    labels = IMAGE.phone_labels if style.on_phone() else IMAGE.labels
-    shown = _far_enough(edges, image.shape[1] / labels)
+    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
     axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         style.note(

@@ -63,8 +63,6 @@ def fault_picture(matrix: Matrix) -> style.Figure:
     axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
     axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
     axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
-    if style.on_phone():
-        axes.tick_params(axis="x", rotation=40)
     axes.set_yticks(range(len(matrix.labels)), matrix.labels)
     axes.grid(visible=False)
     axes.tick_params(length=0)

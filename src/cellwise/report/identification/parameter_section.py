@@ -172,7 +172,7 @@ def parameter_picture(identification: Identification) -> style.Figure:
     figure = style.new_figure(4.6)
     for k, axes in enumerate(style.panels(figure, 2, columns)):
         _draw_parameter(axes, identification, names[k], 0.75 / columns)
-        style.soc_axis(axes, label=k >= columns or style.on_phone())
+        style.soc_axis(axes, label=k >= columns)
     _draw_key(figure, identification)
     return figure
 

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec
 
@@ -37,7 +37,7 @@ VARIABLES = {
 class Picture(NamedTuple):
     """A figure, its file name without suffix, and what a newcomer should see in it.
 
-    ``draw`` draws it again, for a phone. ``clock`` names the log whose time since its first row the
+    ``clock`` names the log whose time since its first row the
     first axes show, if they do: plots of one clock have one cursor. ``fold``: what a page shows of
     it until it is opened; nothing: it is open.
     """
@@ -45,7 +45,6 @@ class Picture(NamedTuple):
     key: str
     figure: style.Figure
     caption: str
-    draw: Callable[[], style.Figure]
     clock: str = ""
     fold: str = ""
 
@@ -68,7 +67,7 @@ def pictured(
         def inside(*args: P.args, **kwargs: P.kwargs) -> Picture:
             text = caption if isinstance(caption, str) else caption(*args, **kwargs)
             with style.drawing():
-                return Picture(key, draw(*args, **kwargs), text, partial(draw, *args, **kwargs))
+                return Picture(key, draw(*args, **kwargs), text)
 
         return inside
 
@@ -140,25 +139,22 @@ def save_figures(
 def inline(picture: Picture) -> Markup:
     """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below.
 
-    A narrow window takes the SVG of the template, which is drawn for it.
+    In a narrow window the page's program lays it out anew.
     """
     key = f"figure-{safe_key(picture.key)}"
     with style.drawing(closely=True):
-        axes, svg = _zooming(picture.figure, key, PAGE_POINTS)
-    with style.drawing(phone=True):
-        narrow_axes, narrow_svg = _zooming(picture.draw(), f"{key}-phone", VECTOR_POINTS)
+        axes, svg = _zooming(picture.figure, key)
     clock = f' data-clock="{escape(picture.clock)}"' if picture.clock else ""
     shown = Markup(
-        f'<figure id="{key}"{clock} data-axes="{axes}">\n<div>{svg}</div>'
-        f'<template data-axes="{narrow_axes}">{narrow_svg}</template><p class="readout"></p>\n'
+        f'<figure id="{key}"{clock} data-axes="{axes}">\n<div>{svg}</div><p class="readout"></p>\n'
         f"<figcaption>{escape(picture.caption)}</figcaption>\n</figure>"
     )
     return details(picture.fold, shown) if picture.fold else shown
 
 
-def _zooming(figure: style.Figure, key: str, most: int) -> tuple[str, str]:
+def _zooming(figure: style.Figure, key: str) -> tuple[str, str]:
     """What the script must know of a figure's axes, as an attribute, and the figure as SVG."""
-    _prepare(figure, most)
+    _prepare(figure, PAGE_POINTS)
     with marked_axes(figure) as axes:
         text = _svg(figure)
     return escape(axes_attribute(axes)), _for_page(rounded(marked(text)), key, _main_title(figure))
@@ -235,6 +231,7 @@ POINTS_PER_INCH = 72.0
 # Names that matplotlib is asked to write beside its groups, to be found again in the text.
 MARKS = (
     (re.compile(r' id="cw-(plot|text)-(\d+)"'), r' data-\1="\2"'),
+    (re.compile(r' id="cw-part-(\w+)"'), r' data-part="\1"'),
     (re.compile(r' id="cw-axis-([xy])"'), r' data-axis="\1"'),
     (re.compile(r' id="[xy]tick_\d+"'), ' data-tick=""'),
 )
@@ -249,10 +246,34 @@ def marked_axes(figure: style.Figure) -> Iterator[list[dict[str, Any]]]:
     The figure's places must be settled. Boxes and places are in points from the upper left, as they
     stand in the SVG; ``share`` is the same for axes of one column and one range of x.
     """
+    named = _parts(figure)
+    for part, name in named:
+        part.set_gid(f"cw-part-{name}")
     yield _mark(figure)
     for axes in figure.axes:
         for part in (axes, axes.xaxis, axes.yaxis, *axes.texts):
             part.set_gid(None)
+    for part, _ in named:
+        part.set_gid(None)
+
+
+def _parts(figure: style.Figure) -> list[tuple[style.Artist, str]]:
+    """What a narrow window sets anew: titles, names of axes, keys, frames; and arrows, left out."""
+    from matplotlib.text import Text
+
+    found: list[tuple[style.Artist, str]] = [(text, "heading") for text in figure.texts]
+    found += [(legend, "legend") for legend in figure.legends]
+    for axes in figure.axes:
+        texts = [c for c in axes.get_children() if isinstance(c, Text) and c not in axes.texts]
+        found += [(text, "title") for text in texts]
+        found += [(axis.label, "label") for axis in (axes.xaxis, axes.yaxis)]
+        found += [(part, "frame") for part in (axes.patch, *axes.spines.values())]
+        arrows = (getattr(text, "arrow_patch", None) for text in axes.texts)
+        found += [(arrow, "arrow") for arrow in arrows if arrow is not None]
+        legend = axes.get_legend()
+        if legend is not None:
+            found.append((legend, "legend"))
+    return found
 
 
 def _mark(figure: style.Figure) -> list[dict[str, Any]]:
@@ -272,6 +293,8 @@ def _mark(figure: style.Figure) -> list[dict[str, Any]]:
                 "x": x,
                 "y": _axis(axes.yaxis, "left"),
                 "share": shared.setdefault(column, len(shared)),
+                "title": " ".join(axes.get_title(loc="left").split()),
+                "colours": axes.get_label() == "<colorbar>",
                 "texts": _texts(figure, axes),
             }
         )
@@ -309,11 +332,13 @@ def _box(figure: style.Figure, axes: style.Axes) -> list[float]:
 
 
 def _axis(axis: style.Axis, side: str) -> dict[str, Any]:
-    from matplotlib.ticker import FixedFormatter
+    from matplotlib.ticker import FixedFormatter, FixedLocator, FuncFormatter
 
     low, high = axis.get_view_interval()
     ticks = axis.get_tick_params()
-    words = isinstance(axis.get_major_formatter(), FixedFormatter)
+    written = axis.get_major_formatter()
+    placed = isinstance(axis.get_major_locator(), FixedLocator)
+    words = isinstance(written, FixedFormatter) or (placed and isinstance(written, FuncFormatter))
     return {
         "limits": [float(low), float(high)],
         "log": axis.get_scale() == "log",
@@ -325,19 +350,22 @@ def _axis(axis: style.Axis, side: str) -> dict[str, Any]:
 
 
 def _texts(figure: style.Figure, axes: style.Axes) -> list[list[float]]:
-    """Places of the texts that stand at data, which move with them."""
+    """Places of the texts in an axes, and of x and of y whether it moves with the data (1, 0)."""
     from matplotlib.text import Annotation
 
+    known: dict[Any, Any] = {"data": axes.transData, "axes fraction": axes.transAxes}
     places: list[list[float]] = []
     for text in axes.texts:
         if isinstance(text, Annotation):
-            if text.xycoords != "data":
-                continue
-            at = text.xy
-        elif text.get_transform() is axes.transData:
-            at = text.get_position()
+            named: Any = text.xycoords
+            pair, at = (named if isinstance(named, tuple) else (named, named)), text.xy
         else:
+            by = text.get_transform()
+            pair = (next((name for name, one in known.items() if one is by), ""),) * 2
+            at = text.get_position()
+        if not set(pair) <= set(known):
             continue
         text.set_gid(f"cw-text-{len(places)}")
-        places.append(_place(figure, axes.transData.transform(at)))
+        x, y = (known[by].transform(at)[k] for k, by in enumerate(pair))
+        places.append([*_place(figure, (x, y)), *(float(by == "data") for by in pair)])
     return places

@@ -93,7 +93,7 @@ def write_page(
 
 
 # What a page holds that needs the program.
-NEEDED_BY = {"zoom.js": "<figure ", "interactive.js": '<div class="trace"',
+NEEDED_BY = {"narrow.js": "<figure ", "zoom.js": "<figure ", "interactive.js": '<div class="trace"',
              "sort.js": 'sort"><thead'}  # fmt: skip
 
 

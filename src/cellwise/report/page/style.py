@@ -39,9 +39,6 @@ INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
 TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
 WIDTH_IN = 10.0
-# A page has each picture twice: as wide as it is, and for a phone, whose text would be 4 px high.
-# So wide a figure on a screen of 390 px shows SMALL_PT as 11 px.
-PHONE_IN, PHONE_HEIGHT = 3.35, 0.8
 SMALL_PT = 8.0  # of notes in a picture, the smallest text
 # Shares of the figure's width that titles over the wide and the narrow of two columns may take.
 WIDE, NARROW = 0.575, 0.265
@@ -53,11 +50,10 @@ CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 
 @contextmanager
-def drawing(*, closely: bool = False, phone: bool = False) -> Iterator[None]:
+def drawing(*, closely: bool = False) -> Iterator[None]:
     """The style while a picture is made or written; other settings do not change.
 
-    ``closely`` keeps what is finer than a screen shows, for pictures that zoom; ``phone`` draws
-    for a narrow window: what else is side by side then stands one below the other.
+    ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
 
     Raises
     ------
@@ -71,16 +67,8 @@ def drawing(*, closely: bool = False, phone: bool = False) -> Iterator[None]:
             "the extra 'report'",
             "Install it: pip install 'cellwise[report]'",
         ) from error
-    width: Any = {"figure.figsize": (PHONE_IN if phone else WIDTH_IN, 1.0)}
-    with matplotlib.rc_context(_rc() | width | (CLOSELY if closely else {})):
+    with matplotlib.rc_context(_rc() | (CLOSELY if closely else {})):
         yield
-
-
-def on_phone() -> bool:
-    """Whether a picture is being drawn for a narrow window."""
-    from matplotlib import rcParams
-
-    return bool(rcParams["figure.figsize"][0] == PHONE_IN)
 
 
 @functools.cache
@@ -98,8 +86,7 @@ def new_figure(height_in: float) -> Figure:
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     engine = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.02)
-    size = (PHONE_IN, PHONE_HEIGHT * height_in) if on_phone() else (WIDTH_IN, height_in)
-    return Figure(figsize=size, layout=engine)
+    return Figure(figsize=(WIDTH_IN, height_in), layout=engine)
 
 
 def two_columns(
@@ -109,11 +96,7 @@ def two_columns(
 
     Each column takes its rows' places for itself, so labels in one leave no hole in the other.
     """
-    if on_phone():
-        figure.set_figheight(2.0 * figure.get_figheight())
-        parts: Any = figure.subfigures(2, 1, height_ratios=(0.55, 0.45))
-    else:
-        parts = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
+    parts: Any = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
     columns: list[list[Axes]] = []
     for part, heights in zip(parts, (left, right), strict=True):
         part.set_facecolor("none")
@@ -124,24 +107,19 @@ def two_columns(
 
 def panels(figure: Figure, rows: int, columns: int, **options: Any) -> list[Axes]:
     """Axes row by row, of equal size; ``options`` as of `Figure.subplots`."""
-    if on_phone():
-        figure.set_figheight(columns * figure.get_figheight())
-        rows, columns = rows * columns, 1
     return list(figure.subplots(rows, columns, squeeze=False, **options).flat)
 
 
 def finding(axes: Axes, text: str, share: float = 0.9) -> None:
     """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
-    width_in = 0.72 * PHONE_IN if on_phone() else share * WIDTH_IN
-    axes.set_title("\n".join(wrapped(text, 72.0 * width_in)))
+    axes.set_title("\n".join(wrapped(text, 72.0 * share * WIDTH_IN)))
 
 
 def heading(figure: Figure, text: str) -> None:
-    """Title of a whole figure; on a phone in lines no wider than it, in its axes' size."""
-    size: float = _rc()["axes.titlesize"] if on_phone() else HEADING_PT
-    width_pt = 72.0 * (PHONE_IN if on_phone() else WIDTH_IN)
-    title = "\n".join(wrapped(text, 0.95 * width_pt * _rc()["axes.titlesize"] / size))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold")
+    """Title of a whole figure, in lines no wider than it."""
+    width_pt = 0.95 * 72.0 * WIDTH_IN * _rc()["axes.titlesize"] / HEADING_PT
+    title = "\n".join(wrapped(text, width_pt))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=HEADING_PT, fontweight="bold")
 
 
 def wrapped(text: str, width_pt: float) -> list[str]:
@@ -193,8 +171,7 @@ def key_below(figure: Figure, handles: Sequence[Artist] = ()) -> None:
     keys = list(handles) or list(named.values())
     if keys:
         names = [str(key.get_label()) for key in keys] if handles else list(named)
-        columns = 2 if on_phone() else 8
-        figure.legend(keys, names, loc=cast(Any, "outside lower left"), ncols=columns)
+        figure.legend(keys, names, loc=cast(Any, "outside lower left"), ncols=8)
 
 
 def zero_line(axes: Axes) -> None:

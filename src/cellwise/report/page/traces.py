@@ -14,7 +14,7 @@ from cellwise.report.page import style
 from cellwise.report.page.numerals import millivolt, time_unit
 from cellwise.typing import BoolArray, FloatArray
 
-COLUMNS, PHONE_COLUMNS, BAND_COLUMNS = 900, 300, 300  # of pixels: of a line, of a band
+COLUMNS, BAND_COLUMNS = 900, 300  # of pixels: of a line, of a band
 
 
 def thin_rows(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> NDArray[np.intp]:
@@ -52,21 +52,21 @@ def thin_rows(x: FloatArray, y: FloatArray, columns: int = COLUMNS) -> NDArray[n
 
 
 def thin(
-    x: FloatArray, y: FloatArray, columns: int = 0, gaps: BoolArray | None = None
+    x: FloatArray, y: FloatArray, columns: int = COLUMNS, gaps: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """A trace to draw: extremes kept, broken where the log has a gap.
 
     Parameters
     ----------
     x, y : (n,) float         see :func:`thin_rows`
-    columns : int             as of it; 0: as the picture is wide
+    columns : int             as of it
     gaps : (n,) bool or None  rows that end a gap
 
     Returns
     -------
     x, y : (m,) float
     """
-    rows = thin_rows(x, y, columns or (PHONE_COLUMNS if style.on_phone() else COLUMNS))
+    rows = thin_rows(x, y, columns)
     if gaps is None or not gaps.any():
         return x[rows], y[rows]
     passed = np.cumsum(gaps)

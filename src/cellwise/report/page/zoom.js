@@ -2,7 +2,7 @@
 // A view is the part of an axes' box that is shown, in shares of it: x from the left, y from above.
 "use strict";
 (() => {
-  const NAMES = "http://www.w3.org/2000/svg", LEAST = 1e-4, WHOLE = [0, 1], CLICK = 5;
+  const NAMES = "http://www.w3.org/2000/svg", LEAST = 1e-4, WHOLE = [0, 1], CLICK = 5, BESIDE = 46, NARROWEST = 250;
   const SECONDS = { s: 1, min: 60, h: 3600 };
   const PAIR = /(-?\d+(?:\.\d+)?(?:e-?\d+)?)[ ,](-?\d+(?:\.\d+)?(?:e-?\d+)?)/g;
 
@@ -36,22 +36,35 @@
   }
 
   function imageMover(image) {
+    const drawn = image.getAttribute("transform") || "";
     return (x, y) => {
       const sx = x(1) - x(0), sy = y(1) - y(0);
-      image.setAttribute("transform", `matrix(${sx} 0 0 ${sy} ${x(0)} ${y(0)})`);
+      image.setAttribute("transform", `matrix(${sx} 0 0 ${sy} ${x(0)} ${y(0)}) ${drawn}`);
     };
   }
 
-  function textMover(text, [a, b], inside) {
+  function textMover(group, [a, b, ofX, ofY], still, inside, right) {
+    // In a narrow window it is as large as the rest, and ends where the window does.
+    const sizes = [...group.querySelectorAll("text")].map((t) => parseFloat(t.style.fontSize) || 8);
+    const larger = right ? Math.max(11.1 / Math.min(...sizes), 1) : 1;
     return (x, y) => {
-      const left = x(a), top = y(b);
-      text.setAttribute("transform", `translate(${left - a} ${top - b})`);
-      text.style.display = inside(left, top) ? "" : "none";
+      const left = (ofX ? x : still.x)(a), top = (ofY ? y : still.y)(b);
+      group.setAttribute("transform",
+        `translate(${left} ${top}) scale(${larger}) translate(${-a} ${-b})`);
+      group.style.display = inside(left, top) ? "" : "none";
+      if (!right || group.style.display) return;
+      const box = group.getBBox(), ends = left + larger * (box.x + box.width - a);
+      const over = Math.max(ends - right, 0) || Math.min(left + larger * (box.x - a), 0);
+      if (over) group.setAttribute("transform", group.getAttribute("transform").replace(
+        /[^(]+/, "translate").replace(/\((\S+)/, `(${left - over}`));
     };
   }
 
   function movers(group, axes, svg) {
-    const [left, top, wide, tall] = axes.box, found = [];
+    const [left, top, wide, tall] = axes.at || axes.box, found = [];
+    const right = axes.at ? axes.end || svg.viewBox.baseVal.width : 0, [left0, top0, wide0, tall0] = axes.box;
+    const still = { x: (old) => left + (wide * (old - left0)) / wide0,
+      y: (old) => top + (tall * (old - top0)) / tall0 };
     const inside = (x, y) =>
       x >= left - 1 && x <= left + wide + 1 && y >= top - 1 && y <= top + tall + 1;
     for (const clipped of group.querySelectorAll("[clip-path]")) {
@@ -65,7 +78,7 @@
     }
     axes.texts.forEach((place, k) => {
       const text = group.querySelector(`[data-text="${k}"]`);
-      if (text) found.push(textMover(text, place, inside));
+      if (text) found.push(textMover(text, place, still, inside, right));
     });
     return found;
   }
@@ -100,7 +113,8 @@
 
   function plotOf(svg, axes, number) {
     const group = svg.querySelector(`[data-plot="${number}"]`);
-    const [left, top, wide, tall] = axes.box;
+    const [left0, top0, wide0, tall0] = axes.box;  // in which it was drawn
+    const [left, top, wide, tall] = axes.at || axes.box;
     const plot = { axes, view: { x: WHOLE, y: WHOLE }, moving: movers(group, axes, svg) };
     const own = { x: made("g", group), y: made("g", group) };
     group.prepend(own.x, own.y);  // below the data
@@ -108,34 +122,48 @@
     for (const side of ["x", "y"])
       ticks[side] = [...group.querySelectorAll(`[data-axis="${side}"] > [data-tick]`)];
     const place = {
-      x: (old) => left + (wide * ((old - left) / wide - plot.view.x[0])) / span(plot.view.x),
-      y: (old) => top + (tall * ((old - top) / tall - plot.view.y[0])) / span(plot.view.y),
+      x: (old) => left + (wide * ((old - left0) / wide0 - plot.view.x[0])) / span(plot.view.x),
+      y: (old) => top + (tall * ((old - top0) / tall0 - plot.view.y[0])) / span(plot.view.y),
     };
 
     function axis(side) {
-      const axis = axes[side], view = plot.view[side], whole = view[0] === 0 && view[1] === 1;
+      const axis = axes[side], view = plot.view[side];
+      const whole = view[0] === 0 && view[1] === 1 && !axes.at;
+      let free = -Infinity;  // where in a narrow window the next word has room
       own[side].replaceChildren();
       for (const tick of ticks[side]) {
-        const use = tick.querySelector("use");
+        const use = tick.querySelector("use"), text = tick.querySelector("text");
         tick.removeAttribute("transform");
-        tick.style.display = whole || (axis.words && use) ? "" : "none";
-        if (whole || !axis.words || !use) continue;
-        const old = +use.getAttribute(side), now = place[side](old);
+        tick.style.display = whole || axis.words ? "" : "none";
+        if (whole || !axis.words || !(use || text)) continue;
+        // Without a mark where the middle of the word is.
+        const old = use ? +use.getAttribute(side) : +text.getAttribute(side) - (side === "y" ? 3 : 0);
+        const now = place[side](old);
         const low = side === "x" ? left : top, size = side === "x" ? wide : tall;
         if (now < low - 1 || now > low + size + 1) tick.style.display = "none";
-        const moved = side === "x" ? `${now - old} 0` : `0 ${now - old}`;
+        const moved = side === "x" ? `${now - old} ${top + tall - top0 - tall0}`
+          : `${left - left0} ${now - old}`;
         tick.setAttribute("transform", `translate(${moved})`);
+        if (!axes.at || side === "y" || !text || tick.style.display) continue;
+        text.removeAttribute("transform");
+        for (const [key, v] of [["x", old], ["y", top0 + tall0 + 14]]) text.setAttribute(key, v);
+        text.style.textAnchor = axis.turned ? "end" : "middle";
+        if (axis.turned) text.setAttribute("transform", `rotate(-40 ${old} ${top0 + tall0 + 14})`);
+        if (axis.turned) continue;
+        const half = text.getComputedTextLength() / 2;
+        if (now - half < free) text.style.display = "none";
+        else free = now + half + 4;
       }
       if (whole || axis.words) return;
       const shares = side === "x" ? view : [1 - view[1], 1 - view[0]];
-      const [low, high] = shares.map((share) => value(axis, share));
-      const about = side === "x" ? Math.max(wide / 70, 2) : Math.max(tall / 30, 2);
+      const [low, high] = shares.map((share) => value(axis, share)).sort((a, b) => a - b);
+      const about = side === "x" ? Math.max(wide / 70, 2) : Math.max(tall / 30, axes.at ? 3 : 2);
       const found = axis.log ? decades(low, high) : round(low, high, about);
-      for (const [v, text] of found) draw(side, axis, shareOf(axis, v), text);
+      for (const [v, text] of found) drawTick(side, axis, shareOf(axis, v), text);
     }
 
-    function draw(side, axis, share, text) {
-      const at = side === "x" ? place.x(left + share * wide) : place.y(top + (1 - share) * tall);
+    function drawTick(side, axis, share, text) {
+      const at = side === "x" ? place.x(left0 + share * wide0) : place.y(top0 + (1 - share) * tall0);
       const ends = side === "x" ? { x1: at, x2: at, y1: top, y2: top + tall }
         : { x1: left, x2: left + wide, y1: at, y2: at };
       if (axis.grid) made("line", own[side], { ...ends, class: "grid" });
@@ -210,6 +238,7 @@
         }
       requestAnimationFrame(draw);
     }
+    if (all[0].at) for (const plot of plots) plot.draw();
     // Plots over the time of one log: seconds from its first row, in shares of the axis and back.
     const clock = figure.dataset.clock, x0 = plots[0].axes.x;
     const unit = clock && SECONDS[(x0.label.match(/\btime \[(\w+)\]/) || [])[1]];
@@ -315,27 +344,30 @@
       upright ? wide : Math.abs(at.x - end.x), level ? tall : Math.abs(at.y - end.y)];
   }
 
-  // A narrow window has the picture that is drawn for it.
+  // A narrow window has the same picture, laid out for it.
   const narrow = matchMedia("(max-width: 700px)");
   for (const figure of document.querySelectorAll("figure[data-axes]")) {
-    const fit = figure.querySelector("template"), wide = figure.querySelector("svg");
-    const drawn = [[wide, figure.dataset.axes], [fit.content.firstElementChild, fit.dataset.axes]];
+    const wide = figure.querySelector("svg"), axes = figure.dataset.axes, fresh = wide.cloneNode(true);
     let begun = false;
     const begin = () => { if (!begun) { begun = true; start(figure); } };
-    for (const [svg] of drawn) {
+    const dress = (svg) => {
       svg.setAttribute("tabindex", "0");
       for (const kind of ["pointerenter", "focus"]) svg.addEventListener(kind, begin);
-    }
-    const dress = () => {
-      const [svg, axes] = drawn[+narrow.matches];
-      if (svg.isConnected) return;
-      figure.querySelector("svg").replaceWith(svg);
-      figure.dataset.axes = axes;
-      figure.classList.toggle("fit", narrow.matches);
       begun = false;
     };
-    narrow.addEventListener("change", dress);
-    dress();
+    const fit = () => {
+      figure.classList.toggle("fit", narrow.matches);
+      const room = Math.max(document.documentElement.clientWidth - BESIDE, NARROWEST);
+      const [svg, told] = narrow.matches ? narrowed(fresh, JSON.parse(axes), room)
+        : [fresh.cloneNode(true), JSON.parse(axes)];
+      figure.querySelector("svg").replaceWith(svg);
+      figure.dataset.axes = JSON.stringify(told);
+      dress(svg);
+      if (narrow.matches) begin();
+    };
+    narrow.addEventListener("change", fit);
+    if (narrow.matches) fit();
+    else dress(wide);
     // The first event of another plot of the same log begins this one, which then hears it, too.
     if (figure.dataset.clock)
       for (const kind of ["cellwise-point", "cellwise-look"])
