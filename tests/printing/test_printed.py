@@ -15,12 +15,11 @@ from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
-from cellwise.printing.__main__ import main
+from cellwise.printing.__main__ import PRINTED, SOURCE, main
 from cellwise.printing.c.c99 import Function
 from cellwise.printing.c.firmware import print_header
 from cellwise.printing.c.reading import Program
 from cellwise.printing.c.text import any_of, broken, comment, float_literal, merged
-from cellwise.printing.outputs import PRINTED, SOURCE
 from sources import tree_of
 
 PROGRAM = Program(

@@ -1,7 +1,7 @@
 """Loops over the states of a cell, written out before anything is compiled or printed.
 
 What a filter does to every state, or to every entry of its covariance, stands once, as a loop over
-the table of :mod:`cellwise.cell.description`; numba and C get a sentence for each state. In a
+the table of :mod:`cellwise.cell.description`; numba and C get a statement for each state. In a
 function with :func:`unrolled`, for states ``i`` and ``j``,
 
 - ``for i in STATES``, ``for i, j in triangle(STATES)``: the body for each;
@@ -52,7 +52,7 @@ def unrolled(function: Written) -> Written:
 
 
 def unrolled_by_option(function: Written) -> Written:
-    """The same, each sentence under the options of its states: ``if SLOW and HYSTERESIS``."""
+    """The same, each statement under the options of its states: ``if SLOW and HYSTERESIS``."""
     made: Written = _made(function, True)
     return made
 
@@ -62,8 +62,7 @@ def _made(function: Any, by_option: bool) -> Any:
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     written = write_out(tree.body[0], function.__globals__, by_option)
     written.decorator_list = []
-    ast.increment_lineno(tree, code.co_firstlineno - 1)
-    tree.body[0] = written
+    tree.body[0] = ast.increment_lineno(written, code.co_firstlineno - 1)
     scope: dict[str, Any] = {}
     flags = code.co_flags & 0x1000000  # annotations stay text
     exec(compile(tree, code.co_filename, "exec", flags, dont_inherit=True), scope)
@@ -96,7 +95,7 @@ class _Bound(ast.NodeTransformer):
         return _Bound(self.scope, self.states | states, self.by_option, self.held)
 
     def within(self) -> _Bound:
-        """Inside a sentence that stands under the options of its states."""
+        """Inside a statement that stands under the options of its states."""
         held = (*self.held, *self.options())
         return _Bound(self.scope, self.states, self.by_option, held)
 

@@ -17,7 +17,7 @@ HOMES = {
     "ekf": "cellwise.estimate.filters.kalman:Ekf",
     "ukf": "cellwise.estimate.filters.kalman:Ukf",
     "adaptive": "cellwise.estimate.adaptive.adaptive:Adaptive",
-    "rest-ocv": "cellwise.estimate.filters.rest_ocv:RestOcv",
+    "rest-ocv": "cellwise.estimate.filters.coulomb:RestOcv",
     "fixed-step": "cellwise.estimate.fixed.fixed_step:FixedStep",
     "firmware": "cellwise.export.firmware:Firmware",
     "filterpy-ekf": "cellwise.estimate.filters.filterpy_filters:FilterpyEkf",

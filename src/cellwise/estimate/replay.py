@@ -30,7 +30,6 @@ from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
-from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace, TraceSums, nis_by_scale, trace_sums
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
@@ -114,13 +113,10 @@ class Replay(Plottable, Tabular):
     def sums(self) -> TraceSums:
         """Sums over the trace: innovations, their squares, what was rejected."""
         trace = self.trace
-        unused = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
         return trace_sums(
             np.ascontiguousarray(trace.innovation_V),
             np.ascontiguousarray(trace.innovation_variance_V2),
             np.ascontiguousarray(trace.status, dtype=np.int32),
-            int(unused),
-            int(INNOVATION_REJECTED),
         )
 
     @property

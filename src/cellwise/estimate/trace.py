@@ -16,7 +16,7 @@ from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAG
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IntArray
 
-UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
+UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN  # voltages that did not count
 LEAST_ROWS = 20
 
 
@@ -67,22 +67,20 @@ def trace_sums(
     innovation_V: FloatArray,
     variance_V2: FloatArray,
     status: IntArray,
-    unused: int,
-    rejected: int,
 ) -> TraceSums:
-    """Sums over the rows; ``unused`` are the bits of voltages that did not count."""
+    """Sums over the rows."""
     known, used, rejections, bits = 0, 0, 0, 0
     squares, nis = 0.0, 0.0
     for k in range(innovation_V.size):
         bits |= status[k]
-        if status[k] & rejected:
+        if status[k] & INNOVATION_REJECTED:
             rejections += 1
         square = innovation_V[k] * innovation_V[k]
         if not math.isfinite(square):
             continue
         known += 1
         squares += square
-        if status[k] & unused:
+        if status[k] & UNUSED:
             continue
         ratio = square / variance_V2[k]
         if math.isfinite(ratio):

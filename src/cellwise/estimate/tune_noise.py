@@ -13,8 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
-from cellwise.estimate.trace import Trace
+from cellwise.estimate.trace import UNUSED, Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -27,7 +26,6 @@ SENSOR_FACTOR = 1.3
 MODEL_FACTOR = 3.0
 EVALUATIONS = 250
 SMALLEST = 1e-6
-UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN
 LARGEST_SQUARE = 25.0  # a rejected voltage counts as one at the gate
 
 

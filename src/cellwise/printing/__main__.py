@@ -4,9 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
-from cellwise.printing.outputs import PRINTED, SOURCE, printed
+from cellwise.printing.c.firmware import print_header, print_source
+from cellwise.printing.formulas import theory_text
+
+# The repository's root: files are named from there.
+SOURCE = Path(__file__).resolve().parents[3]
+
+PRINTED: dict[str, Callable[[], str]] = {
+    "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
+    "firmware_ref/cellwise_ekf.h": print_header,
+    "firmware_ref/cellwise_ekf.c": print_source,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     differ = 0
     for name in PRINTED:
         path = SOURCE / name
-        new = printed(name)
+        new = PRINTED[name]()
         if path.exists() and path.read_text(encoding="utf-8") == new:
             continue
         differ += 1

@@ -237,30 +237,6 @@ class TestHeld:
 
 
 class TestSteps:
-    def test_with_nothing_to_learn_it_is_the_ekf(self):
-        nothing = AdaptiveSettings(learn=())
-        mine = Adaptive(MODEL, settings=nothing).run(LOG, 0.7)
-        plain = trusting(MODEL).run(LOG, 0.7)
-        # They part in the first minutes of a wrong start, and in small covariances of noise.
-        late = slice(len(LOG) // 5, None)
-        assert np.max(np.abs(mine.soc - plain.soc)[late]) < 2e-3
-        np.testing.assert_allclose(mine.soc_std[late], plain.soc_std[late], rtol=0.05, atol=1e-4)
-
-    def test_two_logs_do_not_know_of_each_other(self):
-        adaptive = Adaptive(MODEL)
-        first = adaptive.run(LOG, 0.7).soc
-        adaptive.run(replace(LOG, current_A=LOG.current_A + 0.3), 0.2)
-        np.testing.assert_array_equal(adaptive.run(LOG, 0.7).soc, first)
-
-    def test_a_gap_is_told_and_survived(self):
-        kept = np.flatnonzero((LOG.time_s < 3000) | (LOG.time_s > 3600))
-        holey = LOG.rows(kept)
-        trace = Adaptive(MODEL).run(holey, 0.95, 0.02)
-        row = int(np.flatnonzero(holey.gap_rows)[0])
-        assert trace.status[row] & Status.SEQUENCE_GAP
-        assert trace.soc_std[row] > trace.soc_std[row - 1]
-        assert abs(trace.soc[-1] - truth(LOG)[kept][-1]) < 0.03
-
     def test_a_state_that_is_not_finite_begins_anew(self):
         adaptive = Adaptive(MODEL)
         state = adaptive.init(0.5)

@@ -21,25 +21,14 @@ from benchmarks.accuracy.lfp import (
     with_offset,
 )
 
+from measured_models import AT_ITS_BOUND, missed, rmse
+
 HELD_OUT = ("n25", "n15", "p25", "p45")
 PLATEAU_END = 0.2
 BEYOND = "10 K colder than its data the model is 64 mV off: {}"
 BETWEEN = "resistances of -25 and 5 degC are not those of -15: {}"
-AT_ITS_BOUND = "at its bound"
 
 pytestmark = pytest.mark.slow
-
-
-def each_temperature(**missed):
-    """The temperatures; ``missed``: the reason where a figure falls short."""
-    found = []
-    for tag in HELD_OUT:
-        reason = missed.get(tag)
-        # On another processor a figure at its bound may lie on its other side.
-        strict = reason is None or AT_ITS_BOUND not in reason
-        marks = [pytest.mark.xfail(strict=strict, reason=reason)] if reason else []
-        found.append(pytest.param(tag, marks=marks))
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +50,8 @@ def loss(model, log, name, *std):
     return 100.0 * (ours - from_known(model, log, "coulomb").rmse)
 
 
-def rmse(error):
-    return float(np.sqrt(np.mean(np.square(error))))
-
-
 @pytest.mark.parametrize("name", ["ekf", "ukf", "adaptive"])
-@pytest.mark.parametrize("tag", each_temperature())
+@pytest.mark.parametrize("tag", HELD_OUT)
 def test_wrong_on_the_plateau_the_band_holds_the_truth(held_out, tag, name):
     if tag == "n25" and name != "ukf":
         pytest.xfail("85 % of the rows: " + BEYOND.format("taken for an offset of the current"))
@@ -77,8 +62,8 @@ def test_wrong_on_the_plateau_the_band_holds_the_truth(held_out, tag, name):
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
 @pytest.mark.parametrize(
     "tag",
-    each_temperature(
-        n25=BEYOND.format("8.4 % (EKF), 6.0 % (UKF)"), n15=BETWEEN.format("3.5 %, 3.9 %")
+    missed(
+        HELD_OUT, n25=BEYOND.format("8.4 % (EKF), 6.0 % (UKF)"), n15=BETWEEN.format("3.5 %, 3.9 %")
     ),
 )
 def test_wrong_on_the_plateau_it_is_within_two_points_past_its_end(held_out, tag, name):
@@ -89,7 +74,8 @@ def test_wrong_on_the_plateau_it_is_within_two_points_past_its_end(held_out, tag
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
 @pytest.mark.parametrize(
     "tag",
-    each_temperature(
+    missed(
+        HELD_OUT,
         n25=BEYOND.format("11.9 % (EKF), 10.5 % (UKF)"),
         n15=BETWEEN.format("3.6 %, 4.1 %"),
         p45=f"2.1 %: {AT_ITS_BOUND}",
@@ -101,17 +87,17 @@ def test_wrong_on_the_plateau_it_is_within_two_points_after_a_fifth(held_out, ta
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-@pytest.mark.parametrize("tag", each_temperature())
+@pytest.mark.parametrize("tag", HELD_OUT)
 def test_a_true_start_is_not_pulled_away(held_out, tag, name):
     assert loss(*held_out(tag), name) < LOST
 
 
-@pytest.mark.parametrize("tag", each_temperature())
+@pytest.mark.parametrize("tag", HELD_OUT)
 def test_a_true_start_that_nobody_vouches_for_is_not_pulled_away(held_out, tag):
     assert loss(*held_out(tag), "ekf", UNVOUCHED_STD) < LOST
 
 
-@pytest.mark.parametrize("tag", each_temperature())
+@pytest.mark.parametrize("tag", HELD_OUT)
 def test_adaptive_is_hardly_worse_than_the_ekf(held_out, tag):
     model, log = held_out(tag)
     assert loss(model, log, "adaptive") < loss(model, log, "ekf") + WORSE
@@ -119,7 +105,8 @@ def test_adaptive_is_hardly_worse_than_the_ekf(held_out, tag):
 
 @pytest.mark.parametrize(
     "tag",
-    each_temperature(
+    missed(
+        HELD_OUT,
         n25=BEYOND.format("1.6 %"),
         n15=f"1.01 %: {AT_ITS_BOUND}",
         p45=f"1.00 %: {AT_ITS_BOUND}",

@@ -107,21 +107,6 @@ def loss(real_data, cell, name, estimator):
     return rmse(estimator) - rmse("coulomb")
 
 
-AT_ITS_BOUND = "0.30 points"
-
-
-def cases(**missed):
-    """The cases; ``missed``: why one of them falls short, with its figure."""
-    out = []
-    for cell, name in CASES:
-        reason = missed.get(f"{cell}_{name}")
-        # On another processor a figure at its bound may lie on its other side.
-        strict = reason is None or AT_ITS_BOUND not in reason
-        marks = [pytest.mark.xfail(strict=strict, reason=reason)] if reason else []
-        out.append(pytest.param(cell, name, marks=marks))
-    return out
-
-
 @pytest.mark.parametrize("estimator", ["ekf", "ukf"])
 @pytest.mark.parametrize(("cell", "name"), CASES)
 def test_from_a_known_start(real_data, cell, name, estimator):

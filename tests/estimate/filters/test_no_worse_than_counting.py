@@ -18,6 +18,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.logs import read_log
+from measured_models import AT_ITS_BOUND, missed, rmse
 
 REFERENCE_AH = 2.9973  # C/20 at 25 degC
 # Below 0 degC the cell had aged by an unknown part.
@@ -55,23 +56,6 @@ def nca(real_data):
     )
     model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, {t: [log(t, name) for name in names] for t, names in JUDGED.items()}
-
-
-# On another processor a figure at its bound may lie on its other side.
-AT_ITS_BOUND = "at its bound"
-
-
-def missed(values, **reasons):
-    """Parameters; ``reasons``: why one of them falls short, with its figure."""
-
-    def mark(reason):
-        return pytest.mark.xfail(strict=AT_ITS_BOUND not in reason, reason=reason)
-
-    return [pytest.param(v, marks=mark(reasons[v])) if v in reasons else v for v in values]
-
-
-def rmse(error):
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def truth_of(log):

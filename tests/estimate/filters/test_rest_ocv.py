@@ -9,8 +9,7 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.coulomb import Coulomb
-from cellwise.estimate.filters.rest_ocv import REST_S, RestOcv
+from cellwise.estimate.filters.coulomb import REST_S, Coulomb, RestOcv
 from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
 from example_cells import lfp_cell, linear_cell

@@ -70,16 +70,10 @@ def test_every_quantity_widens_as_in_the_float64_filter(valid, warm):
     assert ours > 1.1 * np.mean(spread(FixedStep, plain))
 
 
-def test_a_model_of_before_and_a_step_without_it_have_neither_code_nor_bit():
-    for tables in (
-        fixed_step_tables(curved_cell(), 1.0),
-        fixed_step_tables(replace(MODEL, validity=replace(VALID, soc=None)), 1.0, validity=False),
-    ):
-        assert tables.options.defines()["CELLWISE_VALIDITY"] == 0
-        assert not [n for n in tables.constants.dtype.names if n.startswith("valid_")]
-    log = drive(-10.0)
-    trace = FixedStep(MODEL, dt_s=1.0, validity=False).run(log, 0.85, 0.05)
-    assert not np.any(trace.status & OUTSIDE)
+def test_a_model_of_before_has_neither_code_nor_bit():
+    tables = fixed_step_tables(curved_cell(), 1.0)
+    assert tables.options.defines()["CELLWISE_VALIDITY"] == 0
+    assert not [n for n in tables.constants.dtype.names if n.startswith("valid_")]
 
 
 def test_temperature_is_read_only_where_the_data_s_is_known():

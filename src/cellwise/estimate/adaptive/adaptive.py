@@ -122,13 +122,8 @@ class Adaptive(FilterOfModel):
         offset_A = self._noise.offset_soc_per_s * self._tables.cell.charge_As
         kernel.put_free(self._rules, offset_A, out, 0, state.filter, state.free)
         known = self._parameters(out)
-        return AdaptiveInfo(
-            *info,
-            **{name: known[name][0].item() for name in AdaptiveInfo._fields if name in known},
-            held_offset=int(known["held"][0, 0]),
-            held_resistance=int(known["held"][1, 0]),
-            held_charge=int(known["held"][2, 0]),
-        )
+        numbers = [known[name][0].item() for name in AdaptiveInfo._fields if name in known]
+        return AdaptiveInfo(*info, *numbers, *known["held"][:, 0].tolist())
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
         """Replay a whole log; the same steps in one compiled loop."""

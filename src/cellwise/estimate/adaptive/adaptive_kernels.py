@@ -45,8 +45,8 @@ class AdaptiveState(NamedTuple):
     free: Free
 
     def __getattr__(self, name: str) -> Any:
-        """What the EKF's state has: its SOC, offset and capacity as they are believed."""
-        return getattr(self.filter, name)
+        """What its two parts have: the EKF's SOC, offset and capacity as they are believed."""
+        return getattr(self.free if name in Free._fields else self.filter, name)
 
 
 @kernel

@@ -90,46 +90,31 @@ class AdaptiveTrace(Trace):
     def parameters(self, row: int = -1) -> Parameters:
         """Values at one row, the last by default; reasons are those of most rows up to there."""
         stop = len(self) if row == -1 else row + 1
-        why = [_mostly(bits[:stop]) for bits in self.held]
-        charge = float(self.charge_probability[row])
-        fixed = "the charge is laid to the other"
-        resistance = _at(self.resistance_scale, self.resistance_std, row, None, why[1])
-        capacity = _at(
-            self.capacity_Ah,
-            self.capacity_std_Ah,
-            row,
-            None if self.estimates_gain else charge,
-            fixed if self.estimates_gain else why[2],
+        offset, resistance, charge = (_mostly(bits[:stop]) for bits in self.held)
+        chance = float(self.charge_probability[row])
+        # Held and its chance, of the one that a change of charge is laid to and of the other.
+        laid, other = (charge, chance), ("the charge is laid to the other", None)
+
+        def at(
+            value: FloatArray, std: FloatArray, held: str | None, probability: float | None = None
+        ) -> Estimated:
+            return Estimated(float(value[row]), float(std[row]), probability, held)
+
+        scale = at(self.resistance_scale, self.resistance_std, resistance)
+        gain = at(self.gain, self.gain_std, *(laid if self.estimates_gain else other))
+        capacity = at(
+            self.capacity_Ah, self.capacity_std_Ah, *(other if self.estimates_gain else laid)
         )
+        probability = float(self.offset_probability[row])
         return Parameters(
-            offset_A=_at(
-                self.offset_A,
-                self.offset_std_A,
-                row,
-                float(self.offset_probability[row]),
-                why[0],
-            ),
-            gain=_at(
-                self.gain,
-                self.gain_std,
-                row,
-                charge if self.estimates_gain else None,
-                why[2] if self.estimates_gain else fixed,
-            ),
-            resistance_scale=resistance,
-            polarisation_scale=_at(
-                self.polarisation_scale, self.polarisation_std, row, None, why[1]
-            ),
+            offset_A=at(self.offset_A, self.offset_std_A, offset, probability),
+            gain=gain,
+            resistance_scale=scale,
+            polarisation_scale=at(self.polarisation_scale, self.polarisation_std, resistance),
             capacity_Ah=capacity,
             soh_capacity=capacity.value / self.model_capacity_Ah,
-            soh_resistance=resistance.value,
+            soh_resistance=scale.value,
         )
-
-
-def _at(
-    value: FloatArray, std: FloatArray, row: int, probability: float | None, held: str | None
-) -> Estimated:
-    return Estimated(float(value[row]), float(std[row]), probability, held)
 
 
 def _mostly(bits: IntArray) -> str | None:

@@ -92,7 +92,6 @@ class Asked:
     wide : bool               take care of slopes while SOC is badly known; without it the code is
                               smaller, and slower to recover from a start that is far off
     watch : bool              watch for sensors that freeze or fall silent
-    validity : bool           say and widen beyond the model's data, where these are known
     power : PowerSettings or None   what the state of power is asked for: one horizon, currents held
     remaining_V : float or None     cutoff down to which time and energy are asked for
     health : bool                   take capacity and resistance from a history
@@ -106,7 +105,6 @@ class Asked:
     points: int | None = None
     wide: bool = True
     watch: bool = True
-    validity: bool = True
     power: PowerSettings | None = None
     remaining_V: float | None = None
     health: bool = False
@@ -143,7 +141,7 @@ def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(asked.wide),
         watch=int(asked.watch),
-        validity=_watched(model) if asked.validity else 0,
+        validity=_watched(model),
         power=int(asked.power is not None),
         remaining=int(asked.remaining_V is not None),
         health=int(asked.health),

@@ -190,7 +190,7 @@ def present_of(
         exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
         return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0)
     if isinstance(state, AdaptiveState):
-        r = state.free.resistances
+        r = state.resistances
         but = but._replace(fast=r.fast, tail=r.tail)
         p, scale_variance = state.p, r.fast_variance
     else:

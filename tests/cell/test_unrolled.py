@@ -1,0 +1,79 @@
+"""Loops over the states, written out: what numba compiles and what C is printed from."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+
+import pytest
+
+from cellwise.cell.description import BRANCHES, CELL, SOC, V3, H, triangle
+from cellwise.cell.unrolled import THERE, unrolled, write_out
+
+SCOPE = {"BRANCHES": BRANCHES, "CELL": CELL, "SOC": SOC, "V3": V3, "H": H, "triangle": triangle}
+
+
+def written(body, by_option=False):
+    """The sentences that a body becomes."""
+    text = f"def f(p, x, d, t, w):\n{textwrap.indent(body, '    ')}"
+    made = write_out(ast.parse(text).body[0], SCOPE | {"THERE": THERE}, by_option)
+    return [ast.unparse(s) for s in made.body]
+
+
+@pytest.mark.parametrize(
+    ("body", "sentences"),
+    [
+        (
+            "k = {}\nfor i in (SOC, V3, H):\n    k[i] = d.row[i] * t.a[i] + x.state[i]",
+            ["ks = d.s * 1.0 + x.soc", "k3 = d.v3 * t.a3 + x.v3_V", "kh = d.h * t.ah + x.h"],
+        ),
+        (
+            "for i, j in triangle((SOC, V3)):\n"
+            "    if i != j:\n        x.p[j, i] = p[i, j]\n"
+            "    else:\n        x.p[i, j] = 0",
+            ["x.ss = 0", "x.s3 = p.s3", "x.p33 = 0"],
+        ),
+        (
+            "f(*(w[i] if i in BRANCHES else 0 for i in CELL), sum(x.r[j] for j in BRANCHES[1:]))",
+            ["f(0, w1, w2, w3, 0, x.r2_ohm + x.r3_ohm)"],
+        ),
+        (
+            "for k in range(3):\n    for i in (V3,):\n        p[k] = x.carry[i]",
+            ["for k in range(3):\n    p[k] = x.v3_carry_V"],
+        ),
+    ],
+)
+def test_a_loop_over_states_is_a_sentence_for_each(body, sentences):
+    assert written(body) == sentences
+
+
+def test_a_sentence_stands_under_the_options_of_its_states_once():
+    assert written(
+        "for i in (SOC, V3):\n"
+        "    c[i] = x.state[i] if THERE else ZERO\n"
+        "    if x.soc > ZERO:\n        for j in (V3, H):\n            x.p[i, j] = c[i]",
+        by_option=True,
+    ) == [
+        "cs = x.soc",
+        "if x.soc > ZERO:\n    if SLOW:\n        x.s3 = cs\n    if HYSTERESIS:\n        x.sh = cs",
+        "c3 = x.v3_V if SLOW else ZERO",
+        "if SLOW:\n    if x.soc > ZERO:\n        x.p33 = c3\n        if HYSTERESIS:\n"
+        "            x.p3h = c3",
+    ]
+
+
+@unrolled
+def branches_of(x):
+    """Their sum."""
+    return sum(x.state[i] for i in BRANCHES)
+
+
+def test_a_function_keeps_its_name_its_words_and_its_line():
+    class Cell:
+        v1_V, v2_V, v3_V = 0.1, 0.2, 0.4
+
+    assert branches_of(Cell) == pytest.approx(0.7)
+    assert (branches_of.__name__, branches_of.__doc__) == ("branches_of", "Their sum.")
+    lines = inspect.getsource(inspect.getmodule(branches_of)).split("\n")
+    assert lines[branches_of.__code__.co_firstlineno - 1].startswith("def branches_of")
