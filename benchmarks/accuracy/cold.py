@@ -25,8 +25,6 @@ TARGETS = {25.0: 0.4, 10.0: 0.6, 0.0: 1.0, -10.0: 1.3, -20.0: 1.8}
 TAGS = {25.0: "p25", 10.0: "p10", 0.0: "p00", -10.0: "n10", -20.0: "n20"}
 CYCLES = ("us06", "hwfet", "hwfta", "udds", "la92", "nn")
 LOST_BY_ONE_MODEL = 0.3
-RESTED_FULL_V = 4.175
-REST_SHARE = 0.01
 
 
 def cold_figures(data: Path, say: Progress) -> list[Figure]:
@@ -88,30 +86,11 @@ def panasonic_tests(data: Path, tag: str, temperature_C: float) -> TestLogs:
         hppc=((log(f"hppc_{tag}"), temperature_C),),
         ocv=(log("ocv_c20_p25"),),
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
-        drive=tuple((_began_full(log(f"drive_{tag}_cycle_{k}")), temperature_C) for k in cycles),
-    )
-
-
-def _began_full(log: CellLog) -> CellLog:
-    """A row of rest at full before a log that begins under load.
-
-    The data's own notes: every drive begins full, rested for an hour; the files of cycle 1 to 3
-    begin with the load, whose first minute does not separate full from half in the cold.
-    """
-    if abs(log.current_A[0]) < REST_SHARE * PANASONIC_AH:
-        return log
-
-    def put(values: np.ndarray | None, first: float) -> np.ndarray | None:
-        return None if values is None else np.concatenate(([first], values))
-
-    return replace(
-        log,
-        time_s=np.concatenate(([log.time_s[0]], log.time_s + 1.0)),
-        current_A=np.concatenate(([0.0], log.current_A)),
-        voltage_V=np.concatenate(([RESTED_FULL_V], log.voltage_V)),
-        temperature_C=put(log.temperature_C, float(np.ravel(log.temperature_C)[0])),
-        charge_Ah=put(log.charge_Ah, float(np.ravel(log.charge_Ah)[0])),
-        step=None,
+        # They began full (README of the cell), in the midst of their load: unstated, the first
+        # minute does not separate full from half in the cold, and they are left out.
+        drive=tuple(
+            (replace(log(f"drive_{tag}_cycle_{k}"), soc0=1.0), temperature_C) for k in cycles
+        ),
     )
 
 

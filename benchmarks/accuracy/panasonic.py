@@ -40,7 +40,7 @@ def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
 
 
 def panasonic_tests(data: Path) -> TestLogs:
-    """Laboratory tests and drives cycle 2 and 3 at 25 degC."""
+    """Laboratory tests and drives cycle 2 and 3 at 25 degC, which began full (its README)."""
 
     def log(name: str) -> CellLog:
         return measured_log(data, f"{CELL}/{name}")
@@ -49,7 +49,7 @@ def panasonic_tests(data: Path) -> TestLogs:
         hppc=((log("hppc_p25"), None),),
         ocv=(log("ocv_c20_p25"),),
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
-        drive=tuple((log(f"drive_p25_cycle_{k}"), None) for k in (2, 3)),
+        drive=tuple((replace(log(f"drive_p25_cycle_{k}"), soc0=1.0), None) for k in (2, 3)),
     )
 
 

@@ -61,7 +61,7 @@ def test_replay_writes_columns_and_says_within_what(part, run_json, tmp_path):
 
 @pytest.mark.slow
 def test_limits_and_horizons_as_given(part, run_json, capsys):
-    options = ("--power", "--horizons", "5", "--voltage-limits", "3.2", "4.1", "--current-limits",
+    options = ("--power", "--horizons", "5", "--voltage-limits", "3.2", "4.3", "--current-limits",
                "7", "3", "--soc-limits", "0.1", "0.95", "--hold", "current")  # fmt: skip
     log = str(part / "part.csv")
     found = run_json("replay", *MODEL, log, "--soc0", "0.7", *options)["power"]

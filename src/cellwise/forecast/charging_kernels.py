@@ -17,7 +17,7 @@ from cellwise.forecast.records import (
     Remaining,
     Uncertain,
 )
-from cellwise.forecast.warming_kernels import Warmth, rise_std_K, warmed
+from cellwise.forecast.warming_kernels import Warmth, warmed_to
 
 LONGEST = 8  # times the charge time at the present current
 TRIED = 0.9  # of the current, to see what the voltage makes of it
@@ -85,9 +85,8 @@ def to_full(
         else:
             held_s = 0.0
         if lump.heats:
-            warmth = warmed(lump, warmth, max(current * (point.ocv_V - voltage), 0.0), dt_s)
-            here_C = lump.origin_C + warmth.rise_K
-            here_C += away.warmth * rise_std_K(lump, warmth)
+            lost_W = current * (point.ocv_V - voltage)
+            warmth, here_C = warmed_to(lump, warmth, lost_W, dt_s, away.warmth)
         beyond_V = extrapolation_V(valid, here_C, current, abs(held_V))
         if known_V != known_V:
             known_V = beyond_V

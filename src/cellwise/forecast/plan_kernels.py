@@ -10,7 +10,7 @@ from cellwise.cell.equations import CellState, CellTables, advance, voltage_of, 
 from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
 from cellwise.forecast.charging_kernels import new_error_V
 from cellwise.forecast.records import Away, Going, Uncertain
-from cellwise.forecast.warming_kernels import Warmth, rise_std_K, warmed
+from cellwise.forecast.warming_kernels import Warmth, warmed_to
 from cellwise.typing import FloatArray
 
 TURNS = 3  # of a power to its current: an error of a per cent of the voltage is below 1e-6 then
@@ -70,10 +70,8 @@ def through(
             held_V = point.ocv_V - model_V
             voltage = model_V + go.offset_V + go.of_polarisation * held_V + shift_V
         if lump.heats:
-            lost_W = max(current * (point.ocv_V - voltage), 0.0)
-            warmth = warmed(lump, warmth, lost_W, dt_s[k])
-            here_C = lump.origin_C + warmth.rise_K
-            here_C += away.warmth * rise_std_K(lump, warmth)
+            lost_W = current * (point.ocv_V - voltage)
+            warmth, here_C = warmed_to(lump, warmth, lost_W, dt_s[k], away.warmth)
         beyond_V = extrapolation_V(valid, here_C, current, abs(held_V))
         if known_V != known_V:
             known_V = beyond_V

@@ -16,6 +16,7 @@ from cellwise.cell.equations import (
     voltage_of,
     with_soc,
 )
+from cellwise.cell.packed import changed
 from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
 from cellwise.forecast.charging_kernels import new_error_V, to_full
 from cellwise.forecast.records import (
@@ -39,9 +40,8 @@ from cellwise.forecast.warming_kernels import (
     Warming,
     Warmth,
     observed,
-    rise_std_K,
     thermal_of,
-    warmed,
+    warmed_to,
 )
 from cellwise.typing import FloatArray
 
@@ -126,9 +126,8 @@ def to_empty(
         held_V = point.ocv_V - model_V
         voltage = model_V + go.offset_V + go.of_polarisation * held_V
         if lump.heats:
-            warmth = warmed(lump, warmth, max(current * (point.ocv_V - voltage), 0.0), dt_s)
-            here_C = lump.origin_C + warmth.rise_K
-            here_C += away.warmth * rise_std_K(lump, warmth)
+            lost_W = current * (point.ocv_V - voltage)
+            warmth, here_C = warmed_to(lump, warmth, lost_W, dt_s, away.warmth)
         beyond_V = extrapolation_V(valid, here_C, current, abs(held_V))
         if known_V != known_V:
             known_V = beyond_V
@@ -197,10 +196,7 @@ def from_soc(
         _, there = advance(tables, at, go.load_A, 0.0, go.temperature_C)
         now_V = voltage_of(there, at, go.load_A)
         now_V += go.offset_V + go.of_polarisation * (there.ocv_V - now_V)
-    begins = Going(
-        go.load_A, go.hold_power, now_V, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump, go.taper_A,
-    )  # fmt: skip
+    begins = changed(go, "start_V", now_V)
     if go.load_A < 0.0:
         return to_full(tables, at, begins, uncertain, away)
     return to_empty(tables, at, begins, uncertain, away)
@@ -221,10 +217,7 @@ def at_power(tables: CellTables, state: CellState, go: Going, power_W: float) ->
         if voltage <= 0.0:
             break
         current = power_W / voltage
-    return Going(
-        current, go.hold_power, voltage, go.offset_V, go.of_polarisation, go.cutoff_V,
-        go.temperature_C, go.lump, go.taper_A,
-    )  # fmt: skip
+    return changed(changed(go, "load_A", current), "start_V", voltage)
 
 
 @part

@@ -241,3 +241,12 @@ def rise_std_K(lump: Thermal, at: Warmth) -> float:
     variance = at.by_a * (aa * at.by_a + 2.0 * (ak * at.by_k + ac * at.by_c))
     variance += at.by_k * (kk * at.by_k + 2.0 * kc * at.by_c) + at.by_c * (cc * at.by_c)
     return math.sqrt(max(variance, 0.0))
+
+
+@inline
+def warmed_to(
+    lump: Thermal, was: Warmth, lost_W: float, dt_s: float, deviations: float
+) -> tuple[Warmth, float]:
+    """A lump after an interval, and its temperature so many deviations off [degC]."""
+    now = warmed(lump, was, max(lost_W, 0.0), dt_s)
+    return now, (lump.origin_C + now.rise_K) + deviations * rise_std_K(lump, now)

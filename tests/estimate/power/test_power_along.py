@@ -69,7 +69,7 @@ def test_every_row_is_the_power_of_the_filter_s_state_there(name):
         follower.take(reading, state, info.status)
         if k % 17 == 0:
             now = power_limits(
-                CELL, state, horizons_s=(2.0, 10.0), hold="current", bias_V=follower.bias_V
+                CELL, state, horizons_s=(2.0, 10.0), hold="current", seen=follower.seen
             )
             for j, s in enumerate(now):
                 for way in ("discharge", "charge"):
@@ -93,7 +93,7 @@ def test_every_estimator_has_a_power(name):
     ekf, other = (
         replay(CELL, log, n, soc0=START, soc0_std=0.01, power=settings).power for n in ("ekf", name)
     )
-    near = 0.12 if name == "adaptive" else 0.04  # it estimates resistances and an offset, too
+    near = 0.12 if name == "adaptive" else 0.05  # it estimates an offset, too
     np.testing.assert_allclose(other.discharge_W[0, 60:], ekf.discharge_W[0, 60:], rtol=near)
     np.testing.assert_allclose(other.charge_W[0, 60:], ekf.charge_W[0, 60:], rtol=near)
     assert np.all(other.discharge_low_W < other.discharge_W)

@@ -16,7 +16,7 @@ from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limit_kernels import largest_load
 from cellwise.estimate.power.limits import OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import Correction, Present
+from cellwise.estimate.power.load_kernels import AS_MODEL, Present
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell, random_model
 
@@ -145,7 +145,7 @@ def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
     right = ModelError.of_white_and_slow(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
     model = linear_cell(error=right)
     p = uncorrelated(0.02**2, 0.004**2, 0.006**2, 0.0, 0.0)._replace(s1=3e-5, p12=-1e-5)
-    now = Present(LOADED, p, p.ss, 1.0, WARM_C, Correction(1.0, 1.0, 0.0), 0.0)
+    now = Present(LOADED, p, p.ss, 1.0, WARM_C, AS_MODEL)
     limits = operating_limits(model, LIMITS).scalars()
     noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
     found = largest_load(
@@ -181,10 +181,10 @@ def test_factors_and_bias_act_as_they_would_in_the_model():
     settings = power_settings(model, limits=LIMITS)
     nothing = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
     for other, state, but in (
-        (aged, LOADED._replace(v1_V=0.04, v2_V=0.06), Correction(2.0, 2.0, 0.0)),
-        (lower, LOADED, Correction(1.0, 1.0, -0.05)),
+        (aged, LOADED._replace(v1_V=0.04, v2_V=0.06), AS_MODEL._replace(common=1.0, tail=1.0)),
+        (lower, LOADED, AS_MODEL._replace(bias_V=-0.05)),
     ):
-        corrected = settings.of(Present(LOADED, nothing, 0.0, 1.0, WARM_C, but, 0.0))
+        corrected = settings.of(Present(LOADED, nothing, 0.0, 1.0, WARM_C, but))
         known = power_limits(other, state, limits=LIMITS)
         for a, b in zip(corrected, known, strict=True):
             assert a.discharge.power_W == pytest.approx(b.discharge.power_W, rel=1e-5)

@@ -15,12 +15,10 @@ from cellwise.estimate.replay import replay
 from cellwise.forecast.convergence import expected_convergence
 
 CAPACITY_AH = 2.9973
-# The issue asks for 2 and 6 %; measured with the EKF, and why, see docs/tried.md.
+# The issue asks for 3 % in the median; measured with the EKF, and why, see docs/tried.md.
 SHORT = {
-    25.0: "6.4 and 16 %: up to 2C pulses after a rest meet more resistance than drives do",
-    10.0: "4.7 and 16 %: as at 25 degC",
-    0.0: "7.5 and 23 %: below 1C as at 25 degC, above it too little power",
-    -10.0: "7.9 and 20 %: as at 0 degC",
+    -10.0: "4.4 %: what a pulse says at one SOC is another tenth of SOC away no longer so",
+    -20.0: "3.3 %: as at -10 degC",
 }
 
 
@@ -36,34 +34,28 @@ def predicted(identified, real_data):
     return {
         t: pulse_powers(model, measured_log(real_data, f"{PANASONIC}/hppc_{TAGS[t]}"), pulses)
         for t, pulses in left_out.items()
-        if t in SHORT
     }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "temperature_C",
-    [pytest.param(t, marks=pytest.mark.xfail(strict=True, reason=why)) for t, why in SHORT.items()],
+    [
+        pytest.param(
+            t, marks=[pytest.mark.xfail(strict=True, reason=SHORT[t])] if t in SHORT else []
+        )
+        for t in TAGS
+    ],
 )
 def test_pulse_power_within_the_bounds_of_the_issue(predicted, temperature_C):
     off = np.abs([p.error for p in predicted[temperature_C]])
-    assert np.median(off) <= 0.02
-    assert np.quantile(off, 0.95) <= 0.06
-
-
-@pytest.mark.slow
-def test_the_middle_of_the_range_is_predicted(predicted):
-    """Of 2C and more above 20 % SOC, where a power limit is asked for: at 25 and 10 degC."""
-    pulses = [p for t in (25.0, 10.0) for p in predicted[t] if p.current_A > 5.0 and p.soc > 0.2]
-    assert len(pulses) >= 20
-    off = np.abs([p.error for p in pulses])
-    assert np.median(off) <= 0.06
+    assert np.median(off) <= 0.03
 
 
 @pytest.mark.slow
 def test_the_lower_bound_is_sustained(predicted):
     pulses = [p for found in predicted.values() for p in found]
-    assert np.mean([p.predicted_low_W <= p.power_W for p in pulses]) >= 0.9
+    assert np.mean([p.predicted_low_W <= p.power_W for p in pulses]) >= 0.95
 
 
 @pytest.mark.slow

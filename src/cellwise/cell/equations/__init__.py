@@ -6,7 +6,7 @@ equations. The order of operations is part of them: the same bits come out where
 
 from cellwise.cell.equations.interval import advance, loaded, look_up
 from cellwise.cell.equations.load import charge_transfer, transfer_resistance, under_load
-from cellwise.cell.equations.lookup import BEYOND, place_of, tables_at
+from cellwise.cell.equations.lookup import BEYOND, moved, place_of, tables_at
 from cellwise.cell.equations.records import (
     CellState,
     CellTables,
@@ -29,7 +29,7 @@ from cellwise.cell.equations.states import (
     states_step,
     transition,
 )
-from cellwise.cell.equations.surface import at_surface, followed, slow_step, surface_soc, surfaced
+from cellwise.cell.equations.surface import followed, slow_step, surface_soc, surfaced
 from cellwise.cell.equations.temperature import (
     ZERO_CELSIUS_K,
     arrhenius,
@@ -57,7 +57,6 @@ __all__ = [
     "advance",
     "arrhenius",
     "at_rest",
-    "at_surface",
     "at_temperature",
     "branch_gain",
     "charge_transfer",
@@ -72,6 +71,7 @@ __all__ = [
     "loaded",
     "loaded_voltage",
     "look_up",
+    "moved",
     "needs_temperature",
     "place_of",
     "polarisation",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations.load import under_load
-from cellwise.cell.equations.lookup import place_of, tables_at
+from cellwise.cell.equations.lookup import moved, place_of, tables_at
 from cellwise.cell.equations.records import CellState, CellTables, with_heat
 from cellwise.cell.equations.states import soc_step, states_step, transition
-from cellwise.cell.equations.surface import at_surface, slow_step, surface_soc
+from cellwise.cell.equations.surface import slow_step, surface_soc, surfaced
 from cellwise.cell.equations.temperature import at_temperature, heat_step
 from cellwise.cell.equations.voltage import polarisation
 from cellwise.cell.point_kernels import CellPoint
@@ -20,10 +20,13 @@ def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float 
     Resistances and time constants are those of the particles' surface, which follows ``slow_A``.
     """
     cell = tables.cell
-    point = tables_at(tables.table, place_of(tables, soc, temperature_C))
+    table = tables.table
+    mean = place_of(tables, soc, temperature_C)
+    below = mean
     if cell.surface_per_A != 0.0:
         surface = surface_soc(cell, soc, slow_A, temperature_C)
-        point = at_surface(tables, point, surface, temperature_C)
+        below = moved(table, mean, surface)
+    point = surfaced(tables_at(table, mean), tables_at(table, below))
     return at_temperature(cell, point, temperature_C)
 
 

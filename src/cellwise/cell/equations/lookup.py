@@ -21,11 +21,6 @@ def place_of(tables: CellTables, soc: float, temperature_C: float) -> Place:
     to come back on; every other parameter stays at its end value. Temperature is held at the ends.
     """
     table, grid = tables.table, tables.grid_C
-    n = table.shape[1]
-    x = soc * (n - 1)
-    k = np.uint64(min(max(x, 0.0), n - 2.0))  # unsigned: no test for indices from the end
-    f = min(max(x - float(k), -BEYOND * (n - 1)), 1.0 + BEYOND * (n - 1))
-    g = min(max(f, 0.0), 1.0)
     lo = np.uint64(0)
     w = 0.0
     if table.shape[0] > 1:
@@ -34,7 +29,18 @@ def place_of(tables: CellTables, soc: float, temperature_C: float) -> Place:
             lo += np.uint64(1)
         w = (temperature_C - grid[lo]) / (grid[lo + np.uint64(1)] - grid[lo])
         w = min(max(w, 0.0), 1.0)
-    return Place(lo, k, f, g, w)
+    return moved(table, Place(lo, np.uint64(0), 0.0, 0.0, w), soc)
+
+
+@inline
+def moved(table: FloatArray, place: Place, soc: float) -> Place:
+    """The place of another SOC at the same temperature."""
+    n = table.shape[1]
+    x = soc * (n - 1)
+    k = np.uint64(min(max(x, 0.0), n - 2.0))  # unsigned: no test for indices from the end
+    f = min(max(x - float(k), -BEYOND * (n - 1)), 1.0 + BEYOND * (n - 1))
+    g = min(max(f, 0.0), 1.0)
+    return Place(place.lo, k, f, g, place.w)
 
 
 @inline

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations.lookup import place_of, tables_at
-from cellwise.cell.equations.records import CellTables
 from cellwise.cell.equations.states import decay
 from cellwise.cell.equations.temperature import arrhenius
 from cellwise.cell.point_kernels import CellPoint, CellScalars
@@ -37,15 +35,6 @@ def surface_soc(cell: CellScalars, soc: float, slow_A: float, temperature_C: flo
     scale = arrhenius(temperature_C, cell.surface_activation_K, cell.surface_reference_K)
     depth = cell.surface_per_A * scale
     return soc - depth * slow_A
-
-
-@inline
-def at_surface(
-    tables: CellTables, point: CellPoint, surface: float, temperature_C: float
-) -> CellPoint:
-    """A point with resistances and time constants of the SOC at the particles' surface."""
-    below = tables_at(tables.table, place_of(tables, surface, temperature_C))
-    return surfaced(point, below)
 
 
 @inline

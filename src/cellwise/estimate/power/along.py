@@ -11,26 +11,23 @@ from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
-from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import KalmanFilter
 from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
+from cellwise.estimate.power.load_kernels import Correction
+from cellwise.estimate.power.memory_kernels import no_memory, remembered
 from cellwise.estimate.power.present_kernels import (
     CHARGE_LOW_W,
     CHARGE_W,
     DISCHARGE_LOW_W,
     DISCHARGE_W,
-    FAST,
     POWERS,
     PRESENT,
-    SCALE_VARIANCE,
-    TAIL,
-    bias_step,
+    TEMPERATURE_AT,
     carried_states,
     kalman_states,
-    no_bias,
     power_rows,
     present_at,
 )
@@ -102,21 +99,21 @@ def power_along(
     """Power limits at every row of a log that an estimator has made ``trace`` of.
 
     EKF and UKF take every step once more, so that branch voltages, hysteresis and covariance are
-    the filter's own. Of every other estimator only the SOC and its deviation are known (of the
-    adaptive one the resistances' factors, too): the log's current gives the rest.
+    the filter's own. Of every other estimator only the SOC and its deviation are known: the log's
+    current gives the rest.
 
     Parameters
     ----------
     soc0, soc0_std : float      where the estimator began
     """
     announce(power_rows, "the state of power")
-    present, warm = presents_along(settings, estimator, log, trace, soc0, soc0_std)
+    present = presents_along(settings, estimator, log, trace, soc0, soc0_std)
     horizons = np.array(settings.horizons_s)
     out = np.empty((POWERS, horizons.size, len(log)))
     limits: LimitScalars = settings.known.scalars()
     power_rows(
         settings.tables, settings.noise.scalars(settings.model), limits, settings.hold == "power",
-        horizons, present, warm, np.zeros((POWERS, horizons.size)), out,
+        horizons, present, np.zeros((POWERS, horizons.size)), out,
     )  # fmt: skip
     return PowerTrace(
         settings.horizons_s,
@@ -126,7 +123,7 @@ def power_along(
         np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
         out[CHARGE_W],
         np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
-        settings.of(present_at(present, len(log) - 1, float(warm[-1]))),
+        settings.of(present_at(present, len(log) - 1)),
     )
 
 
@@ -137,18 +134,15 @@ def presents_along(
     trace: Trace,
     soc0: float,
     soc0_std: float,
-) -> tuple[FloatArray, FloatArray]:
-    """What the power of every row is computed from: shape (PRESENT, rows), and temperatures."""
+) -> FloatArray:
+    """What the power of every row is computed from, shape (rows, PRESENT)."""
     tables = settings.tables
     warm = known_temperature_C(settings.model, log)
-    present = np.zeros((PRESENT, len(log)))
+    present = np.zeros((len(log), PRESENT))
     if isinstance(estimator, KalmanFilter):
         estimator.take_rows(kalman_states, log, soc0, soc0_std, present)
+        present[:, TEMPERATURE_AT] = warm
     else:
-        present[FAST] = present[TAIL] = 1.0
-        if isinstance(trace, AdaptiveTrace):
-            present[FAST], present[TAIL] = trace.resistance_scale, trace.polarisation_scale
-            present[SCALE_VARIANCE] = np.square(np.nan_to_num(trace.resistance_std))
         carried_states(
             tables, empty_state(float(trace.soc[0]), start_hysteresis(float(trace.soc[0]))),
             log.interval_s, log.known_current_A(), warm,
@@ -156,7 +150,7 @@ def presents_along(
             np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
             np.array(log.voltage_V), np.ascontiguousarray(trace.status, dtype=np.int32), present,
         )  # fmt: skip
-    return present, warm
+    return present
 
 
 class PowerFollower:
@@ -164,25 +158,24 @@ class PowerFollower:
 
     def __init__(self, settings: PowerSettings) -> None:
         self.settings = settings
-        self._bias = no_bias()
+        self._memory = no_memory()
         self.take(Reading(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
         settings.of(present_of(empty_state(0.5), 25.0))
-        self._bias = no_bias()
+        self._memory = no_memory()
 
     @property
-    def bias_V(self) -> float:
-        """Measured less modelled voltage of late [V]; 0 before any was seen."""
-        return self._bias.voltage_V
+    def seen(self) -> Correction:
+        """What the cell differs by from its model; as the model before any voltage was seen."""
+        return self._memory.but
 
     def take(
         self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0
     ) -> None:
         """Follow one sample; ``state`` is what the filter has made of it."""
-        present = present_of(state, reading.temperature_C)
-        self._bias = bias_step(
-            self.settings.tables, self._bias, present.cell, present.but, reading,
-            reading.temperature_C, status,
-        )  # fmt: skip
+        cell = present_of(state, reading.temperature_C).cell
+        self._memory = remembered(
+            self.settings.tables, self._memory, cell, reading, reading.temperature_C, status
+        )
 
     def now(
         self, state: EkfState | AdaptiveState | None, temperature_C: float
@@ -190,7 +183,7 @@ class PowerFollower:
         """State of power at every horizon; empty without a state."""
         if state is None:
             return ()
-        return self.settings.of(present_of(state, temperature_C, self.bias_V))
+        return self.settings.of(present_of(state, temperature_C, self.seen))
 
     def columns(
         self, state: EkfState | AdaptiveState | None, temperature_C: float

@@ -134,7 +134,7 @@ def largest_load(
     none = moment_of(tables, now.cell, 0.0, False, now.temperature_C, now.but)
     far_V = none.voltage_V - limits.low_V if side > 0.0 else limits.high_V - none.voltage_V
     # As if R0 alone took it all: more than a cell gives, for most.
-    b = max(far_V, 1e-3) / max(none.point.r0_ohm * now.but.fast, 1e-9)
+    b = max(far_V, 1e-3) / max(none.point.r0_ohm, 1e-9)
     most_A = limits.discharge_A if side > 0.0 else limits.charge_A
     b = min(b, 1.001 * most_A + 1e-9)
     if power:

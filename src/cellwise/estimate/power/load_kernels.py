@@ -11,6 +11,7 @@ from cellwise.cell.equations import (
     CellTables,
     Transition,
     advance,
+    charge_transfer,
     loaded,
     loaded_voltage,
     polarisation,
@@ -18,7 +19,7 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.cell.packed import changed
-from cellwise.cell.point_kernels import CellPoint
+from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.evidence_kernels import voltage_variance
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
@@ -36,27 +37,44 @@ REPETITIONS = 2
 SMALLEST_SHIFT = 1e-6  # of SOC: below it there is no chord
 
 
+class Spread(NamedTuple):
+    """Covariance of the three numbers of a correction: common, falling, tail."""
+
+    cc: float
+    cf: float
+    ct: float
+    ff: float
+    ft: float
+    tt: float
+
+
 class Correction(NamedTuple):
     """What a cell is seen to differ by from its model.
 
-    Factors on R0, R1 (``fast``) and on R2, R3 (``tail``); ``bias_V`` is measured less modelled
-    voltage of late, which is taken to stay over the horizon.
+    R0 I + V1 counts 1 + ``common`` + ``falling`` f times, where f falls with the current from 1 on,
+    V2 counts 1 + ``tail`` times. ``bias_V`` is measured less modelled voltage of late, which is
+    taken to stay over the horizon.
     """
 
-    fast: float
+    common: float
+    falling: float
     tail: float
     bias_V: float
+    spread: Spread
 
 
-AS_MODEL = Correction(1.0, 1.0, 0.0)
+# Of each number beforehand: resistances differ by a fifth from cell to cell and over a life.
+FACTOR_VARIANCE = 0.2**2
+UNSEEN = Spread(FACTOR_VARIANCE, 0.0, 0.0, FACTOR_VARIANCE, 0.0, FACTOR_VARIANCE)
+AS_MODEL = Correction(0.0, 0.0, 0.0, 0.0, UNSEEN)
+LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 
 
 class Present(NamedTuple):
     """What is known of a cell now: mean, covariance, how the model has done lately.
 
     ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it,
-    ``mismatch`` what the innovations have shown over their variance, ``scale_variance`` that of
-    the resistances' factors.
+    ``mismatch`` what the innovations have shown over their variance.
     """
 
     cell: CellState
@@ -65,7 +83,6 @@ class Present(NamedTuple):
     mismatch: float
     temperature_C: float
     but: Correction
-    scale_variance: float
 
 
 class Held(NamedTuple):
@@ -94,10 +111,53 @@ class Moment(NamedTuple):
 
 
 @inline
-def drop_of(point: CellPoint, x: CellState, current_A: float, but: Correction) -> float:
-    """What the current takes off the OCV, with the resistances' factors [V]."""
-    fast = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0, 0.0)
-    return but.fast * fast + but.tail * (x.v2_V + x.v3_V)
+def falling_share(cell: CellScalars, current_A: float) -> float:
+    """How a resistance falls with the current: as asinh of the C-rate over the C-rate."""
+    return charge_transfer(current_A * 3600.0 / cell.charge_As)
+
+
+@inline
+def within(more: float) -> float:
+    """A factor on a resistance that is so much more than 1."""
+    return min(max(1.0 + more, LEAST_FACTOR), MOST_FACTOR)
+
+
+@inline
+def fast_factor(cell: CellScalars, but: Correction, current_A: float) -> float:
+    """Factor on R0 I + V1 at one current."""
+    return within(but.common + but.falling * falling_share(cell, current_A))
+
+
+@inline
+def variance_along(s: Spread, common_V: float, falling_V: float, tail_V: float) -> float:
+    """Variance of the drop that a correction makes, by what each of its numbers counts [V^2]."""
+    common = s.cc * common_V + (2.0 * s.cf * falling_V + 2.0 * s.ct * tail_V)
+    falling = s.ff * falling_V + 2.0 * s.ft * tail_V
+    return common_V * common + (falling_V * falling + tail_V * (s.tt * tail_V))
+
+
+@inline
+def correction_variance(
+    cell: CellScalars, but: Correction, point: CellPoint, x: CellState, current_A: float
+) -> float:
+    """By how much a correction may make the voltage worse: 0 as long as nothing has been seen.
+
+    What is still not known of it, but no more than what it was moved by.
+    """
+    fast_V = point.r0_ohm * current_A + x.v1_V
+    fallen_V = fast_V * falling_share(cell, current_A)
+    left = variance_along(but.spread, fast_V, fallen_V, x.v2_V)
+    moved = variance_along(UNSEEN, fast_V, fallen_V, x.v2_V) - left
+    return max(min(left, moved), 0.0)
+
+
+@inline
+def drop_of(
+    point: CellPoint, x: CellState, current_A: float, factor: float, but: Correction
+) -> float:
+    """What the current takes off the OCV, with the factors [V]."""
+    fast_V = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0, 0.0)
+    return factor * fast_V + (within(but.tail) * x.v2_V + x.v3_V)
 
 
 @part
@@ -117,14 +177,16 @@ def moment_of(
         current = load / point.ocv_V
         for _ in range(REPETITIONS):
             point = loaded(tables, x.soc, warm_C, current, x.slow_A)
-            drop = drop_of(point, x, 0.0, but)
+            factor = fast_factor(tables.cell, but, current)
+            drop = drop_of(point, x, 0.0, factor, but)
             inner = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
-            square = inner * inner - 4.0 * but.fast * point.r0_ohm * load
+            square = inner * inner - 4.0 * factor * point.r0_ohm * load
             possible = square >= 0.0 and inner > 0.0
             if not possible:
                 break
             current = load / (0.5 * (inner + math.sqrt(square)))
-    drop = drop_of(point, x, current, but)
+    factor = fast_factor(tables.cell, but, current)
+    drop = drop_of(point, x, current, factor, but)
     voltage = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
     return Moment(point, current, voltage, drop, possible)
 
@@ -182,7 +244,7 @@ def end_variance(
     """Variance of the voltage at the end of a load [V^2].
 
     Of the states, decayed over the horizon, with ``slope_V`` for the SOC; of the model as the
-    filters have it, which grows with what the innovations have shown; of the resistances' factors.
+    filters have it, which grows with what the innovations have shown; of the correction.
     """
     p = decayed(changed(now.p, "ss", now.soc_variance), load.t)
     d = column(p, slope_V, load.point.m_V)
@@ -196,8 +258,8 @@ def end_variance(
     more += max(beyond, 0.0)
     point = widened(load.point, abs(more))
     model = voltage_variance(noise, point, point.r0_ohm, load.current_A, 0.0, branches)
-    scaled = now.scale_variance * load.polarisation_V * load.polarisation_V
-    return states + max(now.mismatch, 1.0) * model + scaled
+    seen = correction_variance(tables.cell, now.but, load.point, x, load.current_A)
+    return states + max(now.mismatch, 1.0) * model + seen
 
 
 @part

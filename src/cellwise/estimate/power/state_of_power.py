@@ -19,7 +19,7 @@ from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import AS_MODEL, Present
+from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)
@@ -138,7 +138,7 @@ def power_limits(
     temperature_C: float | None = None,
     hold: Hold = "power",
     noise: Noise | None = None,
-    bias_V: float = 0.0,
+    seen: Correction = AS_MODEL,
 ) -> tuple[StateOfPower, ...]:
     """Power that a cell can give and take for some seconds within its limits.
 
@@ -159,8 +159,8 @@ def power_limits(
                                       largest currents of its data
     temperature_C : float or None     of the surface now [degC]; None: the model's own
     noise : Noise or None             None: from the model's own validation error
-    bias_V : float                    measured less modelled voltage of late, taken to stay over
-                                      the horizon [V]; see `PowerFollower`
+    seen : Correction                 what the cell has been seen to differ by of late; see
+                                      `PowerFollower`
 
     Returns
     -------
@@ -178,23 +178,14 @@ def power_limits(
             "Pass what `step` returns.",
         )
     warm = model_temperature_C(model) if temperature_C is None else float(temperature_C)
-    return settings.of(present_of(state, warm, bias_V))
+    return settings.of(present_of(state, warm, seen))
 
 
 def present_of(
-    state: EkfState | AdaptiveState | CellState, temperature_C: float, bias_V: float = 0.0
+    state: EkfState | AdaptiveState | CellState, temperature_C: float, seen: Correction = AS_MODEL
 ) -> Present:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
-    but = AS_MODEL._replace(bias_V=bias_V)
     if isinstance(state, CellState):
         exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
-        return Present(state, exact, 0.0, 1.0, temperature_C, but, 0.0)
-    if isinstance(state, AdaptiveState):
-        r = state.resistances
-        but = but._replace(fast=r.fast, tail=r.tail)
-        p, scale_variance = state.p, r.fast_variance
-    else:
-        p, scale_variance = state.p, 0.0
-    return Present(
-        state.cell, p, state.soc_std**2, state.mismatch, temperature_C, but, scale_variance
-    )  # fmt: skip
+        return Present(state, exact, 0.0, 1.0, temperature_C, seen)
+    return Present(state.cell, state.p, state.soc_std**2, state.mismatch, temperature_C, seen)

@@ -102,8 +102,7 @@ class RefineSettings:
 class StartTables:
     """Where refinement starts: base OCV over SOC, and values at the table knots.
 
-    Every table has shape (knots,), or (temperatures, knots). ``m_std_V`` is how well hysteresis is
-    known beforehand; None: not at all.
+    Every table has shape (knots,), or (temperatures, knots).
     """
 
     ocv: Callable[[FloatArray], FloatArray]
@@ -111,7 +110,6 @@ class StartTables:
     r_ohm: tuple[FloatArray, ...]
     tau_s: tuple[FloatArray, ...]
     m_V: FloatArray | None = None
-    m_std_V: FloatArray | None = None
     gamma: float = 50.0
     asinh_per_V: float = 4.0
 
@@ -322,9 +320,6 @@ class Problem:
         weight[lay.r0 : lay.m] = s.hold * sigma**2
         if lay.hysteresis:
             weight[lay.gamma] = 0.1 * sigma**2
-            if self.start.m_std_V is not None:
-                m_std = np.broadcast_to(self.start.m_std_V, (lay.temperatures, lay.knots)).ravel()
-                weight[lay.m : lay.m + lay.block] = (sigma / m_std) ** 2 / lay.knots
         fixed = 1e6 * sigma**2
         std = s.activation_std_K / ACTIVATION_UNIT_K
         known = std == 0 or lay.temperatures > 1
