@@ -57,6 +57,14 @@ def test_a_stated_temperature_counts(hppc):
     assert identify_cell(tests, default).model.validity.temperature_C == (-5.0, -5.0)
 
 
+def test_a_low_rate_test_covers_no_temperature_for_loads(hppc):
+    tests = laboratory(without_temperature(hppc), 25.0)
+    (slow,) = tests.ocv
+    cold = replace(slow, temperature_C=np.full(len(slow), -25.0))
+    found = identify_cell(replace(tests, ocv=(cold,)), QUICK)
+    assert found.model.validity.temperature_C == (25.0, 25.0)
+
+
 def log_of(current, temperature=None) -> CellLog:
     time = np.arange(current.size, dtype=np.float64)
     return CellLog(time, current, np.full(current.size, 3.7), temperature_C=temperature)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import STATED_STD, InitialSoc
+from cellwise.cell.initial_soc.unseen_past import Branches, rested_ocv, usual_load
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
@@ -19,7 +20,7 @@ class AnchorErrors(NamedTuple):
 
     Parameters
     ----------
-    ocv_V : float           of a finished rest; twice that where the past before it is unknown [V]
+    ocv_V : float           of a finished rest [V]
     capacity : float        of the charge between a rest and the start: another age or temperature
     later_rests : float     later rests share one capacity and one OCV, and are wrong together: all
                             of them count as so many
@@ -50,7 +51,15 @@ class LookedAt(NamedTuple):
     first_s: float = 60.0
 
 
-ERRORS, FULL_TEST, LOOKED_AT = AnchorErrors(), FullTest(), LookedAt()
+class UsualCell(NamedTuple):
+    """Branches before any is fitted: parts of the rough resistance, [s]; noise of a voltage [V]."""
+
+    r: tuple[float, ...] = (0.4, 0.5, 0.5)
+    tau_s: tuple[float, ...] = (3.0, 60.0, 1200.0)
+    white_V: float = 0.001
+
+
+ERRORS, FULL_TEST, LOOKED_AT, USUAL = AnchorErrors(), FullTest(), LookedAt(), UsualCell()
 
 
 def anchor_soc(
@@ -153,9 +162,14 @@ def _evidence(
     loaded = np.abs(current) >= LOOKED_AT.rest_rate * capacity_Ah
     resting = finite[: int(np.argmax(loaded)) if loaded.any() else len(log)]
     last = int(np.flatnonzero(resting)[-1]) if resting.any() else 0
-    # One row without current is no rest: a car at a light has come from a load. A rest lasts.
+    # One row without current is no rest, and a car at a light has come from a load.
     if log.time_s[last] > log.time_s[0]:
-        found.append((float(charge[last]), float(log.voltage_V[last]), 2 * ERRORS.ocv_V))
+        rows, use = np.flatnonzero(resting), slice(last + 1, None)
+        tau_s = np.array(USUAL.tau_s)
+        load = usual_load(log.interval_s[use], current[use], tau_s, capacity_Ah)
+        branches = Branches(resistance_ohm * np.array(USUAL.r), tau_s)
+        rest = rested_ocv(log.time_s[rows], log.voltage_V[rows], USUAL.white_V, branches, load)
+        found.append((float(charge[last]), rest.ocv_V, float(np.hypot(ERRORS.ocv_V, rest.std_V))))
     if found:
         q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"

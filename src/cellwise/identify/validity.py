@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
@@ -73,9 +74,15 @@ def identified_validity(
         for o in used
     ]
     fitted = {_mark(o.simulation.log) for o in used}
-    parts += [
+    slow = [p for p, o in zip(parts, used, strict=True) if o.role == "ocv"]
+    loads = [p for p, o in zip(parts, used, strict=True) if o.role != "ocv"]
+    slow += [
         log_validity(log, None, temperature_C) for log in tests.ocv if _mark(log) not in fitted
     ]
+    # A low-rate test shows no resistance: where loads were measured, their temperatures count.
+    if joined(loads).temperature_C is not None:
+        slow = [replace(p, temperature_C=None) for p in slow]
+    parts = [*loads, *slow]
     if measured_soc.size:
         parts.append(Validity(soc=covered(np.clip(measured_soc, 0.0, 1.0))))
     return joined(parts)

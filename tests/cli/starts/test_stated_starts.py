@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from cellwise import load_dataset, read_model, write_log, write_model
@@ -115,3 +116,40 @@ def test_a_start_says_how_sure_it_is_taken_to_be(model, middle, capsys):
     assert "0.6000 +- 0.3000 (given; --soc0-std states how sure)" in said
     assert main([*asked, "--soc0-std", "0.01"]) == 0
     assert "0.6000 +- 0.0200 (given)" in capsys.readouterr().out
+
+
+def test_a_log_cut_where_a_load_has_just_ended_says_how_sure_its_start_is(
+    run_json, model, tmp_path
+):
+    """The first seconds without current after a pulse or a move, and nothing else."""
+    pulses = load_dataset("nmc_hppc")
+    idle = np.abs(pulses.current_A) < 0.01
+    ends = np.flatnonzero(~idle[:-1] & idle[1:]) + 1
+    sizes = []
+    for row in np.random.default_rng(1).choice(ends, 12, replace=False):
+        stop = int(np.searchsorted(pulses.time_s, pulses.time_s[row] + 2.0, side="right"))
+        path = str(write_log(pulses.part(int(row), max(stop, int(row) + 2)), tmp_path / "end.csv"))
+        truth = 1.0 - float(pulses.charge_Ah[row] - pulses.charge_Ah[0]) / 5.0
+        soc0 = run_json("replay", "--model", model, "--estimator", "coulomb", path)["soc0"]
+        assert soc0["how"].startswith("rest of"), soc0
+        sizes.append(abs(soc0["value"] - truth) / soc0["std"])
+    assert np.count_nonzero(np.array(sizes) < 2.0) >= 10, sizes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", [2500, 4000])
+def test_a_drive_of_unknown_start_takes_part_from_where_it_began(run_json, tmp_path, row):
+    """Cut under load, no rest after it, nothing stated: its start is found with the tables."""
+    drive = load_dataset("nmc_drive_b")
+    row += int(np.argmax(drive.current_A[row:] > 2.0))
+    truth = 1.0 - float(drive.charge_Ah[row] - drive.charge_Ah[0]) / 5.0
+    stop = int(np.flatnonzero(np.abs(drive.current_A) > 0.5)[-1])
+    path = write_log(drive.part(row, stop), tmp_path / "cut.parquet")
+    found = run_json(
+        "identify", "--hppc", str(NMC / "hppc.parquet"), "--ocv", str(NMC / "ocv_c20.parquet"),
+        "--drive", str(path), "-o", str(tmp_path / "model.json"),
+    )  # fmt: skip
+    assert "cut" in found["fit"]["logs"]
+    (said,) = [n for n in found["notices"] if "'cut' begins at SOC" in n]
+    assert "fitted with the tables" in said
+    assert float(said.split("SOC ")[1].split()[0]) == pytest.approx(truth, abs=0.02), said

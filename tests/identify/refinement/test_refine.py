@@ -71,6 +71,20 @@ def test_the_truth_is_a_fixed_point():
     assert max(result.rmse_V) < 1e-6
 
 
+@pytest.mark.parametrize("away", [0.2, -0.3])
+def test_an_unknown_start_is_found_with_the_tables(away):
+    # Pulses from full hold the OCV; where the drive begins is an unknown beside all tables.
+    pulses, _ = two_logs(Truth())
+    drive, soc = log_of(drive_current(3000, 1.0, 9.0, np.random.default_rng(77)), Truth(), soc0=0.8)
+    taken = RefineLog(drive, soc + away, skewed=False, start_std=0.25)
+    result = refine([pulses, taken], start_tables(2, 1.5), settings=RefineSettings(branches=2),
+                    capacity_Ah=CAPACITY_AH)  # fmt: skip
+    (found,), (std,) = result.moved_starts
+    assert found == pytest.approx(-away, abs=2e-3)
+    assert std < 0.02
+    assert max(errors(result, Truth(), INSIDE).values()) < 0.05
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_penalties_shift_nothing_when_the_truth_is_in_the_class(factor):
     # Straight tables cost no curvature, so only the start could hold them back: by less than a

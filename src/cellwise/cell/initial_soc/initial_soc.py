@@ -28,8 +28,8 @@ from cellwise.cell.initial_soc.rest import (
     REST_RATE,
     SHORT_REST_V,
     ln_likelihood_of_ocv,
+    rest_ocv,
     soc_of_ocv,
-    still_to_move_V,
 )
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import stated_error_V
@@ -122,10 +122,9 @@ def initial_soc(
     if measured.size and (rest_s > 0.0 or rest_end == len(log)):
         warm = float(known_temperature_C(model, log)[last])
         seen_V = log.voltage_V[measured]
-        # Between what the branches of the model let it still move, and nothing.
-        moves = 0.5 * still_to_move_V(model, log.time_s[measured], seen_V, warm)
-        unfinished = float(np.hypot(SHORT_REST_V * np.exp(-rest_s / RELAXED_S), moves))
-        rested_V = float(seen_V[-1]) + moves
+        use = slice(rest_end, _load_end(log, rest_end))
+        load = log.interval_s[use], current[use]
+        rested_V, unfinished, moves = rest_ocv(model, log.time_s[measured], seen_V, warm, load)
         soc, std = soc_of_ocv(model, rested_V, unfinished, warm)
         how = f"rest of {rest_s:.0f} s at the start, {seen_V[-1]:.4f} V"
         found = InitialSoc(soc, max(std, 0.005), how)
@@ -150,12 +149,22 @@ def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
     if rows < len(log) and np.isfinite(log.voltage_V[0]) and not log.gap_rows[:rows].any():
         current = log.interval_current_A[:rows]
         loaded = np.abs(current) >= REST_RATE * model.capacity_Ah
-        if loaded.any() and np.isfinite(current).all():
-            return current, int(np.argmax(loaded))
+        first = int(np.argmax(loaded))
+        rows = max(rows, _load_end(log, first))
+        current = log.interval_current_A[:rows]
+        if loaded.any() and np.isfinite(current).all() and not log.gap_rows[:rows].any():
+            return current, first
     current = log.known_current_A()
     resting = np.abs(current) < REST_RATE * model.capacity_Ah
     resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
     return current, len(log) if resting.all() else int(np.argmin(resting))
+
+
+def _load_end(log: CellLog, first: int) -> int:
+    """The row that ends the first minutes of load, which an unknown past is taken to be like."""
+    if first >= len(log):
+        return first
+    return int(np.searchsorted(log.time_s, log.time_s[first] + PAST_S, side="right"))
 
 
 def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> InitialSoc:

@@ -7,50 +7,36 @@ import math
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.initial_soc.unseen_past import Branches, Rested, rested_ocv, usual_load
 from cellwise.cell.model import CellModel
 from cellwise.typing import FloatArray
 
 REST_RATE = 0.01  # below C/100 a cell counts as resting
 SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
 RELAXED_S = 1800.0
-FEWEST_HALF_ROWS = 2  # of half a rest
 EVERY_SOC = np.linspace(0.0, 1.0, 2001)
 
 
-def still_to_move_V(
-    model: CellModel, time_s: FloatArray, voltage_V: FloatArray, temperature_C: float
-) -> float:
-    """What the voltage of a rest will still move, by how it moved and the model's branches [V].
-
-    A rest that was cut out of a load looks like any other but for that. What the noise moves the
-    means of its halves by is no movement.
+def rest_ocv(
+    model: CellModel,
+    time_s: FloatArray,
+    voltage_V: FloatArray,
+    temperature_C: float,
+    load: tuple[FloatArray, FloatArray],
+) -> Rested:
+    """The OCV under a rest whose past nobody saw, by the branches of the model.
 
     Parameters
     ----------
     time_s, voltage_V : (n,) float      of the rest, from its first row
+    load : (interval_s, current_A)      rows of a use of the cell, (m,) each; there may be none
     """
-    n, lasted_s = time_s.size, float(time_s[-1] - time_s[0])
-    if n < FEWEST_HALF_ROWS * 2 or lasted_s <= 0.0:
-        return 0.0
-    late = time_s - time_s[0] > 0.5 * lasted_s
-    if min(np.count_nonzero(late), np.count_nonzero(~late)) < FEWEST_HALF_ROWS:
-        return 0.0
-    moved_V = float(np.mean(voltage_V[late]) - np.mean(voltage_V[~late]))
-    if abs(moved_V) <= 2.0 * model.error.white_V * math.sqrt(4.0 / n):
-        return 0.0
     cell = model.at_temperature(temperature_C)
     slow = cell.effect(SlowDiffusion)
-    branches = (
-        (cell.r1_ohm, cell.tau1_s),
-        (cell.r2_ohm, cell.tau2_s),
-        (slow.r3_ohm, slow.tau3_s),
-    )
-    seen = left = 0.0
-    for ohm, tau_s in branches:
-        r, tau = float(np.median(ohm)), float(np.median(tau_s))
-        seen += r * (math.exp(-0.25 * lasted_s / tau) - math.exp(-0.75 * lasted_s / tau))
-        left += r * math.exp(-lasted_s / tau)
-    return moved_V * left / seen if seen > 0.0 else 0.0
+    pairs = ((cell.r1_ohm, cell.tau1_s), (cell.r2_ohm, cell.tau2_s), (slow.r3_ohm, slow.tau3_s))
+    r, tau = np.array([(np.median(a), np.median(b)) for a, b in pairs]).T
+    usual = usual_load(*load, tau, model.capacity_Ah)
+    return rested_ocv(time_s, voltage_V, model.error.white_V, Branches(r, tau), usual)
 
 
 def soc_of_ocv(
