@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brute, lsq_linear
+from scipy.optimize import brute, lsq_linear, minimize
 
-from cellwise.identify.ocv.ocv_points import checked_points
+from cellwise.identify.ocv.ocv_points import POINTS, checked_points
 from cellwise.typing import FloatArray
 
 LN_C = slice(-8.0, 0.5, 0.5)  # of what ln(s + c) stays clear of zero by: 0.0003 to 1 of SOC
@@ -25,7 +25,7 @@ class LogLinearExp:
 
     Parameters
     ----------
-    a, b, d : float       [V], b >= 0; d >= 0 where it would not rise with SOC otherwise
+    a, b, d : float       [V], b >= 0; d as negative as a curve that rises allows
     c, f : float          SOC, c > 0
     e : float             1 per unit of SOC, e > 0
     rmse_V : float        of the points that it was fitted to [V]
@@ -56,13 +56,8 @@ def fit_log_linear_exp(soc: FloatArray, voltage_V: FloatArray) -> LogLinearExp:
     InputError        as `checked_points`
     """
     s, v, _ = checked_points(soc, voltage_V, None)
-    found = _fit(s, v, -np.inf)
-    rises = np.all(np.diff(found.evaluate(np.linspace(0.0, 1.0, 201))) > 0.0)
-    return found if rises else _fit(s, v, 0.0)
-
-
-def _fit(s: FloatArray, v: FloatArray, least_d: float) -> LogLinearExp:
     least_c = 1e-3 - min(float(s[0]), 0.0)
+    grid = np.linspace(0.0, 1.0, 101)
 
     def constants(x: FloatArray) -> tuple[float, float]:
         return least_c + float(np.exp(min(x[0], 1.0))), float(np.exp(min(x[1], 6.0)))
@@ -70,8 +65,20 @@ def _fit(s: FloatArray, v: FloatArray, least_d: float) -> LogLinearExp:
     def linear(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         c, e = constants(x)
         columns = np.column_stack((np.ones(s.size), np.log(s + c), s, np.exp(e * (s - 1.0))))
-        found = lsq_linear(columns, v, ([-np.inf, 0.0, least_d, 0.0], np.inf))
-        return found.x, found.fun
+        fitted = lsq_linear(columns, v, ([-np.inf, 0.0, -np.inf, 0.0], np.inf)).x
+        slope = np.column_stack(
+            (0.0 * grid, 1.0 / (grid + c), 1.0 + 0.0 * grid, e * np.exp(e * (grid - 1.0)))
+        )
+        if np.min(slope @ fitted) <= 0.0:
+            fitted = minimize(
+                lambda p: float(np.sum((columns @ p - v) ** 2)),
+                np.array([fitted[0], fitted[1], 0.0, fitted[3]]),
+                jac=lambda p: 2.0 * columns.T @ (columns @ p - v),
+                method="SLSQP",
+                bounds=[(None, None), (0.0, None), (None, None), (0.0, None)],
+                constraints={"type": "ineq", "fun": lambda p: slope @ p - POINTS.slope_V},
+            ).x
+        return fitted, columns @ fitted - v
 
     best = brute(lambda x: float(np.sum(linear(x)[1] ** 2)), (LN_C, LN_E))
     (a, b, d, height), residual_V = linear(best)
