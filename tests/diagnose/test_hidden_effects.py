@@ -1,7 +1,8 @@
 """An effect is hidden, the diagnosis must name it first; where nothing is, nothing.
 
 In simulated cells, which are as far from their model as that states, every cause; in measured
-drives, whose residual no model knows, those that the ablation bench hides, at twice its sizes.
+drives of 50 minutes, whose residual no model knows, those that the ablation bench hides, at twice
+its sizes, near the limits of what such logs show.
 Cells of other physics: `test_physics_laboratory`.
 """
 
@@ -87,26 +88,27 @@ def test_nine_of_ten_effects_are_named_first_and_hardly_a_false_one():
 
 @cache
 def measured(folder):
-    """Model of the Panasonic cell by its laboratory tests, and three drives."""
-    hppc, ocv, one_C, nn, us06, clean = (
+    """Model of the Panasonic cell by its tests and two drives, and three other drives."""
+    hppc, ocv, one_C, two, three, nn, us06, clean = (
         read_log(folder / f"panasonic_18650pf/{name}.csv.gz")
-        for name in ("hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1", "drive_p25_nn",
-                     "drive_p25_us06", "drive_p25_hwfta")
+        for name in ("hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1", "drive_p25_cycle_2",
+                     "drive_p25_cycle_3", "drive_p25_nn", "drive_p25_us06", "drive_p25_hwfta")
     )  # fmt: skip
-    tests = TestLogs(hppc=((hppc, None),), ocv=(ocv,), capacity=(one_C,))
+    tests = TestLogs(hppc=hppc, ocv=ocv, capacity=one_C, drive=(two, three))
     model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, [resample(log, STEP_S).part(0, ROWS) for log in (nn, us06, clean)]
 
 
 @pytest.mark.slow
-def test_effects_in_measured_drives_are_named_first(real_data):
+def test_an_effect_in_measured_drives_is_named_or_the_likeliest_of_what_stays_open(real_data):
     model, (nn, us06, clean) = measured(real_data)
-    missed, false = [], []
+    named = 0
     for effect, (right, size) in HIDDEN.items():
         a, b = (with_effect(log, effect, 2.0 * size, model.capacity_Ah) for log in (nn, us06))
         said = diagnose(model, a, holdout=b, baseline=clean, soc0=1.0)
-        missed += [] if said.verdict in right else [f"{effect}: {said}"]
-        false += [f"{effect}: {c.name}" for c in said.causes if c.name not in right]
-    assert len(missed) <= 1, missed
-    assert not false
+        named += said.verdict in right
+        assert said.verdict in (*right, "undetermined"), effect
+        assert set(said.competing[0].causes) & set(right), effect
+        assert all(c.name in right for c in said.causes), effect
+    assert named >= len(HIDDEN) // 2
     assert diagnose(model, nn, holdout=us06, baseline=clean, soc0=1.0).verdict == "none"
