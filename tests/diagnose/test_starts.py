@@ -90,3 +90,16 @@ def test_a_rest_is_read_again_where_the_ocv_is_another_one(unsure):
         cause = {"ocv_4": shift_V, "ln_scale": 0.2}
         read = explanation(found, cause, ["cell"], evidence, {}).starts
         assert read == (None if known is None else pytest.approx(known))
+
+
+@pytest.mark.slow
+def test_a_second_diagnosis_in_one_process_says_the_same(unsure):
+    """To the bit: nothing is carried over, and no sum depends on which thread was first."""
+    log = measured(replace(unsure, r0_ohm=1.4 * unsure.r0_ohm), 90)
+    held = measured(replace(unsure, r0_ohm=1.4 * unsure.r0_ohm), 0)
+    first, other, again = (
+        diagnose(unsure, [g], holdout=[h]).to_dict()
+        for g, h in ((log, held), (held, log), (log, held))
+    )
+    assert first != other
+    assert again == first
