@@ -123,7 +123,8 @@ def latex_text(suite: str, rows: Sequence[Mapping[str, Any]], found: Sequence[Di
         f"% Differences: paired by log, 95 % of {RESAMPLES} resamples of logs, seed {SEED}.",
         r"\begin{tabular}{lrrrrr}",
         r"\toprule",
-        r"Estimator & runs & settled RMSE [\%] & settled largest [\%] & ns/step & difference [\%] \\",
+        r"Estimator & runs & settled RMSE [\%] & settled largest [\%] & ns/step "
+        r"& difference [\%] \\",
         r"\midrule",
     ]
     for name in names:

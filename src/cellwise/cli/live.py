@@ -113,9 +113,8 @@ def run_live_command(arguments: argparse.Namespace) -> None:
         elif not (arguments.output or arguments.json):
             takers.append(LineWriter(sys.stdout, followed, arguments.every))
         if not viewed:  # the view shows it among its flags
-            takers.append(OutsideNotice(live))
-            if far is not None:
-                takers.append(FarOffNotice(far))
+            takers.append(said_once(partial(outside_text, live)))
+            takers.append(said_once(lambda _: followed.far_off))
         stack.enter_context(_stopped_by_signal())
         run_live(
             source,
@@ -241,44 +240,34 @@ class LineWriter:
         self._file.flush()
 
 
-class OutsideNotice:
-    """Says on standard error, once, that the stream leaves what the model's data covered."""
+def said_once(what: Callable[[Update], str | None]) -> Callable[[Update], None]:
+    """Says on standard error, once, what comes true of a stream."""
+    said = False
 
-    def __init__(self, live: LiveFilter) -> None:
-        self._live, self._said = live, False
+    def take(update: Update) -> None:
+        nonlocal said
+        text = None if said else what(update)
+        if text is not None:
+            said = True
+            printing.warn(f"cellwise live: {text}")
 
-    def __call__(self, update: Update) -> None:
-        """Look at one sample."""
-        from cellwise.cell.plausibility.notice import outside_moment
-        from cellwise.estimate.status import OUTSIDE
-
-        if self._said or not update.info.status & OUTSIDE:
-            return
-        sample = update.sample
-        warm = self._live.known_temperature_C(sample)
-        where = outside_moment(self._live.model.validity, update.info.soc, warm, sample.current_A)
-        if where is not None:
-            self._said = True
-            print(
-                f"cellwise live: at {sample.time_s:.1f} s {where}: not validated there, the "
-                "standard deviation grows",
-                file=sys.stderr,
-            )
+    return take
 
 
-class FarOffNotice:
-    """Says on standard error, once, that the stream is far off the model."""
+def outside_text(live: LiveFilter, update: Update) -> str | None:
+    """That a sample lies outside what the model's data covered, and where; else None."""
+    from cellwise.cell.plausibility.notice import outside_moment
+    from cellwise.estimate.status import OUTSIDE
 
-    def __init__(self, far: FarOffStream) -> None:
-        self._far, self._said = far, False
-
-    def __call__(self, update: Update) -> None:
-        """Look at what the last sample has made of it."""
-        from cellwise.cell.plausibility.notice import withheld
-
-        if not self._said and self._far.text is not None:
-            self._said = True
-            printing.warn(f"cellwise live: {withheld(self._far.text)}")
+    sample, info = update.sample, update.info
+    if not info.status & OUTSIDE:
+        return None
+    warm = live.known_temperature_C(sample)
+    where = outside_moment(live.model.validity, info.soc, warm, sample.current_A)
+    if where is None:
+        return None
+    grows = "not validated there, the standard deviation grows"
+    return f"at {sample.time_s:.1f} s {where}: {grows}"
 
 
 def state_row(update: Update) -> dict[str, Any]:
