@@ -139,7 +139,7 @@ def save_figures(
 def inline(picture: Picture) -> Markup:
     """The picture as an HTML figure: SVG in the page's own colours that zooms, caption below.
 
-    In a narrow window the page's program lays it out anew.
+    In a narrow window the page's program lays it out for that width.
     """
     key = f"figure-{safe_key(picture.key)}"
     with style.drawing(closely=True):
@@ -258,7 +258,7 @@ def marked_axes(figure: style.Figure) -> Iterator[list[dict[str, Any]]]:
 
 
 def _parts(figure: style.Figure) -> list[tuple[style.Artist, str]]:
-    """What a narrow window sets anew: titles, names of axes, keys, frames; and arrows, left out."""
+    """What a narrow window sets for its own width: titles, names of axes, keys, frames; and arrows, left out."""
     from matplotlib.text import Text
 
     found: list[tuple[style.Artist, str]] = [(text, "heading") for text in figure.texts]
