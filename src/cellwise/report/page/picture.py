@@ -258,7 +258,7 @@ def marked_axes(figure: style.Figure) -> Iterator[list[dict[str, Any]]]:
 
 
 def _parts(figure: style.Figure) -> list[tuple[style.Artist, str]]:
-    """What a narrow window sets itself: titles, names of axes, keys, frames; and arrows, left out."""
+    """What a narrow window sets itself: titles, names, keys, frames; and arrows, left out."""
     from matplotlib.text import Text
 
     found: list[tuple[style.Artist, str]] = [(text, "heading") for text in figure.texts]
