@@ -70,7 +70,7 @@ def test_the_page_has_pictures_and_stands_alone(arguments, capsys):
         assert name in printed
     assert "from an earlier run" in printed
     text = (Path(arguments[3]) / "index.html").read_text(encoding="utf-8")
-    assert text.count("<svg") >= 2
+    assert "<svg" in text
     assert not re.search(r'(src|href)="(?!#)', text)
     assert "every run" in text.lower()
     assert "settles to" in text

@@ -218,7 +218,8 @@ def test_a_gap_is_not_bridged(hppc, counter):
     assert gap.gap_rows.any()
     found = run(pulses(gap))
     assert r0_error(found) < 0.06
-    assert found.fit.rmse_V < 3e-3
+    # Without the counter the later part begins in a rest whose past nobody saw.
+    assert found.fit.rmse_V < (3e-3 if counter else 4e-3)
 
 
 def test_an_ocv_of_another_cell_is_reported(drive, low_rate):
@@ -229,11 +230,12 @@ def test_an_ocv_of_another_cell_is_reported(drive, low_rate):
     assert not any("OCV moved" in n for n in run(drives(drive, ocv=(low_rate,))).notices)
 
 
-def test_a_log_whose_start_is_unknown_takes_no_part(hppc, low_rate):
+def test_a_log_whose_start_is_unknown_has_it_fitted(hppc, low_rate):
     unknown = replace(never_rests(0.6), name="somewhere")
     found = run(pulses(hppc, ocv=(low_rate,), drive=((unknown, None),)))
-    assert any("'somewhere' left out" in n for n in found.notices)
-    assert "somewhere" not in [s.log.name for s in found.simulations]
+    assert not any("'somewhere' left out" in n for n in found.notices)
+    starts = {s.log.name: s.soc0 for s in found.simulations}
+    assert starts["somewhere"] == pytest.approx(0.6, abs=0.02)
     assert r0_error(found) < 0.06
 
 

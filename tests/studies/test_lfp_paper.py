@@ -51,9 +51,7 @@ def test_window_beyond_the_log_has_no_figure():
 
 
 def pulse(start, stop, role, quality="healthy"):
-    return Pulse(
-        start, stop, stop, start - 2, stop + 2, 1.0, 10.0, 0.0, 3.3, role, quality, "", 1.0
-    )
+    return Pulse(start, stop, stop, start - 2, stop + 2, 1.0, 10.0, 0.0, role, quality, "")
 
 
 def test_every_test_ends_with_its_move():
