@@ -154,14 +154,11 @@ def test_a_log_that_is_too_short(hppc, drive, rows):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "tests", ["steady currents", "a drive from its middle", "no pulse, no OCV"]
-)
+@pytest.mark.parametrize("tests", ["steady currents", "no pulse, no OCV"])
 def test_what_the_tests_do_not_show_is_the_priors(low_rate, tests):
     """A model all the same, which says first what it is, and states the prior's error."""
     given = {
         "steady currents": TestLogs(capacity=(low_rate,), ocv=(low_rate,)),
-        "a drive from its middle": drives(never_rests(0.6), ocv=(low_rate,)),
         "no pulse, no OCV": pulses(never_rests()),
     }[tests]
     found = run(given)
@@ -171,6 +168,16 @@ def test_what_the_tests_do_not_show_is_the_priors(low_rate, tests):
     soc = np.linspace(0.2, 0.9, 30)
     off = np.interp(soc, found.model.soc, found.model.ocv_at(25.0)) - CELL.ocv_V(soc)
     assert np.mean(np.abs(off) < 2.0 * found.model.error.at(soc)) > 0.8
+
+
+@pytest.mark.slow
+def test_a_drive_from_its_middle_beside_a_low_rate_test(low_rate):
+    """The OCV says where the drive begins; its start is fitted with the tables."""
+    found = run(drives(never_rests(0.6), ocv=(low_rate,)))
+    assert found.simulations[0].soc0 == pytest.approx(0.6, abs=0.01)
+    driven = np.linspace(0.3, 0.6, 7)
+    r0 = np.interp(driven, found.model.soc, found.model.r0_ohm[0])
+    assert r0 == pytest.approx(CELL.r0_ohm(driven), rel=0.02)
 
 
 def test_one_pulse_beside_a_low_rate_test(one_pulse, low_rate):

@@ -145,7 +145,7 @@ def test_leaf_pulses_are_those_of_the_readme(real_data, tag):
     """30 s at 30 A, 40 s of rest, 10 s of charge, at each 10 %; the log begins empty."""
     pulses = find_pulses(real(real_data, f"nissan_leaf/hppc_{tag}.csv.gz"))
     loads = [p for p in pulses if p.current_A > 25.0]
-    charges = [p for p in pulses if p.kind == "charge" and p.role == "pulse"]
+    charges = [p for p in pulses if p.current_A < 0.0 and p.role == "pulse"]
     assert len(loads) == len(charges) == 10
     assert all(p.duration_s == pytest.approx(30.0, abs=0.2) for p in loads)
     assert all(p.duration_s == pytest.approx(10.0, abs=0.2) for p in charges)
