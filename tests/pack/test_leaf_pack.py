@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs import CellLog
@@ -63,7 +64,8 @@ def rest_difference_V(found, soc):
     """Every cell's voltage at rest less the mean cell's, as the estimate has it [V]."""
     at = np.full(3, soc)
     log = CellLog(np.arange(3.0), np.zeros(3), np.full(3, 3.8), temperature_C=np.full(3, 25.0))
-    still = MeanCell(log, at, np.zeros(3), log.voltage_V, np.zeros(3, np.intp))
+    start = InitialSoc(soc, 0.0, "given")
+    still = MeanCell(log, start, at, np.zeros(3), log.voltage_V, np.zeros(3, np.intp))
     row = regressors(still, OcvSlope(MODEL, log), 0.0).rows[1].copy()
     row[RESISTANCE] = 0.0
     return found.state.deltas.mean @ row

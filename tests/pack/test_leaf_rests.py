@@ -38,15 +38,14 @@ def at_rest(model, differences, log):
         if rows.size < FEWEST_ROWS:
             continue
         one = log.mean.part(int(rows[0]), int(rows[-1]) + 1)
-        soc0 = initial_soc(model, one, whole_log=True).soc
-        simulated = simulate(model, one, soc0)
+        start = initial_soc(model, one, whole_log=True)
+        simulated = simulate(model, one, start.soc)
         age = resting(one)
         used = (age >= SETTLED_S) & (simulated.soc >= low) & (simulated.soc <= high)
         if not np.any(used):
             continue
-        placed = MeanCell(
-            one, simulated.soc, np.zeros(len(one)), one.voltage_V, np.zeros(len(one), np.intp)
-        )
+        zero = np.zeros(len(one))
+        placed = MeanCell(one, start, simulated.soc, zero, one.voltage_V, zero.astype(np.intp))
         apart = regressors(placed, OcvSlope(model, one), 0.0).rows @ differences.T
         found.append((log.cell_V[rows] - simulated.voltage_V[:, None] - apart)[used])
         lengths.append(float(age[used].max()))
