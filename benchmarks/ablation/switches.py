@@ -14,8 +14,8 @@ from typing import Any
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity_kernels import EVERYWHERE, ValidityScalars
 from cellwise.estimate.slopes_kernels import Slopes
-from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars
 
 ESTIMATE = "cellwise.estimate"
 RECOVERY = f"{ESTIMATE}.recovery_kernels"

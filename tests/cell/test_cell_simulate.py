@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.plausibility.validity import Validity
-from cellwise.cell.simulate import model_temperature_C, simulate
+from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import named_model, stock_names
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -175,19 +175,19 @@ def test_a_start_outside_0_to_1_is_refused(soc0):
 
 
 def test_temperature_nobody_measured_is_the_models():
-    assert model_temperature_C(linear_cell(temperature_C=np.array([10.0]))) == 10.0
+    assert linear_cell(temperature_C=np.array([10.0])).usual_temperature_C == 10.0
     many = random_model(np.random.default_rng(8), effects=False)
     many = replace(many, temperature_C=np.array([-10.0, 23.0, 45.0]))
-    assert model_temperature_C(many) == 25.0
+    assert many.usual_temperature_C == 25.0
     cold = replace(many, temperature_C=np.array([-20.0, -10.0, 0.0]))
-    assert model_temperature_C(cold) == 0.0
+    assert cold.usual_temperature_C == 0.0
     arrhenius = linear_cell(effects=(TemperatureDependence(2000.0, 40.0),))
-    assert model_temperature_C(arrhenius) == 25.0
+    assert arrhenius.usual_temperature_C == 25.0
     warm = replace(arrhenius, validity=Validity(temperature_C=(30.0, 50.0)))
-    assert model_temperature_C(warm) == 30.0
+    assert warm.usual_temperature_C == 30.0
 
 
 @pytest.mark.parametrize("name", stock_names())
 def test_a_stock_model_is_at_room_temperature_where_nobody_measured(name):
     """Tables hold where tests were made, at 9 degC for a LiPo with twice the resistance."""
-    assert model_temperature_C(named_model(name)) == 25.0
+    assert named_model(name).usual_temperature_C == 25.0

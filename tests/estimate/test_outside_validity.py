@@ -14,17 +14,17 @@ import pytest
 from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
 from cellwise.cell.plausibility.notice import outside_moment, outside_notices
 from cellwise.cell.plausibility.validity import TOLERANCE, UNKNOWN, Validity
+from cellwise.cell.plausibility.validity_kernels import (
+    extrapolation_V,
+    soc_extrapolation_V,
+    validity_scalars,
+)
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.estimate.status import OUTSIDE
-from cellwise.estimate.validity_kernels import (
-    extrapolation_V,
-    soc_extrapolation_V,
-    validity_scalars,
-)
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

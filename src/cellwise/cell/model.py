@@ -47,6 +47,8 @@ class ModelTables(NamedTuple):
 
 TABLES = ModelTables._fields
 
+USUAL_C = 25.0  # where tests are made, and rooms are
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CellModel(Plottable, Summarised):
@@ -249,6 +251,14 @@ class CellModel(Plottable, Summarised):
             effects=effects,
             temperature_C=np.array([float(temperature_C)]),
         )
+
+    @property
+    def usual_temperature_C(self) -> float:
+        """Taken where nobody measured [degC]: 25, or where the data come nearest to that."""
+        low, high = float(self.temperature_C[0]), float(self.temperature_C[-1])
+        if low == high and any(isinstance(e, TemperatureDependence) for e in self.effects):
+            low, high = self.validity.temperature_C or (USUAL_C, USUAL_C)
+        return min(max(USUAL_C, low), high)
 
     def ocv_at(self, temperature_C: float) -> FloatArray:
         """OCV over the model's SOC at one temperature [V], as of :meth:`at_temperature`."""

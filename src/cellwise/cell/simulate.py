@@ -103,7 +103,7 @@ class Simulation(Plottable, Tabular):
         found += outside_notices(self.validity, self.log, self.soc)
         found += soc_notices(self.log, self.soc)
         if self.model is not None:
-            warm = model_temperature_C(self.model)
+            warm = self.model.usual_temperature_C
             found += assumed_temperature_notices(self.model, self.log, warm)
         found += error_notices(self.model, self.log, self.error_V, self.soc)
         return in_order(found, self.log.notices)
@@ -212,23 +212,10 @@ def check_soc0_std(soc0_std: float) -> None:
 def known_temperature_C(model: CellModel, log: CellLog) -> FloatArray:
     """Temperature of every row [degC]: measured, held over missing values, else the model's."""
     if log.temperature_C is None or not np.any(np.isfinite(log.temperature_C)):
-        return np.full(len(log), model_temperature_C(model))
+        return np.full(len(log), model.usual_temperature_C)
     measured = log.temperature_C
     missing = np.isnan(measured)
     if missing.any():
         rows = np.arange(measured.size)
         measured = np.interp(rows, rows[~missing], measured[~missing])
     return np.array(measured)  # a copy: kernels are compiled for one kind of array
-
-
-USUAL_C = 25.0  # where tests are made, and rooms are
-
-
-def model_temperature_C(model: CellModel) -> float:
-    """Where a cell is taken to be when nobody measured: 25 degC, or where its data come nearest."""
-    from cellwise.cell.effects import TemperatureDependence
-
-    low, high = float(model.temperature_C[0]), float(model.temperature_C[-1])
-    if low == high and any(isinstance(e, TemperatureDependence) for e in model.effects):
-        low, high = model.validity.temperature_C or (USUAL_C, USUAL_C)
-    return min(max(USUAL_C, low), high)

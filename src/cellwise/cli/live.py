@@ -189,10 +189,8 @@ class Followed(NamedTuple):
         """The sample's temperature, else the model's."""
         from math import isfinite
 
-        from cellwise.cell.simulate import model_temperature_C
-
         measured = self.live.known_temperature_C(update.sample)
-        return measured if isfinite(measured) else model_temperature_C(self.live.model)
+        return measured if isfinite(measured) else self.live.model.usual_temperature_C
 
 
 class Shown:

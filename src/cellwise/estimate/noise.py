@@ -10,8 +10,12 @@ import numpy as np
 from cellwise.arguments import check_kind
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.plausibility.validity_kernels import (
+    EVERYWHERE,
+    ValidityScalars,
+    validity_scalars,
+)
 from cellwise.errors import InputError
-from cellwise.estimate.validity_kernels import EVERYWHERE, ValidityScalars, validity_scalars
 
 # Beyond these a reading is the sensor's fault.
 IMPOSSIBLE_RATE = 200.0

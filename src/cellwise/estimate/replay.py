@@ -23,7 +23,7 @@ from cellwise.cell.plausibility.notice import (
     times_stated,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
-from cellwise.cell.simulate import model_temperature_C, simulate
+from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.trace import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
@@ -166,7 +166,7 @@ class Replay(Plottable, Tabular):
         found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
         if self.model is not None:
-            warm = model_temperature_C(self.model)
+            warm = self.model.usual_temperature_C
             found += assumed_temperature_notices(self.model, self.log, warm)
         if self.sums.known or np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
             rejected = self.sums.rejected / len(self.trace)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import INPUT
@@ -106,7 +105,7 @@ def lock_out(model: CellModel) -> NDArray[Any]:
     samples = np.zeros(STRESS.lock_out, dtype=INPUT)
     truth, empty = np.interp([STRESS.soc, 0.02], model.soc, model.ocv_V[0])
     samples["voltage_V"] = np.where(np.arange(STRESS.lock_out) < STRESS.settled, truth, empty)
-    samples["temperature_C"] = model_temperature_C(model)
+    samples["temperature_C"] = model.usual_temperature_C
     samples["sequence"] = np.arange(STRESS.lock_out)
     return samples
 

@@ -18,7 +18,6 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.fixed.options import Options
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import VOLTAGE_INVALID, VOLTAGE_LOST
@@ -100,7 +99,7 @@ def starts(model: CellModel, what: What) -> tuple[float, ...]:
     """Start values of inputs and parameters, from the reference FIRST_SET on."""
     half_V = float(np.interp(0.5, model.soc, model.ocv_V[0]))
     start = (1.0, CELL_STD) if what == "cell" else (0.5, 0.15)
-    return 0.0, model_temperature_C(model), half_V, *start
+    return 0.0, model.usual_temperature_C, half_V, *start
 
 
 def write_fmu(

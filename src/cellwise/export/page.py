@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import model_temperature_C, simulate
+from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
@@ -78,7 +78,7 @@ def write_estimator_page(
         "model_sha256": description["model_sha256"],
         "dt_s": tables.dt_s,
         "ocv_V": np.round(model.ocv_V[len(model.ocv_V) // 2], 6).tolist(),
-        "temperature_C": model_temperature_C(model),
+        "temperature_C": model.usual_temperature_C,
         "least_load_A": float(tables.constants["remaining_least_A"][0]),
         "state_bytes": state_type(tables.options).itemsize,
         "status": {str(bit.name): int(bit) for bit in Status},

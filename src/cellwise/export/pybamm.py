@@ -20,7 +20,6 @@ from cellwise.cell.effects import (
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
 from cellwise.cell.resolved import over_temperature
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import ROWS_C
 from cellwise.export.c_tables import comment, filled
@@ -147,7 +146,7 @@ def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
 
 def parameter_file(model: CellModel) -> tuple[str, list[str]]:
     """The Python file, and what of the model it leaves out."""
-    usual_C = model_temperature_C(model)
+    usual_C = model.usual_temperature_C
     slow, heating = model.effect(SlowDiffusion), model.effect(SelfHeating)
     warmth, shape = model.effect(TemperatureDependence), model.r0_ohm.shape
     branches = 3 if np.any(slow.r3_ohm) else 2

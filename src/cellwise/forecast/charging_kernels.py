@@ -6,7 +6,7 @@ import math
 
 from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import BEYOND, CellState, CellTables, advance, voltage_of
-from cellwise.estimate.validity_kernels import extrapolation_V
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V
 from cellwise.forecast.records import (
     BY_CHARGE,
     BY_CURRENT,

@@ -10,7 +10,6 @@ import numpy as np
 
 from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
@@ -120,7 +119,7 @@ class Outlook:
         limit, taper = limit_of(model, limit_V), taper_of(model, taper_A)
         self._charger = ChargerSeen(limit, taper, self._least_A)
         self._unseen = warms_unseen(model)
-        self._usual_C = model_temperature_C(model)
+        self._usual_C = model.usual_temperature_C
         self._load_A = self._load_W = self._bias_V = self._held_V = 0.0
         self._seen_s = 0.0
         self._warming = NOTHING_SEEN

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import rows
 from cellwise.cell.equations import CellState, CellTables, advance, voltage_of, with_soc
-from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V, soc_extrapolation_V
 from cellwise.forecast.charging_kernels import new_error_V
 from cellwise.forecast.records import Away, Going, Uncertain
 from cellwise.forecast.warming_kernels import Warmth, warmed_to

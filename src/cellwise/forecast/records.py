@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.estimate.validity_kernels import ValidityScalars
+from cellwise.cell.plausibility.validity_kernels import ValidityScalars
 from cellwise.forecast.warming_kernels import Thermal
 from cellwise.typing import BoolArray, FloatArray
 

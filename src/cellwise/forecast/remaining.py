@@ -11,11 +11,11 @@ from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
+from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.forecast.records import (
     BY_VOLTAGE,
     NEVER,

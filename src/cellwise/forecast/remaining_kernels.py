@@ -17,7 +17,7 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.cell.packed import changed
-from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V, soc_extrapolation_V
 from cellwise.forecast.charging_kernels import new_error_V, to_full
 from cellwise.forecast.records import (
     BY_CHARGE,

@@ -36,7 +36,6 @@ from cellwise.cell.plausibility.notice import stated_error_V
 from cellwise.cell.simulate import (
     check_soc0,
     known_temperature_C,
-    model_temperature_C,
     simulate,
     start_hysteresis,
 )
@@ -178,7 +177,7 @@ def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> I
         log.time_s[:rows],
         current[:rows],
         log.voltage_V[:rows],
-        np.full(rows, model_temperature_C(model))
+        np.full(rows, model.usual_temperature_C)
         if log.temperature_C is None
         else log.temperature_C[:rows],
         None if log.charge_Ah is None else log.charge_Ah[:rows],

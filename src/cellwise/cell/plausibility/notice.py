@@ -16,6 +16,7 @@ from cellwise.cell.effects import Entropy, TemperatureDependence
 from cellwise.cell.metrics import band_metrics, error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.checks.grave import is_grave
 from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
@@ -400,11 +401,17 @@ def stated_error_at(
     *,
     other_resistance: float = 0.0,
 ) -> FloatArray:
-    """The same at one temperature, None where it is not known [degC]."""
+    """The same at one temperature, None where it is not known [degC].
+
+    Beyond the temperatures of the model's data it grows as the filters' error does.
+    """
     at, error = np.clip(soc, 0.0, 1.0), model.error
     ocv = model.ocv_at(float(model.temperature_C[0]) if warm is None else warm)
     drop = np.interp(at, model.soc, ocv) - voltage_V
     share = np.where(drop >= 0.0, error.whole_share(1.0), error.whole_share(-1.0))
     share = np.hypot(share, other_resistance)
     slow = model.slow_error_V(at, warm)
-    return np.asarray(np.sqrt(slow**2 + error.white_V**2 + (share * drop) ** 2))
+    far, warm = validity_scalars(model), model.usual_temperature_C if warm is None else warm
+    resting_V = extrapolation_V(far, warm, 0.0, 0.0)
+    beyond = resting_V + (extrapolation_V(far, warm, 0.0, 1.0) - resting_V) * np.abs(drop)
+    return np.asarray(np.sqrt(slow**2 + error.white_V**2 + (share * drop) ** 2 + beyond**2))

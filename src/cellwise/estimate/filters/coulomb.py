@@ -12,7 +12,7 @@ from cellwise.cell.equations import CellTables, look_up, soc_step
 from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C, simulate
+from cellwise.cell.simulate import check_soc0, check_soc0_std, simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import LogArrays
 from cellwise.estimate.filters.kalman import check_state, log_arrays, reading_from
@@ -278,7 +278,7 @@ class RestOcv:
         self.noise = noise_for(model, noise)
         self.rest_s = float(rest_s)
         self._tables = model.parameters()
-        self._default_C = model_temperature_C(model)
+        self._default_C = model.usual_temperature_C
         self._count = Coulomb(model, self.noise)
         self._rules = RestRules(self._count.rules, self.rest_s)
 

@@ -12,6 +12,7 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 
 from cellwise.cell.equations import CellState, advance, loaded, seen_current, transition, voltage_of
 from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outside, widened
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, voltage_variance
@@ -21,7 +22,6 @@ from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import REST_RATE, unseen_soc
 from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
-from cellwise.estimate.validity_kernels import extrapolation_V, is_outside, widened
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 

@@ -14,7 +14,7 @@ from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import row_of
 from cellwise.cell.point_kernels import M
-from cellwise.cell.simulate import check_soc0, check_soc0_std, model_temperature_C
+from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters.filter_state import (
@@ -51,7 +51,7 @@ class FilterOfModel:
         self.model = model
         self.noise = noise_for(model, noise)
         self._tables = model.parameters()
-        self._default_C = model_temperature_C(model)
+        self._default_C = model.usual_temperature_C
 
     def start(self, soc0: float, soc0_std: float = 0.15) -> EkfStart:
         """Start at ``soc0``, known to ``soc0_std``.

@@ -17,6 +17,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.packed import changed
+from cellwise.cell.plausibility.validity_kernels import extrapolation_V
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import Column, Covariance, moved, scaled
@@ -24,7 +25,6 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import RESTART_POINTS, START_BRANCH_V
 from cellwise.estimate.sensing_kernels import REST_RATE, Sample
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
-from cellwise.estimate.validity_kernels import extrapolation_V
 
 FIRST_LOOK_S = 15.0  # by then the fast branches follow the load
 LOOK_FACTOR = 4.0

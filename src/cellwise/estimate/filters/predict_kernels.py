@@ -16,6 +16,12 @@ from cellwise.cell.equations import (
     transition,
 )
 from cellwise.cell.packed import changed
+from cellwise.cell.plausibility.validity_kernels import (
+    extrapolation_V,
+    is_outside,
+    lost_temperature_V,
+    widened,
+)
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import (
@@ -29,12 +35,6 @@ from cellwise.estimate.recovery_kernels import start_branch
 from cellwise.estimate.sensing_kernels import Sample, unseen_soc
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import OUTSIDE
-from cellwise.estimate.validity_kernels import (
-    extrapolation_V,
-    is_outside,
-    lost_temperature_V,
-    widened,
-)
 
 SOC_LOW = 0.0
 SOC_HIGH = 1.0

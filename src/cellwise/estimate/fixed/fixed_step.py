@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.simulate import known_temperature_C, model_temperature_C
+from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
@@ -260,7 +260,7 @@ class FixedStep:
 
     def temperature_or_usual_C(self, temperature_C: float | None) -> float:
         """A reading, or without one the model's own temperature [degC]."""
-        return model_temperature_C(self.model) if temperature_C is None else temperature_C
+        return self.model.usual_temperature_C if temperature_C is None else temperature_C
 
     def _need_stepper(self) -> Stepper:
         return self.stepper(self.known_dt_s)

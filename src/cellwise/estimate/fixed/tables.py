@@ -24,8 +24,8 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.resolved import needs_rows, over_temperature
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import cell_constants
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
@@ -47,7 +47,6 @@ from cellwise.estimate.recovery_kernels import (
 )
 from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
 from cellwise.estimate.slopes_kernels import FLAT_SHARE
-from cellwise.estimate.validity_kernels import validity_scalars
 from cellwise.typing import FloatArray
 
 Float32Array = NDArray[np.float32]
@@ -275,7 +274,7 @@ def _constants(model: CellModel, dt_s: float, noise: Noise, options: Options) ->
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
         "heat_rate": dt_s / heating.thermal_s,
-        "temperature_C": model_temperature_C(model),
+        "temperature_C": model.usual_temperature_C,
         **_temperature_tables(model, options),
         **_validity(model, noise),
     }

@@ -10,6 +10,7 @@ import math
 from cellwise.cell.compiled import inline, kernel
 from cellwise.cell.equations import BEYOND, CellTables, arrhenius
 from cellwise.cell.packed import lane_record, place_of, put_lane_record, size_of
+from cellwise.cell.plausibility.validity_kernels import ValidityScalars, is_outside
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
@@ -27,7 +28,6 @@ from cellwise.estimate.filters.kalman_kernels import kalman_step
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import COLDEST_C, HOTTEST_C, Reading
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
-from cellwise.estimate.validity_kernels import ValidityScalars, is_outside
 from cellwise.typing import FloatArray
 
 LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler

@@ -19,6 +19,11 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.cell.packed import changed
+from cellwise.cell.plausibility.validity_kernels import (
+    extrapolation_V,
+    soc_extrapolation_V,
+    widened,
+)
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.evidence_kernels import voltage_variance
 from cellwise.estimate.filters.covariance_kernels import (
@@ -28,7 +33,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     explained,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.validity_kernels import extrapolation_V, soc_extrapolation_V, widened
 
 # Intervals of a horizon: within one the current is constant, and SOC's tables are looked up.
 STEPS = 5

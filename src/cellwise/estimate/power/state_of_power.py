@@ -11,7 +11,6 @@ from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.simulate import model_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.filters.covariance_kernels import uncorrelated
@@ -177,7 +176,7 @@ def power_limits(
             "a filter's state, or a CellState",
             "Pass what `step` returns.",
         )
-    warm = model_temperature_C(model) if temperature_C is None else float(temperature_C)
+    warm = model.usual_temperature_C if temperature_C is None else float(temperature_C)
     return settings.of(present_of(state, warm, seen))
 
 
