@@ -255,7 +255,7 @@ def suspicious():
 
 def test_one_cursor_in_all_plots_of_a_log_and_an_alert_shows_its_rows(tmp_path):
     log, other = suspicious(), drive(3000, name="another")
-    page = replay_page([replay(log), replay(other)], tmp_path / "p.html", [simulation(log)])
+    page = replay_page([replay(other), replay(log)], tmp_path / "p.html", [simulation(log)])
     # Where every visible cursor of a log stands [s from its first row], by kind of plot.
     lines = (
         "(name => [...document.querySelectorAll('figure')].filter(f => f.dataset.clock === name)"
