@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellwise.cell.compiled import inline, kernel
+from cellwise.cell.compiled import inline, is_compiled, kernel
 from cellwise.cell.equations import rc_step
 
 PROGRAM = """
@@ -143,3 +145,19 @@ def test_an_untried_numba_compiles_by_itself_to_the_same_bits(tmp_path):
         assert done.returncode == 0, done.stderr
         bits.add(done.stdout)
     assert len(bits) == 1
+
+
+@pytest.mark.parametrize(
+    "kept", [b"cno_such_module\nGone\n.", b"", b"\x80\x04K\x01."], ids=["moved", "cut", "other"]
+)
+def test_what_another_version_kept_is_made_again(tmp_path, kept):
+    function = kernel(_twice)
+    file = function._cache._cache_file
+    file._index_path = str(tmp_path / "kept.nbi")
+    Path(file._index_path).write_bytes(pickle.dumps(file._version) + kept)
+    assert not is_compiled(function)
+    assert function(2.0) == 4.0
+
+
+def _twice(x: float) -> float:
+    return 2.0 * x

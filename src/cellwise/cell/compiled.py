@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -101,6 +102,7 @@ def _part(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
         compiled.__class__ = Equation
     if is_compiled and isinstance(compiled._cache, FunctionCache):
         compiled._cache = CACHE_OF_PARTS(function)
+        _read_own_index(compiled)
     made: Callable[P, R] = compiled
     return made
 
@@ -130,12 +132,35 @@ def cached(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def _compiled(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """The function by numba; without its cache where no place of it can be written to."""
     try:
-        return njit(**options)(function)
+        compiled = njit(**options)(function)
+        _read_own_index(compiled)
+        return compiled
     except RuntimeError as error:
         if "locator" not in str(error):
             raise
     _say_without_cache()
     return njit(**options | {"cache": False})(function)
+
+
+def _read_own_index(compiled: Any) -> None:
+    """What was kept by another version of cellwise, or cut off, is not there: it is made again.
+
+    Numba reads the types of an index before it looks whether the index is of this source, and a
+    type may have moved.
+    """
+    file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if file is None:
+        return
+    load = file._load_index
+
+    def load_index() -> dict[Any, Any]:
+        try:
+            found: dict[Any, Any] = load()
+        except (ImportError, AttributeError, EOFError, TypeError, ValueError, UnpicklingError):
+            return {}
+        return found
+
+    file._load_index = load_index
 
 
 @lru_cache(maxsize=1)
