@@ -82,3 +82,18 @@ def real_data() -> Path:
 @pytest.fixture(scope="session")
 def datasets() -> Path:
     return REPOSITORY / "datasets"
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Every picture that a page takes in."""
+    from cellwise.report.page.markup import Markup
+
+    taken = []
+
+    def take(picture):
+        taken.append(picture)
+        return Markup("<figure id='f'></figure>")
+
+    monkeypatch.setattr("cellwise.report.page.section.inline", take)
+    return taken

@@ -12,24 +12,10 @@ from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
-from cellwise.report.page.markup import Markup
 from example_cells import curved_cell
 
 ROWS, DT_S, START = 2500, 2.0, 0.9
 OFFSET_A = 0.1
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """Every picture that a page takes in."""
-    taken = []
-
-    def take(picture):
-        taken.append(picture)
-        return Markup("<figure id='f'></figure>")
-
-    monkeypatch.setattr("cellwise.report.page.section.inline", take)
-    return taken
 
 
 def text_of(page, tag):

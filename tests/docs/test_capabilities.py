@@ -104,7 +104,7 @@ TRIED = {
         f"{LINES}::test_a_cell_of_no_kind_that_is_known_is_said_first",
     ),
     "a diagnosis leads with what to do": (
-        f"{LINES}::test_an_extension_that_makes_soc_worse_is_not_sold",
+        "cli/test_pages.py::test_an_extension_that_makes_soc_worse_is_not_to_be_adopted",
         "cli/test_diagnose.py::test_what_only_repeats_its_prior_comes_last",
         "cli/test_diagnose.py::test_for_people",
     ),

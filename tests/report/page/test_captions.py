@@ -16,7 +16,6 @@ from cellwise.cli import main
 from cellwise.forecast.remaining import forecast
 from cellwise.report import identify_page, replay_page
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup
 from diagnosis_cases import diagnosis
 from page_cases import every_page
 from report_cases import drive, identification, model, replay
@@ -86,19 +85,6 @@ NEEDED = {
     r"thin marks": named("move"),
     **{f"{name.capitalize()}:": named(name) for name in style.VERDICTS},
 }  # fmt: skip
-
-
-@pytest.fixture
-def drawn(monkeypatch):
-    """Every picture that a page takes in."""
-    taken = []
-
-    def take(picture):
-        taken.append(picture)
-        return Markup("<figure id='f'></figure>")
-
-    monkeypatch.setattr("cellwise.report.page.section.inline", take)
-    return taken
 
 
 def untrue(pictures):
