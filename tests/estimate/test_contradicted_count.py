@@ -159,7 +159,7 @@ def test_on_a_linear_cell_what_is_free_is_one_more_state_of_a_filter(filter_):
         p = p - np.outer(k, h @ p)
         state, _ = ours.step(state, amps, voltage, dt_s=interval)
     d = state.filter.drift if filter_ is adaptive else state.drift
-    information, score = np.array([[d.information]]), [d.offset * d.information]
+    information, score = np.array([[d.information]]), [d.score]
     reach, believed = [d.reach], d.believed * d.reach
     if filter_ is adaptive:
         c = state.free.capacity

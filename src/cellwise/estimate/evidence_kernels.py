@@ -73,16 +73,20 @@ def repeated_evidence(
 
 
 @inline
-def mismatch_step(noise: NoiseScalars, mismatch: float, excess: float, dt_s: float) -> float:
-    """Running mean over ``slow_s`` of ``excess``, the squared innovation over its variance.
+def mismatch_step(
+    noise: NoiseScalars, mismatch: float, square: float, variance: float, dt_s: float
+) -> float:
+    """Running mean over ``slow_s`` of the squared innovation over its variance, times that.
 
     A model of another temperature, age or cell is wrong all the time: evidence weighs less by what
-    the innovations have lately shown beyond their variance.
+    the innovations have lately shown beyond their variance. The division by it is left to the
+    caller, who does not wait for it.
     """
     if noise.mismatch_cap <= 0.0 or noise.slow_s <= 0.0:
-        return mismatch
+        return mismatch * variance
     lately = min(dt_s * noise.per_slow_s, 1.0)
-    return mismatch + lately * (min(excess, noise.mismatch_cap) - mismatch)
+    most = noise.mismatch_cap * variance
+    return (1.0 - lately) * (mismatch * variance) + lately * min(square, most)
 
 
 @inline
@@ -211,7 +215,7 @@ def gate(
     variance = i.state_variance + (i.one + i.free_variance)
     square = innovation_V * innovation_V
     ratio = square / variance * noise.per_gate2
-    excess = square / (i.state_variance + i.one)
+    own = i.state_variance + i.one
     reading = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
     status |= reading[3]
     used = False
@@ -226,7 +230,8 @@ def gate(
         ratio = math.nan
     elif status & VOLTAGE_FROZEN == 0:
         used = True
-        mismatch = mismatch_step(noise, mismatch, excess, s.dt_s)
+        off = mismatch_step(noise, mismatch, square, own, s.dt_s)
+        mismatch = off / own
         if ratio > 1.0:
             status |= INNOVATION_REJECTED
             # Ten samples a second repeat one error: each counts for its time, at most for one.
@@ -245,10 +250,10 @@ def gate(
         else:
             accepted = True
             rejections = 0.0
-            # 1 / (state_variance + one above / below), with one division.
+            # 1 / (state_variance + one max(mismatch, 1) above / below), with one division.
             above, below = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-            one = i.one * max(mismatch, 1.0)
-            inverse = below / (i.state_variance * below + one * above)
+            below *= own
+            inverse = below / (i.state_variance * below + i.one * max(off, own) * above)
             evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s

@@ -13,7 +13,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.files import write_atomically
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
 MAY_BE_INFINITE = {"repeats", "rest_s"}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet

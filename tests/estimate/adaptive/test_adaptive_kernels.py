@@ -23,7 +23,7 @@ ODDS = np.array([RULES.offset_odds, RULES.capacity_odds])
 
 def told(information, score):
     """Capacity and offset of which the voltages have said so much, per prior deviation."""
-    d = no_drift()._replace(offset=score[0] / information[0, 0], information=information[0, 0])
+    d = no_drift()._replace(score=score[0], information=information[0, 0])
     c = no_capacity()._replace(
         score=score[1], information=information[1, 1], cross=information[0, 1]
     )
@@ -76,13 +76,13 @@ def test_what_wanders_is_forgotten_down_to_what_was_known_before():
     c, d = before
     for _ in range(100):
         c, d = forgotten(c, d, RULES, 3.6e6)
-    np.testing.assert_allclose((c.information, d.information, c.score, d.offset), (1, 1, 0, 0),
+    np.testing.assert_allclose((c.information, d.information, c.score, d.score), (1, 1, 0, 0),
                                atol=1e-3)  # fmt: skip
     c, d = forgotten(*before, RULES, 3600.0)
     keep = (c.information - 1.0) / (information[1, 1] - 1.0)
     assert 0.0 < keep < 1.0
     assert d.information - 1.0 == pytest.approx(keep * (information[0, 0] - 1.0))
-    left = c.cross, c.score, d.offset * d.information
+    left = c.cross, c.score, d.score
     assert left == pytest.approx(keep * np.array([information[0, 1], score[1], score[0]]))
 
 

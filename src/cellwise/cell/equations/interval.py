@@ -22,11 +22,10 @@ def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float 
     cell = tables.cell
     table = tables.table
     mean = place_of(tables, soc, temperature_C)
-    below = mean
+    point = tables_at(table, mean)
     if cell.surface_per_A != 0.0:
         surface = surface_soc(cell, soc, slow_A, temperature_C)
-        below = moved(table, mean, surface)
-    point = surfaced(tables_at(table, mean), tables_at(table, below))
+        point = surfaced(point, tables_at(table, moved(table, mean, surface)))
     return at_temperature(cell, point, temperature_C)
 
 

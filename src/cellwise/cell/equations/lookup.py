@@ -38,8 +38,9 @@ def moved(table: FloatArray, place: Place, soc: float) -> Place:
     n = table.shape[1]
     x = soc * (n - 1)
     k = np.uint64(min(max(x, 0.0), n - 2.0))  # unsigned: no test for indices from the end
-    f = min(max(x - float(k), -BEYOND * (n - 1)), 1.0 + BEYOND * (n - 1))
-    g = min(max(f, 0.0), 1.0)
+    past = BEYOND * (n - 1)
+    f = min(max(x, -past), n - 1 + past) - float(k)
+    g = min(max(x, 0.0), n - 1.0) - float(k)
     return Place(place.lo, k, f, g, place.w)
 
 

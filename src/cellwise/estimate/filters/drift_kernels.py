@@ -34,15 +34,15 @@ class Drift(NamedTuple):
     """An offset of the current, per standard deviation that it has beforehand.
 
     ``reach`` is the SOC by which one of them puts the filter's own estimate too low, ``d1_V`` to
-    ``d3_V`` by how much it puts the branches too high; ``offset`` and ``information`` what the
-    voltages say of it if there is one, its mean and one over its variance, ``believed`` and
+    ``d3_V`` by how much it puts the branches too high; ``information`` is what the voltages say of
+    it if there is one, one over its variance, ``score`` that times its mean, ``believed`` and
     ``unsure`` its mean and variance over both hypotheses: the estimate that is carried is the
     filter's own and ``believed`` x ``reach``. ``rest_s`` is for how long the current has stood
     still near zero, infinite once that has been used, ``rest_A`` what it has been.
     """
 
     reach: float
-    offset: float
+    score: float
     information: float
     believed: float
     unsure: float
@@ -79,14 +79,14 @@ def counted_on(
     stands &= abs(current_A - old.rest_A) <= REST_BAND * rate_A
     rest_s = old.rest_s + counted_s if stands else 0.0
     shows = (rest_s >= REST_S) & (rest_s <= LONG_S)
-    offset, information = old.offset, old.information
+    score, information = old.score, old.information
     if shows and offset_A > 0.0:
         weight = SHOWN if abs(current_A) <= REST_RATE * rate_A else MAY_BE_LOAD
         information += weight
-        offset += weight / information * (current_A / offset_A - offset)
+        score += weight * current_A / offset_A
     return Drift(
         old.reach + noise.offset_soc_per_s * counted_s,
-        offset,
+        score,
         information,
         old.believed,
         old.unsure,
@@ -105,19 +105,17 @@ def drift_variance(drift: Drift) -> float:
 
 
 @inline
-def weight_of_offset(offset: float, information: float, deviation: float) -> float:
-    """Chance of an offset after the voltages; ``deviation`` is one over the root of the second.
+def student(square: float) -> float:
+    """How likely a mean of that square over its variance is beside none: Student's t.
 
-    Student's t of 31 degrees of freedom in place of the normal density: how sure the voltages are
-    is itself not quite sure, and it takes no exponential.
+    Of 31 degrees of freedom, in place of the normal density: how sure the voltages are is itself
+    not quite sure, and it takes no exponential.
     """
-    base = 1.0 + offset * offset * information * PER_FREEDOM
+    base = 1.0 + square * PER_FREEDOM
     base *= base
     base *= base
     base *= base
-    base *= base
-    odds = ODDS * deviation * base
-    return odds / (1.0 + odds)
+    return base * base
 
 
 @inline
@@ -136,13 +134,15 @@ def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: fl
     """
     read = inverse * seen_V
     information = now.information + read * seen_V
+    score = now.score + read * own_V
     variance = 1.0 / information
-    offset = now.offset + read * variance * (own_V - seen_V * now.offset)
-    weight = weight_of_offset(offset, information, math.sqrt(variance))
+    odds = ODDS * student(score * score * variance)
+    weight = odds / (odds + math.sqrt(information))
+    offset = score * variance
     unsure = weight * (variance + (1.0 - weight) * offset * offset)
     # fmt: off
     return Drift(
-        now.reach - gain * seen_V, offset, information, weight * offset, unsure, now.d1_V,
+        now.reach - gain * seen_V, score, information, weight * offset, unsure, now.d1_V,
         now.d2_V, now.d3_V, now.rest_s, now.rest_A,
     )
     # fmt: on

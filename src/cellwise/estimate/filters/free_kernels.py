@@ -21,7 +21,7 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import Verdict
-from cellwise.estimate.filters.drift_kernels import PER_FREEDOM, Drift
+from cellwise.estimate.filters.drift_kernels import Drift, student
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.status import CURRENT_INVALID
@@ -236,9 +236,8 @@ def forgotten(c: Capacity, d: Drift, rules: FreeRules, dt_s: float) -> tuple[Cap
     keep = max(1.0 - faster * dt_s, 0.0)
     c = changed(changed(c, "score", keep * c.score), "cross", keep * c.cross)
     c = changed(c, "information", 1.0 + keep * (c.information - 1.0))
-    less = 1.0 + keep * (d.information - 1.0)
-    d = changed(d, "offset", keep * d.offset * (d.information / less))
-    return c, changed(d, "information", less)
+    d = changed(d, "score", keep * d.score)
+    return c, changed(d, "information", 1.0 + keep * (d.information - 1.0))
 
 
 @inline
@@ -248,20 +247,16 @@ def likelihood(square: float, best: float, determinant: float) -> float:
     That anything is free at all is as sure as an offset is (Student's t of 31 degrees of freedom);
     which of them it is, the normal density says.
     """
-    base = 1.0 + min(best, LARGEST_SQUARE) * PER_FREEDOM
-    base *= base
-    base *= base
-    base *= base
-    base *= base
-    return base * math.exp(0.5 * (square - best)) / math.sqrt(determinant)
+    sure = student(min(best, LARGEST_SQUARE))
+    return sure * math.exp(0.5 * (square - best)) / math.sqrt(determinant)
 
 
 @inline
 def weighed(c: Capacity, d: Drift, rules: FreeRules) -> tuple[Capacity, Drift]:
     """Mean and covariance of offset and capacity over the four hypotheses."""
-    h, l1, l2, x = d.offset * d.information, d.information, c.information, c.cross
+    h, l1, l2, x = d.score, d.information, c.information, c.cross
     det = l1 * l2 - x * x
-    one, two = d.offset, c.score / l2
+    one, two = h / l1, c.score / l2
     b, q = (l2 * h - x * c.score) / det, (l1 * c.score - x * h) / det
     best = h * b + c.score * q
     w1 = rules.offset_odds * likelihood(h * one, best, l1)

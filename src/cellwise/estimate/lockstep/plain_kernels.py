@@ -186,7 +186,7 @@ def plain_step(
     variance = state_variance + (one + free_variance)
     innovation = voltage_V - predicted
     square = innovation * innovation
-    excess = square / (state_variance + one)
+    own = state_variance + one
     ratio = square / variance * noise.per_gate2
 
     # The sensors' past: is the voltage frozen?
@@ -211,13 +211,15 @@ def plain_step(
         0.0 if sound else w.no_warm_s,
     )
 
-    mismatch = mismatch_step(noise, old.mismatch, excess, dt_s)
-    worse = mismatch if mismatch > 1.0 else 1.0
+    off = mismatch_step(noise, old.mismatch, square, own, dt_s)
+    mismatch = off / own
     # As `repeated_evidence` says, without branches.
     below = (w.evidence_s + noise.half_s) * dt_s
     above = 2.0 * noise.slow_s * (w.evidence_s + noise.early_s)
     above = above if above > below else below
-    inverse = below / (state_variance * below + one * worse * above)
+    below *= own
+    off = off if off > own else own
+    inverse = below / (state_variance * below + one * off * above)
     k = scaled(d, inverse)
     stays_V = persistent_V(noise, point, mismatch)
     persistent = persistent_step(k.s, slope, old.persistent, stays_V)
