@@ -17,7 +17,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.filter_state import OUTPUTS, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, log_arrays
 from cellwise.estimate.filters.kalman_kernels import kalman_rows
-from cellwise.estimate.lockstep.lockstep import LockstepEkf, LockstepState
+from cellwise.estimate.lockstep import LockstepEkf, LockstepState
 from cellwise.logs import CellLog
 
 UNIT = "ns/step"

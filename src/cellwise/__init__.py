@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.adaptive.adaptive import Adaptive
     from cellwise.estimate.filters.coulomb import Coulomb
     from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
-    from cellwise.estimate.lockstep.lockstep import LockstepEkf
+    from cellwise.estimate.lockstep import LockstepEkf
     from cellwise.estimate.noise import Noise
     from cellwise.estimate.power.limits import OperatingLimits
     from cellwise.estimate.power.state_of_power import power_limits, power_settings
@@ -60,7 +60,7 @@ _HOMES = {
     "tune_noise": "cellwise.estimate.tune_noise",
     "Coulomb": "cellwise.estimate.filters.coulomb",
     "Ekf": "cellwise.estimate.filters.kalman",
-    "LockstepEkf": "cellwise.estimate.lockstep.lockstep",
+    "LockstepEkf": "cellwise.estimate.lockstep",
     "Noise": "cellwise.estimate.noise",
     "OperatingLimits": "cellwise.estimate.power.limits",
     "power_limits": "cellwise.estimate.power.state_of_power",

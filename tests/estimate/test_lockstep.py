@@ -23,7 +23,7 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.lockstep.lockstep import LockstepEkf
+from cellwise.estimate.lockstep import LockstepEkf
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

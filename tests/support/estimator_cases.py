@@ -28,11 +28,13 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.estimate.adaptive.adaptive import Adaptive
+from cellwise.cell.packed import place_of
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.estimate.lockstep.block_kernels import FIELDS, LANES, LAST_A
-from cellwise.estimate.lockstep.lockstep import LockstepEkf
+from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.lockstep import LockstepEkf
+from cellwise.estimate.lockstep_kernels import FIELDS, LANES
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 
@@ -193,7 +195,8 @@ def _lockstep(name, model, rows, soc0, soc0_std, noise):
     """Its gaps last one time step; it takes no repeated stamp."""
     fleet = LockstepEkf(model, 1, rows.tick_s, noise)
     state = fleet.init(soc0, soc0_std)
-    state.blocks.reshape(-1, FIELDS, LANES)[:, LAST_A] = rows.current_A[0]
+    last_A = place_of(EkfState, "watch.current_A")
+    state.blocks.reshape(-1, FIELDS, LANES)[:, last_A] = rows.current_A[0]
     for k in range(len(rows)):
         state, info = fleet.step(
             state, rows.current_A[k], rows.voltage_V[k], rows.temperature_C[k],

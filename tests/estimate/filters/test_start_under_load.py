@@ -21,7 +21,7 @@ from cellwise.estimate.filters.past_kernels import (
     reconsidered,
     soc_of_level,
 )
-from cellwise.estimate.lockstep.lockstep import LockstepEkf
+from cellwise.estimate.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
 from cellwise.logs.cell_log import CellLog

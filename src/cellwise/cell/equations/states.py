@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.equations.records import CellState, Transition
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 
@@ -28,7 +29,7 @@ def soc_step(cell: CellScalars, soc: float, current_A: float, dt_s: float) -> fl
 @inline
 def decay(dt_s: float, tau_s: float) -> float:
     r"""The share of a state that remains after an interval, :math:`e^{-\Delta t / \tau}`."""
-    return math.exp(-dt_s / tau_s)
+    return exponential(-dt_s / tau_s)
 
 
 @inline
@@ -75,7 +76,7 @@ def hysteresis_decay(cell: CellScalars, current_A: float, dt_s: float) -> float:
     """
     per_A = dt_s / cell.charge_As
     folds = -cell.hysteresis_rate * abs(current_A) * per_A
-    return math.exp(folds)
+    return exponential(folds)
 
 
 @inline

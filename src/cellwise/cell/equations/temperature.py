@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from cellwise.cell.compiled import inline
+from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.equations.records import CellTables
 from cellwise.cell.equations.states import decay
 from cellwise.cell.point_kernels import CellPoint, CellScalars
@@ -22,7 +21,7 @@ def inverse_kelvin(temperature_C: float, reference_K: float) -> float:
 @inline
 def thermal_factor(activation_K: float, inverse_K: float) -> float:
     """Arrhenius factor at ``inverse_K`` = 1/T - 1/T_ref."""
-    return math.exp(activation_K * inverse_K)
+    return exponential(activation_K * inverse_K)
 
 
 @inline

@@ -1,1 +1,0 @@
-"""Many cells of one model, one EKF each, stepped side by side."""
