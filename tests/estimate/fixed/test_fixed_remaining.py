@@ -14,8 +14,8 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.forecast.ahead_kernels import Going, with_ends
 from cellwise.forecast.remaining import uncertain_of
-from cellwise.forecast.remaining_kernels import Going, with_ends
 from cellwise.forecast.warming_kernels import STEADY
 from example_cells import curved_cell, lfp_cell, linear_cell
 from firmware_cases import cutoff_asked, stress_samples, tables_of
