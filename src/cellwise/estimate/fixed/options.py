@@ -1,7 +1,7 @@
 """What is compiled into a fixed step: effects, care and watch, as a model needs them.
 
 The upper-case names stand for the options inside the step. They are known when a loop is compiled
-(``rows``) and when C is (``#if CELLWISE_SLOW``), so that what is not compiled in costs nothing.
+(``rows``) and when C is printed, so that what is not asked for costs nothing.
 """
 
 from __future__ import annotations
@@ -163,17 +163,6 @@ WIDE = WATCH = 0  # care and watch
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
-
-# What a name means to the C preprocessor where it is not CELLWISE_ and the name.
-IN_C = {
-    "TEMPERATURES": "CELLWISE_TEMPERATURES > 1",
-    "ARRHENIUS": "CELLWISE_ARRHENIUS > 0",
-    "DEPTH": "CELLWISE_DEPTH > 0",
-    "WARM": "CELLWISE_NEEDS_TEMPERATURE",
-    "THERMAL": "CELLWISE_VALIDITY > 1",
-    "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || "
-    "CELLWISE_HEALTH || CELLWISE_CELLS",
-}
 
 
 def flags_of(options: Options) -> dict[str, int]:
