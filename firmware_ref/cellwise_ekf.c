@@ -677,7 +677,6 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->v3_V = 0.0f;
     x->soc_carry = 0.0f;
     x->v3_carry_V = 0.0f;
-    x->ss_carry = 0.0f;
     x->h = (soc > 0.5f) ? 1.0f : -1.0f;
     start_covariance(x, soc_variance);
     x->current_A = 0.0f;
@@ -685,6 +684,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->heat_K = 0.0f;
     x->slow_A = 0.0f;
     x->temperature_C = c->temperature_C;
+    x->ss_carry = 0.0f;
     x->contradicted = 0.0f;
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;

@@ -140,7 +140,6 @@ def test_every_set_of_options_is_c(states, tmp_path):
     slow, hysteresis = states
     effects = (
         "efficiency", "leak", "skew", "rate", "asymmetry", "transfer", "surface", "heating", "wide",
-        "watch",
     )  # fmt: skip
     sizes = [(1, 0), (3, 0), (1, 161)]
     for k, (temperatures, arrhenius) in enumerate(sizes):

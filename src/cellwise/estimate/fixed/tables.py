@@ -52,7 +52,7 @@ from cellwise.typing import FloatArray
 Float32Array = NDArray[np.float32]
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
-MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
+MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 
 
 class TargetLimits(NamedTuple):
