@@ -1397,14 +1397,21 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     return status;
 }
 
-/* ---- fixed_power.py: State of power of the fixed step: the largest constant current over one
- * horizon. */
+/* ---- fixed_power.py: What a constant current makes of the cell; state of power: the largest
+ * one over a horizon. */
 
-/* The voltage at the end of a current, and its variance without what the SOC brings. */
+/* A cell after a constant current: branches, voltage, variances of it. `variance_V2` is the
+ * model's, `kept_V2` what is left of the branches' and of hysteresis. */
 typedef struct {
     float voltage_V;
     float variance_V2;
-} cellwise_ending;
+    float kept_V2;
+    float h;
+    float slow_A;
+    float v1;
+    float v2;
+    float v3;
+} cellwise_along;
 
 /* Power one way: the value, what is sustained with 95 %, the current of the value. */
 typedef struct {
@@ -1413,60 +1420,119 @@ typedef struct {
     float current_A;
 } cellwise_way;
 
-/* A constant current over the horizon, from `soc`, in one interval. What the states share is
- * left out of the variance: it mostly takes away from it. */
-static NOINLINE void ending(const cellwise_model *m, const cellwise_place *place,
-                            const cellwise_state *x, float soc, float current,
-    cellwise_ending *ending)
+/* Temperature of the cell: what was measured last, and its own warming. */
+static float warmth_of(const cellwise_state *x)
 {
-    const cellwise_row *const low = m->row[place->low];
-    const cellwise_row *const high = m->row[place->low + 1u];
+    float warm_C = x->temperature_C;
+    warm_C = warm_C + x->heat_K;
+    return warm_C;
+}
+
+/* Where the cell's temperature lies between the tables. */
+static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
+{
+    const float warm_C = warmth_of(x);
+    cellwise_place here;
+    place_of(m, warm_C, &here);
+    under_surface(&m->constant, x, &here, warm_C, &here);
+    aged(x, &here, &here);
+    place->low = here.low;
+    place->weight = here.weight;
+    place->scale = here.scale;
+    place->lag = here.lag;
+}
+
+/* The cell's state, under no load yet. */
+static void as_it_is(const cellwise_state *x, cellwise_along *along)
+{
+    along->v1 = x->v1_V;
+    along->v2 = x->v2_V;
+    along->v3 = x->v3_V;
+    along->h = x->h;
+    along->slow_A = x->slow_A;
+    along->voltage_V = 0.0f;
+    along->variance_V2 = 0.0f;
+    along->kept_V2 = 0.0f;
+}
+
+/* The same place with another lag of the particles' surface. */
+static void behind(const cellwise_place *at, float lag, cellwise_place *place)
+{
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale;
+    place->lag = lag;
+}
+
+/* A state of first order of which that share of its way to its end is left. */
+static float toward(float old, float end, float left)
+{
+    return clip(end + (left * (old - end)), -LARGE, LARGE);
+}
+
+/* So many time steps of a constant current later, at a SOC, in one interval. The exponent of a
+ * branch comes from its gain g over one time step, as g / (1 - g / 2). What the states share is
+ * left out of the variance: it mostly takes away from it. */
+static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, const cellwise_along *was, float soc,
+    float current, float steps, cellwise_along *along)
+{
     const cellwise_constants *const c = &m->constant;
-    float used = current;
-    if (used < 0.0f) {
-        used = used * c->charge_efficiency;
-    }
-    float moved = c->power_soc_per_A * used;
-    moved = moved * x->per_capacity;
-    const float end = soc - moved;
+    along->slow_A = was->slow_A;
+    float lag = 0.0f;
+    along->slow_A = toward(along->slow_A, current, 1.0f - risen(steps * c->surface_rate));
+    const float depth = depth_at(c, warmth_of(x));
+    lag = clip(depth * along->slow_A, -1.0f, 1.0f);
+    cellwise_place here;
+    behind(place, lag, &here);
     cellwise_point p;
-    look_up(m, place, end, current, &p);
-    const uint32_t points = CELLWISE_POINTS;
-    float grid = within_one(end) * (float)(points - 1u);
-    grid = within_one(end - place->lag) * (float)(points - 1u);
-    const uint32_t k = index_of(grid, points);
-    const float f = KNOWN_FRACTION(grid - (float)k);
-    const float gain1 = 1.0f / READ(k, power_lag1, f);
-    const float gain2 = 1.0f / READ(k, power_lag2, f);
-    const float keep1 = 1.0f - gain1;
-    const float keep2 = 1.0f - gain2;
+    look_up(m, &here, soc, current, &p);
     const float drop = p.r0_ohm * current;
-    const float v1 = (keep1 * x->v1_V) + (gain1 * (p.r1_ohm * current));
-    const float v2 = (keep2 * x->v2_V) + (gain2 * (p.r2_ohm * current));
-    float held_V = (magnitude(drop) + magnitude(v1)) + magnitude(v2);
-    ending->voltage_V = p.ocv_V - (drop + (v1 + v2));
-    float states_V2 = ((keep1 * keep1) * x->p11) + ((keep2 * keep2) * x->p22);
-    const float gain3 = 1.0f / READ(k, power_lag3, f);
-    const float keep3 = 1.0f - gain3;
-    const float v3 = (keep3 * x->v3_V) + (gain3 * (p.r3_ohm * current));
-    held_V = held_V + magnitude(v3);
-    ending->voltage_V = ending->voltage_V - v3;
-    states_V2 = states_V2 + ((keep3 * keep3) * x->p33);
-    const float rise = risen(c->power_hysteresis_per_A * magnitude(current));
-    const float keep = 1.0f - rise;
-    const float h = clip((keep * x->h) + ((current < 0.0f) ? rise : -rise), -1.0f, 1.0f);
-    ending->voltage_V = ending->voltage_V + (p.m_V * h);
+    float held_V = magnitude(drop);
+    along->voltage_V = p.ocv_V - drop;
+    along->kept_V2 = 0.0f;
+    const float left1 = vanishing(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
+    along->v1 = toward(was->v1, p.r1_ohm * current, left1);
+    held_V = held_V + magnitude(along->v1);
+    along->voltage_V = along->voltage_V - along->v1;
+    along->kept_V2 = along->kept_V2 + ((left1 * left1) * x->p11);
+    const float left2 = vanishing(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
+    along->v2 = toward(was->v2, p.r2_ohm * current, left2);
+    held_V = held_V + magnitude(along->v2);
+    along->voltage_V = along->voltage_V - along->v2;
+    along->kept_V2 = along->kept_V2 + ((left2 * left2) * x->p22);
+    const float left3 = vanishing(steps * (p.gain3 / (1.0f - (0.5f * p.gain3))));
+    along->v3 = toward(was->v3, p.r3_ohm * current, left3);
+    held_V = held_V + magnitude(along->v3);
+    along->voltage_V = along->voltage_V - along->v3;
+    along->kept_V2 = along->kept_V2 + ((left3 * left3) * x->p33);
+    along->h = was->h;
+    const float keep = vanishing((c->hysteresis_per_A * magnitude(current)) * steps);
+    along->h = toward(along->h, (current < 0.0f) ? 1.0f : -1.0f, keep);
+    along->voltage_V = along->voltage_V + (p.m_V * along->h);
     const float spread_V = p.m_V * keep;
-    states_V2 = states_V2 + ((spread_V * spread_V) * x->phh);
+    along->kept_V2 = along->kept_V2 + ((spread_V * spread_V) * x->phh);
     const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    float one_V2 = p.noise_V2 +
+    along->variance_V2 = p.noise_V2 +
         ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
     const float beyond_V = extrapolated(c, x, current, held_V);
-    one_V2 = one_V2 + (beyond_V * beyond_V);
+    along->variance_V2 = along->variance_V2 + (beyond_V * beyond_V);
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        one_V2 = one_V2 * x->mismatch;
+        along->variance_V2 = along->variance_V2 * x->mismatch;
     }
-    ending->variance_V2 = at_least(states_V2, 0.0f) + one_V2;
+    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
+}
+
+/* A constant current over the horizon of the power, from `soc`. */
+static NOINLINE void ending(const cellwise_model *m, const cellwise_place *place,
+                            const cellwise_state *x, float soc, float current,
+    cellwise_along *along)
+{
+    const cellwise_constants *const c = &m->constant;
+    cellwise_along now;
+    as_it_is(x, &now);
+    const float end = soc - (c->power_steps * taken(c, x, current));
+    go_on(m, place, x, &now, end, current, c->power_steps, along);
 }
 
 /* Largest size of a current, discharged (`side` 1) or charged (-1), up to `most_A`. By false
@@ -1476,13 +1542,13 @@ static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
     float most_A)
 {
     float found = 0.0f;
-    cellwise_ending none;
+    cellwise_along none;
     ending(m, place, x, soc, 0.0f, &none);
     float room = side * (none.voltage_V - limit_V);
     if ((room > 0.0f) && (most_A > 0.0f)) {
         float near = 0.0f;
         float far = most_A;
-        cellwise_ending full;
+        cellwise_along full;
         ending(m, place, x, soc, side * most_A, &full);
         float lack = side * (limit_V - full.voltage_V);
         bool near_again = false;
@@ -1491,7 +1557,7 @@ static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
             for (uint32_t k = 0u; k < POWER_TRIALS; k++) {
                 const float share = clip(room / at_least(room + lack, LEAST_SPAN_V), 0.0f, 1.0f);
                 const float middle = near + ((far - near) * share);
-                cellwise_ending there;
+                cellwise_along there;
                 ending(m, place, x, soc, side * middle, &there);
                 const float left = side * (there.voltage_V - limit_V);
                 if (left >= 0.0f) {
@@ -1528,51 +1594,30 @@ static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *plac
     float limit_V, float most_A, float room_soc, cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;
-    float per_soc_A = c->power_A_per_soc;
+    float per_soc_A = 1.0f / (c->soc_per_A * c->power_steps);
     per_soc_A = per_soc_A / x->per_capacity;
     const float by_soc_A = at_least(room_soc * per_soc_A, 0.0f);
     way->current_A = able(m, place, x, soc, side, limit_V, (most_A < by_soc_A) ? most_A : by_soc_A);
-    cellwise_ending end;
+    cellwise_along end;
     ending(m, place, x, soc, side * way->current_A, &end);
     const float shift = SUSTAINED * root(ss);
-    cellwise_ending worse;
+    cellwise_along worse;
     ending(m, place, x, soc - (side * shift), side * way->current_A, &worse);
     const float by_soc_V = end.voltage_V - worse.voltage_V;
-    const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2);
+    const float variance_V2 = end.variance_V2 + end.kept_V2;
+    const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2);
     const float off_V = root((square < 4.0f) ? square : 4.0f);
     const float low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0f);
     const float low_V = limit_V + (side * off_V);
     const float sure =
         able(m, place, x, soc, side, low_V, (most_A < low_soc_A) ? most_A : low_soc_A);
-    cellwise_ending last;
+    cellwise_along last;
     ending(m, place, x, soc, side * sure, &last);
     way->power_W = at_least(way->current_A * end.voltage_V, 0.0f);
     way->low_W = at_least(sure * (last.voltage_V - off_V), 0.0f);
     if (way->low_W > way->power_W) {
         way->low_W = way->power_W;
     }
-}
-
-/* Temperature of the cell: what was measured last, and its own warming. */
-static float warmth_of(const cellwise_state *x)
-{
-    float warm_C = x->temperature_C;
-    warm_C = warm_C + x->heat_K;
-    return warm_C;
-}
-
-/* Where the cell's temperature lies between the tables. */
-static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
-{
-    const float warm_C = warmth_of(x);
-    cellwise_place here;
-    place_of(m, warm_C, &here);
-    under_surface(&m->constant, x, &here, warm_C, &here);
-    aged(x, &here, &here);
-    place->low = here.low;
-    place->weight = here.weight;
-    place->scale = here.scale;
-    place->lag = here.lag;
 }
 
 /* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
@@ -1603,98 +1648,37 @@ void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_c
     }
 }
 
-/* ---- fixed_remaining.py: Remaining time of the fixed step: a constant load carried on to its
- * cutoff or to empty. */
+/* ---- fixed_remaining.py: A load carried on: time and energy to its cutoff or to empty, and
+ * where a plan of loads ends. */
 
-/* A cell under a load at one SOC; `off_V` is two deviations of its voltage. */
+/* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
 typedef struct {
-    float v1_V;
-    float v2_V;
-    float v3_V;
-    float h;
-    float slow_A;
-    float voltage_V;
-    float off_V;
-} cellwise_along;
+    float soc;
+    float least_V;
+    float energy_J;
+    float failed_s;
+} cellwise_end;
 
-/* A state of first order after that share of its way to its end. */
-static float passed(float old, float end, float rise)
+/* Two deviations of the voltage by what the model is off by. */
+static float off_by(const cellwise_along *at)
 {
-    return clip(old + (rise * (end - old)), -LARGE, LARGE);
+    return 2.0f * root((at->variance_V2 < 4.0f) ? at->variance_V2 : 4.0f);
 }
 
-/* The same place with another lag of the particles' surface. */
-static void behind(const cellwise_place *at, float lag, cellwise_place *place)
+/* Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good.
+ * `least_V` is its lowest value so far. */
+static NOINLINE float lasted(float so_far_s, float least_V, float after_V, float low_V,
+                             float part_s)
 {
-    place->low = at->low;
-    place->weight = at->weight;
-    place->scale = at->scale;
-    place->lag = lag;
-}
-
-/* The cell's state, under no load yet. */
-static void as_it_is(const cellwise_state *x, cellwise_along *along)
-{
-    along->v3_V = x->v3_V;
-    along->h = x->h;
-    along->slow_A = x->slow_A;
-    along->v1_V = x->v1_V;
-    along->v2_V = x->v2_V;
-    along->voltage_V = 0.0f;
-    along->off_V = 0.0f;
-}
-
-/* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
- * its gain g over one time step, as g / (1 - g / 2). */
-static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
-                           const cellwise_state *x, const cellwise_along *was, float soc,
-    float current, float steps, cellwise_along *along)
-{
-    const cellwise_constants *const c = &m->constant;
-    along->v3_V = was->v3_V;
-    along->h = was->h;
-    along->slow_A = was->slow_A;
-    float lag = 0.0f;
-    along->slow_A = passed(along->slow_A, current, risen(steps * c->surface_rate));
-    const float depth = depth_at(c, warmth_of(x));
-    lag = clip(depth * along->slow_A, -1.0f, 1.0f);
-    cellwise_place here;
-    behind(place, lag, &here);
-    cellwise_point p;
-    look_up(m, &here, soc, current, &p);
-    const float drop = p.r0_ohm * current;
-    const float rise1 = risen(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
-    const float rise2 = risen(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
-    along->v1_V = passed(was->v1_V, p.r1_ohm * current, rise1);
-    along->v2_V = passed(was->v2_V, p.r2_ohm * current, rise2);
-    float held_V = (magnitude(drop) + magnitude(along->v1_V)) + magnitude(along->v2_V);
-    along->voltage_V = p.ocv_V - (drop + (along->v1_V + along->v2_V));
-    const float rise3 = risen(steps * (p.gain3 / (1.0f - (0.5f * p.gain3))));
-    along->v3_V = passed(along->v3_V, p.r3_ohm * current, rise3);
-    held_V = held_V + magnitude(along->v3_V);
-    along->voltage_V = along->voltage_V - along->v3_V;
-    const float end = (current < 0.0f) ? 1.0f : -1.0f;
-    along->h = passed(along->h, end, risen((c->hysteresis_per_A * magnitude(current)) * steps));
-    along->voltage_V = along->voltage_V + (p.m_V * along->h);
-    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    float variance_V2 = p.noise_V2 + (share * (held_V * held_V));
-    const float beyond_V = extrapolated(c, x, current, held_V);
-    variance_V2 = variance_V2 + (beyond_V * beyond_V);
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        variance_V2 = variance_V2 * x->mismatch;
+    float share = 0.0f;
+    if (least_V > low_V) {
+        share = 1.0f;
+        if (after_V <= low_V) {
+            const float fall_V = at_least(least_V - after_V, LEAST_SPAN_V);
+            share = clip((least_V - low_V) / fall_V, 0.0f, 1.0f);
+        }
     }
-    along->off_V = 2.0f * root((variance_V2 < 4.0f) ? variance_V2 : 4.0f);
-    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
-}
-
-/* How much of a part goes by until the voltage, taken as linear within it, is at a cutoff. */
-static NOINLINE float share_of(float before_V, float after_V, float low_V)
-{
-    float share = 1.0f;
-    if (after_V <= low_V) {
-        share = clip((before_V - low_V) / at_least(before_V - after_V, LEAST_SPAN_V), 0.0f, 1.0f);
-    }
-    return share;
+    return clip(so_far_s + (share * part_s), 0.0f, LONGEST);
 }
 
 /* Root of the sum of three squares, each at least 0: by the largest of them. */
@@ -1739,13 +1723,14 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         float per_A = c->soc_per_A;
         per_A = per_A * x->per_capacity;
         const float part = x->soc / REMAINING_PARTS;
+        float off_V = off_by(&now);
+        float usual_V = now.voltage_V;
+        float worse_V = usual_V - off_V;
+        float better_V = usual_V + off_V;
         float usual_s = 0.0f;
         float usual_J = 0.0f;
         float worse_s = 0.0f;
         float better_s = 0.0f;
-        bool usual_ends = now.voltage_V <= low_V;
-        bool worse_ends = (now.voltage_V - now.off_V) <= low_V;
-        bool better_ends = (now.voltage_V + now.off_V) <= low_V;
         float ahead = REMAINING_PARTS;
         while (ahead > 0.0f) {
             ahead = ahead - 1.0f;
@@ -1756,26 +1741,17 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
             const float steps = part / (per_A * current);
             go_on(m, &place, x, &now, part * ahead, current, steps, &then);
             const float part_s = steps * c->step_s;
-            if (!usual_ends) {
-                float share = share_of(now.voltage_V, then.voltage_V, low_V);
-                const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
-                usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
-                const float part_J = (current * middle_V) * part_s;
-                usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
-                usual_ends = then.voltage_V <= low_V;
-            }
-            if (!worse_ends) {
-                float after_V = then.voltage_V - then.off_V;
-                float share = share_of(now.voltage_V - now.off_V, after_V, low_V);
-                worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
-                worse_ends = after_V <= low_V;
-            }
-            if (!better_ends) {
-                float after_V = then.voltage_V + then.off_V;
-                float share = share_of(now.voltage_V + now.off_V, after_V, low_V);
-                better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
-                better_ends = after_V <= low_V;
-            }
+            off_V = off_by(&then);
+            const float before_s = usual_s;
+            usual_s = lasted(usual_s, usual_V, then.voltage_V, low_V, part_s);
+            worse_s = lasted(worse_s, worse_V, then.voltage_V - off_V, low_V, part_s);
+            better_s = lasted(better_s, better_V, then.voltage_V + off_V, low_V, part_s);
+            const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
+            usual_J = usual_J + ((current * middle_V) * (usual_s - before_s));
+            usual_J = clip(usual_J, 0.0f, LONGEST);
+            usual_V = clip(then.voltage_V, -LARGE, usual_V);
+            worse_V = clip(then.voltage_V - off_V, -LARGE, worse_V);
+            better_V = clip(then.voltage_V + off_V, -LARGE, better_V);
             now = then;
         }
         const float load_W = current * at_least(now.voltage_V, low_V);
@@ -1791,17 +1767,6 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         out->energy_high_J = usual_J + (above_s * load_W);
     }
 }
-
-/* ---- fixed_plan.py: A plan of loads on the fixed step: where it ends, and the chance to end
- * above a SOC. */
-
-/* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
-typedef struct {
-    float soc;
-    float least_V;
-    float energy_J;
-    float failed_s;
-} cellwise_end;
 
 /* Every phase a time and a load that are numbers, of a size that cells have. */
 static bool is_plan_sound(const cellwise_phase *phases, uint32_t count)
@@ -1857,7 +1822,7 @@ static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
                 after = end->soc - ((per_capacity * taken(c, x, current)) * steps);
                 after = clip(after, -1.0f, 2.0f);
                 go_on(m, place, x, &now, after, current, steps, &then);
-                voltage_V = then.voltage_V - (lower * then.off_V);
+                voltage_V = then.voltage_V - (lower * off_by(&then));
             }
             end->soc = after;
             now = then;
@@ -2205,7 +2170,7 @@ static NOINLINE uint32_t weakest(const cellwise_model *m, const cellwise_place *
         if (cell_is_sound(&cells[k])) {
             cellwise_place own;
             with_cell(place, &cells[k], &own);
-            cellwise_ending end;
+            cellwise_along end;
             ending(m, &own, x, own_soc(x, &cells[k]), side * current, &end);
             const float left_V = side * end.voltage_V;
             if (left_V < least_V) {
@@ -2288,7 +2253,7 @@ static NOINLINE void pack_way(const cellwise_model *m, const cellwise_place *pla
             way->low_W = one.low_W;
         }
     }
-    cellwise_ending end;
+    cellwise_along end;
     ending(m, place, x, x->soc, side * way->current_A, &end);
     const float many = (float)count;
     way->power_W = at_least(many * (way->current_A * end.voltage_V), 0.0f);

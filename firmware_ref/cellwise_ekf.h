@@ -56,9 +56,6 @@ typedef struct {
     float lag2; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float lag3; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float m_V;
-    float power_lag1; /* the same over the horizon of the power */
-    float power_lag2; /* the same over the horizon of the power */
-    float power_lag3; /* the same over the horizon of the power */
 } cellwise_row;
 
 /* What depends on cell, time step and noise but not on SOC. */
@@ -116,15 +113,13 @@ typedef struct {
     float valid_warm_C;
     float share_per_K; /* of the polarisation, error beyond their temperature */
     float voltage_per_K; /* of the OCV */
-    float power_soc_per_A; /* SOC that 1 A takes over the horizon of the power */
-    float power_A_per_soc; /* and its inverse */
+    float power_steps; /* time steps of the horizon of the power */
     float power_low_V; /* limits that a power keeps */
     float power_high_V;
     float power_discharge_A;
     float power_charge_A; /* without sign */
     float power_soc_low;
     float power_soc_high;
-    float power_hysteresis_per_A; /* e-folds of h over the horizon */
     float remaining_low_V; /* voltage at which a load gives up */
     float remaining_least_A; /* a load below it counts as it */
     float remaining_share; /* two deviations of the capacity, relative */

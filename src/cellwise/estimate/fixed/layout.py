@@ -41,12 +41,6 @@ class Model(NamedTuple):
 
 
 LAG = "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"
-POWER_LAG = "the same over the horizon of the power"
-
-
-def _beside(state: State, option: str) -> str:
-    """A state's option and another."""
-    return " and ".join(o for o in (state.option.upper(), option) if o)
 
 
 ROW = (
@@ -56,7 +50,6 @@ ROW = (
     *(Field(f"r{s.letter}_ohm", "", s.option.upper()) for s in BRANCHES),
     *(Field(f"lag{s.letter}", LAG, s.option.upper()) for s in BRANCHES),
     Field("m_V", "", "HYSTERESIS"),
-    *(Field(f"power_lag{s.letter}", POWER_LAG, _beside(s, "POWER")) for s in BRANCHES),
 )
 
 CONSTANTS = (
@@ -115,15 +108,13 @@ CONSTANTS = (
     Field("valid_warm_C", "", "THERMAL"),
     Field("share_per_K", "of the polarisation, error beyond their temperature", "THERMAL"),
     Field("voltage_per_K", "of the OCV", "THERMAL"),
-    Field("power_soc_per_A", "SOC that 1 A takes over the horizon of the power", "POWER"),
-    Field("power_A_per_soc", "and its inverse", "POWER"),
+    Field("power_steps", "time steps of the horizon of the power", "POWER"),
     Field("power_low_V", "limits that a power keeps", "POWER"),
     Field("power_high_V", "", "POWER"),
     Field("power_discharge_A", "", "POWER"),
     Field("power_charge_A", "without sign", "POWER"),
     Field("power_soc_low", "", "POWER"),
     Field("power_soc_high", "", "POWER"),
-    Field("power_hysteresis_per_A", "e-folds of h over the horizon", "HYSTERESIS and POWER"),
     Field("remaining_low_V", "voltage at which a load gives up", "REMAINING"),
     Field("remaining_least_A", "a load below it counts as it", "REMAINING"),
     Field("remaining_share", "two deviations of the capacity, relative", "REMAINING"),

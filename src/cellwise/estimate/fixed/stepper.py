@@ -53,10 +53,9 @@ from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.power import fixed_plan, fixed_power, fixed_remaining
-from cellwise.estimate.power.fixed_plan import plan
+from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.power.fixed_power import power
-from cellwise.estimate.power.fixed_remaining import remaining
+from cellwise.estimate.power.fixed_remaining import plan, remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
@@ -85,7 +84,6 @@ STEP_MODULES = (
     whole_step,
     fixed_power,
     fixed_remaining,
-    fixed_plan,
     fixed_cells,
 )
 
@@ -197,7 +195,7 @@ def specialised(options: Options) -> dict[str, Any]:
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
-    absent |= set() if options.remaining else {fixed_remaining, fixed_plan}
+    absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:

@@ -122,6 +122,8 @@ class Function(Reading):
             self._say("return;", indent)
         elif not self.fills:
             self._say(f"return {self.bare(node.value)};", indent, node.lineno)
+        elif self._called(node.value):
+            self._say_call(node.value, indent, self.filled)
         elif isinstance(node.value, ast.Call):
             fields = self.program.structs[self.returns]
             for name, value in zip(fields, node.value.args, strict=True):

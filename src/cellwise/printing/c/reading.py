@@ -83,7 +83,9 @@ class Reading:
     def _renamed(self) -> dict[str, tuple[str, str]]:
         """Locals that are a field of the struct which is filled: text and type."""
         last = self.node.body[-1]
-        if not (self.fills and isinstance(last, ast.Return) and isinstance(last.value, ast.Call)):
+        if not (isinstance(last, ast.Return) and isinstance(last.value, ast.Call)):
+            return {}
+        if not self.fills or ast.unparse(last.value.func) != self.returns:
             return {}
         fields = self.program.structs[self.returns].items()
         return {
