@@ -76,13 +76,11 @@ static float between(float a, float b, float f)
     return a + (f * (b - a));
 }
 
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_CELLS || CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_POWER || (CELLWISE_RATE && ((CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS)) || CELLWISE_REMAINING || CELLWISE_SURFACE || (CELLWISE_TEMPERATURES > 1) || CELLWISE_WATCH || CELLWISE_WIDE
 /* Held within low..high. */
 static float clip(float x, float low, float high)
 {
     return (x < low) ? low : ((x > high) ? high : x);
 }
-#endif
 
 /* Held above low. */
 static float at_least(float x, float low)
@@ -96,7 +94,6 @@ static NOINLINE uint32_t out_of_range(float x)
     return IS_NUMBER(x) ? CELLWISE_OUT_OF_RANGE : 0u;
 }
 
-#if CELLWISE_HEATING || CELLWISE_HYSTERESIS || CELLWISE_REMAINING || CELLWISE_SURFACE || CELLWISE_WIDE
 /* 1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1. */
 static NOINLINE float risen(float z)
 {
@@ -104,9 +101,7 @@ static NOINLINE float risen(float z)
     const float grown = z * (1.0f + (z * (0.5f + (z * fourth))));
     return grown / (1.0f + grown);
 }
-#endif
 
-#if CELLWISE_HEATING || CELLWISE_SURFACE || CELLWISE_WIDE
 /* exp(-z) for z >= 0, to 1e-4 of itself. */
 static float vanishing(float z)
 {
@@ -116,9 +111,7 @@ static float vanishing(float z)
     }
     return left;
 }
-#endif
 
-#if CELLWISE_POWER || CELLWISE_REMAINING || CELLWISE_WATCH || CELLWISE_WIDE
 /* Square root of a number up to 4 by five Newton steps from 1. One below 1/4 is multiplied by 4
  * until it is not. */
 static NOINLINE float root(float square)
@@ -138,7 +131,6 @@ static NOINLINE float root(float square)
     }
     return r * unit;
 }
-#endif
 
 /* ---- lookup.py: Tables of the fixed step at one SOC, temperature and current. */
 
@@ -148,9 +140,7 @@ typedef struct {
     uint32_t low;
     float weight;
     float scale;
-#if CELLWISE_SURFACE
     float lag;
-#endif
 } cellwise_place;
 
 /* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
@@ -159,19 +149,13 @@ typedef struct {
     float slope_V;
     float noise_V2;
     float r0_ohm;
-#if CELLWISE_HYSTERESIS
     float m_V;
-#endif
     float r1_ohm;
     float r2_ohm;
-#if CELLWISE_SLOW
     float r3_ohm;
-#endif
     float gain1;
     float gain2;
-#if CELLWISE_SLOW
     float gain3;
-#endif
 } cellwise_point;
 
 /* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches.
@@ -182,20 +166,15 @@ typedef struct {
     float spread;
     float rise1;
     float rise2;
-#if CELLWISE_SLOW
     float rise3;
-#endif
 } cellwise_slopes;
 
 /* Neighbouring tables of a temperature, and the Arrhenius factor. */
 static void place_of(const cellwise_model *m, float temperature_C, cellwise_place *place)
 {
-    (void)m;
-    (void)temperature_C;
     place->low = 0u;
     place->weight = 0.0f;
     place->scale = 1.0f;
-#if CELLWISE_TEMPERATURES > 1
     while ((place->low < (CELLWISE_TEMPERATURES - 2u)) &&
            (temperature_C > m->constant.grid_C[place->low + 1u])) {
         place->low = place->low + 1u;
@@ -203,8 +182,6 @@ static void place_of(const cellwise_model *m, float temperature_C, cellwise_plac
     place->weight = (temperature_C - m->constant.grid_C[place->low]) *
         m->constant.per_K[place->low];
     place->weight = clip(place->weight, 0.0f, 1.0f);
-#endif
-#if CELLWISE_ARRHENIUS > 0
     const float most = (float)(CELLWISE_ARRHENIUS - 1u);
     float y = (temperature_C - m->constant.arrhenius_low_C) * m->constant.arrhenius_per_K;
     y = clip(y, 0.0f, most);
@@ -218,10 +195,7 @@ static void place_of(const cellwise_model *m, float temperature_C, cellwise_plac
     const float first = m->constant.arrhenius[k + 1u] - start;
     const float second = m->constant.arrhenius[k + 2u] - m->constant.arrhenius[k + 1u];
     place->scale = start + (f * (first + ((0.5f * (f - 1.0f)) * (second - first))));
-#endif
-#if CELLWISE_SURFACE
     place->lag = 0.0f;
-#endif
 }
 
 /* The nearer end of 0..1 for a SOC beyond it. */
@@ -230,7 +204,6 @@ static float within_one(float soc)
     return NOT_NEGATIVE(soc, 1.0f) ? soc : ((soc < 0.5f) ? 0.0f : 1.0f);
 }
 
-#if (CELLWISE_DEPTH > 0) && CELLWISE_SURFACE
 /* SOC that the particles' surface is below the mean at 1 A and one temperature. */
 static float depth_at(const cellwise_constants *c, float temperature_C)
 {
@@ -244,63 +217,35 @@ static float depth_at(const cellwise_constants *c, float temperature_C)
     const float f = KNOWN_FRACTION(y - (float)k);
     return between(c->depth[k], c->depth[k + 1u], f);
 }
-#endif
 
-#if CELLWISE_SURFACE
 /* The same place with the lag of the particles' surface. */
 static void under_surface(const cellwise_constants *c, const cellwise_state *x,
-                          const cellwise_place *at,
-#if CELLWISE_NEEDS_TEMPERATURE
-    float temperature_C,
-#endif
-    cellwise_place *place)
+                          const cellwise_place *at, float temperature_C, cellwise_place *place)
 {
-    (void)x;
-#if CELLWISE_NEEDS_TEMPERATURE
-    (void)temperature_C;
-#endif
-#if CELLWISE_DEPTH > 0
     const float depth = depth_at(c, temperature_C);
-#else
-    const float depth = c->surface_per_A;
-#endif
-#if CELLWISE_SURFACE
     place->lag = clip(depth * x->slow_A, -1.0f, 1.0f);
-#endif
     place->low = at->low;
     place->weight = at->weight;
     place->scale = at->scale;
 }
-#endif
 
-#if CELLWISE_HEALTH
 /* The same place with the resistances that a history gives. */
 static void aged(const cellwise_state *x, const cellwise_place *at, cellwise_place *place)
 {
     place->low = at->low;
     place->weight = at->weight;
     place->scale = at->scale * x->resistance_scale;
-#if CELLWISE_SURFACE
     place->lag = at->lag;
-#endif
 }
-#endif
 
 /* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
 static uint32_t index_of(float x, uint32_t points)
 {
-#if CELLWISE_WIDE
     const float held = (x > 0.0f) ? x : 0.0f;
-    uint32_t k = (held < (float)(points - 2u)) ? (uint32_t)held : (points - 2u);
-#else
-    /* x is within 0..points - 1 */
-    uint32_t k = (uint32_t)x;
-    k = (k < (points - 2u)) ? k : (points - 2u);
-#endif
+    const uint32_t k = (held < (float)(points - 2u)) ? (uint32_t)held : (points - 2u);
     return k;
 }
 
-#if CELLWISE_TRANSFER
 /* Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0. The fraction of
  * the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60. */
 static float charge_transfer(float overvoltage)
@@ -310,7 +255,6 @@ static float charge_transfer(float overvoltage)
     const float below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))));
     return KNOWN_FRACTION(above / (1.0f + (y * below)));
 }
-#endif
 
 /* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
  * Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are
@@ -318,24 +262,14 @@ static float charge_transfer(float overvoltage)
 static void look_up(const cellwise_model *m, const cellwise_place *place, float soc, float current,
                     cellwise_point *point)
 {
-    (void)current;
     const cellwise_row *const low = m->row[place->low];
-#if CELLWISE_TEMPERATURES > 1
     const cellwise_row *const high = m->row[place->low + 1u];
-#endif
     const uint32_t points = CELLWISE_POINTS;
-#if CELLWISE_WIDE
     const float x = soc * (float)(points - 1u);
     const uint32_t k = index_of(x, points);
     float f = x - (float)k;
     f = clip(f, -(BEYOND * (float)(points - 1u)), 1.0f + (BEYOND * (float)(points - 1u)));
     const float g = clip(f, 0.0f, 1.0f);
-#else
-    const float x = within_one(soc) * (float)(points - 1u);
-    const uint32_t k = index_of(x, points);
-    float f = KNOWN_FRACTION(x - (float)k);
-    const float g = f;
-#endif
     point->ocv_V = READ(k, ocv_V, f);
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
     const float error_V = READ(k, error_V, g);
@@ -343,45 +277,29 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
     uint32_t at = k;
     float share = g;
-#if CELLWISE_SURFACE
     const float below = within_one(soc - place->lag) * (float)(points - 1u);
     at = index_of(below, points);
     share = KNOWN_FRACTION(below - (float)at);
-#endif
     point->r0_ohm = READ(at, r0_ohm, share);
     point->r1_ohm = READ(at, r1_ohm, share);
     point->gain1 = 1.0f / READ(at, lag1, share);
     point->r2_ohm = READ(at, r2_ohm, share);
     point->gain2 = 1.0f / READ(at, lag2, share);
-#if CELLWISE_SLOW
     point->r3_ohm = READ(at, r3_ohm, share);
     point->gain3 = 1.0f / READ(at, lag3, share);
-#endif
-#if CELLWISE_HYSTERESIS
     point->m_V = READ(k, m_V, g);
-#endif
-#if (CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || CELLWISE_HEALTH || CELLWISE_CELLS
     float scale = place->scale;
-#if CELLWISE_ASYMMETRY
     if (current < 0.0f) {
         scale = scale * m->constant.charge_scale;
     }
-#endif
-#if CELLWISE_SLOW
     point->r3_ohm = point->r3_ohm * scale;
-#endif
-#if CELLWISE_RATE
     const float fall = 1.0f + (m->constant.rate_per_A * magnitude(current));
     scale = scale / clip(fall, LEAST_FALL, LARGE);
-#endif
     point->r0_ohm = point->r0_ohm * scale;
     point->r1_ohm = point->r1_ohm * scale;
     point->r2_ohm = point->r2_ohm * scale;
-#endif
-#if CELLWISE_TRANSFER
     point->r1_ohm = point->r1_ohm *
         charge_transfer((m->constant.asinh_per_V * point->r1_ohm) * magnitude(current));
-#endif
 }
 
 /* SOC is well known: the OCV's tangent, and nothing else. */
@@ -392,12 +310,9 @@ static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
     slopes->spread = 0.0f;
     slopes->rise1 = 0.0f;
     slopes->rise2 = 0.0f;
-#if CELLWISE_SLOW
     slopes->rise3 = 0.0f;
-#endif
 }
 
-#if CELLWISE_WIDE
 /* While SOC is badly known slopes are chords over one standard deviation to either side. A
  * far-off start must not be corrected with the slope of where it stands. A SOC that is far off
  * brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
@@ -411,9 +326,7 @@ static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *pl
     slopes->bend_V = 0.0f;
     slopes->rise1 = 0.0f;
     slopes->rise2 = 0.0f;
-#if CELLWISE_SLOW
     slopes->rise3 = 0.0f;
-#endif
     if ((high - low) >= SHORTEST_CHORD) {
         const float per = 1.0f / (high - low);
         cellwise_point end;
@@ -422,24 +335,19 @@ static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *pl
         float ohmic = end.r0_ohm;
         slopes->rise1 = end.r1_ohm;
         slopes->rise2 = end.r2_ohm;
-#if CELLWISE_SLOW
         slopes->rise3 = end.r3_ohm;
-#endif
         slopes->bend_V = end.ocv_V - p->ocv_V;
         look_up(m, place, high, current, &end);
         ocv = (end.ocv_V - ocv) * per;
         ohmic = (end.r0_ohm - ohmic) * per;
         slopes->rise1 = (end.r1_ohm - slopes->rise1) * per;
         slopes->rise2 = (end.r2_ohm - slopes->rise2) * per;
-#if CELLWISE_SLOW
         slopes->rise3 = (end.r3_ohm - slopes->rise3) * per;
-#endif
         slopes->slope_V = ocv - (ohmic * current);
         slopes->bend_V = slopes->bend_V + (ocv * (soc - low));
     }
     slopes->spread = spread;
 }
-#endif
 
 /* ---- covariance.py: Covariance of the fixed step: what a step does to P and to the state
  * through it. */
@@ -450,22 +358,14 @@ typedef struct {
     float s;
     float v1;
     float v2;
-#if CELLWISE_SLOW
     float v3;
-#endif
-#if CELLWISE_HYSTERESIS
     float h;
-#endif
 } cellwise_column;
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
 static void add_variance(cellwise_state *x, float value)
 {
-#if CELLWISE_WIDE
     add(&x->ss, &x->ss_carry, value);
-#else
-    x->ss = x->ss + value;
-#endif
 }
 
 /* Every entry in its range. */
@@ -480,60 +380,42 @@ static bool covariance_is_sound(const cellwise_state *x)
     if (!SIZE_WITHIN(x->s2, LARGE)) {
         return false;
     }
-#if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->s3, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->sh, LARGE)) {
         return false;
     }
-#endif
     if (!NOT_NEGATIVE(x->p11, LARGE)) {
         return false;
     }
     if (!SIZE_WITHIN(x->p12, LARGE)) {
         return false;
     }
-#if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->p13, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->p1h, LARGE)) {
         return false;
     }
-#endif
     if (!NOT_NEGATIVE(x->p22, LARGE)) {
         return false;
     }
-#if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->p23, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->p2h, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_SLOW
     if (!NOT_NEGATIVE(x->p33, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     if (!SIZE_WITHIN(x->p3h, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
     if (!NOT_NEGATIVE(x->phh, LARGE)) {
         return false;
     }
-#endif
     return true;
 }
 
@@ -542,28 +424,14 @@ static void forget_correlations(cellwise_state *x)
 {
     x->s1 = 0.0f;
     x->s2 = 0.0f;
-#if CELLWISE_SLOW
     x->s3 = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->sh = 0.0f;
-#endif
     x->p12 = 0.0f;
-#if CELLWISE_SLOW
     x->p13 = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->p1h = 0.0f;
-#endif
-#if CELLWISE_SLOW
     x->p23 = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->p2h = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = 0.0f;
-#endif
 }
 
 /* SOC known with a variance, branches at rest, nothing known of hysteresis. */
@@ -573,12 +441,8 @@ static void start_covariance(cellwise_state *x, float soc_variance)
     x->ss = soc_variance;
     x->p11 = 0.0f;
     x->p22 = 0.0f;
-#if CELLWISE_SLOW
     x->p33 = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->phh = 1.0f;
-#endif
 }
 
 /* The branches over one interval of constant current, exactly, and their covariance. A current
@@ -586,182 +450,105 @@ static void start_covariance(cellwise_state *x, float soc_variance)
  * independent of the time step. What decays slowly is stated by how much it loses: 1 - 1e-5 as a
  * float is off by 0.3 % of that. */
 static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2,
-#if CELLWISE_SLOW
-    float gain3,
-#endif
-    float flow, float square_A2)
+                  float gain3, float flow, float square_A2)
 {
     const float a1 = 1.0f - gain1;
     x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * flow) - x->v1_V));
     x->s1 = x->s1 - (gain1 * x->s1);
-#if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (gain1 * x->p1h);
-#endif
     x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
     const float a2 = 1.0f - gain2;
     x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * flow) - x->v2_V));
     x->s2 = x->s2 - (gain2 * x->s2);
-#if CELLWISE_HYSTERESIS
     x->p2h = x->p2h - (gain2 * x->p2h);
-#endif
     x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));
-#if CELLWISE_SLOW
     const float a3 = 1.0f - gain3;
     add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * flow) - x->v3_V));
     x->s3 = x->s3 - (gain3 * x->s3);
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h - (gain3 * x->p3h);
-#endif
-#if CELLWISE_SLOW
     x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (p->r3_ohm * p->r3_ohm)) - x->p33));
-#endif
     x->p12 = x->p12 - ((gain1 + (gain2 * a1)) * x->p12);
-#if CELLWISE_SLOW
     x->p13 = x->p13 - ((gain1 + (gain3 * a1)) * x->p13);
     x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
-#endif
 }
 
-#if CELLWISE_HYSTERESIS
 /* The row of h where a share of h is kept. */
 static void fade_hysteresis(cellwise_state *x, float keep)
 {
-    (void)x;
-    (void)keep;
-#if CELLWISE_HYSTERESIS
     x->sh = keep * x->sh;
     x->p1h = keep * x->p1h;
     x->p2h = keep * x->p2h;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = keep * x->p3h;
-#endif
-#if CELLWISE_HYSTERESIS
     x->phh = (keep * keep) * x->phh;
-#endif
 }
-#endif
 
-#if CELLWISE_HYSTERESIS
 /* Nothing is known of h. */
 static void forget_hysteresis(cellwise_state *x)
 {
-    (void)x;
-#if CELLWISE_HYSTERESIS
     x->sh = 0.0f;
     x->p1h = 0.0f;
     x->p2h = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->phh = 1.0f;
-#endif
 }
-#endif
 
-#if CELLWISE_WIDE
 /* A SOC that is off drives the branches by the resistances' slopes. */
 static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float flow)
 {
     const float f1 = (w->rise1 * p->gain1) * flow;
     const float f2 = (w->rise2 * p->gain2) * flow;
-#if CELLWISE_SLOW
     const float f3 = (w->rise3 * p->gain3) * flow;
-#endif
     x->p11 = x->p11 + (f1 * ((2.0f * x->s1) + (f1 * x->ss)));
     float both = ((f1 * x->s2) + (f2 * x->s1)) + ((f1 * f2) * x->ss);
     x->p12 = x->p12 + both;
-#if CELLWISE_SLOW
     both = ((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss);
     x->p13 = x->p13 + both;
-#endif
     x->p22 = x->p22 + (f2 * ((2.0f * x->s2) + (f2 * x->ss)));
-#if CELLWISE_SLOW
     both = ((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss);
     x->p23 = x->p23 + both;
     x->p33 = x->p33 + (f3 * ((2.0f * x->s3) + (f3 * x->ss)));
-#endif
-#if CELLWISE_HYSTERESIS
     x->p1h = x->p1h + (f1 * x->sh);
-#endif
     x->s1 = x->s1 + (f1 * x->ss);
-#if CELLWISE_HYSTERESIS
     x->p2h = x->p2h + (f2 * x->sh);
-#endif
     x->s2 = x->s2 + (f2 * x->ss);
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h + (f3 * x->sh);
-#endif
-#if CELLWISE_SLOW
     x->s3 = x->s3 + (f3 * x->ss);
-#endif
 }
-#endif
 
 /* The column, and the innovation variance that the state explains. */
 static void column_of(const cellwise_state *x, const cellwise_point *p, float slope,
                       cellwise_column *column)
 {
-    (void)p;
     column->s = slope * x->ss;
     column->s = column->s - x->s1;
     column->s = column->s - x->s2;
-#if CELLWISE_SLOW
     column->s = column->s - x->s3;
-#endif
-#if CELLWISE_HYSTERESIS
     column->s = column->s + (p->m_V * x->sh);
-#endif
     column->v1 = slope * x->s1;
     column->v1 = column->v1 - x->p11;
     column->v1 = column->v1 - x->p12;
-#if CELLWISE_SLOW
     column->v1 = column->v1 - x->p13;
-#endif
-#if CELLWISE_HYSTERESIS
     column->v1 = column->v1 + (p->m_V * x->p1h);
-#endif
     column->v2 = slope * x->s2;
     column->v2 = column->v2 - x->p12;
     column->v2 = column->v2 - x->p22;
-#if CELLWISE_SLOW
     column->v2 = column->v2 - x->p23;
-#endif
-#if CELLWISE_HYSTERESIS
     column->v2 = column->v2 + (p->m_V * x->p2h);
-#endif
-#if CELLWISE_SLOW
     column->v3 = slope * x->s3;
     column->v3 = column->v3 - x->p13;
     column->v3 = column->v3 - x->p23;
     column->v3 = column->v3 - x->p33;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     column->v3 = column->v3 + (p->m_V * x->p3h);
-#endif
-#if CELLWISE_HYSTERESIS
     column->h = slope * x->sh;
     column->h = column->h - x->p1h;
     column->h = column->h - x->p2h;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     column->h = column->h - x->p3h;
-#endif
-#if CELLWISE_HYSTERESIS
     column->h = column->h + (p->m_V * x->phh);
-#endif
     column->variance = slope * column->s;
     column->variance = column->variance - column->v1;
     column->variance = column->variance - column->v2;
-#if CELLWISE_SLOW
     column->variance = column->variance - column->v3;
-#endif
-#if CELLWISE_HYSTERESIS
     column->variance = column->variance + (p->m_V * column->h);
-#endif
     column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
 }
 
@@ -771,13 +558,9 @@ static void move(cellwise_state *x, const cellwise_column *d, float inverse, flo
     add(&x->soc, &x->soc_carry, (d->s * inverse) * innovation);
     x->v1_V = x->v1_V + ((d->v1 * inverse) * innovation);
     x->v2_V = x->v2_V + ((d->v2 * inverse) * innovation);
-#if CELLWISE_SLOW
     add(&x->v3_V, &x->v3_carry_V, (d->v3 * inverse) * innovation);
-#endif
-#if CELLWISE_HYSTERESIS
     x->h = x->h + ((d->h * inverse) * innovation);
     x->h = clip(x->h, -1.0f, 1.0f);
-#endif
 }
 
 /* P - K d', row by row. */
@@ -785,47 +568,25 @@ static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
 {
     float k = d->s * inverse;
     add_variance(x, -(k * d->s));
-#if CELLWISE_WIDE
     x->ss = clip(x->ss, VARIANCE_FLOOR, LARGE);
-#else
-    x->ss = at_least(x->ss, VARIANCE_FLOOR);
-#endif
     x->s1 = x->s1 - (k * d->v1);
     x->s2 = x->s2 - (k * d->v2);
-#if CELLWISE_SLOW
     x->s3 = x->s3 - (k * d->v3);
-#endif
-#if CELLWISE_HYSTERESIS
     x->sh = x->sh - (k * d->h);
-#endif
     k = d->v1 * inverse;
     x->p11 = at_least(x->p11 - (k * d->v1), 0.0f);
     x->p12 = x->p12 - (k * d->v2);
-#if CELLWISE_SLOW
     x->p13 = x->p13 - (k * d->v3);
-#endif
-#if CELLWISE_HYSTERESIS
     x->p1h = x->p1h - (k * d->h);
-#endif
     k = d->v2 * inverse;
     x->p22 = at_least(x->p22 - (k * d->v2), 0.0f);
-#if CELLWISE_SLOW
     x->p23 = x->p23 - (k * d->v3);
-#endif
-#if CELLWISE_HYSTERESIS
     x->p2h = x->p2h - (k * d->h);
-#endif
-#if CELLWISE_SLOW
     k = d->v3 * inverse;
     x->p33 = at_least(x->p33 - (k * d->v3), 0.0f);
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     x->p3h = x->p3h - (k * d->h);
-#endif
-#if CELLWISE_HYSTERESIS
     k = d->h * inverse;
     x->phh = at_least(x->phh - (k * d->h), 0.0f);
-#endif
 }
 
 /* ---- state.py: State of the fixed step: whether it is sound, where it starts, what an interval
@@ -838,78 +599,57 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!NOT_NEGATIVE(x->soc, 1.0f)) {
         return false;
     }
-#if CELLWISE_WIDE
     if (!SIZE_WITHIN(x->ss_carry, CARRY_MOST)) {
         return false;
     }
-#endif
     if (!SIZE_WITHIN(x->soc_carry, CARRY_MOST)) {
         return false;
     }
-#if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->v3_carry_V, CARRY_MOST)) {
         return false;
     }
-#endif
     if (!SIZE_WITHIN(x->v1_V, LARGE)) {
         return false;
     }
     if (!SIZE_WITHIN(x->v2_V, LARGE)) {
         return false;
     }
-#if CELLWISE_SLOW
     if (!SIZE_WITHIN(x->v3_V, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_HYSTERESIS
     if (!SIZE_WITHIN(x->h, 1.0f)) {
         return false;
     }
-#endif
     if (!(SIZE_WITHIN(x->current_A, LARGE) && NOT_NEGATIVE(x->mismatch, LARGE))) {
         return false;
     }
-#if CELLWISE_HEATING
     if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) {
         return false;
     }
-#endif
-#if CELLWISE_SURFACE
     if (!SIZE_WITHIN(x->slow_A, LARGE)) {
         return false;
     }
-#endif
-#if CELLWISE_NEEDS_TEMPERATURE
     if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         return false;
     }
-#endif
-#if CELLWISE_WATCH
     if (!SIZE_WITHIN(x->contradicted, 1.0f)) {
         return false;
     }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) {
         return false;
     }
-#endif
-#if CELLWISE_HEALTH
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) {
         return false;
     }
     if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) {
         return false;
     }
-#endif
-#if CELLWISE_CELLS
     if (!SIZE_WITHIN(x->mean_V, LARGE)) {
         return false;
     }
-#endif
     return covariance_is_sound(x);
 }
 
-#if CELLWISE_HEALTH
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
  * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
  * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
@@ -926,58 +666,36 @@ uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float c
     }
     return status;
 }
-#endif
 
 /* A cell at rest; its branches are guessed at the first sample. */
 static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float soc,
                            float soc_variance)
 {
-    (void)c;
     x->soc = soc;
     x->v1_V = 0.0f;
     x->v2_V = 0.0f;
-#if CELLWISE_SLOW
     x->v3_V = 0.0f;
-#endif
     x->soc_carry = 0.0f;
-#if CELLWISE_SLOW
     x->v3_carry_V = 0.0f;
-#endif
-#if CELLWISE_WIDE
-    x->ss_carry = 0.0f;
-#endif
-#if CELLWISE_HYSTERESIS
     x->h = (soc > 0.5f) ? 1.0f : -1.0f;
-#endif
     start_covariance(x, soc_variance);
     x->current_A = 0.0f;
     x->mismatch = 1.0f;
-#if CELLWISE_HEATING
     x->heat_K = 0.0f;
-#endif
-#if CELLWISE_SURFACE
     x->slow_A = 0.0f;
-#endif
-#if CELLWISE_NEEDS_TEMPERATURE
     x->temperature_C = c->temperature_C;
-#endif
-#if CELLWISE_WATCH
+    x->ss_carry = 0.0f;
     x->contradicted = 0.0f;
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;
     x->repeats = 0u;
     x->no_current = 0u;
     x->no_voltage = 0u;
-#endif
-#if CELLWISE_HEALTH
     x->per_capacity = 1.0f;
     x->resistance_scale = 1.0f;
-#endif
-#if CELLWISE_CELLS
     x->mean_V = 0.0f;
     x->cells_at = 0u;
     x->turn = 0u;
-#endif
     x->sequence = 0u;
     x->rejections = 0u;
     x->evidence = NOT_BEGUN;
@@ -986,11 +704,8 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
 /* Variance of a branch that holds anything up to what a current leaves there. */
 static float admitted(float rested_V2, float held_V, float limit_V)
 {
-    (void)limit_V;
     float most = held_V;
-#if CELLWISE_WIDE
     most = (held_V < limit_V) ? held_V : limit_V;
-#endif
     return rested_V2 + (most * most);
 }
 
@@ -999,7 +714,6 @@ static float admitted(float rested_V2, float held_V, float limit_V)
 static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x,
                                     const cellwise_point *p, float current)
 {
-#if CELLWISE_WIDE
     float flow = 0.0f;
     float spread = c->start_rest_A;
     float limit_V = REST_LIMIT_V;
@@ -1008,40 +722,26 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
         spread = at_least(magnitude(flow), c->start_load_A);
         limit_V = LARGE;
     }
-#else
-    float flow = START_LOAD_SHARE * current;
-    float spread = magnitude(flow) + c->start_rest_A;
-    float limit_V = LARGE;
-#endif
     forget_correlations(x);
     x->v1_V = p->r1_ohm * flow;
     x->p11 = admitted(c->branch_variance_V2, spread * p->r1_ohm, limit_V);
     x->v2_V = p->r2_ohm * flow;
     x->p22 = admitted(c->branch_variance_V2, spread * p->r2_ohm, limit_V);
-#if CELLWISE_SLOW
     x->v3_V = p->r3_ohm * flow;
     x->v3_carry_V = 0.0f;
     x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
-#endif
 }
 
 /* Charge that leaves the cell in one step, in SOC. */
 static float taken(const cellwise_constants *c, const cellwise_state *x, float current)
 {
-    (void)x;
     float used = current;
-#if CELLWISE_EFFICIENCY
     if (used < 0.0f) {
         used = used * c->charge_efficiency;
     }
-#endif
     used = c->soc_per_A * used;
-#if CELLWISE_LEAK
     used = used + c->leak_soc;
-#endif
-#if CELLWISE_HEALTH
     used = used * x->per_capacity;
-#endif
     return used;
 }
 
@@ -1050,7 +750,6 @@ static float taken(const cellwise_constants *c, const cellwise_state *x, float c
 static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                       uint32_t missing, float current, float bridge)
 {
-    (void)bridge;
     const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
     const float steps = (float)missing;
     float spread = c->gap_variance;
@@ -1059,30 +758,12 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
         spread = (moved * moved) * unknown_A2;
     }
     x->ss = x->ss + spread;
-#if CELLWISE_WIDE
     const float gain1 = risen(steps * p->gain1);
     const float gain2 = risen(steps * p->gain2);
-#if CELLWISE_SLOW
     const float gain3 = risen(steps * p->gain3);
-#endif
-    relax(x, p, gain1, gain2,
-#if CELLWISE_SLOW
-        gain3,
-#endif
-        bridge, unknown_A2);
-#else
-    x->p11 = x->p11 + (unknown_A2 * (p->r1_ohm * p->r1_ohm));
-    x->p22 = x->p22 + (unknown_A2 * (p->r2_ohm * p->r2_ohm));
-#if CELLWISE_SLOW
-    x->p33 = x->p33 + (unknown_A2 * (p->r3_ohm * p->r3_ohm));
-#endif
-#endif
-#if CELLWISE_HYSTERESIS
+    relax(x, p, gain1, gain2, gain3, bridge, unknown_A2);
     forget_hysteresis(x);
-#endif
-#if CELLWISE_HEATING
     x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
-#endif
 }
 
 /* One interval of constant current. A resistance that is off by a share drives its branch like a
@@ -1090,31 +771,21 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                     const cellwise_slopes *w, float flow, float unmeasured_A2)
 {
-    (void)w;
     const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
     const float square_A2 = (share * (flow * flow)) + unmeasured_A2;
-    relax(x, p, p->gain1, p->gain2,
-#if CELLWISE_SLOW
-        p->gain3,
-#endif
-        flow, square_A2);
-#if CELLWISE_HYSTERESIS
+    relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(flow));
     const float keep = 1.0f - rise;
     x->h = clip((keep * x->h) + ((flow < 0.0f) ? rise : -rise), -1.0f, 1.0f);
     fade_hysteresis(x, keep);
-#endif
-#if CELLWISE_WIDE
     if (w->spread > 0.0f) {
         tilt(x, p, w, flow);
     }
-#endif
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
         add_variance(x, c->soc_walk);
     }
 }
 
-#if CELLWISE_HEATING
 /* The cell's own warming over one interval. */
 static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float seen,
                  float flow)
@@ -1122,13 +793,10 @@ static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, f
     float fall = r0_ohm * seen;
     fall = fall + x->v1_V;
     fall = fall + x->v2_V;
-#if CELLWISE_SLOW
     fall = fall + x->v3_V;
-#endif
     const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
     x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
 }
-#endif
 
 /* ---- sensing.py: What a sample means to the fixed step: numbers missing, a current that is
  * held; the charge. */
@@ -1146,9 +814,7 @@ typedef struct {
     float seen;
     float flow;
     float unmeasured_A2;
-#if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C;
-#endif
 } cellwise_reading;
 
 /* What an interval took: samples missing, and the current that bridges them. */
@@ -1188,7 +854,6 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     if ((reading->silent != 0u) || (reading->news == REPEATED)) {
         reading->current = x->current_A;
     }
-#if CELLWISE_NEEDS_TEMPERATURE
     reading->temperature_C = 0.0f;
     if (!WITHIN(sample->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         reading->status = reading->status | CELLWISE_TEMPERATURE_INVALID;
@@ -1198,18 +863,12 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         /* as before */
     }
     reading->temperature_C = x->temperature_C;
-#if CELLWISE_HEATING
     reading->temperature_C = reading->temperature_C + x->heat_K;
-#endif
-#endif
     reading->seen = reading->current;
-#if CELLWISE_SKEW
     if (reading->news == INTERVAL) {
         reading->seen = reading->current + (c->skew_share * (x->current_A - reading->current));
     }
-#endif
     reading->flow = reading->seen;
-#if CELLWISE_WATCH
     /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as
      * much as half a rate may flow either way. */
     if ((reading->silent != 0u) || (reading->news == REPEATED)) {
@@ -1224,11 +883,6 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         reading->flow = 0.0f;
         reading->unmeasured_A2 = c->lost_A2;
     }
-#else
-    if (reading->silent != 0u) {
-        reading->unmeasured_A2 = c->lost_A2;
-    }
-#endif
 }
 
 /* SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
@@ -1244,38 +898,27 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
             charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
             if (charge->missing <= c->gap_steps) {
                 charge->bridge = 0.5f * (s->current + x->current_A);
-#if CELLWISE_WATCH
                 if (s->silent > c->hold_steps) {
                     charge->bridge = 0.0f;
                 }
-#endif
                 used = used + (taken(c, x, charge->bridge) * (float)charge->missing);
             } else { /* nobody knows what flowed; self-discharge goes on */
                 charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
-#if CELLWISE_LEAK
                 float lost = c->leak_soc * (float)charge->missing;
-#if CELLWISE_HEALTH
                 lost = lost * x->per_capacity;
-#endif
                 used = used + lost;
-#endif
             }
         }
         add(&x->soc, &x->soc_carry, -used);
         if (s->unmeasured_A2 > 0.0f) {
-#if CELLWISE_WATCH
             /* It may keep one sign for as long as it is away: the deviation grows, not the
              * variance. */
             const float drift = root(x->ss) + c->lost_soc;
             x->ss = drift * drift;
-#else
-            x->ss = x->ss + c->lost_walk;
-#endif
         }
     }
 }
 
-#if CELLWISE_SURFACE
 /* Current that the particles' surface follows: over missing samples what bridges them. */
 static void follow(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
                    const cellwise_charge *charge)
@@ -1288,7 +931,6 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
         x->slow_A = x->slow_A + (c->surface_gain * (s->flow - x->slow_A));
     }
 }
-#endif
 
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
  * memory which lost a bit has driven below zero is none: this step knows nothing, and the next
@@ -1305,18 +947,14 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     if (s->news != REPEATED) {
         x->current_A = s->current;
         x->sequence = sequence;
-#if CELLWISE_WATCH
         x->no_current = s->silent;
-#endif
         if ((s->news == INTERVAL) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
             x->evidence = (x->evidence + 1u) + missing;
         }
     }
     out->soc = x->soc;
     out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
-#if CELLWISE_WATCH
     out->soc_variance = out->soc_variance + (x->contradicted * x->contradicted);
-#endif
     return status;
 }
 
@@ -1329,16 +967,11 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
     float voltage = p->ocv_V - drop;
     voltage = voltage - x->v1_V;
     voltage = voltage - x->v2_V;
-#if CELLWISE_SLOW
     voltage = voltage - x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
     voltage = voltage + (p->m_V * x->h);
-#endif
     return voltage;
 }
 
-#if CELLWISE_WIDE
 /* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
  * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
  * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
@@ -1365,14 +998,10 @@ static NOINLINE void search(const cellwise_model *m, const cellwise_place *place
         float ohm2 = 0.0f;
         ohm2 = ohm2 + (p.r1_ohm * p.r1_ohm);
         ohm2 = ohm2 + (p.r2_ohm * p.r2_ohm);
-#if CELLWISE_SLOW
         ohm2 = ohm2 + (p.r3_ohm * p.r3_ohm);
-#endif
         const float held = (held_A * held_A) * ohm2;
         float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
-#if CELLWISE_HYSTERESIS
         about = about + ((p.m_V * p.m_V) * x->phh);
-#endif
         const float off = target - voltage_of(x, &p, p.r0_ohm * seen);
         const float cost = 0.5f * (((away * away) * before) + ((off * off) / about));
         float weight = 1.0f / root(about);
@@ -1400,9 +1029,7 @@ static NOINLINE void search(const cellwise_model *m, const cellwise_place *place
         }
     }
 }
-#endif
 
-#if CELLWISE_WIDE
 /* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
  * Branches that have been followed may hold anything; under load the resistances may be what is
  * wrong, by as much as they are. */
@@ -1416,9 +1043,7 @@ static NOINLINE void recover(const cellwise_model *m, const cellwise_place *plac
     float variance = one_V2 + c->branch_variance_V2;
     float kept1 = 0.0f;
     float kept2 = 0.0f;
-#if CELLWISE_SLOW
     float kept3 = 0.0f;
-#endif
     if (x->evidence >= FIRST_VOLTAGE) {
         held_A = c->recovery_A;
         limit_V = LOAD_LIMIT_V;
@@ -1427,10 +1052,8 @@ static NOINLINE void recover(const cellwise_model *m, const cellwise_place *plac
         variance = variance + (kept1 + x->p11);
         kept2 = x->v2_V * x->v2_V;
         variance = variance + (kept2 + x->p22);
-#if CELLWISE_SLOW
         kept3 = x->v3_V * x->v3_V;
         variance = variance + (kept3 + x->p33);
-#endif
     }
     search(m, place, x, seen, voltage, variance, held_A, limit_V);
     cellwise_point p;
@@ -1438,23 +1061,9 @@ static NOINLINE void recover(const cellwise_model *m, const cellwise_place *plac
     forget_correlations(x);
     x->p11 = admitted(c->branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1;
     x->p22 = admitted(c->branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2;
-#if CELLWISE_SLOW
     x->p33 = admitted(c->branch_variance_V2, held_A * p.r3_ohm, limit_V) + kept3;
-#endif
     x->evidence = FIRST_VOLTAGE;
 }
-#endif
-
-#if !CELLWISE_WIDE
-/* Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes. */
-static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                  float seen)
-{
-    x->ss = RECOVERY_VARIANCE;
-    x->evidence = FIRST_VOLTAGE;
-    guess_branches(c, x, p, seen);
-}
-#endif
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
  * single innovation, `explained_V2` what the state and `one_V2` what the voltage brings to it;
@@ -1474,7 +1083,6 @@ typedef struct {
     float below;
 } cellwise_shared;
 
-#if CELLWISE_WATCH
 /* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
  * change of current says that it must have moved, and the prediction is off by half of that: a
  * held voltage repeats itself, too, but the model expects it there. It stays frozen until it
@@ -1502,7 +1110,6 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     }
     return status;
 }
-#endif
 
 /* How many samples share one model error, as a fraction: at least 1. The model's error is a sum
  * of processes with memories of a second to half an hour. The quick ones average out first, so
@@ -1523,7 +1130,6 @@ static void shared_by(const cellwise_constants *c, const cellwise_state *x, floa
     }
 }
 
-#if CELLWISE_VALIDITY
 /* Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
 static uint32_t outside(const cellwise_constants *c, const cellwise_state *x,
                         const cellwise_reading *s)
@@ -1535,36 +1141,28 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x,
     if (!WITHIN(s->seen, c->valid_charge_A, c->valid_discharge_A)) {
         status = CELLWISE_OUTSIDE;
     }
-#if CELLWISE_VALIDITY > 1
     if (!WITHIN(x->temperature_C, c->valid_cold_C, c->valid_warm_C)) {
         status = CELLWISE_OUTSIDE;
     }
-#endif
     return status;
 }
-#endif
 
-#if CELLWISE_VALIDITY
 /* What the model can be off by beyond its data's current and temperature, one deviation. The law
  * of the float64 filters: a share of the polarisation, as of an exponential to its third order;
  * what lies beyond in SOC is in the table of the error. */
 static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float seen,
                           float polarisation_V)
 {
-    (void)x;
     const float far_A = at_least(c->valid_charge_A - seen, seen - c->valid_discharge_A);
     float share = c->share_per_A * at_least(far_A, 0.0f);
     float moved_V = 0.0f;
-#if CELLWISE_VALIDITY > 1
     float far_K = at_least(c->valid_cold_C - x->temperature_C, x->temperature_C - c->valid_warm_C);
     far_K = at_least(far_K, 0.0f);
     const float z = c->share_per_K * far_K;
     share = share + (z * (1.0f + (z * (0.5f + (z * SIXTH)))));
     moved_V = c->voltage_per_K * far_K;
-#endif
     return (share * polarisation_V) + moved_V;
 }
-#endif
 
 /* Predicted voltage, and the variances of what is measured about it. */
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
@@ -1575,18 +1173,14 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->polarisation_V = magnitude(drop);
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v1_V);
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v2_V);
-#if CELLWISE_SLOW
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
-#endif
     innovation->voltage_V = voltage_of(x, p, drop);
     const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
     innovation->one_V2 = p->noise_V2 +
         ((share * (innovation->polarisation_V * innovation->polarisation_V)) +
          ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
-#if CELLWISE_VALIDITY
     const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
-#endif
     /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
     column_of(x, p, w->slope_V, &innovation->column);
     innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
@@ -1602,36 +1196,23 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
                        const cellwise_point *p, const cellwise_innovation *i, float seen,
     float voltage, bool unsure)
 {
-    (void)place;
     (void)p;
-    (void)i;
-    (void)voltage;
-    (void)unsure;
     const cellwise_constants *const c = &m->constant;
     uint32_t status = CELLWISE_INNOVATION_REJECTED;
     x->rejections = x->rejections + 1u;
-#if CELLWISE_WIDE
     if (unsure) {
         x->rejections = c->recovery_after;
     }
-#endif
     if (x->rejections >= c->recovery_after) {
         status = status | CELLWISE_GATE_RECOVERY;
         x->rejections = 0u;
         x->mismatch = 1.0f;
-#if CELLWISE_WATCH
         x->contradicted = 0.0f;
-#endif
-#if CELLWISE_WIDE
         recover(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
-#else
-        widen(c, x, p, seen);
-#endif
     }
     return status;
 }
 
-#if CELLWISE_WATCH
 /* Running mean of the SOC that the voltages say is missing, as far as the count may be off. Were
  * the current off, the count would by now be off by `drift`, and of an innovation the part that
  * this explains would be the count's. It widens what is said of the SOC, and nothing else.
@@ -1639,7 +1220,6 @@ static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cel
 static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
                        const cellwise_reading *s, float one_V2, float innovation)
 {
-    (void)s;
     float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
     drift = (drift < 1.0f) ? drift : 1.0f;
     const float swing_V = (drift * drift) * w->slope_V;
@@ -1648,17 +1228,14 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
     if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
         const float now = x->contradicted + (c->contradicted_share * (missing - x->contradicted));
         uint32_t beyond = 0u;
-#if CELLWISE_VALIDITY
         if (magnitude(now) < magnitude(x->contradicted)) {
             beyond = outside(c, x, s);
         }
-#endif
         if (beyond == 0u) {
             x->contradicted = now;
         }
     }
 }
-#endif
 
 /* State and covariance after a voltage within the gate. What the innovations have lately shown
  * beyond their variance makes evidence weigh less. A first sample under load says more of the
@@ -1666,7 +1243,6 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
 static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
                  const cellwise_reading *s, const cellwise_innovation *i, float innovation)
 {
-    (void)w;
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
     float weight = i->one_V2 * shared.above;
@@ -1677,11 +1253,9 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
         const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
         move(x, &i->column, inverse, innovation);
         narrow(x, &i->column, inverse);
-#if CELLWISE_WATCH
         if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
             contradict(c, x, w, s, i->one_V2, innovation);
         }
-#endif
     }
     x->rejections = 0u;
     if (x->evidence < FIRST_VOLTAGE) {
@@ -1702,12 +1276,10 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
     bool bent = false;
     /* The first voltage at rest of a start that is unsure of itself is looked for where the OCV
      * bends too much for a slope. */
-#if CELLWISE_WIDE
     if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(s->seen, c->rest_A)) {
         unsure = true;
         bent = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) || (w->slope_V < c->flat_slope_V);
     }
-#endif
     if (s->news == INTERVAL) {
         float ratio = square / i->variance_V2;
         ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
@@ -1716,9 +1288,7 @@ static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cell
     if (POSITIVE_ABOVE(square, most)) {
         status = reject(m, place, x, p, i, s->seen, voltage, unsure);
     } else if (bent) {
-#if CELLWISE_WIDE
         recover(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
-#endif
     } else {
         fuse(c, x, w, s, i, innovation);
     }
@@ -1732,12 +1302,10 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
 {
     const cellwise_constants *const c = &m->constant;
     uint32_t status = 0u;
-#if CELLWISE_WATCH
     uint32_t away = x->no_voltage;
     if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
         away = away + 1u;
     }
-#endif
     cellwise_innovation i;
     innovate(c, x, p, w, s, &i);
     out->voltage_V = i.voltage_V;
@@ -1749,25 +1317,21 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
         const float innovation = voltage - i.voltage_V;
         out->innovation_V = innovation;
         if (s->news != REPEATED) { /* a repeated sample is no evidence */
-#if CELLWISE_WATCH
             status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;
             }
-#endif
             if (status == 0u) {
                 status = weigh(m, place, x, p, w, s, &i, voltage, innovation);
             }
         }
     }
-#if CELLWISE_WATCH
     if (s->news != REPEATED) {
         x->no_voltage = away;
     }
     if (away > c->hold_steps) {
         status = status | CELLWISE_VOLTAGE_LOST;
     }
-#endif
     return status;
 }
 
@@ -1800,26 +1364,13 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     }
     cellwise_reading s;
     see(c, x, sample, status, &s);
-#if CELLWISE_NEEDS_TEMPERATURE
     cellwise_place place;
     place_of(m, s.temperature_C, &place);
-#else
-    cellwise_place place;
-    place_of(m, 0.0f, &place);
-#endif
     cellwise_charge charge;
     count_charge(c, x, &s, &charge);
-#if CELLWISE_SURFACE
     follow(c, x, &s, &charge);
-    under_surface(c, x, &place,
-#if CELLWISE_NEEDS_TEMPERATURE
-        s.temperature_C,
-#endif
-        &place);
-#endif
-#if CELLWISE_HEALTH
+    under_surface(c, x, &place, s.temperature_C, &place);
     aged(x, &place, &place);
-#endif
     cellwise_point p;
     look_up(m, &place, x->soc, s.seen, &p);
     if (x->evidence == NOT_BEGUN) {
@@ -1831,22 +1382,14 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     }
     cellwise_slopes w;
     no_slopes(&p, &w);
-#if CELLWISE_WIDE
     if (x->ss > WIDE_VARIANCE) {
         slopes_of(m, &place, x->soc, root(x->ss), s.seen, &p, &w);
     }
-#endif
     if (s.news == INTERVAL) {
         predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
-#if CELLWISE_HEATING
         heat(c, x, p.r0_ohm, s.seen, s.flow);
-#endif
     }
-#if CELLWISE_VALIDITY
     const uint32_t beyond = outside(c, x, &s);
-#else
-    const uint32_t beyond = 0u;
-#endif
     status = charge.status | correct(m, &place, x, &p, &w, &s, sample->voltage_V, out);
     status = status | finish(x, &s, charge.missing, sample->sequence, out);
     status = status | beyond;
@@ -1854,99 +1397,144 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     return status;
 }
 
-/* ---- fixed_power.py: State of power of the fixed step: the largest constant current over one
- * horizon. */
+/* ---- fixed_power.py: What a constant current makes of the cell; state of power: the largest
+ * one over a horizon. */
 
-#if CELLWISE_POWER
-/* The voltage at the end of a current, and its variance without what the SOC brings. */
+/* A cell after a constant current: branches, voltage, variances of it. `variance_V2` is the
+ * model's, `kept_V2` what is left of the branches' and of hysteresis. */
 typedef struct {
     float voltage_V;
     float variance_V2;
-} cellwise_ending;
-#endif
+    float kept_V2;
+    float h;
+    float slow_A;
+    float v1;
+    float v2;
+    float v3;
+} cellwise_along;
 
-#if CELLWISE_POWER
 /* Power one way: the value, what is sustained with 95 %, the current of the value. */
 typedef struct {
     float power_W;
     float low_W;
     float current_A;
 } cellwise_way;
-#endif
 
-#if CELLWISE_POWER
-/* A constant current over the horizon, from `soc`, in one interval. What the states share is
+/* Temperature of the cell: what was measured last, and its own warming. */
+static float warmth_of(const cellwise_state *x)
+{
+    float warm_C = x->temperature_C;
+    warm_C = warm_C + x->heat_K;
+    return warm_C;
+}
+
+/* Where the cell's temperature lies between the tables. */
+static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
+{
+    const float warm_C = warmth_of(x);
+    cellwise_place here;
+    place_of(m, warm_C, &here);
+    under_surface(&m->constant, x, &here, warm_C, &here);
+    aged(x, &here, &here);
+    place->low = here.low;
+    place->weight = here.weight;
+    place->scale = here.scale;
+    place->lag = here.lag;
+}
+
+/* The cell's state, under no load yet. */
+static void as_it_is(const cellwise_state *x, cellwise_along *along)
+{
+    along->v1 = x->v1_V;
+    along->v2 = x->v2_V;
+    along->v3 = x->v3_V;
+    along->h = x->h;
+    along->slow_A = x->slow_A;
+    along->voltage_V = 0.0f;
+    along->variance_V2 = 0.0f;
+    along->kept_V2 = 0.0f;
+}
+
+/* The same place with another lag of the particles' surface. */
+static void behind(const cellwise_place *at, float lag, cellwise_place *place)
+{
+    place->low = at->low;
+    place->weight = at->weight;
+    place->scale = at->scale;
+    place->lag = lag;
+}
+
+/* A state of first order of which that share of its way to its end is left. */
+static float toward(float old, float end, float left)
+{
+    return clip(end + (left * (old - end)), -LARGE, LARGE);
+}
+
+/* So many time steps of a constant current later, at a SOC, in one interval. The exponent of a
+ * branch comes from its gain g over one time step, as g / (1 - g / 2). What the states share is
  * left out of the variance: it mostly takes away from it. */
+static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
+                           const cellwise_state *x, const cellwise_along *was, float soc,
+    float current, float steps, cellwise_along *along)
+{
+    const cellwise_constants *const c = &m->constant;
+    along->slow_A = was->slow_A;
+    float lag = 0.0f;
+    along->slow_A = toward(along->slow_A, current, 1.0f - risen(steps * c->surface_rate));
+    const float depth = depth_at(c, warmth_of(x));
+    lag = clip(depth * along->slow_A, -1.0f, 1.0f);
+    cellwise_place here;
+    behind(place, lag, &here);
+    cellwise_point p;
+    look_up(m, &here, soc, current, &p);
+    const float drop = p.r0_ohm * current;
+    float held_V = magnitude(drop);
+    along->voltage_V = p.ocv_V - drop;
+    along->kept_V2 = 0.0f;
+    const float left1 = vanishing(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
+    along->v1 = toward(was->v1, p.r1_ohm * current, left1);
+    held_V = held_V + magnitude(along->v1);
+    along->voltage_V = along->voltage_V - along->v1;
+    along->kept_V2 = along->kept_V2 + ((left1 * left1) * x->p11);
+    const float left2 = vanishing(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
+    along->v2 = toward(was->v2, p.r2_ohm * current, left2);
+    held_V = held_V + magnitude(along->v2);
+    along->voltage_V = along->voltage_V - along->v2;
+    along->kept_V2 = along->kept_V2 + ((left2 * left2) * x->p22);
+    const float left3 = vanishing(steps * (p.gain3 / (1.0f - (0.5f * p.gain3))));
+    along->v3 = toward(was->v3, p.r3_ohm * current, left3);
+    held_V = held_V + magnitude(along->v3);
+    along->voltage_V = along->voltage_V - along->v3;
+    along->kept_V2 = along->kept_V2 + ((left3 * left3) * x->p33);
+    along->h = was->h;
+    const float keep = vanishing((c->hysteresis_per_A * magnitude(current)) * steps);
+    along->h = toward(along->h, (current < 0.0f) ? 1.0f : -1.0f, keep);
+    along->voltage_V = along->voltage_V + (p.m_V * along->h);
+    const float spread_V = p.m_V * keep;
+    along->kept_V2 = along->kept_V2 + ((spread_V * spread_V) * x->phh);
+    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
+    along->variance_V2 = p.noise_V2 +
+        ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
+    const float beyond_V = extrapolated(c, x, current, held_V);
+    along->variance_V2 = along->variance_V2 + (beyond_V * beyond_V);
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        along->variance_V2 = along->variance_V2 * x->mismatch;
+    }
+    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
+}
+
+/* A constant current over the horizon of the power, from `soc`. */
 static NOINLINE void ending(const cellwise_model *m, const cellwise_place *place,
                             const cellwise_state *x, float soc, float current,
-    cellwise_ending *ending)
+    cellwise_along *along)
 {
-    const cellwise_row *const low = m->row[place->low];
-#if CELLWISE_TEMPERATURES > 1
-    const cellwise_row *const high = m->row[place->low + 1u];
-#endif
     const cellwise_constants *const c = &m->constant;
-    float used = current;
-#if CELLWISE_EFFICIENCY
-    if (used < 0.0f) {
-        used = used * c->charge_efficiency;
-    }
-#endif
-    float moved = c->power_soc_per_A * used;
-#if CELLWISE_HEALTH
-    moved = moved * x->per_capacity;
-#endif
-    const float end = soc - moved;
-    cellwise_point p;
-    look_up(m, place, end, current, &p);
-    const uint32_t points = CELLWISE_POINTS;
-    float grid = within_one(end) * (float)(points - 1u);
-#if CELLWISE_SURFACE
-    grid = within_one(end - place->lag) * (float)(points - 1u);
-#endif
-    const uint32_t k = index_of(grid, points);
-    const float f = KNOWN_FRACTION(grid - (float)k);
-    const float gain1 = 1.0f / READ(k, power_lag1, f);
-    const float gain2 = 1.0f / READ(k, power_lag2, f);
-    const float keep1 = 1.0f - gain1;
-    const float keep2 = 1.0f - gain2;
-    const float drop = p.r0_ohm * current;
-    const float v1 = (keep1 * x->v1_V) + (gain1 * (p.r1_ohm * current));
-    const float v2 = (keep2 * x->v2_V) + (gain2 * (p.r2_ohm * current));
-    float held_V = (magnitude(drop) + magnitude(v1)) + magnitude(v2);
-    ending->voltage_V = p.ocv_V - (drop + (v1 + v2));
-    float states_V2 = ((keep1 * keep1) * x->p11) + ((keep2 * keep2) * x->p22);
-#if CELLWISE_SLOW
-    const float gain3 = 1.0f / READ(k, power_lag3, f);
-    const float keep3 = 1.0f - gain3;
-    const float v3 = (keep3 * x->v3_V) + (gain3 * (p.r3_ohm * current));
-    held_V = held_V + magnitude(v3);
-    ending->voltage_V = ending->voltage_V - v3;
-    states_V2 = states_V2 + ((keep3 * keep3) * x->p33);
-#endif
-#if CELLWISE_HYSTERESIS
-    const float rise = risen(c->power_hysteresis_per_A * magnitude(current));
-    const float keep = 1.0f - rise;
-    const float h = clip((keep * x->h) + ((current < 0.0f) ? rise : -rise), -1.0f, 1.0f);
-    ending->voltage_V = ending->voltage_V + (p.m_V * h);
-    const float spread_V = p.m_V * keep;
-    states_V2 = states_V2 + ((spread_V * spread_V) * x->phh);
-#endif
-    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    float one_V2 = p.noise_V2 +
-        ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
-#if CELLWISE_VALIDITY
-    const float beyond_V = extrapolated(c, x, current, held_V);
-    one_V2 = one_V2 + (beyond_V * beyond_V);
-#endif
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        one_V2 = one_V2 * x->mismatch;
-    }
-    ending->variance_V2 = at_least(states_V2, 0.0f) + one_V2;
+    cellwise_along now;
+    as_it_is(x, &now);
+    const float end = soc - (c->power_steps * taken(c, x, current));
+    go_on(m, place, x, &now, end, current, c->power_steps, along);
 }
-#endif
 
-#if CELLWISE_POWER
 /* Largest size of a current, discharged (`side` 1) or charged (-1), up to `most_A`. By false
  * position (Illinois) between none and `most_A`; 0 where no current keeps the limit. */
 static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
@@ -1954,13 +1542,13 @@ static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
     float most_A)
 {
     float found = 0.0f;
-    cellwise_ending none;
+    cellwise_along none;
     ending(m, place, x, soc, 0.0f, &none);
     float room = side * (none.voltage_V - limit_V);
     if ((room > 0.0f) && (most_A > 0.0f)) {
         float near = 0.0f;
         float far = most_A;
-        cellwise_ending full;
+        cellwise_along full;
         ending(m, place, x, soc, side * most_A, &full);
         float lack = side * (limit_V - full.voltage_V);
         bool near_again = false;
@@ -1969,7 +1557,7 @@ static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
             for (uint32_t k = 0u; k < POWER_TRIALS; k++) {
                 const float share = clip(room / at_least(room + lack, LEAST_SPAN_V), 0.0f, 1.0f);
                 const float middle = near + ((far - near) * share);
-                cellwise_ending there;
+                cellwise_along there;
                 ending(m, place, x, soc, side * middle, &there);
                 const float left = side * (there.voltage_V - limit_V);
                 if (left >= 0.0f) {
@@ -1997,9 +1585,7 @@ static NOINLINE float able(const cellwise_model *m, const cellwise_place *place,
     }
     return found;
 }
-#endif
 
-#if CELLWISE_POWER
 /* Value and lower bound of one way: the bound keeps 1.645 deviations from the limits. `soc`, of
  * variance `ss`, is the cell's own. The slope over SOC is the chord to the SOC that is as many
  * deviations worse. */
@@ -2008,25 +1594,24 @@ static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *plac
     float limit_V, float most_A, float room_soc, cellwise_way *way)
 {
     const cellwise_constants *const c = &m->constant;
-    float per_soc_A = c->power_A_per_soc;
-#if CELLWISE_HEALTH
+    float per_soc_A = 1.0f / (c->soc_per_A * c->power_steps);
     per_soc_A = per_soc_A / x->per_capacity;
-#endif
     const float by_soc_A = at_least(room_soc * per_soc_A, 0.0f);
     way->current_A = able(m, place, x, soc, side, limit_V, (most_A < by_soc_A) ? most_A : by_soc_A);
-    cellwise_ending end;
+    cellwise_along end;
     ending(m, place, x, soc, side * way->current_A, &end);
     const float shift = SUSTAINED * root(ss);
-    cellwise_ending worse;
+    cellwise_along worse;
     ending(m, place, x, soc - (side * shift), side * way->current_A, &worse);
     const float by_soc_V = end.voltage_V - worse.voltage_V;
-    const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2);
+    const float variance_V2 = end.variance_V2 + end.kept_V2;
+    const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2);
     const float off_V = root((square < 4.0f) ? square : 4.0f);
     const float low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0f);
     const float low_V = limit_V + (side * off_V);
     const float sure =
         able(m, place, x, soc, side, low_V, (most_A < low_soc_A) ? most_A : low_soc_A);
-    cellwise_ending last;
+    cellwise_along last;
     ending(m, place, x, soc, side * sure, &last);
     way->power_W = at_least(way->current_A * end.voltage_V, 0.0f);
     way->low_W = at_least(sure * (last.voltage_V - off_V), 0.0f);
@@ -2034,53 +1619,7 @@ static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *plac
         way->low_W = way->power_W;
     }
 }
-#endif
 
-#if ((CELLWISE_DEPTH > 0) && CELLWISE_REMAINING && CELLWISE_SURFACE) || (CELLWISE_CELLS && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_POWER && CELLWISE_NEEDS_TEMPERATURE) || (CELLWISE_REMAINING && CELLWISE_NEEDS_TEMPERATURE)
-/* Temperature of the cell: what was measured last, and its own warming. */
-static float warmth_of(const cellwise_state *x)
-{
-    float warm_C = x->temperature_C;
-#if CELLWISE_HEATING
-    warm_C = warm_C + x->heat_K;
-#endif
-    return warm_C;
-}
-#endif
-
-#if CELLWISE_CELLS || CELLWISE_POWER || CELLWISE_REMAINING
-/* Where the cell's temperature lies between the tables. */
-static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
-{
-    (void)x;
-#if CELLWISE_NEEDS_TEMPERATURE
-    const float warm_C = warmth_of(x);
-    cellwise_place here;
-    place_of(m, warm_C, &here);
-#else
-    cellwise_place here;
-    place_of(m, 0.0f, &here);
-#endif
-#if CELLWISE_SURFACE
-    under_surface(&m->constant, x, &here,
-#if CELLWISE_NEEDS_TEMPERATURE
-        warm_C,
-#endif
-        &here);
-#endif
-#if CELLWISE_HEALTH
-    aged(x, &here, &here);
-#endif
-    place->low = here.low;
-    place->weight = here.weight;
-    place->scale = here.scale;
-#if CELLWISE_SURFACE
-    place->lag = here.lag;
-#endif
-}
-#endif
-
-#if CELLWISE_POWER
 /* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
  * largest constant currents that keep voltage, current and SOC within their limits to the end of
  * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
@@ -2108,148 +1647,40 @@ void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_c
         out->charge_low_W = up.low_W;
     }
 }
-#endif
 
-/* ---- fixed_remaining.py: Remaining time of the fixed step: a constant load carried on to its
- * cutoff or to empty. */
+/* ---- fixed_remaining.py: A load carried on: time and energy to its cutoff or to empty, and
+ * where a plan of loads ends. */
 
-#if CELLWISE_REMAINING
-/* A cell under a load at one SOC; `off_V` is two deviations of its voltage. */
+/* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
 typedef struct {
-    float v1_V;
-    float v2_V;
-#if CELLWISE_SLOW
-    float v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    float h;
-#endif
-#if CELLWISE_SURFACE
-    float slow_A;
-#endif
-    float voltage_V;
-    float off_V;
-} cellwise_along;
-#endif
+    float soc;
+    float least_V;
+    float energy_J;
+    float failed_s;
+} cellwise_end;
 
-#if CELLWISE_REMAINING
-/* A state of first order after that share of its way to its end. */
-static float passed(float old, float end, float rise)
+/* Two deviations of the voltage by what the model is off by. */
+static float off_by(const cellwise_along *at)
 {
-    return clip(old + (rise * (end - old)), -LARGE, LARGE);
+    return 2.0f * root((at->variance_V2 < 4.0f) ? at->variance_V2 : 4.0f);
 }
-#endif
 
-#if CELLWISE_REMAINING
-/* The same place with another lag of the particles' surface. */
-static void behind(const cellwise_place *at, float lag, cellwise_place *place)
+/* Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good.
+ * `least_V` is its lowest value so far. */
+static NOINLINE float lasted(float so_far_s, float least_V, float after_V, float low_V,
+                             float part_s)
 {
-    (void)lag;
-    place->low = at->low;
-    place->weight = at->weight;
-    place->scale = at->scale;
-#if CELLWISE_SURFACE
-    place->lag = lag;
-#endif
-}
-#endif
-
-#if CELLWISE_REMAINING
-/* The cell's state, under no load yet. */
-static void as_it_is(const cellwise_state *x, cellwise_along *along)
-{
-#if CELLWISE_SLOW
-    along->v3_V = x->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    along->h = x->h;
-#endif
-#if CELLWISE_SURFACE
-    along->slow_A = x->slow_A;
-#endif
-    along->v1_V = x->v1_V;
-    along->v2_V = x->v2_V;
-    along->voltage_V = 0.0f;
-    along->off_V = 0.0f;
-}
-#endif
-
-#if CELLWISE_REMAINING
-/* So many time steps of a constant current later, at a SOC. The exponent of a branch comes from
- * its gain g over one time step, as g / (1 - g / 2). */
-static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
-                           const cellwise_state *x, const cellwise_along *was, float soc,
-    float current, float steps, cellwise_along *along)
-{
-    const cellwise_constants *const c = &m->constant;
-#if CELLWISE_SLOW
-    along->v3_V = was->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    along->h = was->h;
-#endif
-#if CELLWISE_SURFACE
-    along->slow_A = was->slow_A;
-#endif
-    float lag = 0.0f;
-#if CELLWISE_SURFACE
-    along->slow_A = passed(along->slow_A, current, risen(steps * c->surface_rate));
-#if CELLWISE_DEPTH > 0
-    const float depth = depth_at(c, warmth_of(x));
-#else
-    const float depth = c->surface_per_A;
-#endif
-    lag = clip(depth * along->slow_A, -1.0f, 1.0f);
-#endif
-    cellwise_place here;
-    behind(place, lag, &here);
-    cellwise_point p;
-    look_up(m, &here, soc, current, &p);
-    const float drop = p.r0_ohm * current;
-    const float rise1 = risen(steps * (p.gain1 / (1.0f - (0.5f * p.gain1))));
-    const float rise2 = risen(steps * (p.gain2 / (1.0f - (0.5f * p.gain2))));
-    along->v1_V = passed(was->v1_V, p.r1_ohm * current, rise1);
-    along->v2_V = passed(was->v2_V, p.r2_ohm * current, rise2);
-    float held_V = (magnitude(drop) + magnitude(along->v1_V)) + magnitude(along->v2_V);
-    along->voltage_V = p.ocv_V - (drop + (along->v1_V + along->v2_V));
-#if CELLWISE_SLOW
-    const float rise3 = risen(steps * (p.gain3 / (1.0f - (0.5f * p.gain3))));
-    along->v3_V = passed(along->v3_V, p.r3_ohm * current, rise3);
-    held_V = held_V + magnitude(along->v3_V);
-    along->voltage_V = along->voltage_V - along->v3_V;
-#endif
-#if CELLWISE_HYSTERESIS
-    const float end = (current < 0.0f) ? 1.0f : -1.0f;
-    along->h = passed(along->h, end, risen((c->hysteresis_per_A * magnitude(current)) * steps));
-    along->voltage_V = along->voltage_V + (p.m_V * along->h);
-#endif
-    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    float variance_V2 = p.noise_V2 + (share * (held_V * held_V));
-#if CELLWISE_VALIDITY
-    const float beyond_V = extrapolated(c, x, current, held_V);
-    variance_V2 = variance_V2 + (beyond_V * beyond_V);
-#endif
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        variance_V2 = variance_V2 * x->mismatch;
+    float share = 0.0f;
+    if (least_V > low_V) {
+        share = 1.0f;
+        if (after_V <= low_V) {
+            const float fall_V = at_least(least_V - after_V, LEAST_SPAN_V);
+            share = clip((least_V - low_V) / fall_V, 0.0f, 1.0f);
+        }
     }
-    along->off_V = 2.0f * root((variance_V2 < 4.0f) ? variance_V2 : 4.0f);
-    along->voltage_V = clip(along->voltage_V, -LARGE, LARGE);
+    return clip(so_far_s + (share * part_s), 0.0f, LONGEST);
 }
-#endif
 
-#if CELLWISE_REMAINING
-/* How much of a part goes by until the voltage, taken as linear within it, is at a cutoff. */
-static NOINLINE float share_of(float before_V, float after_V, float low_V)
-{
-    float share = 1.0f;
-    if (after_V <= low_V) {
-        share = clip((before_V - low_V) / at_least(before_V - after_V, LEAST_SPAN_V), 0.0f, 1.0f);
-    }
-    return share;
-}
-#endif
-
-#if CELLWISE_REMAINING
 /* Root of the sum of three squares, each at least 0: by the largest of them. */
 static NOINLINE float apart_by(float a, float b, float d)
 {
@@ -2263,9 +1694,7 @@ static NOINLINE float apart_by(float a, float b, float d)
     }
     return found;
 }
-#endif
 
-#if CELLWISE_REMAINING
 /* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
  * `load_A` is held, or with `holds_power` what it gives now. One below C/50 counts as that. The
  * SOC down to empty is gone through in equal parts; temperature stays. The band of two
@@ -2292,17 +1721,16 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         go_on(m, &place, x, &then, x->soc, current, 0.0f, &now);
         const float power_W = current * at_least(now.voltage_V, low_V);
         float per_A = c->soc_per_A;
-#if CELLWISE_HEALTH
         per_A = per_A * x->per_capacity;
-#endif
         const float part = x->soc / REMAINING_PARTS;
+        float off_V = off_by(&now);
+        float usual_V = now.voltage_V;
+        float worse_V = usual_V - off_V;
+        float better_V = usual_V + off_V;
         float usual_s = 0.0f;
         float usual_J = 0.0f;
         float worse_s = 0.0f;
         float better_s = 0.0f;
-        bool usual_ends = now.voltage_V <= low_V;
-        bool worse_ends = (now.voltage_V - now.off_V) <= low_V;
-        bool better_ends = (now.voltage_V + now.off_V) <= low_V;
         float ahead = REMAINING_PARTS;
         while (ahead > 0.0f) {
             ahead = ahead - 1.0f;
@@ -2313,26 +1741,17 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
             const float steps = part / (per_A * current);
             go_on(m, &place, x, &now, part * ahead, current, steps, &then);
             const float part_s = steps * c->step_s;
-            if (!usual_ends) {
-                float share = share_of(now.voltage_V, then.voltage_V, low_V);
-                const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
-                usual_s = clip(usual_s + (share * part_s), 0.0f, LONGEST);
-                const float part_J = (current * middle_V) * part_s;
-                usual_J = clip(usual_J + (share * part_J), 0.0f, LONGEST);
-                usual_ends = then.voltage_V <= low_V;
-            }
-            if (!worse_ends) {
-                float after_V = then.voltage_V - then.off_V;
-                float share = share_of(now.voltage_V - now.off_V, after_V, low_V);
-                worse_s = clip(worse_s + (share * part_s), 0.0f, LONGEST);
-                worse_ends = after_V <= low_V;
-            }
-            if (!better_ends) {
-                float after_V = then.voltage_V + then.off_V;
-                float share = share_of(now.voltage_V + now.off_V, after_V, low_V);
-                better_s = clip(better_s + (share * part_s), 0.0f, LONGEST);
-                better_ends = after_V <= low_V;
-            }
+            off_V = off_by(&then);
+            const float before_s = usual_s;
+            usual_s = lasted(usual_s, usual_V, then.voltage_V, low_V, part_s);
+            worse_s = lasted(worse_s, worse_V, then.voltage_V - off_V, low_V, part_s);
+            better_s = lasted(better_s, better_V, then.voltage_V + off_V, low_V, part_s);
+            const float middle_V = at_least(0.5f * (now.voltage_V + then.voltage_V), low_V);
+            usual_J = usual_J + ((current * middle_V) * (usual_s - before_s));
+            usual_J = clip(usual_J, 0.0f, LONGEST);
+            usual_V = clip(then.voltage_V, -LARGE, usual_V);
+            worse_V = clip(then.voltage_V - off_V, -LARGE, worse_V);
+            better_V = clip(then.voltage_V + off_V, -LARGE, better_V);
             now = then;
         }
         const float load_W = current * at_least(now.voltage_V, low_V);
@@ -2348,22 +1767,7 @@ void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float 
         out->energy_high_J = usual_J + (above_s * load_W);
     }
 }
-#endif
 
-/* ---- fixed_plan.py: A plan of loads on the fixed step: where it ends, and the chance to end
- * above a SOC. */
-
-#if CELLWISE_REMAINING
-/* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
-typedef struct {
-    float soc;
-    float least_V;
-    float energy_J;
-    float failed_s;
-} cellwise_end;
-#endif
-
-#if CELLWISE_REMAINING
 /* Every phase a time and a load that are numbers, of a size that cells have. */
 static bool is_plan_sound(const cellwise_phase *phases, uint32_t count)
 {
@@ -2375,9 +1779,7 @@ static bool is_plan_sound(const cellwise_phase *phases, uint32_t count)
     }
     return sound;
 }
-#endif
 
-#if CELLWISE_REMAINING
 /* Through the plan from a SOC, with a capacity, as many times two deviations lower in voltage. A
  * phase is gone through in equal parts; a power finds its current by the voltage that it leaves. */
 static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
@@ -2420,7 +1822,7 @@ static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
                 after = end->soc - ((per_capacity * taken(c, x, current)) * steps);
                 after = clip(after, -1.0f, 2.0f);
                 go_on(m, place, x, &now, after, current, steps, &then);
-                voltage_V = then.voltage_V - (lower * then.off_V);
+                voltage_V = then.voltage_V - (lower * off_by(&then));
             }
             end->soc = after;
             now = then;
@@ -2434,9 +1836,7 @@ static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place,
         }
     }
 }
-#endif
 
-#if CELLWISE_REMAINING
 /* Probability that a normal number is below so many deviations, to 1e-6. Abramowitz and Stegun
  * (1964), 26.2.19: a polynomial to the power of -16. */
 static NOINLINE float normal(float deviations)
@@ -2450,9 +1850,7 @@ static NOINLINE float normal(float deviations)
     const float tail = 0.5f / grown;
     return (deviations < 0.0f) ? tail : (1.0f - tail);
 }
-#endif
 
-#if CELLWISE_REMAINING
 /* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The
  * phases follow each other; a load is a current [A], or with `holds_power` a power [W], of one
  * cell, positive on discharge. Temperature stays. The bands of two deviations hold those of the
@@ -2507,12 +1905,10 @@ void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellw
         out->chance = by_soc * by_voltage;
     }
 }
-#endif
 
 /* ---- fixed_cells.py: Cells of a pack on one table: the mean cell by the step, every cell by
  * its difference from it. */
 
-#if CELLWISE_CELLS
 /* Derivatives of a cell's voltage minus the mean's, and its variance about that. `single_V2` is
  * that of one sample, `variance_V2` of one that shares its error with others. */
 typedef struct {
@@ -2522,9 +1918,7 @@ typedef struct {
     float single_V2;
     float variance_V2;
 } cellwise_difference;
-#endif
 
-#if CELLWISE_CELLS
 /* Every number in its range: memory that lost its content, or was never set, is noticed. */
 static bool cell_is_sound(const cellwise_pack_cell *a)
 {
@@ -2539,9 +1933,7 @@ static bool cell_is_sound(const cellwise_pack_cell *a)
     }
     return SIZE_WITHIN(a->sq, LARGE) && SIZE_WITHIN(a->sr, LARGE) && SIZE_WITHIN(a->qr, LARGE);
 }
-#endif
 
-#if CELLWISE_CELLS
 /* A cell of which only is known how far cells usually differ. */
 static NOINLINE void start_cell(const cellwise_constants *c, cellwise_pack_cell *a)
 {
@@ -2558,9 +1950,7 @@ static NOINLINE void start_cell(const cellwise_constants *c, cellwise_pack_cell 
     a->rejections = 0u;
     a->status = 0u;
 }
-#endif
 
-#if CELLWISE_CELLS
 /* The cells of a pack before their first sample; after `cellwise_init` of the mean cell. */
 void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uint32_t count)
 {
@@ -2568,9 +1958,7 @@ void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uin
         start_cell(&m->constant, &cells[k]);
     }
 }
-#endif
 
-#if CELLWISE_CELLS
 /* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings
  * that no cell gives; without cells whose last voltage was rejected, while these are the fewer;
  * -1, which the step takes for a missing voltage, where no cell is left. */
@@ -2606,9 +1994,7 @@ float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *c
     }
     return first;
 }
-#endif
 
-#if CELLWISE_CELLS
 /* The derivatives at the mean cell's SOC. A cell that is polled late reads what the mean voltage
  * moved by meanwhile. */
 static void difference_of(const cellwise_model *m, const cellwise_place *place,
@@ -2624,9 +2010,7 @@ static void difference_of(const cellwise_model *m, const cellwise_place *place,
     difference->resistance_V = mean_V - p.ocv_V;
     difference->soc_V = p.slope_V;
 }
-#endif
 
-#if CELLWISE_CELLS
 /* After many rejections in a row a cell's SOC is unknown. */
 static NOINLINE void look_again(cellwise_pack_cell *a)
 {
@@ -2636,9 +2020,7 @@ static NOINLINE void look_again(cellwise_pack_cell *a)
     a->rejections = 0u;
     a->status = a->status | CELLWISE_GATE_RECOVERY;
 }
-#endif
 
-#if CELLWISE_CELLS
 /* Use a cell's voltage above the mean: three states, one measurement. */
 static void use_voltage(const cellwise_constants *c, cellwise_pack_cell *a,
                         const cellwise_difference *d, float above_V)
@@ -2673,9 +2055,7 @@ static void use_voltage(const cellwise_constants *c, cellwise_pack_cell *a,
         a->rr = at_least(a->rr - (gain_r * (gain_r * per)), VARIANCE_FLOOR);
     }
 }
-#endif
 
-#if CELLWISE_CELLS
 /* One cell in its turn: it has drifted from the mean, then its voltage is used. */
 static void step_cell(const cellwise_constants *c, cellwise_pack_cell *a,
                       const cellwise_difference *d, float voltage_V, float mean_V,
@@ -2698,9 +2078,7 @@ static void step_cell(const cellwise_constants *c, cellwise_pack_cell *a,
         a->status = a->status | CELLWISE_VOLTAGE_INVALID;
     }
 }
-#endif
 
-#if CELLWISE_CELLS
 /* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells
  * whose turn it is are looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage`
  * gave; NaN for a cell without a reading, or while it is balanced. */
@@ -2731,17 +2109,13 @@ void cellwise_cells_step(const cellwise_model *m, cellwise_state *x, const cellw
         x->cells_at = sample->sequence;
     }
 }
-#endif
 
-#if CELLWISE_CELLS
 /* SOC of one cell. */
 static float own_soc(const cellwise_state *x, const cellwise_pack_cell *a)
 {
     return clip(x->soc + (a->soc + (a->capacity * (0.5f - x->soc))), 0.0f, 1.0f);
 }
-#endif
 
-#if CELLWISE_CELLS
 /* Variance of one cell's SOC: the mean's and its difference's. */
 static float own_variance(const cellwise_constants *c, const cellwise_state *x,
                           const cellwise_pack_cell *a)
@@ -2750,9 +2124,7 @@ static float own_variance(const cellwise_constants *c, const cellwise_state *x,
     const float difference2 = a->ss + (away * ((2.0f * a->sq) + (away * a->qq)));
     return x->ss + at_least(difference2, c->cell_least_soc2);
 }
-#endif
 
-#if CELLWISE_CELLS
 /* What is known of one cell; capacity and resistance beside the mean cell's. */
 void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
                       const cellwise_pack_cell *a, cellwise_cell_output *out)
@@ -2776,9 +2148,7 @@ void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
         out->status = CELLWISE_STATE_RESET;
     }
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* The same place with one cell's resistance. */
 static NOINLINE void with_cell(const cellwise_place *at, const cellwise_pack_cell *a,
                                cellwise_place *place)
@@ -2786,13 +2156,9 @@ static NOINLINE void with_cell(const cellwise_place *at, const cellwise_pack_cel
     place->low = at->low;
     place->weight = at->weight;
     place->scale = at->scale * (1.0f + a->resistance);
-#if CELLWISE_SURFACE
     place->lag = at->lag;
-#endif
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* The cell that a current over the horizon brings nearest to its limit of voltage. */
 static NOINLINE uint32_t weakest(const cellwise_model *m, const cellwise_place *place,
                                  const cellwise_state *x, const cellwise_pack_cell *cells,
@@ -2804,7 +2170,7 @@ static NOINLINE uint32_t weakest(const cellwise_model *m, const cellwise_place *
         if (cell_is_sound(&cells[k])) {
             cellwise_place own;
             with_cell(place, &cells[k], &own);
-            cellwise_ending end;
+            cellwise_along end;
             ending(m, &own, x, own_soc(x, &cells[k]), side * current, &end);
             const float left_V = side * end.voltage_V;
             if (left_V < least_V) {
@@ -2815,9 +2181,7 @@ static NOINLINE uint32_t weakest(const cellwise_model *m, const cellwise_place *
     }
     return found;
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* The emptiest cell (`side` 1), or the fullest (-1). */
 static NOINLINE uint32_t nearest_to_end(const cellwise_state *x, const cellwise_pack_cell *cells,
                                         uint32_t count, float side)
@@ -2835,9 +2199,7 @@ static NOINLINE uint32_t nearest_to_end(const cellwise_state *x, const cellwise_
     }
     return found;
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* What one cell can give (`side` 1) or take (-1) over the horizon. */
 static NOINLINE void way_of(const cellwise_model *m, const cellwise_place *place,
                             const cellwise_state *x, const cellwise_pack_cell *a, float side,
@@ -2849,9 +2211,7 @@ static NOINLINE void way_of(const cellwise_model *m, const cellwise_place *place
     cellwise_place own;
     with_cell(place, a, &own);
     float held_V = x->v1_V + x->v2_V;
-#if CELLWISE_SLOW
     held_V = held_V + x->v3_V;
-#endif
     const float worse_V = at_least(side * (a->resistance * held_V), 0.0f);
     float limit_V = c->power_low_V;
     float most_A = c->power_discharge_A;
@@ -2868,9 +2228,7 @@ static NOINLINE void way_of(const cellwise_model *m, const cellwise_place *place
     way->low_W = one.low_W;
     way->current_A = one.current_A;
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* Power of the pack one way: the least of what its weakest cells allow. These are the cell that
  * is nearest to its end, the one whose voltage is at the largest current, and the one whose
  * voltage is at the current that these two allow. */
@@ -2895,7 +2253,7 @@ static NOINLINE void pack_way(const cellwise_model *m, const cellwise_place *pla
             way->low_W = one.low_W;
         }
     }
-    cellwise_ending end;
+    cellwise_along end;
     ending(m, place, x, x->soc, side * way->current_A, &end);
     const float many = (float)count;
     way->power_W = at_least(many * (way->current_A * end.voltage_V), 0.0f);
@@ -2904,9 +2262,7 @@ static NOINLINE void pack_way(const cellwise_model *m, const cellwise_place *pla
         way->low_W = way->power_W;
     }
 }
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout
  * for a state that is not sound, and for no cells. */
 void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
@@ -2929,4 +2285,3 @@ void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
         out->charge_low_W = up.low_W;
     }
 }
-#endif

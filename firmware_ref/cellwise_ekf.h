@@ -51,24 +51,11 @@ typedef struct {
     float r0_ohm;
     float r1_ohm;
     float r2_ohm;
-#if CELLWISE_SLOW
     float r3_ohm;
-#endif
     float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float lag2; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
-#if CELLWISE_SLOW
     float lag3; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
-#endif
-#if CELLWISE_HYSTERESIS
     float m_V;
-#endif
-#if CELLWISE_POWER
-    float power_lag1; /* the same over the horizon of the power */
-    float power_lag2; /* the same over the horizon of the power */
-#endif
-#if CELLWISE_POWER && CELLWISE_SLOW
-    float power_lag3; /* the same over the horizon of the power */
-#endif
 } cellwise_row;
 
 /* What depends on cell, time step and noise but not on SOC. */
@@ -97,91 +84,46 @@ typedef struct {
     float start_load_A; /* and, at least, before one under load */
     uint32_t recovery_after; /* steps rejected in a row, then the SOC is unknown */
     uint32_t gap_steps; /* missing samples that are bridged */
-#if CELLWISE_WATCH
     uint32_t hold_steps; /* samples for which a missing current is held */
     float lost_soc; /* deviation that SOC gains in one step after that */
     float frozen_V; /* how far a voltage must have moved to be called frozen */
-#endif
-#if !CELLWISE_WATCH
-    float lost_walk; /* variance that SOC gains in one step without a current */
-#endif
-#if CELLWISE_WIDE
     float flat_slope_V; /* below it the OCV is flat for its kind */
     float recovery_A; /* what branches may hold after a lock-out */
-#endif
-#if CELLWISE_EFFICIENCY
     float charge_efficiency;
-#endif
-#if CELLWISE_LEAK
     float leak_soc; /* SOC that self-discharge takes in one step */
-#endif
-#if CELLWISE_SKEW
     float skew_share; /* of the previous current in what the voltage has seen */
-#endif
-#if CELLWISE_RATE
     float rate_per_A; /* fall of the resistances with the current */
-#endif
-#if CELLWISE_ASYMMETRY
     float charge_scale; /* factor on the resistances while charging */
-#endif
-#if CELLWISE_TRANSFER
     float asinh_per_V; /* of the charge transfer of the fast branch */
-#endif
-#if CELLWISE_SURFACE && (!(CELLWISE_DEPTH > 0))
-    float surface_per_A; /* SOC that the particles' surface is below */
-#endif
-#if CELLWISE_SURFACE
     float surface_gain; /* 1 - exp(-dt / time constant of the current it follows) */
     float surface_rate; /* dt / that time constant */
-#endif
-#if CELLWISE_HYSTERESIS
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
-#endif
-#if CELLWISE_WATCH
     float drift_soc; /* that a current which is off moves in one step */
     float contradicted_share; /* dt / 600 s */
-#endif
-#if CELLWISE_HEATING
     float heat_K_per_W;
     float heat_gain; /* 1 - exp(-dt / thermal time constant) */
     float heat_rate; /* dt / thermal time constant */
-#endif
-#if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* until the first valid one */
-#endif
-#if CELLWISE_VALIDITY
     float valid_soc_low; /* the model's data, tolerance included */
     float valid_soc_high;
     float valid_charge_A;
     float valid_discharge_A;
     float share_per_A; /* of the polarisation, error beyond their current */
-#endif
-#if CELLWISE_VALIDITY > 1
     float valid_cold_C;
     float valid_warm_C;
     float share_per_K; /* of the polarisation, error beyond their temperature */
     float voltage_per_K; /* of the OCV */
-#endif
-#if CELLWISE_POWER
-    float power_soc_per_A; /* SOC that 1 A takes over the horizon of the power */
-    float power_A_per_soc; /* and its inverse */
+    float power_steps; /* time steps of the horizon of the power */
     float power_low_V; /* limits that a power keeps */
     float power_high_V;
     float power_discharge_A;
     float power_charge_A; /* without sign */
     float power_soc_low;
     float power_soc_high;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_POWER
-    float power_hysteresis_per_A; /* e-folds of h over the horizon */
-#endif
-#if CELLWISE_REMAINING
     float remaining_low_V; /* voltage at which a load gives up */
     float remaining_least_A; /* a load below it counts as it */
     float remaining_share; /* two deviations of the capacity, relative */
     float step_s; /* the time step */
-#endif
-#if CELLWISE_CELLS
     float cell_soc2; /* variance of the cells' differences at the start: of SOC, */
     float cell_capacity2; /* capacity, relative, */
     float cell_resistance2; /* resistance, relative, */
@@ -194,21 +136,14 @@ typedef struct {
     float cell_least_soc2; /* what a sensor's offset leaves unknown of a cell's SOC */
     uint32_t cell_turns; /* samples in which every cell has its turn once */
     uint32_t cell_recovery; /* rejections in a row, then a cell's SOC is unknown */
-#endif
-#if CELLWISE_TEMPERATURES > 1
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
     float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
-#endif
-#if CELLWISE_ARRHENIUS > 0
     float arrhenius_low_C;
     float arrhenius_per_K; /* points per kelvin */
     float arrhenius[CELLWISE_ARRHENIUS]; /* factor on every resistance */
-#endif
-#if CELLWISE_DEPTH > 0
     float depth_low_C;
     float depth_per_K; /* points per kelvin */
     float depth[CELLWISE_DEPTH]; /* SOC that the surface is below at 1 A */
-#endif
 } cellwise_constants;
 
 typedef struct {
@@ -222,77 +157,41 @@ typedef struct {
     float soc_carry; /* what rounding has kept from soc, to be subtracted */
     float v1_V; /* voltage of the fast branch */
     float v2_V; /* voltage of the second branch */
-#if CELLWISE_SLOW
     float v3_V; /* voltage of the slow branch */
     float v3_carry_V; /* what rounding has kept from v3_V, to be subtracted */
-#endif
-#if CELLWISE_HYSTERESIS
     float h; /* hysteresis, -1 to 1 */
-#endif
     float ss;
-#if CELLWISE_WIDE
     float ss_carry; /* what rounding has kept from ss */
-#endif
     float s1;
     float s2;
-#if CELLWISE_SLOW
     float s3;
-#endif
-#if CELLWISE_HYSTERESIS
     float sh;
-#endif
     float p11;
     float p12;
-#if CELLWISE_SLOW
     float p13;
-#endif
-#if CELLWISE_HYSTERESIS
     float p1h;
-#endif
     float p22;
-#if CELLWISE_SLOW
     float p23;
-#endif
-#if CELLWISE_HYSTERESIS
     float p2h;
-#endif
-#if CELLWISE_SLOW
     float p33;
-#endif
-#if CELLWISE_HYSTERESIS && CELLWISE_SLOW
     float p3h;
-#endif
-#if CELLWISE_HYSTERESIS
     float phh;
-#endif
     float current_A; /* last valid one */
     float mismatch; /* running mean of squared innovation over variance */
-#if CELLWISE_HEATING
     float heat_K; /* own warming */
-#endif
-#if CELLWISE_SURFACE
     float slow_A; /* current that the particles' surface has followed */
-#endif
-#if CELLWISE_NEEDS_TEMPERATURE
     float temperature_C; /* last valid one */
-#endif
-#if CELLWISE_WATCH
     float contradicted; /* SOC that the voltages say is missing */
     float voltage_V; /* last valid one, */
     float frozen_A; /* the current when it came, */
     uint32_t repeats; /* and how often it has come since */
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
-#endif
-#if CELLWISE_HEALTH
     float per_capacity; /* inverse of the share of the capacity that is left */
     float resistance_scale; /* of the resistances since */
-#endif
-#if CELLWISE_CELLS
     float mean_V; /* of the cells at their last sample, */
     uint32_t cells_at; /* its sequence, */
     uint32_t turn; /* and the first cell whose turn is next */
-#endif
     uint32_t sequence; /* of the last sample */
     uint32_t rejections; /* steps rejected in a row */
     uint32_t evidence; /* 0: no sample yet, 1: no voltage yet, then 2 + steps since */
@@ -332,12 +231,10 @@ typedef struct {
     float charge_low_W; /* and sustains with 95 % */
 } cellwise_capability;
 
-#if CELLWISE_POWER
 /* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
  * largest constant currents that keep voltage, current and SOC within their limits to the end of
  * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
-#endif
 
 /* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
 typedef struct {
@@ -349,7 +246,6 @@ typedef struct {
     float energy_high_J;
 } cellwise_outlook;
 
-#if CELLWISE_REMAINING
 /* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
  * `load_A` is held, or with `holds_power` what it gives now. One below C/50 counts as that. The
  * SOC down to empty is gone through in equal parts; temperature stays. The band of two
@@ -357,7 +253,6 @@ typedef struct {
  * throughout for a load that no cell carries and for a state that is not sound. */
 void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A,
                         bool holds_power, cellwise_outlook *out);
-#endif
 
 /* A plan of loads: a constant array of phases, and where it ends. Never NaN, never infinite. */
 typedef struct {
@@ -376,7 +271,6 @@ typedef struct {
     float chance; /* to end at the SOC asked for or more, above the cutoff all the way */
 } cellwise_landing;
 
-#if CELLWISE_REMAINING
 /* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The
  * phases follow each other; a load is a current [A], or with `holds_power` a power [W], of one
  * cell, positive on discharge. Temperature stays. The bands of two deviations hold those of the
@@ -386,15 +280,12 @@ typedef struct {
  * sound. */
 void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases,
                    uint32_t count, bool holds_power, float above, cellwise_landing *out);
-#endif
 
-#if CELLWISE_HEALTH
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
  * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
  * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
 uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share,
                              float resistance_scale);
-#endif
 
 /* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
  * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
@@ -425,38 +316,28 @@ typedef struct {
     uint32_t status; /* of the last sample: bits */
 } cellwise_cell_output;
 
-#if CELLWISE_CELLS
 /* The cells of a pack before their first sample; after `cellwise_init` of the mean cell. */
 void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uint32_t count);
-#endif
 
-#if CELLWISE_CELLS
 /* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings
  * that no cell gives; without cells whose last voltage was rejected, while these are the fewer;
  * -1, which the step takes for a missing voltage, where no cell is left. */
 float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *cells,
                             const float *voltage_V, uint32_t count);
-#endif
 
-#if CELLWISE_CELLS
 /* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells
  * whose turn it is are looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage`
  * gave; NaN for a cell without a reading, or while it is balanced. */
 void cellwise_cells_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                          cellwise_pack_cell *cells, const float *voltage_V, uint32_t count);
-#endif
 
-#if CELLWISE_CELLS
 /* What is known of one cell; capacity and resistance beside the mean cell's. */
 void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
                       const cellwise_pack_cell *a, cellwise_cell_output *out);
-#endif
 
-#if CELLWISE_CELLS && CELLWISE_POWER
 /* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout
  * for a state that is not sound, and for no cells. */
 void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
                          const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out);
-#endif
 
 #endif

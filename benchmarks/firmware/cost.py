@@ -48,7 +48,7 @@ def configurations() -> dict[str, tuple[CellModel, FixedStepTables]]:
 
 
 def _tables(model: CellModel, *, lean: bool = False) -> FixedStepTables:
-    return fixed_step_tables(model, DT_S, points=POINTS, wide=not lean, watch=not lean)
+    return fixed_step_tables(model, DT_S, points=POINTS, wide=not lean)
 
 
 def target_figures(say: Progress) -> list[Figure]:
@@ -76,7 +76,7 @@ def _beside_cost(core: str, log: CellLog) -> list[Figure]:
     """What a call of `cellwise_power`, `cellwise_remaining` and `cellwise_plan` costs."""
     figures = []
     for name, model in (("3 states", two_branches()), ("4 states", three_branches())):
-        lean = partial(fixed_step_tables, model, DT_S, points=POINTS, wide=False, watch=False)
+        lean = partial(fixed_step_tables, model, DT_S, points=POINTS, wide=False)
         limits = OperatingLimits(*POWER_LIMITS)
         asked = power_settings(model, horizons_s=(HORIZON_S,), limits=limits, hold="current")
         records = samples_of(model, log, DT_S).records

@@ -29,7 +29,7 @@ def endurance_figures(say: Progress) -> list[Figure]:
     figures = []
     for name, wide in (("--lean", False), ("full", True)):
         say(f"{STEPS:,} steps, {name}")
-        tables = fixed_step_tables(two_branches(), DT_S, wide=wide, watch=wide)
+        tables = fixed_step_tables(two_branches(), DT_S, wide=wide)
         try:
             output = long_run(tables, STEPS)
         except InputError as error:

@@ -2,7 +2,7 @@
  * outputs are finite and in range; nor has the step after it. */
 #include "cellwise_cell.h"
 
-#if CELLWISE_WATCH
+#if CELLWISE_WIDE
 #define COUNTERS 6u /* the last fields of the state */
 #else
 #define COUNTERS 3u
@@ -24,7 +24,7 @@ static void any_state(cellwise_state *x)
     for (uint32_t k = 0u; k < FLOATS; k++) {
         field[k] = any_float;
     }
-#if CELLWISE_WATCH
+#if CELLWISE_WIDE
     x->repeats = any_integer;
     x->no_current = any_integer;
     x->no_voltage = any_integer;

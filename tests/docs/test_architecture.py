@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "pack": BASE | {"logs", "cell", "identify", "estimate", "diagnose"},
     "history": BASE | {"logs", "cell", "identify", "estimate"},
     "data": BASE | {"logs"},
-    "export": BASE | TOOLS,
+    "export": BASE | TOOLS | {"printing"},
     "studies": BASE | TOOLS,
     "report": BASE | TOOLS | {"studies"},
     "benchmark": BASE | TOOLS | {"report", "export", "fleet"},

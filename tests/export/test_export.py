@@ -112,7 +112,7 @@ def test_the_example_compiles_and_prints_what_is_expected(tmp_path, case):
     out = tmp_path / "out"
     lean = case == "lean"
     more = {"remaining_V": 3.2} if case == "remaining" else {}
-    files = made(out, wide=not lean, watch=not lean, **more)
+    files = made(out, wide=not lean, **more)
     assert {"README.md", "example.c", "test_vector.h", "expected_output.txt"} <= set(files)
     sources = ("example.c", "cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
     done = built(out, sources, tmp_path / "example")
@@ -236,7 +236,7 @@ int main(void) {
 def test_two_chemistries_in_one_image(tmp_path):
     for name, lean in (("nmc", False), ("lfp", True)):
         out = tmp_path / name
-        made(out, prefix=name, wide=not lean, watch=not lean)
+        made(out, prefix=name, wide=not lean)
         assert (out / f"{name}_ekf.c").is_file()
     (tmp_path / "both.c").write_text(BOTH)
     parts = [f"{n}/{n}_{part}.c" for n in ("nmc", "lfp") for part in ("ekf", "cell_table")]
@@ -294,7 +294,7 @@ def test_the_target_s_noise_is_compiled_in():
 def test_the_readme_says_limits_noise_parking_interrupts_and_shared_tables(tmp_path, lean):
     """And each of them as it is of this build."""
     cell = curved_cell()
-    tables = fixed_step_tables(cell, 1.0, wide=not lean, watch=not lean)
+    tables = fixed_step_tables(cell, 1.0, wide=not lean)
     description = describe(cell, tables)
     write_package(cell, tables, tmp_path / "out", description)
     text = " ".join((tmp_path / "out" / "README.md").read_text().split())
@@ -315,7 +315,7 @@ def test_the_readme_says_limits_noise_parking_interrupts_and_shared_tables(tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("lean", [False, True])
 def test_eight_hours_off_are_one_step_as_the_readme_says(lean):
-    tables = fixed_step_tables(curved_cell(), 1.0, wide=not lean, watch=not lean)
+    tables = fixed_step_tables(curved_cell(), 1.0, wide=not lean)
     stepper = numba_stepper(tables)
     state = start_state(stepper, 0.6, 0.02)
     samples = np.zeros(120, dtype=INPUT)

@@ -64,7 +64,7 @@ def test_a_long_run_stays_sound(wide, tmp_path):
     back = there[::-1].copy()
     back["current_A"] *= -1.0  # so that it can be repeated
     np.concatenate([there, back]).tofile(tmp_path / "drive.bin")
-    write(fixed_step_tables(model, 0.1, wide=wide, watch=wide), tmp_path)
+    write(fixed_step_tables(model, 0.1, wide=wide), tmp_path)
     build(tmp_path, ["gcc", "-O2"], "long_run.c", "-lm")
     steps = os.environ.get("CELLWISE_LONG_STEPS", "2000000")
     done = subprocess.run(

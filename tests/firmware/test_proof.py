@@ -49,7 +49,7 @@ APART = "is_sound:400,covariance_is_sound:400,see:30,count_charge:30,cellwise_st
 OF_CELLS = ",cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_step:60"
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {
-    "lean": {"model": curved_cell(5), "wide": False, "watch": False},
+    "lean": {"model": curved_cell(5), "wide": False},
     "three states": {"model": curved_cell(5)},
     "slow": {"model": curved_cell(5, effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),))},
     "hysteresis": {"model": curved_cell(5, effects=(Hysteresis(m_V=0.02, gamma=40.0),))},
@@ -63,20 +63,17 @@ BUILDS = {
 POWER = {
     "model": curved_cell(5),
     "wide": False,
-    "watch": False,
     "power": power_asked(curved_cell(5)),
 }
 CELLS = {
     "model": curved_cell(5),
     "wide": False,
-    "watch": False,
     "health": True,
     "cells": CellSettings(),
 }
 REMAINING = {
     "model": curved_cell(5),
     "wide": False,
-    "watch": False,
     "remaining_V": cutoff_asked(curved_cell(5)),
 }
 OTHERS = {"power": POWER, "cells": CELLS, "remaining": REMAINING}
@@ -153,7 +150,7 @@ def test_seeded_bugs_are_found(tmp_path, name):
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 def test_what_eva_reads_instead_of_bits_is_the_same(tmp_path):
-    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False, watch=False)
+    tables = fixed_step_tables(curved_cell(5), 1.0, wide=False)
     for name, text in write_sources(tables, "0" * 64):
         (tmp_path / name).write_text(text)
     source = firmware_folder() / "analysis" / "float_bits.c"

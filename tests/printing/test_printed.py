@@ -17,13 +17,13 @@ from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
 from cellwise.printing.__main__ import PRINTED, SOURCE, main
 from cellwise.printing.c.c99 import Function
-from cellwise.printing.c.firmware import print_header
+from cellwise.printing.c.chosen import chosen
+from cellwise.printing.c.firmware import EVERYTHING, print_header, print_source
 from cellwise.printing.c.reading import Program
-from cellwise.printing.c.text import any_of, broken, comment, float_literal, merged
+from cellwise.printing.c.text import broken, comment, float_literal
 from sources import tree_of
 
 PROGRAM = Program(
-    options={"SLOW", "WIDE"},
     structs={
         "State": {"soc": "Float", "soc_carry": "Float"},
         "Pair": {"a": "Float", "b": "SlowFloat"},
@@ -34,10 +34,13 @@ PROGRAM = Program(
 )  # fmt: skip
 
 
-def c_of(source):
+def c_of(source, slow=0, wide=0):
     """A function in C, without comments and white space at its ends."""
-    function = Function(ast.parse(source).body[0], PROGRAM, ({}, {}))
-    return [line.strip() for line in function.text("f", True)]
+    pair = "class Pair:\n    a: Float\n    b: SlowFloat\n"
+    read = chosen(ast.parse(pair + source), {"SLOW": slow, "WIDE": wide}, {})
+    fields = ["a", "b"] if slow else ["a"]
+    PROGRAM.structs["Pair"] = dict.fromkeys(fields, "Float")
+    return [line.strip() for line in Function(read.body[1], PROGRAM, {}).text("f", True)]
 
 
 def test_the_tree_holds_what_is_printed(capsys):
@@ -66,8 +69,8 @@ def test_printers_do_not_read_what_they_print():
         ("x.soc = a if a < b else b", "x->soc = (a < b) ? a : b;"),
         ("x.soc = F(k) * a", "x->soc = (float)k * a;"),
         ("x.soc, x.soc_carry = add(x.soc, x.soc_carry, a)", "add(&x->soc, &x->soc_carry, a);"),
-        ("n = U(k + 1)", "const uint32_t n = k + 1u;"),
-        ("n = U(a * b)", "const uint32_t n = (uint32_t)(a * b);"),
+        ("n = U(k + 1)\n    x.soc = F(n)", "const uint32_t n = k + 1u;"),
+        ("n = U(a * b)\n    x.soc = F(n)", "const uint32_t n = (uint32_t)(a * b);"),
     ],
 )
 def test_sentences_keep_their_order(python, c):
@@ -75,46 +78,35 @@ def test_sentences_keep_their_order(python, c):
     assert c in found
 
 
-def test_options_become_conditions_of_the_preprocessor():
-    text = c_of(
+def test_what_options_rule_out_is_not_printed():
+    source = (
         "def f(x: State, a: Float) -> None:\n"
         "    if SLOW:\n        x.soc = a\n"
         "    if SLOW and a < ZERO:\n        x.soc = ZERO\n"
         "    x.soc_carry = a if WIDE else ZERO\n"
     )
-    assert text == [
-        "static void f(cellwise_state *x, float a)", "{", "(void)a;",
-        "#if CELLWISE_SLOW", "x->soc = a;", "if (a < 0.0f) {", "x->soc = 0.0f;", "}", "#endif",
-        "#if CELLWISE_WIDE", "x->soc_carry = a;", "#else", "x->soc_carry = 0.0f;", "#endif", "}",
+    assert c_of(source) == [
+        "static void f(cellwise_state *x, float a)", "{", "(void)a;", "x->soc_carry = 0.0f;", "}",
+    ]  # fmt: skip
+    assert c_of(source, slow=1, wide=1)[2:] == [
+        "x->soc = a;", "if (a < 0.0f) {", "x->soc = 0.0f;", "}", "x->soc_carry = a;", "}",
     ]  # fmt: skip
 
 
 def test_a_named_tuple_is_filled_in_place():
-    text = c_of(
+    source = (
         "def f(a: Float) -> Pair:\n    b = a * a\n    c = a + b if SLOW else ZERO\n"
         "    return Pair(b, c)\n"
     )
-    assert "static void f(float a, cellwise_pair *pair)" in text
-    at = text.index("pair->a = a * a;")
-    assert text[at + 1 : at + 4] == ["#if CELLWISE_SLOW", "pair->b = a + pair->a;", "#endif"]
+    start = ["static void f(float a, cellwise_pair *pair)", "{", "pair->a = a * a;"]
+    assert c_of(source) == [*start, "}"]
+    assert c_of(source, slow=1) == [*start, "pair->b = a + pair->a;", "}"]
 
 
 def test_what_c_does_not_say_is_refused():
     for sentence in ("x.soc = [a]", "del a", "x.soc = a ** 2"):
         with pytest.raises((ValueError, KeyError)):
             c_of(f"def f(x: State, a: Float) -> None:\n    {sentence}\n")
-    with pytest.raises(ValueError, match="only with an option"):
-        c_of("def f(a: Float) -> None:\n    if SLOW:\n        b = a\n    b = a + a\n")
-
-
-def test_conditions_cancel():
-    slow, wide = frozenset({"SLOW"}), frozenset({"WIDE"})
-    assert any_of([slow, frozenset({"not SLOW"})]) == ""
-    assert any_of([slow, slow | wide]) == "CELLWISE_SLOW"
-    assert (
-        any_of([frozenset({"TEMPERATURES"}), wide])
-        == "(CELLWISE_TEMPERATURES > 1) || CELLWISE_WIDE"
-    )
 
 
 def test_lines_keep_the_width_and_their_words():
@@ -123,7 +115,6 @@ def test_lines_keep_the_width_and_their_words():
     assert all(len(p) <= 100 for p in pieces)
     assert " ".join(p.strip() for p in pieces) == line
     assert all(len(p) <= 100 for p in comment("word " * 60, 8))
-    assert merged(["#if A", "x", "#endif", "#if A", "y", "#endif"]) == ["#if A", "x", "y", "#endif"]
 
 
 def test_literals_are_exact():
@@ -134,24 +125,21 @@ def test_literals_are_exact():
 
 
 def test_header_names_every_bit_and_field():
-    text = print_header()
+    text = print_header(EVERYTHING)
     for bit in Status:
         assert f"#define CELLWISE_{bit.name} {int(bit)}u" in text
     for table in (layout.ROW, layout.CONSTANTS, layout.STATE, layout.OUTPUT_FIELDS):
-        for field in table:
+        for field in layout.fields_of(table, EVERYTHING):
             assert re.search(rf"(float|uint32_t) {field.name}[;\[]", text), field.name
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 @pytest.mark.parametrize("states", list(itertools.product([0, 1], repeat=2)))
 def test_every_set_of_options_is_c(states, tmp_path):
-    """The preprocessor leaves no name undeclared, whatever is compiled in."""
-    for name in ("cellwise_ekf.h", "cellwise_ekf.c"):  # what is printed, as another test says
-        shutil.copy(firmware_folder() / name, tmp_path)
+    """No name is undeclared or unused, whatever is compiled in."""
     slow, hysteresis = states
     effects = (
         "efficiency", "leak", "skew", "rate", "asymmetry", "transfer", "surface", "heating", "wide",
-        "watch",
     )  # fmt: skip
     sizes = [(1, 0), (3, 0), (1, 161)]
     for k, (temperatures, arrhenius) in enumerate(sizes):
@@ -166,6 +154,8 @@ def test_every_set_of_options_is_c(states, tmp_path):
             assert set(flags_of(options)) >= {e.upper() for e in effects}
             defines = [f"#define {n} {v}" for n, v in options.defines().items()]
             (tmp_path / "cell_table.h").write_text("\n".join(defines) + "\n")
+            (tmp_path / "cellwise_ekf.h").write_text(print_header(options))
+            (tmp_path / "cellwise_ekf.c").write_text(print_source(options))
             done = subprocess.run(
                 ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only",
                  f"-I{firmware_folder()}", "cellwise_ekf.c"],

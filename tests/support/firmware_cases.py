@@ -47,7 +47,7 @@ def full_model():
 def tables_of(name, dt_s=1.0):
     """Tables by the name of a case."""
     if name == "lean":
-        return fixed_step_tables(curved_cell(), dt_s, wide=False, watch=False)
+        return fixed_step_tables(curved_cell(), dt_s, wide=False)
     if name == "plain":
         return fixed_step_tables(curved_cell(), dt_s)
     if name == "slow":
@@ -61,14 +61,14 @@ def tables_of(name, dt_s=1.0):
     if name == "validity":
         return fixed_step_tables(curved_cell(validity=VALID), dt_s)
     if name in ("power", "lean power"):
-        return power_tables(curved_cell(), dt_s, wide=name == "power", watch=name == "power")
+        return power_tables(curved_cell(), dt_s, wide=name == "power")
     if name == "full power":
         return power_tables(full_model(), dt_s)
     if name in ("remaining", "lean remaining", "full remaining"):
         model = full_model() if name == "full remaining" else curved_cell()
         wide = name != "lean remaining"
         return fixed_step_tables(
-            model, dt_s, wide=wide, watch=wide, remaining_V=cutoff_asked(model), health=True
+            model, dt_s, wide=wide, remaining_V=cutoff_asked(model), health=True
         )
     if name in ("lean pack", "full pack"):
         lean = name == "lean pack"
@@ -77,7 +77,6 @@ def tables_of(name, dt_s=1.0):
             model,
             dt_s,
             wide=not lean,
-            watch=not lean,
             health=True,
             cells=CellSettings(),
             power=power_asked(model),

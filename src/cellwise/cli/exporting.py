@@ -81,7 +81,6 @@ def run_export(arguments: argparse.Namespace) -> None:
         noise=noise,
         points=arguments.points,
         wide=not arguments.lean,
-        watch=not arguments.lean,
         power=forecast_options.exported_power(arguments, model),
         health=arguments.health,
         cells=CellSettings() if arguments.cells else None,

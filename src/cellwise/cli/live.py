@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.cell.plausibility.notice import FarOffStream
     from cellwise.estimate.power.along import PowerFollower
-    from cellwise.forecast.display_kernels import Display
+    from cellwise.forecast.display import Display
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, Update
     from cellwise.logs import Stated

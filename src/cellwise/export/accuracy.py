@@ -196,7 +196,7 @@ def accuracy_by_grid(
     even, start, reference = _float_ekf(model, log, dt_s, soc0, noise)
     found = []
     for points in sorted({*grids, model.points}):
-        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=wide, watch=wide)
+        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=wide)
         error = step.run(even, start.soc, start.std).soc - reference.soc
         found.append(
             GridAccuracy(
@@ -230,7 +230,6 @@ def fixed_and_float(
         dt_s=dt_s,
         points=points,
         wide=not lean,
-        watch=not lean,
     )
     exported = step.run(even, start.soc, start.std)
     return FixedAndFloat(even, reference.soc, reference.soc_std, exported.soc)

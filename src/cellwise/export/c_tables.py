@@ -15,11 +15,9 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.printing.c.firmware import print_header, print_source
 
-SOURCES = (
-    *("cellwise_ekf.h", "cellwise_ekf.c", "cellwise_float.h"),
-    *("cellwise_store.h", "cellwise_store.c"),
-)
+BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c")
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (
@@ -43,11 +41,11 @@ def firmware_folder() -> Path:
     """
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "_firmware", package.parents[1] / "firmware_ref"):
-        if (folder / SOURCES[0]).is_file():
+        if (folder / BY_HAND[0]).is_file():
             return folder
     raise InputError(
         "no C sources beside this installation of cellwise",
-        f"a folder with {SOURCES[0]}",
+        f"a folder with {BY_HAND[0]}",
         "Install cellwise from its wheel or its source tree.",
     )
 
@@ -112,7 +110,9 @@ def write_sources(
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of every file that a target compiles."""
     folder = firmware_folder()
-    for source in SOURCES:
+    yield "cellwise_ekf.h", print_header(tables.options)
+    yield "cellwise_ekf.c", print_source(tables.options)
+    for source in BY_HAND:
         yield source, (folder / source).read_text(encoding="utf-8")
     yield "cell_table.h", header_text(tables, sha256, name)
     yield "cellwise_cell.h", CELL_HEADER

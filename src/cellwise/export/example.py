@@ -90,8 +90,7 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
         return inputs, outputs
     cell_W = 3.7 * model.capacity_Ah
     plan = np.array([(seconds, share * cell_W) for seconds, share in PLAN], dtype=PHASE)
-    landing = np.zeros(1, dtype=LANDING)
-    stepper.plan(state, plan, True, VECTOR.above, landing)
+    landing = stepper.answer("plan_of", LANDING, state, plan, plan.size, True, VECTOR.above)
     return inputs, outputs, plan, landing
 
 

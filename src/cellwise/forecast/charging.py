@@ -11,8 +11,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.records import Load
-from cellwise.forecast.remaining import WINDOW_S, along, at_most, present_load, warms_unseen
+from cellwise.forecast.remaining import WINDOW_S, along, at_most, load_of, present_load
 from cellwise.typing import FloatArray
 
 CHARGER_S = 30.0  # a charge that lasts; regenerative braking does not
@@ -205,19 +204,21 @@ def forecast_charge(
     wanted = at_most(charging & steady & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
-    nowhere = np.full(len(log), np.nan)
-    unseen = warms_unseen(model)
-    load = Load(mean_A, nowhere, wanted, False, WINDOW_S, limit, unseen, taper)
-    out = along(model, replay, current, load)
+    load = load_of(model, mean_A, wanted, limit, "current", WINDOW_S)._replace(taper_A=taper)
+    found = along(model, replay, load)
+    full_s, full_J = found["usual.time_s"], found["usual.energy_J"]
     held = charging & (log.voltage_V > limit - HELD_V)
     before_s = np.maximum.accumulate(np.where(held, -np.inf, log.time_s))
     for place, k in enumerate(np.flatnonzero(wanted)):
         first = int(np.searchsorted(log.time_s, before_s[k], "right"))
         rows = slice(min(first, k), k + 1)
-        both_s = with_decay(out[place, 0], log.time_s[rows], -current[rows], taper)
+        both_s = with_decay(full_s[place], log.time_s[rows], -current[rows], taper)
         if held[k] and both_s is not None:
-            out[place, [1, 7, 8]] *= both_s / max(out[place, 0], 1.0)
-            out[place, [0, 5, 6]] = both_s, both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
+            times = both_s / max(full_s[place], 1.0)
+            full_J[place] *= times
+            found["energy_J"][place] *= times
+            full_s[place] = both_s
+            found["time_s"][place] = both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
     return Charge(
         name=log.name,
         limit_V=limit,
@@ -225,10 +226,10 @@ def forecast_charge(
         time_s=log.time_s[wanted],
         soc=replay.trace.soc[wanted],
         soc_std=replay.trace.soc_std[wanted],
-        charge_A=-out[:, 11],
-        full_s=out[:, 0],
-        full_s_band=out[:, 5:7],
-        full_Wh=out[:, 1] / 3600.0,
-        full_Wh_band=out[:, 7:9] / 3600.0,
-        end_soc=out[:, 3],
+        charge_A=-found["load_A"],
+        full_s=full_s,
+        full_s_band=found["time_s"],
+        full_Wh=full_J / 3600.0,
+        full_Wh_band=found["energy_J"] / 3600.0,
+        end_soc=found["usual.soc"],
     )

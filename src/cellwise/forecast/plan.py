@@ -20,9 +20,8 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.plan_kernels import through
-from cellwise.forecast.records import Away, Going, Uncertain
-from cellwise.forecast.remaining import WINDOW_S, cutoff_of, state_at, uncertain_of
+from cellwise.forecast.ahead_kernels import Away, Going, Uncertain, through
+from cellwise.forecast.remaining import cutoff_of, state_at, uncertain_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -204,7 +203,7 @@ def forecast_plan(
         raise InputError(f"a SOC of {above:g} to land above", "a fraction, 0 to 1", "Correct it.")
     cutoff = cutoff_of(model, cutoff_V)
     at = len(replay.log) - 1 if row is None else row
-    state, go, soc_std = state_at(model, replay, at, cutoff, WINDOW_S)
+    state, go, soc_std = state_at(model, replay, at, cutoff)
     begins = state, soc_std, uncertain_of(model)._replace(capacity_std=capacity_std)
     draws = _draws()
     scale = mean_powers(plans, draws[:, 5])
@@ -277,7 +276,7 @@ def _responses(
         cell = tables._replace(cell=tables.cell._replace(charge_As=charge_As))
         away = Away(soc, voltage, warmth)
         end = through(cell, state, soc_std, (plan.dt_s, times * plan.load), go, uncertain, away)
-        return np.array(end[:3], dtype=np.float64)
+        return np.array(end, dtype=np.float64)
 
     usual = run(np.zeros(4))
     found = np.tile(usual, (len(draws), 1))

@@ -10,22 +10,28 @@ import numpy as np
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CAPACITY_STD, CellModel
+from cellwise.cell.packed import place_of, size_of
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.records import (
+from cellwise.forecast.ahead_kernels import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
-    FilteredRows,
     Going,
-    Load,
+    Outcome,
     Uncertain,
 )
-from cellwise.forecast.remaining_kernels import asks_temperature, forecast_rows, moment
+from cellwise.forecast.along_kernels import (
+    FilteredRows,
+    Load,
+    asks_temperature,
+    forecast_rows,
+    moment,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -182,20 +188,20 @@ def forecast(
     if not (np.isfinite(window_s) and window_s > 0):
         raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
     log = replay.log
-    current = np.ascontiguousarray(log.known_current_A())
-    load_A, load_W = present_load(log, current, window_s)
-    wanted = _moments(load_A, model.capacity_Ah)
+    load_A, load_W = present_load(log, log.known_current_A(), window_s)
+    wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
     if not wanted.any():
         return None
-    flight = _forecast(model, replay, current, load_A, load_W, wanted, cutoff, hold, window_s)
-    moving = under_way(load_A[wanted])
+    load = load_of(model, load_A, wanted, cutoff, hold, window_s)
+    flight = _flight(model, replay, load, load_W)
+    busy = under_way(load_A[wanted])
     usual_A, usual_W = (
-        np.full(len(log), np.mean(load[wanted][moving])) for load in (load_A, load_W)
-    )
-    typical, at_peaks = (
-        _forecast(model, replay, current, usual_A, usual_W, wanted, at, hold, window_s)
-        for at in (cutoff, cutoff + _peak_drop_V(log, load_A >= usual_A, window_s))
-    )
+        np.full(len(log), np.mean(x[wanted][busy])) for x in (load_A, load_W)
+    )  # fmt: skip
+    load = load._replace(current_A=usual_A)
+    typical = _flight(model, replay, load, usual_W)
+    drop_V = _peak_drop_V(log, load_A >= usual_A, window_s)
+    at_peaks = _flight(model, replay, load._replace(cutoff_V=cutoff + drop_V), usual_W)
     for low, band in (
         (at_peaks.remaining_s_band, typical.remaining_s_band),
         (at_peaks.remaining_Wh_band, typical.remaining_Wh_band),
@@ -245,19 +251,13 @@ def forecast_at(
     """
     cutoff = cutoff_of(model, cutoff_V)
     check_load(load, hold)
-    log = replay.log
-    rows = len(log)
+    rows = len(replay.log)
     ocv_V = float(np.interp(replay.trace.soc[-1], model.soc, np.atleast_2d(model.ocv_V)[0]))
-    load_A = load / ocv_V if hold == "power" else load
-    load_W = load if hold == "power" else np.nan
-    # fmt: off
-    flight = _forecast(
-        model, replay, np.ascontiguousarray(log.known_current_A()), np.full(rows, load_A),
-        np.full(rows, load_A * ocv_V), _only(rows - 1, rows), cutoff, hold, window_s,
-        np.full(rows, load_W),
-    )
-    # fmt: on
-    return flight.last
+    load_A = np.full(rows, load / ocv_V if hold == "power" else load)
+    going = load_of(model, load_A, np.arange(rows) == rows - 1, cutoff, hold, window_s)
+    if hold == "power":
+        going = going._replace(power_W=load)
+    return _flight(model, replay, going, load_A * ocv_V).last
 
 
 def check_load(load: float, hold: str) -> None:
@@ -276,89 +276,84 @@ def check_load(load: float, hold: str) -> None:
         )
 
 
-def _only(row: np.intp | int, rows: int) -> BoolArray:
-    """One row of a log."""
-    wanted = np.zeros(rows, dtype=np.bool_)
-    wanted[row] = True
-    return wanted
-
-
-def _forecast(
+def load_of(
     model: CellModel,
-    replay: Replay,
-    current_A: FloatArray,
     load_A: FloatArray,
-    load_W: FloatArray,
     wanted: BoolArray,
     cutoff_V: float,
     hold: Hold,
     window_s: float,
-    held_W: FloatArray | None = None,
-) -> Flight:
-    """The wanted rows through the kernel."""
-    held_W = np.full(len(load_A), np.nan) if held_W is None else held_W
-    log, trace = replay.log, replay.trace
-    hold_power = hold == "power"
-    load = Load(
-        load_A, held_W, wanted, hold_power, float(window_s), cutoff_V, warms_unseen(model)
-    )  # fmt: skip
-    out = along(model, replay, current_A, load)
-    soc, std = trace.soc, np.nan_to_num(trace.soc_std)
+) -> Load:
+    """A load of every row as the kernels take it."""
+    unseen = warms_unseen(model)
+    return Load(load_A, np.nan, wanted, hold == "power", float(window_s), cutoff_V, unseen)
+
+
+def _flight(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) -> Flight:
+    """The wanted rows through the kernel; ``load_W`` is what is said of the load's power."""
+    found = along(model, replay, load)
+    log, trace, wanted = replay.log, replay.trace, load.wanted
     return Flight(
         name=log.name,
-        cutoff_V=cutoff_V,
-        hold=hold,
-        window_s=float(window_s),
+        cutoff_V=load.cutoff_V,
+        hold="power" if load.hold_power else "current",
+        window_s=load.window_s,
         time_s=log.time_s[wanted],
-        soc=soc[wanted],
-        soc_std=std[wanted],
-        load_A=out[:, 11],
+        soc=trace.soc[wanted],
+        soc_std=np.nan_to_num(trace.soc_std)[wanted],
+        load_A=found["load_A"],
         load_W=load_W[wanted],
-        remaining_s=out[:, 0],
-        remaining_s_band=out[:, 5:7],
-        remaining_Wh=out[:, 1] / 3600.0,
-        remaining_Wh_band=out[:, 7:9] / 3600.0,
-        end_voltage_V=out[:, 2],
-        end_voltage_V_band=out[:, 9:11],
-        end_soc=out[:, 3],
-        by_voltage=out[:, 4] == BY_VOLTAGE,
+        remaining_s=found["usual.time_s"],
+        remaining_s_band=found["time_s"],
+        remaining_Wh=found["usual.energy_J"] / 3600.0,
+        remaining_Wh_band=found["energy_J"] / 3600.0,
+        end_voltage_V=found["usual.voltage_V"],
+        end_voltage_V_band=found["voltage_V"],
+        end_soc=found["usual.soc"],
+        by_voltage=found["usual.reason"] == BY_VOLTAGE,
         validity=model.validity,
     )
 
 
-def along(model: CellModel, replay: Replay, current_A: FloatArray, load: Load) -> FloatArray:
-    """What `forecast_rows` finds, shape (wanted rows, 13); an end that never comes is infinite."""
-    rows = _filtered(model, replay, current_A)
-    out = np.empty((int(np.count_nonzero(load.wanted)), 13))
+def along(model: CellModel, replay: Replay, load: Load) -> dict[str, FloatArray]:
+    """Numbers of an `Outcome` at every wanted row; an end that never comes is infinite."""
+    rows = _filtered(model, replay)
+    out = np.empty((int(np.count_nonzero(load.wanted)), size_of(Outcome)))
     forecast_rows(model.parameters(), _start(rows), rows, load, uncertain_of(model), out)
-    never = out[:, 4] == NEVER
-    out[never, :2] = np.inf
-    out[never, 6] = out[never, 8] = np.inf
-    return out
+    single = ("time_s", "energy_J", "voltage_V", "soc", "reason")
+    found = {f"usual.{name}": out[:, place_of(Outcome, f"usual.{name}")] for name in single}
+    found["load_A"] = out[:, place_of(Outcome, "load_A")]
+    for name in ("time_s", "energy_J", "voltage_V"):
+        first = place_of(Outcome, f"{name}.low")
+        found[name] = out[:, first : first + 2]
+    never = found["usual.reason"] == NEVER
+    for name in ("time_s", "energy_J"):
+        found[f"usual.{name}"][never] = found[name][never, 1] = np.inf
+    return found
 
 
 def state_at(
-    model: CellModel, replay: Replay, row: int, cutoff_V: float, window_s: float
+    model: CellModel, replay: Replay, row: int, cutoff_V: float
 ) -> tuple[CellState, Going, float]:
     """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
-    part = slice(0, row + 1)
-    current = np.ascontiguousarray(replay.log.known_current_A()[part])
-    rows = FilteredRows(*(x[part] for x in _filtered(model, replay, current)))
-    nowhere = np.zeros(row + 1, dtype=np.bool_)
-    load = Load(current, current, nowhere, True, window_s, cutoff_V, warms_unseen(model))
+    rows = FilteredRows(*(x[: row + 1] for x in _filtered(model, replay)))
+    load = load_of(model, rows.current_A, rows.soc < 0.0, cutoff_V, "power", WINDOW_S)
     state, go = moment(model.parameters(), _start(rows), rows, load, uncertain_of(model))
     return CellState(*state), Going(*go), float(rows.soc_std[-1])
 
 
-def _filtered(model: CellModel, replay: Replay, current_A: FloatArray) -> FilteredRows:
+def _filtered(model: CellModel, replay: Replay) -> FilteredRows:
     log, trace = replay.log, replay.trace
-    soc = np.ascontiguousarray(trace.soc, dtype=np.float64)
-    std = np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64))
-    warm = known_temperature_C(model, log)
-    nowhere = np.full(len(log), np.nan)
-    measured_C = nowhere if log.temperature_C is None else np.array(log.temperature_C)
-    voltage = np.array(log.voltage_V)
-    return FilteredRows(log.interval_s, current_A, warm, measured_C, voltage, soc, std)
+    measured_C = log.temperature_C
+    return FilteredRows(
+        log.interval_s,
+        np.ascontiguousarray(log.known_current_A()),
+        known_temperature_C(model, log),
+        np.full(len(log), np.nan) if measured_C is None else np.array(measured_C),
+        np.array(log.voltage_V),
+        np.ascontiguousarray(trace.soc, dtype=np.float64),
+        np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
+    )
 
 
 def _start(rows: FilteredRows) -> CellState:
@@ -418,11 +413,6 @@ def present_load(
     first = span <= 0
     mean_A[first], mean_W[first] = current_A[first], (current_A * held)[first]
     return mean_A, mean_W
-
-
-def _moments(load_A: FloatArray, capacity_Ah: float) -> BoolArray:
-    """Rows at which to forecast: at most a few hundred of those under load, the last among them."""
-    return at_most(load_A > LEAST_LOAD_C * capacity_Ah)
 
 
 def at_most(possible: BoolArray) -> BoolArray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline
+from cellwise.cell.compiled import inline, kernel
 
 
 class UsualLump(NamedTuple):
@@ -149,7 +149,7 @@ def faded(sums: Sums) -> Sums:
     # fmt: on
 
 
-@inline
+@kernel
 def observed(
     seen: Warming, charge_As: float, lost_W: float, temperature_C: float, dt_s: float
 ) -> Warming:
@@ -178,7 +178,7 @@ def observed(
     return Warming(seen.origin_C, moved, rise, rise, 0.0, 0.0, 0.0, sums)
 
 
-@inline
+@kernel
 def thermal_of(seen: Warming, charge_As: float, temperature_C: float, unseen: bool) -> Thermal:
     """The lump as prior and log have it.
 

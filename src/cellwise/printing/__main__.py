@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cellwise.printing.c.firmware import print_header, print_source
+from cellwise.printing.c.firmware import EVERYTHING, print_header, print_source
 from cellwise.printing.formulas import theory_text
 
 # The repository's root: files are named from there.
@@ -15,8 +15,8 @@ SOURCE = Path(__file__).resolve().parents[3]
 
 PRINTED: dict[str, Callable[[], str]] = {
     "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
-    "firmware_ref/cellwise_ekf.h": print_header,
-    "firmware_ref/cellwise_ekf.c": print_source,
+    "firmware_ref/cellwise_ekf.h": lambda: print_header(EVERYTHING),
+    "firmware_ref/cellwise_ekf.c": lambda: print_source(EVERYTHING),
 }
 
 

@@ -50,23 +50,20 @@ def test_the_same_bits_in_c_and_never_nan(case):
 
     tables = tables_of(case)
     stepper, library = numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])
-    state, in_c = library.state(), library
+    state = library.state()
     library.begin(state, 0.8, 0.02)
     rng = np.random.default_rng(11)
-    ours, theirs = np.zeros(1, CAPABILITY), np.zeros(1, CAPABILITY)
     seen = []
     for part in np.array_split(stress_samples(4000), 400):
         stepper.rows(state, part)
         kept = state.tobytes()
-        stepper.power(state, ours)
-        in_c.power(state, theirs)
+        ours, theirs = (x.answer("power_of", CAPABILITY, state) for x in (stepper, library))
         assert ours.tobytes() == theirs.tobytes()
         assert state.tobytes() == kept
         seen.append(ours[0].item())
     for _ in range(300):  # memory that lost its content
         state.view(np.uint8)[:] = rng.integers(0, 256, state.nbytes)
-        stepper.power(state, ours)
-        in_c.power(state, theirs)
+        ours, theirs = (x.answer("power_of", CAPABILITY, state) for x in (stepper, library))
         assert ours.tobytes() == theirs.tobytes()
         assert np.all(np.isfinite(ours[0].item()))
         assert ours[0].item() == (0.0, 0.0, 0.0, 0.0)  # not sound

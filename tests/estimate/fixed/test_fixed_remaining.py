@@ -14,8 +14,8 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.forecast.ahead_kernels import Going, with_ends
 from cellwise.forecast.remaining import uncertain_of
-from cellwise.forecast.remaining_kernels import Going, with_ends
 from cellwise.forecast.warming_kernels import STEADY
 from example_cells import curved_cell, lfp_cell, linear_cell
 from firmware_cases import cutoff_asked, stress_samples, tables_of
@@ -60,22 +60,22 @@ def test_the_same_bits_in_c_and_never_nan(case):
     state = library.state()
     library.begin(state, 0.8, 0.02)
     rng = np.random.default_rng(11)
-    ours, theirs = np.zeros(1, OUTLOOK), np.zeros(1, OUTLOOK)
 
     def both(load_A, holds_power):
-        for one, out in ((stepper, ours), (library, theirs)):
-            one.remaining(state, load_A, holds_power, out)
-        assert ours.tobytes() == theirs.tobytes()
         phases = np.zeros(int(rng.integers(0, 6)), PHASE)
         phases["seconds"] = rng.exponential(300.0, phases.size)
         phases["load"] = load_A * rng.normal(1.0, 1.0, phases.size)
-        for one, out in ((stepper, our_end), (library, their_end)):
-            one.plan(state, phases, holds_power, 0.4, out)
-        assert our_end.tobytes() == their_end.tobytes()
-        ends.append(our_end[0].item())
-        return np.array(ours[0].item())
+        found = []
+        for name, kind, handed in (
+            ("remaining_of", OUTLOOK, (load_A, holds_power)),
+            ("plan_of", LANDING, (phases, phases.size, holds_power, 0.4)),
+        ):
+            ours, theirs = (x.answer(name, kind, state, *handed) for x in (stepper, library))
+            assert ours.tobytes() == theirs.tobytes()
+            found.append(ours[0].item())
+        ends.append(found[1])
+        return np.array(found[0])
 
-    our_end, their_end = np.zeros(1, LANDING), np.zeros(1, LANDING)
     seen, ends = [], []
     for k, part in enumerate(np.array_split(stress_samples(4000), 400)):
         stepper.rows(state, part)

@@ -127,7 +127,7 @@ def test_what_is_not_compiled_in_is_not_there(name, tmp_path):
 
 def preprocessed(model, folder):
     """The C that the compiler sees of a lean build."""
-    tables = fixed_step_tables(model, DT_S, wide=False, watch=False)
+    tables = fixed_step_tables(model, DT_S, wide=False)
     for file, text in write_sources(tables, "0" * 64):
         (folder / file).write_text(text)
     done = subprocess.run(

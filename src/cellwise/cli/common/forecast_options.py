@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import Hold, PowerSettings
     from cellwise.estimate.replay import Replay
     from cellwise.forecast.charging import Charge
-    from cellwise.forecast.display_kernels import Display
+    from cellwise.forecast.display import Display
     from cellwise.forecast.plan import Outcome, Plan
     from cellwise.forecast.remaining import Flight
     from cellwise.typing import FloatArray

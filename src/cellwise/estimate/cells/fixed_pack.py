@@ -13,7 +13,7 @@ from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
-from cellwise.estimate.fixed.layout import CAPABILITY, CELL, INPUT
+from cellwise.estimate.fixed.layout import CAPABILITY, CELL, CELL_OUTPUT, INPUT
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,
@@ -107,7 +107,8 @@ class FixedPack:
         """What is known of every cell: records of ``layout.CELL_OUTPUT``, shape (cells,)."""
         stepper = self._stepper()
         self._check(state, stepper)
-        return stepper.cells(state.mean, state.cells)
+        handed = state.mean, state.cells, self.count
+        return stepper.answer("cells_of", CELL_OUTPUT, *handed, count=self.count)
 
     def power(self, state: PackState) -> NDArray[Any]:
         """State of power of the pack as its weakest cell allows: one record of CAPABILITY [W].
@@ -118,10 +119,8 @@ class FixedPack:
         """
         stepper = self._stepper()
         self._check(state, stepper)
-        stepper.need("power")
-        out = np.zeros(1, dtype=CAPABILITY)
-        stepper.pack_power(state.mean, state.cells, out)
-        return out
+        handed = state.mean, state.cells, self.count
+        return stepper.need("power").answer("pack_power_of", CAPABILITY, *handed)
 
     def run(
         self,
@@ -166,7 +165,7 @@ class FixedPack:
 
     def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
         cells = np.zeros(self.count, dtype=CELL)
-        stepper.begin_cells(cells)
+        stepper.call("cells_begin", cells, self.count)
         return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def _check(self, state: PackState, stepper: Stepper) -> None:

@@ -121,11 +121,7 @@ class FixedStep:
         ------
         InputError        no time step; not asked for when this was made
         """
-        stepper = self._need_stepper()
-        stepper.need("power")
-        out = np.zeros(1, dtype=CAPABILITY)
-        stepper.power(state, out)
-        return out
+        return self._need_stepper().need("power").answer("power_of", CAPABILITY, state)
 
     def with_remaining(self, cutoff_V: float) -> Self:
         """The same filter with :meth:`remaining`, down to a cutoff of the cell [V].
@@ -154,12 +150,10 @@ class FixedStep:
         ------
         InputError        no time step; not asked for when this was made; an unknown ``hold``
         """
-        stepper = self._need_stepper()
-        stepper.need("remaining")
+        stepper = self._need_stepper().need("remaining")
         _check_hold(hold)
-        out = np.zeros(1, dtype=OUTLOOK)
-        stepper.remaining(state, one_reading("load_A", load_A, "ampere"), hold == "power", out)
-        return out
+        load = one_reading("load_A", load_A, "ampere")
+        return stepper.answer("remaining_of", OUTLOOK, state, load, hold == "power")
 
     def plan(
         self,
@@ -180,13 +174,10 @@ class FixedStep:
         ------
         InputError        no time step; made without remaining time; an unknown ``hold``
         """
-        stepper = self._need_stepper()
-        stepper.need("remaining")
+        stepper = self._need_stepper().need("remaining")
         _check_hold(hold)
-        pairs = np.ascontiguousarray(phases, dtype=np.float32).reshape(-1, 2)
-        out = np.zeros(1, dtype=LANDING)
-        stepper.plan(state, pairs.view(PHASE)[:, 0], hold == "power", above, out)
-        return out
+        pairs = np.ascontiguousarray(phases, dtype=np.float32).reshape(-1, 2).view(PHASE)[:, 0]
+        return stepper.answer("plan_of", LANDING, state, pairs, pairs.size, hold == "power", above)
 
     def set_health(
         self, state: NDArray[Any], capacity_share: float, resistance_scale: float
@@ -202,12 +193,11 @@ class FixedStep:
         ------
         InputError        not asked for when this was made; a number outside these
         """
-        stepper = self._need_stepper()
-        stepper.need("health")
+        stepper = self._need_stepper().need("health")
         check_record(state, stepper.tables, self.name)
         share = one_reading("capacity_share", capacity_share, "a share")
         scale = one_reading("resistance_scale", resistance_scale, "a factor")
-        if stepper.set_health(state, share, scale):
+        if stepper.call("set_health_of", state, share, scale):
             raise InputError(
                 f"capacity_share = {share:g}, resistance_scale = {scale:g}",
                 "a share of 0.1 to 2, a scale of 0.1 to 20, a sound state",

@@ -41,12 +41,6 @@ class Model(NamedTuple):
 
 
 LAG = "1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is"
-POWER_LAG = "the same over the horizon of the power"
-
-
-def _beside(state: State, option: str) -> str:
-    """A state's option and another."""
-    return " and ".join(o for o in (state.option.upper(), option) if o)
 
 
 ROW = (
@@ -56,7 +50,6 @@ ROW = (
     *(Field(f"r{s.letter}_ohm", "", s.option.upper()) for s in BRANCHES),
     *(Field(f"lag{s.letter}", LAG, s.option.upper()) for s in BRANCHES),
     Field("m_V", "", "HYSTERESIS"),
-    *(Field(f"power_lag{s.letter}", POWER_LAG, _beside(s, "POWER")) for s in BRANCHES),
 )
 
 CONSTANTS = (
@@ -84,10 +77,10 @@ CONSTANTS = (
     Field("start_load_A", "and, at least, before one under load"),
     Field("recovery_after", "steps rejected in a row, then the SOC is unknown", "", "u4"),
     Field("gap_steps", "missing samples that are bridged", "", "u4"),
-    Field("hold_steps", "samples for which a missing current is held", "WATCH", "u4"),
-    Field("lost_soc", "deviation that SOC gains in one step after that", "WATCH"),
-    Field("frozen_V", "how far a voltage must have moved to be called frozen", "WATCH"),
-    Field("lost_walk", "variance that SOC gains in one step without a current", "not WATCH"),
+    Field("hold_steps", "samples for which a missing current is held", "WIDE", "u4"),
+    Field("lost_soc", "deviation that SOC gains in one step after that", "WIDE"),
+    Field("frozen_V", "how far a voltage must have moved to be called frozen", "WIDE"),
+    Field("lost_walk", "variance that SOC gains in one step without a current", "not WIDE"),
     Field("flat_slope_V", "below it the OCV is flat for its kind", "WIDE"),
     Field("recovery_A", "what branches may hold after a lock-out", "WIDE"),
     Field("charge_efficiency", "", "EFFICIENCY"),
@@ -100,8 +93,8 @@ CONSTANTS = (
     Field("surface_gain", "1 - exp(-dt / time constant of the current it follows)", "SURFACE"),
     Field("surface_rate", "dt / that time constant", "SURFACE"),
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
-    Field("drift_soc", "that a current which is off moves in one step", "WATCH"),
-    Field("contradicted_share", "dt / 600 s", "WATCH"),
+    Field("drift_soc", "that a current which is off moves in one step", "WIDE"),
+    Field("contradicted_share", "dt / 600 s", "WIDE"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
     Field("heat_rate", "dt / thermal time constant", "HEATING"),
@@ -115,15 +108,13 @@ CONSTANTS = (
     Field("valid_warm_C", "", "THERMAL"),
     Field("share_per_K", "of the polarisation, error beyond their temperature", "THERMAL"),
     Field("voltage_per_K", "of the OCV", "THERMAL"),
-    Field("power_soc_per_A", "SOC that 1 A takes over the horizon of the power", "POWER"),
-    Field("power_A_per_soc", "and its inverse", "POWER"),
+    Field("power_steps", "time steps of the horizon of the power", "POWER"),
     Field("power_low_V", "limits that a power keeps", "POWER"),
     Field("power_high_V", "", "POWER"),
     Field("power_discharge_A", "", "POWER"),
     Field("power_charge_A", "without sign", "POWER"),
     Field("power_soc_low", "", "POWER"),
     Field("power_soc_high", "", "POWER"),
-    Field("power_hysteresis_per_A", "e-folds of h over the horizon", "HYSTERESIS and POWER"),
     Field("remaining_low_V", "voltage at which a load gives up", "REMAINING"),
     Field("remaining_least_A", "a load below it counts as it", "REMAINING"),
     Field("remaining_share", "two deviations of the capacity, relative", "REMAINING"),
@@ -174,12 +165,12 @@ def _state() -> tuple[Field, ...]:
         Field("heat_K", "own warming", "HEATING"),
         Field("slow_A", "current that the particles' surface has followed", "SURFACE"),
         Field("temperature_C", "last valid one", "WARM"),
-        Field("contradicted", "SOC that the voltages say is missing", "WATCH"),
-        Field("voltage_V", "last valid one,", "WATCH"),
-        Field("frozen_A", "the current when it came,", "WATCH"),
-        Field("repeats", "and how often it has come since", "WATCH", "u4"),
-        Field("no_current", "steps without a valid one", "WATCH", "u4"),
-        Field("no_voltage", "steps without one that could be used", "WATCH", "u4"),
+        Field("contradicted", "SOC that the voltages say is missing", "WIDE"),
+        Field("voltage_V", "last valid one,", "WIDE"),
+        Field("frozen_A", "the current when it came,", "WIDE"),
+        Field("repeats", "and how often it has come since", "WIDE", "u4"),
+        Field("no_current", "steps without a valid one", "WIDE", "u4"),
+        Field("no_voltage", "steps without one that could be used", "WIDE", "u4"),
         Field("per_capacity", "inverse of the share of the capacity that is left", "HEALTH"),
         Field("resistance_scale", "of the resistances since", "HEALTH"),
         Field("mean_V", "of the cells at their last sample,", "CELLS"),

@@ -1,7 +1,7 @@
-"""What is compiled into a fixed step: effects, care and watch, as a model needs them.
+"""What is compiled into a fixed step: effects and care, as a model needs them.
 
 The upper-case names stand for the options inside the step. They are known when a loop is compiled
-(``rows``) and when C is (``#if CELLWISE_SLOW``), so that what is not compiled in costs nothing.
+(``rows``) and when C is printed, so that what is not asked for costs nothing.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Options:
 
     ``arrhenius`` is the number of points of the factor's table over temperature, ``depth`` that of
     the table of how far the particles' surface is below the mean, 0 without them;
-    ``wide`` the care taken while SOC is badly known, ``watch`` that of sensors which freeze or fall
-    silent; without them the code is smaller. ``validity`` 1 watches SOC and current for what the
+    ``wide`` the care taken while SOC is badly known and of sensors which freeze or fall silent;
+    without it the code is smaller. ``validity`` 1 watches SOC and current for what the
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell.
@@ -59,7 +59,6 @@ class Options:
     depth: int = 0
     heating: int = 0
     wide: int = 1
-    watch: int = 1
     validity: int = 0
     power: int = 0
     remaining: int = 0
@@ -89,9 +88,9 @@ class Asked:
     Parameters
     ----------
     points : int or None      SOC points of the tables; None: the model's own
-    wide : bool               take care of slopes while SOC is badly known; without it the code is
-                              smaller, and slower to recover from a start that is far off
-    watch : bool              watch for sensors that freeze or fall silent
+    wide : bool               take care of slopes while SOC is badly known, watch for sensors that
+                              freeze or fall silent; without it the code is smaller, and slower to
+                              recover from a start that is far off
     power : PowerSettings or None   what the state of power is asked for: one horizon, currents held
     remaining_V : float or None     cutoff down to which time and energy are asked for
     health : bool                   take capacity and resistance from a history
@@ -104,7 +103,6 @@ class Asked:
 
     points: int | None = None
     wide: bool = True
-    watch: bool = True
     power: PowerSettings | None = None
     remaining_V: float | None = None
     health: bool = False
@@ -140,7 +138,6 @@ def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options
         depth=depth,
         heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
         wide=int(asked.wide),
-        watch=int(asked.watch),
         validity=_watched(model),
         power=int(asked.power is not None),
         remaining=int(asked.remaining_V is not None),
@@ -159,21 +156,10 @@ SLOW = HYSTERESIS = 0  # states
 EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
 TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
 WARM = SCALED = 0  # any of these, any factor on all resistances
-WIDE = WATCH = 0  # care and watch
+WIDE = 0  # care of a SOC that is badly known, and of sensors
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
-
-# What a name means to the C preprocessor where it is not CELLWISE_ and the name.
-IN_C = {
-    "TEMPERATURES": "CELLWISE_TEMPERATURES > 1",
-    "ARRHENIUS": "CELLWISE_ARRHENIUS > 0",
-    "DEPTH": "CELLWISE_DEPTH > 0",
-    "WARM": "CELLWISE_NEEDS_TEMPERATURE",
-    "THERMAL": "CELLWISE_VALIDITY > 1",
-    "SCALED": "(CELLWISE_ARRHENIUS > 0) || CELLWISE_RATE || CELLWISE_ASYMMETRY || "
-    "CELLWISE_HEALTH || CELLWISE_CELLS",
-}
 
 
 def flags_of(options: Options) -> dict[str, int]:

@@ -38,7 +38,7 @@ from cellwise.estimate.fixed.arithmetic import (
     within,
 )
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, SKEW, WARM, WATCH
+from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, SKEW, WARM, WIDE
 from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -112,7 +112,7 @@ def see(c: Constants, x: State, sample: Sample, before: Count) -> Reading:
     if SKEW and news == INTERVAL:
         seen = current + (c.skew_share * (x.current_A - current))
     flow = seen
-    if WATCH:
+    if WIDE:
         # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
         # much as half a rate may flow either way.
         if silent != U(0) or news == REPEATED:
@@ -140,7 +140,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
             status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
                 bridge = HALF * (s.current + x.current_A)
-                if WATCH and s.silent > c.hold_steps:
+                if WIDE and s.silent > c.hold_steps:
                     bridge = ZERO
                 used = used + (taken(c, x, bridge) * F(missing))
             else:  # nobody knows what flowed; self-discharge goes on
@@ -152,7 +152,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                     used = used + lost
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
         if s.unmeasured_A2 > ZERO:
-            if WATCH:
+            if WIDE:
                 # It may keep one sign for as long as it is away: the deviation grows, not the
                 # variance.
                 drift = root(x.ss) + c.lost_soc
@@ -185,12 +185,12 @@ def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -
     if s.news != REPEATED:
         x.current_A = s.current
         x.sequence = sequence
-        if WATCH:
+        if WIDE:
             x.no_current = s.silent
         if s.news == INTERVAL and U(x.evidence - FIRST_VOLTAGE) < EVIDENCE_MOST:
             x.evidence = U(x.evidence + 1 + missing)
     out.soc = x.soc
     out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE
-    if WATCH:
+    if WIDE:
         out.soc_variance = out.soc_variance + (x.contradicted * x.contradicted)
     return status

@@ -63,7 +63,6 @@ from cellwise.estimate.fixed.options import (
     SLOW,
     SURFACE,
     WARM,
-    WATCH,
     WIDE,
 )
 from cellwise.estimate.status import OUT_OF_RANGE
@@ -93,9 +92,9 @@ def is_sound(c: Constants, x: State) -> Flag:
         return False
     if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
         return False
-    if WATCH and not size_within(x.contradicted, ONE):
+    if WIDE and not size_within(x.contradicted, ONE):
         return False
-    if WATCH and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
+    if WIDE and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
     if HEALTH and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
         return False
@@ -131,8 +130,6 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
         x.state[i] = ZERO
     for i in CARRIED:
         x.carry[i] = ZERO
-    if WIDE:
-        x.ss_carry = ZERO
     for i in (H,):
         x.state[i] = ONE if soc > HALF else -ONE
     start_covariance(x, soc_variance)
@@ -144,7 +141,8 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
         x.slow_A = ZERO
     if WARM:
         x.temperature_C = c.temperature_C
-    if WATCH:
+    if WIDE:
+        x.ss_carry = ZERO
         x.contradicted = ZERO
         x.voltage_V = ZERO
         x.frozen_A = ZERO

@@ -61,7 +61,7 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WATCH, WIDE
+from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import cross_gap, guess_branches, heat, is_sound, predict, start
 from cellwise.estimate.status import (
@@ -96,9 +96,8 @@ def reject(
         status = U(status | GATE_RECOVERY)
         x.rejections = U(0)
         x.mismatch = ONE
-        if WATCH:
-            x.contradicted = ZERO
         if WIDE:
+            x.contradicted = ZERO
             recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
         else:
             widen(c, x, p, seen)
@@ -142,7 +141,7 @@ def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovatio
         inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
         move(x, i.column, inverse, innovation)
         narrow(x, i.column, inverse)
-        if WATCH and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
+        if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
             contradict(c, x, w, s, i.one_V2, innovation)
     x.rejections = U(0)
     if x.evidence < FIRST_VOLTAGE:
@@ -192,7 +191,7 @@ def correct(
     """Predicted voltage, innovation, and what follows from it."""
     c = m.constant
     status = U(0)
-    if WATCH:
+    if WIDE:
         away = x.no_voltage
         if s.news == INTERVAL and away < COUNT_MOST:
             away = U(away + 1)
@@ -206,13 +205,13 @@ def correct(
         innovation = voltage - i.voltage_V
         out.innovation_V = innovation
         if s.news != REPEATED:  # a repeated sample is no evidence
-            if WATCH:
+            if WIDE:
                 status = watch_voltage(c, x, voltage, s.seen, p.r0_ohm, innovation)
                 if status == U(0):
                     away = U(0)
             if status == U(0):
                 status = weigh(m, place, x, p, w, s, i, voltage, innovation)
-    if WATCH:
+    if WIDE:
         if s.news != REPEATED:
             x.no_voltage = away
         if away > c.hold_steps:

@@ -41,7 +41,6 @@ from cellwise.estimate.fixed import (
 from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import F, U
 from cellwise.estimate.fixed.layout import (
-    CELL_OUTPUT,
     INPUT,
     OUTPUT,
     ROW,
@@ -54,10 +53,9 @@ from cellwise.estimate.fixed.state import set_health
 from cellwise.estimate.fixed.step import init, step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.power import fixed_plan, fixed_power, fixed_remaining
-from cellwise.estimate.power.fixed_plan import plan
+from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.power.fixed_power import power
-from cellwise.estimate.power.fixed_remaining import remaining
+from cellwise.estimate.power.fixed_remaining import plan, remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
@@ -86,7 +84,6 @@ STEP_MODULES = (
     whole_step,
     fixed_power,
     fixed_remaining,
-    fixed_plan,
     fixed_cells,
 )
 
@@ -198,7 +195,7 @@ def specialised(options: Options) -> dict[str, Any]:
     columns |= {name.upper(): U(k) for k, name in enumerate(row_names(options))}
     made: dict[str, Any] = {}
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
-    absent |= set() if options.remaining else {fixed_remaining, fixed_plan}
+    absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:
@@ -208,18 +205,13 @@ def specialised(options: Options) -> dict[str, Any]:
     return made
 
 
-def _outer(function: FunctionType, options: Options) -> Callable[..., None]:
-    scope = {**function.__globals__, **specialised(options)}
-    own = FunctionType(function.__code__, scope, function.__name__)
-    compiled: Callable[..., None]
-    compiled = cached(nogil=True, **STRICT)(own)
-    return compiled
-
-
 @lru_cache
 def compiled(function: Callable[..., Any], options: Options) -> Callable[..., Any]:
     """One of the functions of this module for one set of options."""
-    return _outer(function, options)  # type: ignore[arg-type]
+    scope = {**function.__globals__, **specialised(options)}
+    own = FunctionType(function.__code__, scope, function.__name__)
+    made: Callable[..., Any] = cached(nogil=True, **STRICT)(own)
+    return made
 
 
 class Stepper:
@@ -235,8 +227,8 @@ class Stepper:
         self.tables = tables
         self.call = call
 
-    def need(self, option: str) -> None:
-        """Refuse to ask for what is not compiled in.
+    def need(self, option: str) -> Stepper:
+        """The same, or a refusal of what is not compiled in.
 
         Raises
         ------
@@ -245,6 +237,13 @@ class Stepper:
         if not getattr(self.tables.options, option):
             what, how = MADE_WITH[option]
             raise InputError(f"no {what} in this fixed step", how, "Make it with that.")
+        return self
+
+    def answer(self, name: str, kind: np.dtype[Any], *handed: Any, count: int = 1) -> NDArray[Any]:
+        """What one of CALLED says: records of a kind, shape (count,)."""
+        out = np.zeros(count, dtype=kind)
+        self.call(name, *handed, out)
+        return out
 
     def state(self) -> NDArray[Any]:
         """An empty state."""
@@ -262,35 +261,6 @@ class Stepper:
             self.call("rows", state, samples, outputs, samples.size)
         return outputs
 
-    def power(self, state: NDArray[Any], out: NDArray[Any]) -> None:
-        """State of power into a record of CAPABILITY."""
-        self.call("power_of", state, out)
-
-    def remaining(
-        self, state: NDArray[Any], load_A: float, holds_power: bool, out: NDArray[Any]
-    ) -> None:
-        """Time and energy to empty into a record of OUTLOOK."""
-        self.call("remaining_of", state, load_A, holds_power, out)
-
-    def plan(
-        self,
-        state: NDArray[Any],
-        phases: NDArray[Any],
-        holds_power: bool,
-        above: float,
-        out: NDArray[Any],
-    ) -> None:
-        """Where records of PHASE end, into a record of LANDING."""
-        self.call("plan_of", state, phases, phases.size, holds_power, above, out)
-
-    def set_health(self, state: NDArray[Any], share: float, scale: float) -> int:
-        """What a history says; 0, or the bit of what is refused."""
-        return int(self.call("set_health_of", state, share, scale))
-
-    def begin_cells(self, cells: NDArray[Any]) -> None:
-        """Start records of CELL."""
-        self.call("cells_begin", cells, cells.size)
-
     def pack_rows(
         self, state: NDArray[Any], cells: NDArray[Any], samples: NDArray[Any], cell_V: NDArray[Any]
     ) -> NDArray[Any]:
@@ -301,16 +271,6 @@ class Stepper:
             handed = state, cells, cells.size, samples, volts, outputs
             self.call("pack_rows", *handed, samples.size)
         return outputs
-
-    def cells(self, state: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-        """What is known of every cell: records of CELL_OUTPUT."""
-        out = np.zeros(cells.size, dtype=CELL_OUTPUT)
-        self.call("cells_of", state, cells, cells.size, out)
-        return out
-
-    def pack_power(self, state: NDArray[Any], cells: NDArray[Any], out: NDArray[Any]) -> None:
-        """State of power of a pack into a record of CAPABILITY."""
-        self.call("pack_power_of", state, cells, cells.size, out)
 
 
 def numba_stepper(tables: FixedStepTables) -> Stepper:

@@ -35,7 +35,6 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.fixed_tables import (
     CURRENT_LIMIT_C,
     lag,
-    power_columns,
     power_constants,
     remaining_constants,
 )
@@ -52,7 +51,7 @@ from cellwise.typing import FloatArray
 Float32Array = NDArray[np.float32]
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
-MISSING_S = 60.0  # without a watch: for how long a current that nobody measures keeps its sign
+MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 
 
 class TargetLimits(NamedTuple):
@@ -149,8 +148,7 @@ def fixed_step_tables(
     columns = _columns(model, dt_s, noise)
     more: dict[str, Any] = {}
     if wish.power is not None:
-        columns |= power_columns(model, wish.power)
-        more = power_constants(model, wish.power)
+        more = power_constants(model, wish.power, dt_s)
     if wish.remaining_V is not None:
         more |= remaining_constants(model, wish.remaining_V, dt_s)
     if wish.cells is not None:

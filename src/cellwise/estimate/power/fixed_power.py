@@ -1,64 +1,76 @@
-"""State of power of the fixed step: the largest constant current over one horizon."""
+"""What a constant current makes of the cell; state of power: the largest one over a horizon."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     FOUR,
     HALF,
+    LARGE,
     LEAST_SPAN_V,
     ONE,
     POWER_TRIALS,
     SUSTAINED,
     ZERO,
     Capability,
-    F,
     Float,
+    HysteresisFloat,
+    SlowFloat,
     State,
-    U,
+    SurfaceFloat,
     at_least,
     clip,
-    known_fraction,
     magnitude,
     noinline,
     positive_above,
     risen,
     root,
+    vanishing,
 )
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
     Place,
     aged,
-    index_of,
+    depth_at,
     look_up,
     place_of,
-    read,
     under_surface,
-    within_one,
 )
 from cellwise.estimate.fixed.options import (
-    EFFICIENCY,
+    DEPTH,
     HEALTH,
     HEATING,
     HYSTERESIS,
-    SLOW,
     SURFACE,
     VALIDITY,
     WARM,
 )
-from cellwise.estimate.fixed.state import is_sound
-
-# Columns of the table: as the options have them once a step is compiled, by name in C.
-POWER_LAG1 = POWER_LAG2 = POWER_LAG3 = 0
+from cellwise.estimate.fixed.state import is_sound, taken
 
 
-class Ending(NamedTuple):
-    """The voltage at the end of a current, and its variance without what the SOC brings."""
+class Along(NamedTuple):
+    """A cell after a constant current: branches, voltage, variances of it.
+
+    ``variance_V2`` is the model's, ``kept_V2`` what is left of the branches' and of hysteresis.
+    """
 
     voltage_V: Float
     variance_V2: Float
+    kept_V2: Float
+    h: HysteresisFloat
+    slow_A: SurfaceFloat
+    v1: Float
+    v2: Float
+    v3: SlowFloat
+
+    @property
+    def v(self) -> dict[Any, Float]:
+        """Voltages by the branch."""
+        return dict(zip(BRANCHES, self[5:], strict=True))
 
 
 class Way(NamedTuple):
@@ -69,62 +81,104 @@ class Way(NamedTuple):
     current_A: Float
 
 
-@noinline
-def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Ending:
-    """A constant current over the horizon, from ``soc``, in one interval.
+def warmth_of(x: State) -> Float:
+    """Temperature of the cell: what was measured last, and its own warming."""
+    warm_C = x.temperature_C
+    if HEATING:
+        warm_C = warm_C + x.heat_K
+    return warm_C
 
-    What the states share is left out of the variance: it mostly takes away from it.
+
+def place_now(m: Model, x: State) -> Place:
+    """Where the cell's temperature lies between the tables."""
+    warm_C = warmth_of(x) if WARM else ZERO
+    here = place_of(m, warm_C) if WARM else place_of(m, ZERO)
+    if SURFACE:
+        here = under_surface(m.constant, x, here, warm_C)
+    if HEALTH:
+        here = aged(x, here)
+    return Place(here.low, here.weight, here.scale, here.lag)
+
+
+@unrolled_by_option
+def as_it_is(x: State) -> Along:
+    """The cell's state, under no load yet."""
+    v: dict[Any, Float] = {}
+    for i in BRANCHES:
+        v[i] = x.state[i] if THERE else ZERO
+    h = x.h if HYSTERESIS else ZERO
+    slow_A = x.slow_A if SURFACE else ZERO
+    return Along(ZERO, ZERO, ZERO, h, slow_A, *(v[i] for i in BRANCHES))
+
+
+def behind(at: Place, lag: Float) -> Place:
+    """The same place with another lag of the particles' surface."""
+    return Place(at.low, at.weight, at.scale, lag)
+
+
+def toward(old: Float, end: Float, left: Float) -> Float:
+    """A state of first order of which that share of its way to its end is left."""
+    return clip(end + (left * (old - end)), -LARGE, LARGE)
+
+
+@noinline
+@unrolled_by_option
+def go_on(
+    m: Model, place: Place, x: State, was: Along, soc: Float, current: Float, steps: Float
+) -> Along:
+    """So many time steps of a constant current later, at a SOC, in one interval.
+
+    The exponent of a branch comes from its gain g over one time step, as g / (1 - g / 2). What the
+    states share is left out of the variance: it mostly takes away from it.
     """
     c = m.constant
-    used = current
-    if EFFICIENCY and used < ZERO:
-        used = used * c.charge_efficiency
-    moved = c.power_soc_per_A * used
-    if HEALTH:
-        moved = moved * x.per_capacity
-    end = soc - moved
-    p = look_up(m, place, end, current)
-    points = U(m.row.shape[1])
-    grid = within_one(end) * F(points - 1)
+    slow_A = was.slow_A if SURFACE else ZERO
+    lag = ZERO
     if SURFACE:
-        grid = within_one(end - place.lag) * F(points - 1)
-    k = index_of(grid, points)
-    f = known_fraction(grid - F(k))
-    gain1 = ONE / read(m, place, k, POWER_LAG1, f)
-    gain2 = ONE / read(m, place, k, POWER_LAG2, f)
-    keep1 = ONE - gain1
-    keep2 = ONE - gain2
+        slow_A = toward(slow_A, current, ONE - risen(steps * c.surface_rate))
+        depth = depth_at(c, warmth_of(x)) if DEPTH else c.surface_per_A
+        lag = clip(depth * slow_A, -ONE, ONE)
+    here = behind(place, lag)
+    p = look_up(m, here, soc, current)
     drop = p.r0_ohm * current
-    v1 = (keep1 * x.v1_V) + (gain1 * (p.r1_ohm * current))
-    v2 = (keep2 * x.v2_V) + (gain2 * (p.r2_ohm * current))
-    held_V = (magnitude(drop) + magnitude(v1)) + magnitude(v2)
-    voltage_V = p.ocv_V - (drop + (v1 + v2))
-    states_V2 = ((keep1 * keep1) * x.p11) + ((keep2 * keep2) * x.p22)
-    if SLOW:
-        gain3 = ONE / read(m, place, k, POWER_LAG3, f)
-        keep3 = ONE - gain3
-        v3 = (keep3 * x.v3_V) + (gain3 * (p.r3_ohm * current))
-        held_V = held_V + magnitude(v3)
-        voltage_V = voltage_V - v3
-        states_V2 = states_V2 + ((keep3 * keep3) * x.p33)
+    held_V = magnitude(drop)
+    voltage_V = p.ocv_V - drop
+    kept_V2 = ZERO
+    v: dict[Any, Float] = {}
+    left: dict[Any, Float] = {}
+    for i in BRANCHES:
+        left[i] = vanishing(steps * (p.gain[i] / (ONE - (HALF * p.gain[i]))))
+        v[i] = toward(was.v[i], p.r[i] * current, left[i]) if THERE else ZERO
+        held_V = held_V + magnitude(v[i])
+        voltage_V = voltage_V - v[i]
+        kept_V2 = kept_V2 + ((left[i] * left[i]) * x.p[i, i])
+    h = was.h if HYSTERESIS else ZERO
     if HYSTERESIS:
-        rise = risen(c.power_hysteresis_per_A * magnitude(current))
-        keep = ONE - rise
-        h = clip((keep * x.h) + (rise if current < ZERO else -rise), -ONE, ONE)
+        keep = vanishing((c.hysteresis_per_A * magnitude(current)) * steps)
+        h = toward(h, ONE if current < ZERO else -ONE, keep)
         voltage_V = voltage_V + (p.m_V * h)
         spread_V = p.m_V * keep
-        states_V2 = states_V2 + ((spread_V * spread_V) * x.phh)
+        kept_V2 = kept_V2 + ((spread_V * spread_V) * x.phh)
     share = c.share_variance if current >= ZERO else c.charge_variance
-    one_V2 = p.noise_V2 + (
+    variance_V2 = p.noise_V2 + (
         (share * (held_V * held_V)) + (c.current_variance_A2 * (p.r0_ohm * p.r0_ohm))
     )
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
-        one_V2 = one_V2 + (beyond_V * beyond_V)
+        variance_V2 = variance_V2 + (beyond_V * beyond_V)
     if positive_above(x.mismatch, ONE):
-        one_V2 = one_V2 * x.mismatch
-    variance_V2 = at_least(states_V2, ZERO) + one_V2
-    return Ending(voltage_V, variance_V2)
+        variance_V2 = variance_V2 * x.mismatch
+    voltage_V = clip(voltage_V, -LARGE, LARGE)
+    return Along(voltage_V, variance_V2, kept_V2, h, slow_A, *(v[i] for i in BRANCHES))
+
+
+@noinline
+def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Along:
+    """A constant current over the horizon of the power, from ``soc``."""
+    c = m.constant
+    now = as_it_is(x)
+    end = soc - (c.power_steps * taken(c, x, current))
+    return go_on(m, place, x, now, end, current, c.power_steps)
 
 
 @noinline
@@ -189,7 +243,7 @@ def one_way(
     is as many deviations worse.
     """
     c = m.constant
-    per_soc_A = c.power_A_per_soc
+    per_soc_A = ONE / (c.soc_per_A * c.power_steps)
     if HEALTH:
         per_soc_A = per_soc_A / x.per_capacity
     by_soc_A = at_least(room_soc * per_soc_A, ZERO)
@@ -198,7 +252,8 @@ def one_way(
     shift = SUSTAINED * root(ss)
     worse = ending(m, place, x, soc - (side * shift), side * current_A)
     by_soc_V = end.voltage_V - worse.voltage_V
-    square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * end.variance_V2)
+    variance_V2 = end.variance_V2 + end.kept_V2
+    square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2)
     off_V = root(square if square < FOUR else FOUR)
     low_soc_A = at_least((room_soc - shift) * per_soc_A, ZERO)
     low_V = limit_V + (side * off_V)
@@ -209,25 +264,6 @@ def one_way(
     if low_W > power_W:
         low_W = power_W
     return Way(power_W, low_W, current_A)
-
-
-def warmth_of(x: State) -> Float:
-    """Temperature of the cell: what was measured last, and its own warming."""
-    warm_C = x.temperature_C
-    if HEATING:
-        warm_C = warm_C + x.heat_K
-    return warm_C
-
-
-def place_now(m: Model, x: State) -> Place:
-    """Where the cell's temperature lies between the tables."""
-    warm_C = warmth_of(x) if WARM else ZERO
-    here = place_of(m, warm_C) if WARM else place_of(m, ZERO)
-    if SURFACE:
-        here = under_surface(m.constant, x, here, warm_C)
-    if HEALTH:
-        here = aged(x, here)
-    return Place(here.low, here.weight, here.scale, here.lag)
 
 
 def power(m: Model, x: State, out: Capability) -> None:

@@ -1,135 +1,81 @@
-"""Remaining time of the fixed step: a constant load carried on to its cutoff or to empty."""
+"""A load carried on: time and energy to its cutoff or to empty, and where a plan of loads ends."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import (
+    DEVIATIONS_MOST,
     FOUR,
     HALF,
     LARGE,
     LEAST_SPAN_V,
     LONGEST,
+    NORMAL_1,
+    NORMAL_2,
+    NORMAL_3,
+    NORMAL_4,
+    NORMAL_5,
+    NORMAL_6,
     ONE,
+    PHASE_PARTS_MOST,
+    PHASE_PARTS_PER_S,
+    PHASE_TURNS,
     REMAINING_PARTS,
     TWO,
     ZERO,
+    Count,
+    F,
     Flag,
     Float,
-    HysteresisFloat,
+    Landing,
     Outlook,
-    SlowFloat,
+    Phases,
     State,
-    SurfaceFloat,
+    U,
     at_least,
     clip,
     known_fraction,
     magnitude,
     noinline,
-    positive_above,
-    risen,
+    not_negative,
     root,
     size_within,
 )
-from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place, depth_at, look_up
-from cellwise.estimate.fixed.options import (
-    DEPTH,
-    HEALTH,
-    HYSTERESIS,
-    SLOW,
-    SURFACE,
-    VALIDITY,
-)
-from cellwise.estimate.fixed.state import is_sound
-from cellwise.estimate.power.fixed_power import place_now, warmth_of
+from cellwise.estimate.fixed.lookup import Place
+from cellwise.estimate.fixed.options import HEALTH
+from cellwise.estimate.fixed.state import is_sound, taken
+from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on, place_now
 
 
-class Along(NamedTuple):
-    """A cell under a load at one SOC; ``off_V`` is two deviations of its voltage."""
+class End(NamedTuple):
+    """Where a plan ends; ``failed_s`` is when its voltage was at the cutoff or its charge gone."""
 
-    v1_V: Float
-    v2_V: Float
-    v3_V: SlowFloat
-    h: HysteresisFloat
-    slow_A: SurfaceFloat
-    voltage_V: Float
-    off_V: Float
+    soc: Float
+    least_V: Float
+    energy_J: Float
+    failed_s: Float
 
 
-def passed(old: Float, end: Float, rise: Float) -> Float:
-    """A state of first order after that share of its way to its end."""
-    return clip(old + (rise * (end - old)), -LARGE, LARGE)
-
-
-def behind(at: Place, lag: Float) -> Place:
-    """The same place with another lag of the particles' surface."""
-    return Place(at.low, at.weight, at.scale, lag)
-
-
-def as_it_is(x: State) -> Along:
-    """The cell's state, under no load yet."""
-    v3_V = x.v3_V if SLOW else ZERO
-    h = x.h if HYSTERESIS else ZERO
-    slow_A = x.slow_A if SURFACE else ZERO
-    return Along(x.v1_V, x.v2_V, v3_V, h, slow_A, ZERO, ZERO)
+def off_by(at: Along) -> Float:
+    """Two deviations of the voltage by what the model is off by."""
+    return TWO * root(at.variance_V2 if at.variance_V2 < FOUR else FOUR)
 
 
 @noinline
-def go_on(
-    m: Model, place: Place, x: State, was: Along, soc: Float, current: Float, steps: Float
-) -> Along:
-    """So many time steps of a constant current later, at a SOC.
+def lasted(so_far_s: Float, least_V: Float, after_V: Float, low_V: Float, part_s: Float) -> Float:
+    """Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good.
 
-    The exponent of a branch comes from its gain g over one time step, as g / (1 - g / 2).
+    ``least_V`` is its lowest value so far.
     """
-    c = m.constant
-    v3_V = was.v3_V if SLOW else ZERO
-    h = was.h if HYSTERESIS else ZERO
-    slow_A = was.slow_A if SURFACE else ZERO
-    lag = ZERO
-    if SURFACE:
-        slow_A = passed(slow_A, current, risen(steps * c.surface_rate))
-        depth = depth_at(c, warmth_of(x)) if DEPTH else c.surface_per_A
-        lag = clip(depth * slow_A, -ONE, ONE)
-    here = behind(place, lag)
-    p = look_up(m, here, soc, current)
-    drop = p.r0_ohm * current
-    rise1 = risen(steps * (p.gain1 / (ONE - (HALF * p.gain1))))
-    rise2 = risen(steps * (p.gain2 / (ONE - (HALF * p.gain2))))
-    v1_V = passed(was.v1_V, p.r1_ohm * current, rise1)
-    v2_V = passed(was.v2_V, p.r2_ohm * current, rise2)
-    held_V = (magnitude(drop) + magnitude(v1_V)) + magnitude(v2_V)
-    voltage_V = p.ocv_V - (drop + (v1_V + v2_V))
-    if SLOW:
-        rise3 = risen(steps * (p.gain3 / (ONE - (HALF * p.gain3))))
-        v3_V = passed(v3_V, p.r3_ohm * current, rise3)
-        held_V = held_V + magnitude(v3_V)
-        voltage_V = voltage_V - v3_V
-    if HYSTERESIS:
-        end = ONE if current < ZERO else -ONE
-        h = passed(h, end, risen((c.hysteresis_per_A * magnitude(current)) * steps))
-        voltage_V = voltage_V + (p.m_V * h)
-    share = c.share_variance if current >= ZERO else c.charge_variance
-    variance_V2 = p.noise_V2 + (share * (held_V * held_V))
-    if VALIDITY:
-        beyond_V = extrapolated(c, x, current, held_V)
-        variance_V2 = variance_V2 + (beyond_V * beyond_V)
-    if positive_above(x.mismatch, ONE):
-        variance_V2 = variance_V2 * x.mismatch
-    off_V = TWO * root(variance_V2 if variance_V2 < FOUR else FOUR)
-    voltage_V = clip(voltage_V, -LARGE, LARGE)
-    return Along(v1_V, v2_V, v3_V, h, slow_A, voltage_V, off_V)
-
-
-@noinline
-def share_of(before_V: Float, after_V: Float, low_V: Float) -> Float:
-    """How much of a part goes by until the voltage, taken as linear within it, is at a cutoff."""
-    share = ONE
-    if after_V <= low_V:
-        share = clip((before_V - low_V) / at_least(before_V - after_V, LEAST_SPAN_V), ZERO, ONE)
-    return share
+    share = ZERO
+    if least_V > low_V:
+        share = ONE
+        if after_V <= low_V:
+            fall_V = at_least(least_V - after_V, LEAST_SPAN_V)
+            share = clip((least_V - low_V) / fall_V, ZERO, ONE)
+    return clip(so_far_s + (share * part_s), ZERO, LONGEST)
 
 
 @noinline
@@ -171,13 +117,14 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
         if HEALTH:
             per_A = per_A * x.per_capacity
         part = x.soc / REMAINING_PARTS
+        off_V = off_by(now)
+        usual_V = now.voltage_V
+        worse_V = usual_V - off_V
+        better_V = usual_V + off_V
         usual_s = ZERO
         usual_J = ZERO
         worse_s = ZERO
         better_s = ZERO
-        usual_ends = now.voltage_V <= low_V
-        worse_ends = (now.voltage_V - now.off_V) <= low_V
-        better_ends = (now.voltage_V + now.off_V) <= low_V
         ahead = REMAINING_PARTS
         while ahead > ZERO:
             ahead = ahead - ONE
@@ -187,23 +134,17 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
             steps = part / (per_A * current)
             then = go_on(m, place, x, now, part * ahead, current, steps)
             part_s = steps * c.step_s
-            if not usual_ends:
-                share = share_of(now.voltage_V, then.voltage_V, low_V)
-                middle_V = at_least(HALF * (now.voltage_V + then.voltage_V), low_V)
-                usual_s = clip(usual_s + (share * part_s), ZERO, LONGEST)
-                part_J = (current * middle_V) * part_s
-                usual_J = clip(usual_J + (share * part_J), ZERO, LONGEST)
-                usual_ends = then.voltage_V <= low_V
-            if not worse_ends:
-                after_V = then.voltage_V - then.off_V
-                share = share_of(now.voltage_V - now.off_V, after_V, low_V)
-                worse_s = clip(worse_s + (share * part_s), ZERO, LONGEST)
-                worse_ends = after_V <= low_V
-            if not better_ends:
-                after_V = then.voltage_V + then.off_V
-                share = share_of(now.voltage_V + now.off_V, after_V, low_V)
-                better_s = clip(better_s + (share * part_s), ZERO, LONGEST)
-                better_ends = after_V <= low_V
+            off_V = off_by(then)
+            before_s = usual_s
+            usual_s = lasted(usual_s, usual_V, then.voltage_V, low_V, part_s)
+            worse_s = lasted(worse_s, worse_V, then.voltage_V - off_V, low_V, part_s)
+            better_s = lasted(better_s, better_V, then.voltage_V + off_V, low_V, part_s)
+            middle_V = at_least(HALF * (now.voltage_V + then.voltage_V), low_V)
+            usual_J = usual_J + ((current * middle_V) * (usual_s - before_s))
+            usual_J = clip(usual_J, ZERO, LONGEST)
+            usual_V = clip(then.voltage_V, -LARGE, usual_V)
+            worse_V = clip(then.voltage_V - off_V, -LARGE, worse_V)
+            better_V = clip(then.voltage_V + off_V, -LARGE, better_V)
             now = then
         load_W = current * at_least(now.voltage_V, low_V)
         by_soc_s = ((TWO * root(x.ss)) / (per_A * current)) * c.step_s
@@ -216,3 +157,144 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
         out.energy_J = usual_J
         out.energy_low_J = at_least(usual_J - (below_s * load_W), ZERO)
         out.energy_high_J = usual_J + (above_s * load_W)
+
+
+def is_plan_sound(phases: Phases, count: Count) -> Flag:
+    """Every phase a time and a load that are numbers, of a size that cells have."""
+    sound = True
+    for k in range(count):
+        if not (not_negative(phases[k].seconds, LARGE) and size_within(phases[k].load, LARGE)):
+            sound = False
+    return sound
+
+
+@noinline
+def flown(
+    m: Model,
+    place: Place,
+    x: State,
+    phases: Phases,
+    count: Count,
+    holds_power: Flag,
+    begun: Float,
+    per_capacity: Float,
+    lower: Float,
+) -> End:
+    """Through the plan from a SOC, with a capacity, as many times two deviations lower in voltage.
+
+    A phase is gone through in equal parts; a power finds its current by the voltage that it leaves.
+    """
+    c = m.constant
+    low_V = c.remaining_low_V
+    soc = begun
+    now = as_it_is(x)
+    then = go_on(m, place, x, now, soc, ZERO, ZERO)
+    voltage_V = then.voltage_V
+    least_V = voltage_V
+    energy_J = ZERO
+    failed_s = LONGEST
+    time_s = ZERO
+    turns = PHASE_TURNS if holds_power else U(1)
+    for phase in range(count):
+        load = phases[phase].load
+        current = load / at_least(voltage_V, low_V) if holds_power else load
+        current = clip(current, -c.current_limit_A, c.current_limit_A)
+        parts = U(1)
+        if magnitude(load) > ZERO:
+            per_s = magnitude(taken(c, x, current)) / c.step_s
+            asked = PHASE_PARTS_PER_S + (REMAINING_PARTS * per_s)
+            asked = ONE + (phases[phase].seconds * asked)
+            parts = U(clip(asked, ONE, PHASE_PARTS_MOST))
+        part_s = phases[phase].seconds / F(parts)
+        steps = part_s / c.step_s
+        for _ in range(parts):
+            after = soc
+            for _turn in range(turns):
+                if holds_power:
+                    current = load / at_least(voltage_V, low_V)
+                    current = clip(current, -c.current_limit_A, c.current_limit_A)
+                after = soc - ((per_capacity * taken(c, x, current)) * steps)
+                after = clip(after, -ONE, TWO)
+                then = go_on(m, place, x, now, after, current, steps)
+                voltage_V = then.voltage_V - (lower * off_by(then))
+            soc = after
+            now = then
+            time_s = clip(time_s + part_s, ZERO, LONGEST)
+            energy_J = clip(energy_J + ((current * voltage_V) * part_s), -LONGEST, LONGEST)
+            least_V = clip(voltage_V, -LARGE, least_V)
+            if (voltage_V <= low_V or soc <= ZERO) and failed_s >= LONGEST:
+                failed_s = time_s
+    return End(soc, least_V, energy_J, failed_s)
+
+
+@noinline
+def normal(deviations: Float) -> Float:
+    """Probability that a normal number is below so many deviations, to 1e-6.
+
+    Abramowitz and Stegun (1964), 26.2.19: a polynomial to the power of -16.
+    """
+    z = clip(magnitude(deviations), ZERO, DEVIATIONS_MOST)
+    far = NORMAL_4 + (z * (NORMAL_5 + (z * NORMAL_6)))
+    grown = ONE + (z * (NORMAL_1 + (z * (NORMAL_2 + (z * (NORMAL_3 + (z * far)))))))
+    for _ in range(4):
+        grown = grown * grown
+    tail = HALF / grown
+    return tail if deviations < ZERO else ONE - tail
+
+
+def plan(
+    m: Model,
+    x: State,
+    phases: Phases,
+    count: Count,
+    holds_power: Flag,
+    above: Float,
+    out: Landing,
+) -> None:
+    """Where a plan of loads ends, and the chance to end at ``above`` or more; nothing is changed.
+
+    The phases follow each other; a load is a current [A], or with ``holds_power`` a power [W], of
+    one cell, positive on discharge. Temperature stays. The bands of two deviations hold those of
+    the SOC, of the voltage along the way and of the capacity, by their effects at two deviations;
+    the chance is the product of those to end at ``above`` and to stay above the cutoff: at most as
+    large as the two together. Zero throughout for a phase that is none and a state that is not
+    sound.
+    """
+    c = m.constant
+    out.soc = ZERO
+    out.soc_low = ZERO
+    out.soc_high = ZERO
+    out.least_V = ZERO
+    out.least_low_V = ZERO
+    out.energy_J = ZERO
+    out.failed_s = ZERO
+    out.chance = ZERO
+    if is_sound(c, x) and is_plan_sound(phases, count) and not_negative(above, ONE):
+        place = place_now(m, x)
+        away = TWO * root(x.ss)
+        # Away from the nearer end of the SOC, where it would be cut off.
+        other_soc = clip(x.soc + (away if x.soc < HALF else -away), ZERO, ONE)
+        less = ONE + c.remaining_share
+        usual = flown(m, place, x, phases, count, holds_power, x.soc, ONE, ZERO)
+        other = flown(m, place, x, phases, count, holds_power, other_soc, ONE, ZERO)
+        soc_by_soc = magnitude(usual.soc - other.soc)
+        low_by_soc_V = magnitude(usual.least_V - other.least_V)
+        other = flown(m, place, x, phases, count, holds_power, x.soc, less, ZERO)
+        soc_by_capacity = magnitude(usual.soc - other.soc)
+        low_by_capacity_V = magnitude(usual.least_V - other.least_V)
+        other = flown(m, place, x, phases, count, holds_power, x.soc, ONE, ONE)
+        soc_by_voltage = magnitude(usual.soc - other.soc)
+        low_by_voltage_V = magnitude(usual.least_V - other.least_V)
+        off_soc = at_least(apart_by(soc_by_soc, soc_by_capacity, soc_by_voltage), LEAST_SPAN_V)
+        off_V = apart_by(low_by_soc_V, low_by_capacity_V, low_by_voltage_V)
+        off_V = at_least(off_V, LEAST_SPAN_V)
+        out.soc = clip(usual.soc, ZERO, ONE)
+        out.soc_low = clip(usual.soc - off_soc, ZERO, ONE)
+        out.soc_high = clip(usual.soc + off_soc, ZERO, ONE)
+        out.least_V = usual.least_V
+        out.least_low_V = usual.least_V - off_V
+        out.energy_J = usual.energy_J
+        out.failed_s = usual.failed_s
+        by_soc = normal((TWO * (usual.soc - above)) / off_soc)
+        by_voltage = normal((TWO * (usual.least_V - c.remaining_low_V)) / off_V)
+        out.chance = by_soc * by_voltage

@@ -1,4 +1,4 @@
-"""What the fixed step's state of power reads beside the step: lags over the horizon, limits."""
+"""What the fixed step's state of power and remaining time read beside the step."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion, effect_table
 from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -24,34 +23,19 @@ def lag(tau_s: FloatArray, over_s: float) -> FloatArray:
     return np.asarray(-1.0 / np.expm1(-over_s / tau_s))
 
 
-def power_columns(model: CellModel, power: PowerSettings) -> dict[str, FloatArray]:
-    """What the power reads of the table beside the step's columns."""
-    (horizon_s,) = power.horizons_s
-    shape = (model.temperature_C.size, model.points)
-    tau3_s = effect_table(model.effect(SlowDiffusion).tau3_s, shape)
-    return {
-        "power_lag1": lag(model.tau1_s, horizon_s),
-        "power_lag2": lag(model.tau2_s, horizon_s),
-        "power_lag3": lag(tau3_s, horizon_s),
-    }
-
-
-def power_constants(model: CellModel, power: PowerSettings) -> dict[str, Any]:
+def power_constants(model: CellModel, power: PowerSettings, dt_s: float) -> dict[str, Any]:
     """Horizon and limits; a current that nothing limits is as good as endless."""
     (horizon_s,) = power.horizons_s
-    per_A = horizon_s / (3600.0 * model.capacity_Ah)
     limits = power.known.scalars()
     most_A = CURRENT_LIMIT_C * model.capacity_Ah
     return {
-        "power_soc_per_A": per_A,
-        "power_A_per_soc": 1.0 / per_A,
+        "power_steps": horizon_s / dt_s,
         "power_low_V": limits.low_V,
         "power_high_V": limits.high_V,
         "power_discharge_A": min(limits.discharge_A, most_A),
         "power_charge_A": min(limits.charge_A, most_A),
         "power_soc_low": limits.low_soc,
         "power_soc_high": limits.high_soc,
-        "power_hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
     }
 
 

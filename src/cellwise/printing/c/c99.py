@@ -1,25 +1,21 @@
 """Python functions of the fixed step as C99, statement by statement, in the same order.
 
-What the sources may say is what C can: floats, counts, flags, records; ``if``, loops, calls. An
-``if`` about options becomes ``#if``. A function that returns a named tuple fills a struct: what it
-names in its last statement is that struct's field from the start. ``a if OPTION else ZERO`` is
-there only where the option is.
+What the sources may say is what C can: floats, counts, flags, records; ``if``, loops, calls. A
+function that returns a named tuple fills a struct: what it names in its last statement is that
+struct's field from the start.
 """
 
 from __future__ import annotations
 
 import ast
 
-from cellwise.printing.c.reading import ELEMENTS, FLOATS, KEPT, RECORDS, SCALARS, Reading, refuted
-from cellwise.printing.c.text import ALWAYS, Guard, broken, comment, merged, preprocessor, resolved
+from cellwise.printing.c.chosen import note_of
+from cellwise.printing.c.reading import ELEMENTS, KEPT, RECORDS, SCALARS, Reading
+from cellwise.printing.c.text import broken, comment
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
-ROWS = [
-    "    const cellwise_row *const low = m->row[place->low];",
-    "#if CELLWISE_TEMPERATURES > 1",
-    "    const cellwise_row *const high = m->row[place->low + 1u];",
-    "#endif",
-]
+LOW = "    const cellwise_row *const low = m->row[place->low];"
+HIGH = "    const cellwise_row *const high = m->row[place->low + 1u];"
 
 
 class Function(Reading):
@@ -28,34 +24,25 @@ class Function(Reading):
     def text(self, name: str, static: bool) -> list[str]:
         """The function in C with what it says of itself."""
         self.lines: list[str] = []
-        self.declared: dict[str, Guard] = dict.fromkeys(self.parameters, ALWAYS)
-        self.line = self.node.body[0].end_lineno or 0
-        self.held: Guard = ALWAYS
-        for parameter, kind in self.parameters.items():
-            own = frozenset({FLOATS.get(kind, "")} - {""})
-            found = {guard - own for n, guard in self.uses if n == parameter}
-            if ALWAYS not in resolved(found):
-                self._guarded(own, [f"    (void){parameter};"])
-        calls = [n for n in ast.walk(self.node) if isinstance(n, ast.Call)]
-        self.lines += ROWS if any(ast.unparse(n.func) == "read" for n in calls) else []
+        self.declared = set(self.parameters)
+        self.lines += [f"    (void){n};" for n in self.parameters if n not in self.uses]
+        if "read" in self.uses:
+            self.lines += [LOW, HIGH] if self.program.temperatures else [LOW]
         self._block(self._body(), 4)
         return [*comment(ast.get_docstring(self.node) or ""), *self.signature(name, static), "{",
-                *merged(self.lines), "}"]  # fmt: skip
+                *self.lines, "}"]  # fmt: skip
 
     def signature(self, name: str, static: bool) -> list[str]:
-        """Its first line, or lines where a parameter is there only with an option."""
+        """Its first line, or lines."""
         kind = "void" if self.fills or self.returns == "None" else SCALARS[self.returns]
         start = f"{'static ' if static else ''}{'NOINLINE ' if self.noinline else ''}{kind} {name}("
         parts = [
-            (
-                f"{SCALARS[t]} {n}" if t in SCALARS else f"{self._pointer_to(t)}{n}",
-                FLOATS.get(t, ""),
-            )
+            f"{SCALARS[t]} {n}" if t in SCALARS else f"{self._pointer_to(t)}{n}"
             for n, t in self.parameters.items()
         ]
         if self.fills:
-            parts.append((f"cellwise_{self.filled} *{self.filled}", ""))
-        return self._listed(start, parts, ")", 0)
+            parts.append(f"cellwise_{self.filled} *{self.filled}")
+        return broken(f"{start}{', '.join(parts)})", 0)
 
     def _pointer_to(self, kind: str) -> str:
         if ELEMENTS.get(kind, kind) in KEPT:
@@ -63,43 +50,11 @@ class Function(Reading):
             return f"{const}{RECORDS[kind]} *"
         return f"{RECORDS.get(kind, f'const cellwise_{kind.lower()}')} *"
 
-    def _listed(self, start: str, parts: list[tuple[str, str]], end: str, indent: int) -> list[str]:
-        """What stands between parentheses, the optional ones on lines of their own."""
-        if not any(option for _, option in parts):
-            return broken(start + ", ".join(text for text, _ in parts) + end, indent)
-        lines: list[str] = []
-        said = start
-        for k, (text, option) in enumerate(parts):
-            piece = text + (", " if k < len(parts) - 1 else end)
-            if option:
-                pad = indent + 4 if lines else indent
-                lines += broken(said.rstrip(), pad) if said else []
-                lines.append(f"#if {preprocessor(frozenset({option}))}")
-                lines += [" " * (indent + 4) + piece.rstrip(), "#endif"]
-                said = ""
-            else:
-                said += piece
-        return merged([*lines, *broken(said, indent + 4)])
-
     def _block(self, body: list[ast.stmt], indent: int) -> None:
         for node in body:
-            above = range(self.line + 1, node.lineno)
-            note = " ".join(self.alone[k] for k in above if k in self.alone)
-            guard = self._guard_of(node)
-            start = len(self.lines)
-            if note:
-                self.lines += comment(note, indent)
-            self.line = node.lineno
+            if note_of(node):
+                self.lines += comment(note_of(node), indent)
             self._statement(node, indent)
-            self.line = max(self.line, node.end_lineno or 0)
-            self.lines[start:] = self._inside(guard, self.lines[start:])
-
-    def _inside(self, guard: Guard, lines: list[str]) -> list[str]:
-        guard -= self.held
-        return [f"#if {preprocessor(guard)}", *lines, "#endif"] if guard else lines
-
-    def _guarded(self, guard: Guard, lines: list[str]) -> None:
-        self.lines += self._inside(guard, lines)
 
     def _say(self, text: str, indent: int, line: int = 0) -> None:
         """A line, with what stands behind it in Python."""
@@ -126,52 +81,28 @@ class Function(Reading):
             case ast.Break():
                 self._say("break;", indent)
             case ast.Expr():
-                self._say_call(node.value, [], indent)
+                self._say_call(node.value, indent)
             case _:
                 raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
 
     def _scope(self, body: list[ast.stmt], indent: int) -> None:
-        before = dict(self.declared)
+        before = set(self.declared)
         self._block(body, indent + 4)
         self.declared = before
 
     def _if(self, node: ast.If, indent: int) -> None:
-        guard, rest = self._options(node.test)
-        if guard and rest is None:
-            self.lines.append(f"#if {preprocessor(guard - self.held)}")
-            before, held = dict(self.declared), self.held
-            self.held = held | guard
-            self._block(node.body, indent)
-            if node.orelse:
-                self.lines.append("#else")
-                after, self.declared = self.declared, before
-                self.held = held | refuted(guard)
-                self._block(node.orelse, indent)
-                both = dict.fromkeys(after.keys() & self.declared.keys(), held)
-                self.declared = after | self.declared | both | before
-            self.held = held
-            self.lines.append("#endif")
-            return
-        start, held = len(self.lines), self.held
-        self.held = held | guard
-        self._plain_if(node, self.bare(rest or node.test), indent)
-        self.held = held
-        self.lines[start:] = self._inside(guard, self.lines[start:])
-
-    def _plain_if(self, node: ast.If, test: str, indent: int) -> None:
-        self._say(f"if ({test}) {{", indent, node.lineno)
+        self._say(f"if ({self.bare(node.test)}) {{", indent, node.lineno)
         self._scope(node.body, indent)
         while node.orelse:
             inner = node.orelse[0]
-            chained = isinstance(inner, ast.If) and len(node.orelse) == 1
-            if not isinstance(inner, ast.If) or not chained or self._options(inner.test)[0]:
-                between = range((node.body[-1].end_lineno or 0) + 1, inner.lineno)
+            if not isinstance(inner, ast.If) or len(node.orelse) > 1:
+                last = node.body[-1].end_lineno if node.body else node.lineno
+                between = range((last or 0) + 1, inner.lineno)
                 self._say("} else {", indent, next((k for k in between if k in self.behind), 0))
                 self._scope(node.orelse, indent)
                 break
             node = inner
             self._say(f"}} else if ({self.bare(node.test)}) {{", indent, node.lineno)
-            self.line = node.lineno
             self._scope(node.body, indent)
             if not node.orelse:
                 self._say("} else {", indent)
@@ -191,13 +122,13 @@ class Function(Reading):
             self._say("return;", indent)
         elif not self.fills:
             self._say(f"return {self.bare(node.value)};", indent, node.lineno)
+        elif self._called(node.value):
+            self._say_call(node.value, indent, self.filled)
         elif isinstance(node.value, ast.Call):
-            fields = self.program.structs[self.returns].items()
-            for (name, kind), value in zip(fields, node.value.args, strict=True):
+            fields = self.program.structs[self.returns]
+            for name, value in zip(fields, node.value.args, strict=True):
                 if not (isinstance(value, ast.Name) and value.id in self.renamed):
-                    line = f"{' ' * indent}{self.filled}->{name} = {self.bare(value)};"
-                    option = FLOATS.get(kind, "")
-                    self._guarded(frozenset({option}) if option else ALWAYS, [line])
+                    self._say(f"{self.filled}->{name} = {self.bare(value)};", indent)
 
     def _assign(self, node: ast.Assign, indent: int) -> None:
         target, value = node.targets[0], node.value
@@ -205,24 +136,17 @@ class Function(Reading):
             total, carry, more = value.args  # type: ignore[attr-defined]
             self._say(f"add(&{self.bare(total)}, &{self.bare(carry)}, {self.bare(more)});", indent)
             return
-        if isinstance(value, ast.IfExp):
-            guard, rest = self._options(value.test)
-            if guard and rest is None:
-                self._choice(node, value, guard, indent)
-                return
         called = self._called(value)
         kind = self.type_of(value)
         name = target.id if isinstance(target, ast.Name) else ""
         new = bool(name) and name not in self.declared and name not in self.renamed
         if new:
-            self.declared[name] = self.held
+            self.declared.add(name)
             self.types[name] = kind
-        elif not self.declared.get(name, ALWAYS) <= self.held:
-            raise ValueError(f"{name} in {self.node.name} is there only with an option")
         if called and called.fills:
             if new:
                 self._say(f"cellwise_{kind.lower()} {name};", indent)
-            self._say_call(value, [("&" + self.bare(target), "")], indent)
+            self._say_call(value, indent, "&" + self.bare(target))
         elif kind in RECORDS:
             self.pointers.add(name)
             self._say(f"{RECORDS[kind]} *const {name} = &{self.bare(value)};", indent, node.lineno)
@@ -234,44 +158,17 @@ class Function(Reading):
             line = node.end_lineno or 0
             self._say(f"{start}{self.bare(target)} = {self.bare(value)};", indent, line)
 
-    def _choice(self, node: ast.Assign, value: ast.IfExp, guard: Guard, indent: int) -> None:
-        """One of two values by an option; only the first where the name needs the option."""
-        first, second = (
-            ast.copy_location(ast.Assign(node.targets, v), node) for v in (value.body, value.orelse)
-        )
-        if self._guard_of(node):
-            self._assign(first, indent)
-            return
-        self.lines.append(f"#if {preprocessor(guard)}")
-        before = dict(self.declared)
-        self._assign(first, indent)
-        self.declared = before
-        self.lines.append("#else")
-        self._assign(second, indent)
-        self.lines.append("#endif")
-
-    def _say_call(self, node: ast.expr, more: list[tuple[str, str]], indent: int) -> None:
+    def _say_call(self, node: ast.expr, indent: int, *more: str) -> None:
         called = self._called(node)
         if called is None or not isinstance(node, ast.Call):
             raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
-        kinds = called.parameters.values()
-        parts = [
-            (self.argument(a), FLOATS.get(kind, ""))
-            for a, kind in zip(node.args, kinds, strict=True)
-        ]
-        self.lines += self._listed(f"{called.node.name}(", [*parts, *more], ");", indent)
+        parts = [*map(self.argument, node.args), *more]
+        self._say(f"{called.node.name}({', '.join(parts)});", indent)
 
 
 def assignments(name: str, body: list[ast.stmt]) -> int:
-    """How often a name is assigned at most, whatever is compiled in."""
-    count = 0
-    for node in body:
-        if isinstance(node, ast.If):
-            test = ast.unparse(node.test)
-            parts = [assignments(name, node.body), assignments(name, node.orelse)]
-            count += max(parts) if test.isupper() else sum(parts)
-        elif isinstance(node, ast.For | ast.While):
-            count += assignments(name, node.body)
-        elif isinstance(node, ast.Assign):
-            count += ast.unparse(node.targets[0]) == name
-    return count
+    """How often a name is assigned."""
+    return sum(
+        isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == name
+        for s in body for n in ast.walk(s)
+    )  # fmt: skip

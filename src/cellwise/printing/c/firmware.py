@@ -1,32 +1,30 @@
-"""The C99 twin of the fixed step, printed from the Python that numba compiles."""
+"""The C99 twin of the fixed step, printed from the Python that numba compiles.
+
+What one set of options rules out is not printed: the C of an export has no branch for effects that
+its model does not have. ``firmware_ref`` holds a print with all of them, to be read.
+"""
 
 from __future__ import annotations
 
 import ast
 import inspect
+import re
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
-from cellwise.estimate.fixed import arithmetic, layout, options
+from cellwise.estimate.fixed import arithmetic, layout
+from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.stepper import STEP_MODULES
 from cellwise.printing.c.c99 import Function
-from cellwise.printing.c.reading import FLOATS, SCALARS, Program
-from cellwise.printing.c.text import (
-    ALWAYS,
-    Guard,
-    any_of,
-    comment,
-    comments_of,
-    float_literal,
-    merged,
-    preprocessor,
-)
+from cellwise.printing.c.chosen import chosen, with_notes
+from cellwise.printing.c.reading import SCALARS, Program
+from cellwise.printing.c.text import comment, comments_of, float_literal
 
 READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {
@@ -43,13 +41,21 @@ PUBLIC = {
     "pack_power": "cellwise_pack_power",
 }
 # What of these is there only with options.
-GUARDS: dict[str, Guard] = {
-    "power": frozenset({"POWER"}),
-    **dict.fromkeys(("remaining", "plan"), frozenset({"REMAINING"})),
-    "set_health": frozenset({"HEALTH"}),
-    **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), frozenset({"CELLS"})),
-    "pack_power": frozenset({"CELLS", "POWER"}),
+ASKED = {
+    "power": ("POWER",),
+    **dict.fromkeys(("remaining", "plan"), ("REMAINING",)),
+    "set_health": ("HEALTH",),
+    **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
+    "pack_power": ("CELLS", "POWER"),
 }
+ALWAYS = ("between",)  # in the macros of cellwise_float.h
+EVERYTHING = Options(
+    points=101, temperatures=3, arrhenius=161, depth=161, validity=2,
+    **dict.fromkeys(
+        ("slow", "hysteresis", "efficiency", "leak", "skew", "rate", "asymmetry", "transfer",
+         "surface", "heating", "power", "remaining", "health", "cells"), 1,
+    ),
+)  # fmt: skip
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
@@ -61,23 +67,29 @@ RECORDS = {
 
 
 class Source(NamedTuple):
-    """A module of the step with its functions; ``first`` is the one from which on C is printed."""
+    """A module of the step with its functions; ``first`` is the line from which on C is printed."""
 
-    module: ModuleType
+    name: str
     tree: ast.Module
-    notes: tuple[dict[int, str], dict[int, str]]
+    behind: dict[int, str]
     first: int
 
 
-def sources() -> list[Source]:
-    """The modules as they are read."""
+def sources(options: Options) -> list[Source]:
+    """The modules as they are read, with what options leave of them."""
     found = []
+    flags, kept = flags_of(options), dict[str, list[bool]]()
     for module in STEP_MODULES:
         text = inspect.getsource(module)
         line = text.find("# ---- from here on the C is printed ----")
-        notes = comments_of(text)
+        alone, behind = comments_of(text)
         tree = written_out(ast.parse(text), vars(module))
-        found.append(Source(module, tree, notes, text.count("\n", 0, max(line, 0))))
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef):
+                with_notes(node.body, node.body[0].end_lineno or 0, alone)
+        name = module.__name__.rsplit(".", 1)[-1]
+        first = text.count("\n", 0, max(line, 0))
+        found.append(Source(name, chosen(tree, flags, kept), behind, first))
     return found
 
 
@@ -104,7 +116,7 @@ def constants() -> dict[str, tuple[str, str]]:
     return found
 
 
-def program(read: list[Source]) -> Program:
+def program(read: list[Source], options: Options) -> Program:
     """Everything that is printed, functions in the order of their calls."""
     structs: dict[str, dict[str, str]] = {
         name: {f.name: "Float" if f.type == "f4" else "Count" for f in table}
@@ -119,37 +131,25 @@ def program(read: list[Source]) -> Program:
                     ast.unparse(f.target): ast.unparse(f.annotation) for f in fields
                 }
     made = Program(
-        options=set(options.flags_of(options.Options(points=3))),
         structs=structs,
         constants=constants(),
         columns={f.name.upper(): f.name for f in layout.ROW},
         sizes={f.name: size_of(f) for f in layout.CONSTANTS if f.size},
+        temperatures=options.temperatures > 1,
     )
     for source in read:
         for node in source.tree.body:
             if not isinstance(node, ast.FunctionDef) or node.lineno < source.first:
                 continue
             if node.name not in READS:
-                made.functions[node.name] = Function(node, made, source.notes)
-    return made
-
-
-def conditions(made: Program) -> dict[str, set[Guard]]:
-    """Under which options each function is called."""
-    found: dict[str, set[Guard]] = {name: set() for name in made.functions}
+                made.functions[node.name] = Function(node, made, source.behind)
+    flags = flags_of(options)
+    used = {n for n in PUBLIC if all(flags[o] for o in ASKED.get(n, ()))} | set(ALWAYS)
     for name in reversed(made.functions):
-        if name in PUBLIC:
-            found[name].add(GUARDS.get(name, ALWAYS))
-        for used, guard in made.functions[name].uses:
-            if used in found:
-                found[used] |= {guard | outer for outer in found[name] if consistent(guard | outer)}
-    found["between"].add(ALWAYS)  # in the macros of cellwise_float.h
-    return found
-
-
-def consistent(guard: Guard) -> bool:
-    """Whether options can hold together."""
-    return not any(f"not {term}" in guard for term in guard)
+        if name in used:
+            used |= made.functions[name].uses
+    made.functions = {n: f for n, f in made.functions.items() if n in used}
+    return made
 
 
 def size_of(field: layout.Field) -> str:
@@ -158,43 +158,37 @@ def size_of(field: layout.Field) -> str:
     return f"({most} - {field.fewer}u)" if field.fewer else most
 
 
-def struct(name: str, fields: list[tuple[str, str, str, str]]) -> list[str]:
-    """A struct from types, names, conditions and meanings."""
+def struct(name: str, fields: list[tuple[str, str, str]]) -> list[str]:
+    """A struct from types, names and meanings."""
     lines = []
-    for kind, text, condition, meaning in fields:
+    for kind, text, meaning in fields:
         line = f"    {kind} {text};"
         said = [f"{line} /* {meaning} */"] if meaning else [line]
-        if len(said[0]) > 100:
-            said = [*comment(meaning, 4), line]
-        lines += [f"#if {condition}", *said, "#endif"] if condition else said
-    return ["typedef struct {", *merged(lines), f"}} {name};"]
+        lines += said if len(said[0]) <= 100 else [*comment(meaning, 4), line]
+    return ["typedef struct {", *lines, f"}} {name};"]
 
 
-def record(name: str, table: tuple[layout.Field, ...]) -> list[str]:
+def record(name: str, table: tuple[layout.Field, ...], options: Options) -> list[str]:
     """A struct of the layout."""
     fields = []
-    for f in table:
+    for f in layout.fields_of(table, options):
         kind = "float" if f.type == "f4" else "uint32_t"
-        guard = frozenset(f.option.split(" and ")) if f.option else ALWAYS
         array = f"[{size_of(f).strip('()')}]" if f.size else ""
-        fields.append((kind, f.name + array, preprocessor(guard) if guard else "", f.meaning))
+        fields.append((kind, f.name + array, f.meaning))
     return struct(name, fields)
 
 
 def named_tuple(node: ast.ClassDef, fields: dict[str, str]) -> list[str]:
     """A named tuple as a struct."""
-    found = []
-    for name, kind in fields.items():
-        option = FLOATS.get(kind, "")
-        condition = preprocessor(frozenset({option})) if option else ""
-        found.append((SCALARS.get(kind, f"cellwise_{kind.lower()}"), name, condition, ""))
-    about = ast.get_docstring(node) or ""
-    return [*comment(about), *struct(f"cellwise_{node.name.lower()}", found)]
+    found = [(SCALARS.get(k, f"cellwise_{k.lower()}"), name, "") for name, k in fields.items()]
+    return [
+        *comment(ast.get_docstring(node) or ""), *struct(f"cellwise_{node.name.lower()}", found),
+    ]  # fmt: skip
 
 
 def defines(read: Source, made: Program) -> Iterator[str]:
     """Constants that the step uses."""
-    used = {name for f in made.functions.values() for name, _ in f.uses}
+    used: set[str] = set().union(*(f.uses for f in made.functions.values()))
     for node in read.tree.body:
         if not isinstance(node, ast.Assign):
             continue
@@ -214,82 +208,61 @@ def defines(read: Source, made: Program) -> Iterator[str]:
                 text, note = f"{int(value)}u" if value < 0x10000 else f"0x{int(value):X}u", ""
                 if value >= 0x10000 and int(value) % 10000 == 0:
                     text = f"{int(value)}u"
-            note = ": ".join(n for n in (note, read.notes[1].get(node.lineno, "")) if n)
+            note = ": ".join(n for n in (note, read.behind.get(node.lineno, "")) if n)
             yield f"#define {name} {text}" + (f" /* {note} */" if note else "")
 
 
-def print_source() -> str:
+@lru_cache(maxsize=8)
+def print_source(options: Options) -> str:
     """``cellwise_ekf.c``."""
-    read = sources()
-    made = program(read)
-    found = conditions(made)
+    read = sources(options)
+    made = program(read, options)
     lines = [*comment(HEAD.format(what="src/cellwise/estimate/fixed")), '#include "cellwise_ekf.h"',
              '#include "cellwise_float.h"', "", *comment("Constants of the algorithm."),
              *defines(read[0], made), ""]  # fmt: skip
     for source in read:
-        name = source.module.__name__.rsplit(".", 1)[-1]
-        about = (ast.get_docstring(source.tree) or "").split("\n")[0]
-        lines += [*comment(f"---- {name}.py: {about}"), ""]
+        printed: list[str] = []
         for node in source.tree.body:
-            if isinstance(node, ast.ClassDef):
-                made_so = named_tuple(node, made.structs[node.name])
-                lines += [*inside(made_so, used_under(node.name, made, found)), ""]
-            elif isinstance(node, ast.FunctionDef) and node.name in made.functions:
-                lines += [*function(made.functions[node.name], found[node.name]), ""]
+            name = getattr(node, "name", "")
+            if isinstance(node, ast.ClassDef) and is_used(node, made):
+                printed += [*named_tuple(node, made.structs[name]), ""]
+            elif isinstance(node, ast.FunctionDef) and name in made.functions:
+                public = PUBLIC.get(name, name)
+                printed += [*made.functions[name].text(public, name not in PUBLIC), ""]
+        about = (ast.get_docstring(source.tree) or "").split("\n")[0]
+        lines += [*comment(f"---- {source.name}.py: {about}"), "", *printed] if printed else []
     return "\n".join(lines)
 
 
-def function(one: Function, called: set[Guard]) -> list[str]:
-    """A function of C, where it is called at all."""
-    name = one.node.name
-    return inside(one.text(PUBLIC.get(name, name), name not in PUBLIC), called)
+def is_used(node: ast.ClassDef, made: Program) -> bool:
+    """Whether a function that is printed takes or fills a struct."""
+    kinds = (k for f in made.functions.values() for k in (f.returns, *f.parameters.values()))
+    return node.name in kinds
 
 
-def inside(lines: list[str], guards: set[Guard]) -> list[str]:
-    """Lines that are there under one of the guards."""
-    condition = any_of(guards)
-    return [f"#if {condition}", *lines, "#endif"] if condition else lines
-
-
-def used_under(struct_name: str, made: Program, found: dict[str, set[Guard]]) -> set[Guard]:
-    """Under which options a function is there that uses a struct."""
-    type_name = f"cellwise_{struct_name.lower()} "
-    guards: set[Guard] = set()
-    for name, one in made.functions.items():
-        if any(type_name in line for line in one.text(name, True)):
-            guards |= found[name]
-    return guards
-
-
-def print_header() -> str:
+@lru_cache(maxsize=8)
+def print_header(options: Options) -> str:
     """``cellwise_ekf.h``."""
-    made = program(sources())
+    made = program(sources(options), options)
     blocks = {
         "head": comment(HEAD.format(what="src/cellwise/estimate/fixed/layout.py")),
         "status": status_bits(),
-        "row": record("cellwise_row", layout.ROW),
-        "constants": record("cellwise_constants", layout.CONSTANTS),
-        "state": record("cellwise_state", layout.STATE),
-        "input": record("cellwise_input", layout.INPUT_FIELDS),
-        "output": record("cellwise_output", layout.OUTPUT_FIELDS),
-        "capability": record("cellwise_capability", layout.CAPABILITY_FIELDS),
-        "outlook": record("cellwise_outlook", layout.OUTLOOK_FIELDS),
-        "phase": record("cellwise_phase", layout.PHASE_FIELDS),
-        "landing": record("cellwise_landing", layout.LANDING_FIELDS),
-        "cell": record("cellwise_pack_cell", layout.CELL_FIELDS),
-        "cell_output": record("cellwise_cell_output", layout.CELL_OUTPUT_FIELDS),
+        "row": record("cellwise_row", layout.ROW, options),
     }
+    names = {"Sample": "input", "Cell": "pack_cell", "CellOutput": "cell_output"}
+    for kind, table in RECORDS.items():
+        name = names.get(kind, kind.lower())
+        blocks[name] = record(f"cellwise_{name}", table, options)
     for name, public in PUBLIC.items():
-        f = made.functions[name]
-        said = f.signature(public, False)
-        blocks[public] = [*comment(ast.get_docstring(f.node) or ""), *said[:-1], said[-1] + ";"]
-        if name in GUARDS:
-            condition = preprocessor(GUARDS[name])
-            blocks[public] = [f"#if {condition}", *blocks[public], "#endif"]
+        blocks[public] = []
+        if name in made.functions:
+            f = made.functions[name]
+            said = f.signature(public, False)
+            blocks[public] = [*comment(ast.get_docstring(f.node) or ""), *said[:-1], said[-1] + ";"]
     text = (Path(__file__).parent / "cellwise_ekf.h.in").read_text(encoding="utf-8")
     for name, lines in blocks.items():
-        text = text.replace(f"[{name}]\n", "\n".join(lines) + "\n")
-    return text
+        text = text.replace(f"[{name}]\n", "".join(f"{line}\n" for line in lines))
+    return re.sub(r"\n{3,}", "\n\n", text)
 
 
 def status_bits() -> list[str]:

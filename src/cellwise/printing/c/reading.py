@@ -1,19 +1,13 @@
-"""A Python function of the fixed step as C reads it: names, types, options, expressions."""
+"""A Python function of the fixed step as C reads it: names, types, expressions."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from cellwise.printing.c.text import ALWAYS, Guard, opposite
+from cellwise.printing.c.chosen import FLOATS
 
-FLOATS = {"Float": "", "SlowFloat": "SLOW", "HysteresisFloat": "HYSTERESIS"}
-FLOATS |= {
-    "WarmFloat": "WARM",
-    "SurfaceFloat": "SURFACE",
-}  # and the option of each
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"}
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
@@ -48,29 +42,29 @@ class Program:
     type and text of every name that is one, ``columns`` the fields of the table by column.
     """
 
-    options: set[str]
     structs: dict[str, dict[str, str]]
     constants: dict[str, tuple[str, str]]
     columns: dict[str, str]
     sizes: dict[str, str]
+    temperatures: bool = False
     functions: dict[str, Any] = field(default_factory=dict)
 
 
 class Reading:
-    """One function of the step: what it calls under which options, and its text in C."""
+    """One function of the step: what it calls, and its text in C; ``behind`` are its comments."""
 
-    def __init__(
-        self, node: ast.FunctionDef, program: Program, notes: tuple[dict[int, str], dict[int, str]]
-    ) -> None:
-        self.node, self.program = node, program
-        self.alone, self.behind = notes
+    def __init__(self, node: ast.FunctionDef, program: Program, behind: dict[int, str]) -> None:
+        self.node, self.program, self.behind = node, program, behind
         self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
         self.returns = ast.unparse(node.returns) if node.returns else "None"
         self.noinline = any(ast.unparse(d) == "noinline" for d in node.decorator_list)
         self.types = dict(self.parameters)
         self.pointers = {n for n, t in self.parameters.items() if t not in SCALARS}
         self.renamed = self._renamed()
-        self.uses = [(name, guard) for s in self._body() for name, guard in self._walk(s, ALWAYS)]
+        self.uses = {
+            n.id for s in self._body() for n in ast.walk(s)
+            if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)
+        }  # fmt: skip
         self.mutates = self._mutates()
 
     def _body(self) -> list[ast.stmt]:
@@ -89,7 +83,9 @@ class Reading:
     def _renamed(self) -> dict[str, tuple[str, str]]:
         """Locals that are a field of the struct which is filled: text and type."""
         last = self.node.body[-1]
-        if not (self.fills and isinstance(last, ast.Return) and isinstance(last.value, ast.Call)):
+        if not (isinstance(last, ast.Return) and isinstance(last.value, ast.Call)):
+            return {}
+        if not self.fills or ast.unparse(last.value.func) != self.returns:
             return {}
         fields = self.program.structs[self.returns].items()
         return {
@@ -109,59 +105,6 @@ class Reading:
                 called = self.program.functions.get(node.func.id)
                 found |= called.mutates if called else set()
         return found
-
-    # ---- options ----
-
-    def _options(self, test: ast.expr) -> tuple[Guard, ast.expr | None]:
-        """The options that a test asks for first, and the rest of it."""
-        both = isinstance(test, ast.BoolOp) and isinstance(test.op, ast.And)
-        parts = test.values if both else [test]  # type: ignore[attr-defined]
-        found: list[str] = []
-        for part in parts:
-            inner = part.operand if isinstance(part, ast.UnaryOp) else part
-            if not (isinstance(inner, ast.Name) and inner.id in self.program.options):
-                break
-            found.append(("not " if inner is not part else "") + inner.id)
-        rest = parts[len(found) :]
-        if not rest:
-            return frozenset(found), None
-        left = rest[0] if len(rest) == 1 else ast.BoolOp(ast.And(), rest)
-        return frozenset(found), left
-
-    def _guard_of(self, node: ast.stmt) -> Guard:
-        """Options without which a statement has no meaning: that of its target."""
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            option = FLOATS.get(self.renamed.get(node.targets[0].id, ("", ""))[1], "")
-            if option:
-                return frozenset({option})
-            if isinstance(node.value, ast.IfExp) and ast.unparse(node.value.orelse) == "ZERO":
-                guard, rest = self._options(node.value.test)
-                return guard if rest is None else ALWAYS
-        return ALWAYS
-
-    def _walk(self, node: ast.AST, guard: Guard) -> Iterator[tuple[str, Guard]]:
-        """Every name that is read, with the options under which it is."""
-        if isinstance(node, ast.stmt):
-            guard = guard | self._guard_of(node)
-        if isinstance(node, ast.If | ast.IfExp):
-            asked, rest = self._options(node.test)
-            if rest is not None:
-                yield from self._walk(rest, guard | asked)
-            for part, inner in ((node.body, guard | asked), (node.orelse, guard | refuted(asked))):
-                children: list[Any] = part if isinstance(part, list) else [part]
-                for each in children:
-                    yield from self._walk(each, inner)
-            return
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-            yield node.id, guard
-        called = self._called(node)
-        fields = {}
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):  # a struct has them, too
-            fields = self.program.structs.get(node.func.id, {})
-        kinds = list((called.parameters if called else fields).values())
-        for k, child in enumerate(ast.iter_child_nodes(node)):
-            option = FLOATS.get(kinds[k - 1], "") if kinds and 0 < k <= len(kinds) else ""
-            yield from self._walk(child, guard | {option} if option else guard)
 
     def _called(self, node: ast.AST) -> Reading | None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
@@ -267,11 +210,3 @@ class Reading:
         if by_address and not (isinstance(node, ast.Name) and node.id in self.pointers):
             return f"&{self.bare(node)}"
         return self.bare(node)
-
-
-def refuted(guard: Guard) -> Guard:
-    """What holds in the else of options: exact for one of them."""
-    if len(guard) != 1:
-        return ALWAYS
-    (term,) = guard
-    return frozenset({opposite(term)})

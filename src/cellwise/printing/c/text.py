@@ -1,4 +1,4 @@
-"""How printed C looks: comments, line breaks, numbers, conditions of the preprocessor."""
+"""How printed C looks: comments, line breaks, numbers."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ import io
 import re
 import textwrap
 import tokenize
-from collections.abc import Iterable
 from typing import Any
 
 from cellwise.estimate.fixed.layout import hex_float
-from cellwise.estimate.fixed.options import IN_C
 
 WIDTH = 100
-Guard = frozenset[str]  # options that must hold: "SLOW", "not WIDE"
-ALWAYS: Guard = frozenset()
 
 
 def comment(text: str, indent: int = 0) -> list[str]:
@@ -64,68 +60,3 @@ def float_literal(value: Any) -> str:
     if value == 0 or (float(decimal) == float(value) and 1e-3 < abs(value) < 1e5):
         return decimal + ("f" if "." in decimal else ".0f")
     return hex_float(value)
-
-
-def preprocessor(guard: Guard) -> str:
-    """Options that must all hold, as ``#if`` asks for them."""
-    order = sorted(guard, key=lambda term: (term.startswith("not "), term))
-    return _joined([_term(t) for t in order], " && ")
-
-
-def any_of(guards: Iterable[Guard]) -> str:
-    """Conditions of which one must hold; empty where one always does."""
-    least = resolved(guards)
-    return "" if ALWAYS in least else _joined(sorted(map(preprocessor, least)), " || ")
-
-
-def resolved(guards: Iterable[Guard]) -> set[Guard]:
-    """The same conditions in the fewest: an option and its opposite cancel."""
-    found = set(guards)
-    while True:
-        more = {
-            g - {term}
-            for g in found
-            for term in g
-            if any(other <= (g - {term}) | {opposite(term)} for other in found)
-        }
-        if more <= found:
-            return {g for g in found if not any(other < g for other in found)}
-        found |= more
-
-
-def opposite(term: str) -> str:
-    """The other value of an option."""
-    return term.removeprefix("not ") if term.startswith("not ") else f"not {term}"
-
-
-def _term(term: str) -> str:
-    name = term.removeprefix("not ")
-    text = IN_C.get(name, f"CELLWISE_{name}")
-    if not term.startswith("not "):
-        return text
-    return f"!({text})" if " " in text else f"!{text}"
-
-
-def _joined(terms: list[str], operator: str) -> str:
-    if len(terms) == 1:
-        return terms[0]
-    return operator.join(f"({t})" if " " in t else t for t in terms)
-
-
-def merged(lines: list[str]) -> list[str]:
-    """Lines without ``#endif`` and the same ``#if`` again."""
-    found: list[str] = []
-    opened: list[list[str]] = []  # conditions, with what closed last
-    closed: list[str] | None = None
-    for line in lines:
-        if line.startswith("#if") and closed == [line]:
-            found.pop()
-            opened.append([line])
-        else:
-            if line.startswith("#if"):
-                opened.append([line])
-            elif line.startswith("#else"):
-                opened[-1].append(line)
-            found.append(line)
-        closed = opened.pop() if line.startswith("#endif") else None
-    return found
