@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.identify import fitted_pulses
 from cellwise.identify.capacity import capacity_choice, half_cycles
 from cellwise.identify.hppc import passive_misfit, plateaus, pulse_quality, pulses
 from cellwise.identify.ocv import curve, ocv_lowrate, ocv_points, ocv_rests
@@ -68,10 +67,10 @@ def _by_gap(phases: Any) -> float:
     return _widest_gap(np.sort([p.duration_s for p in phases if p.kind == "cc"]))
 
 
-def _by_segments(pulses: Any, _: Any) -> Any:
-    from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
+def _by_segments(data: Any, *_: Any) -> Any:
+    from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 
-    return fit_pulses(pulses, "segments")
+    return fit_pulse(data, "segments")
 
 
 def _record(module: ModuleType, name: str, **changes: Any) -> tuple[tuple[str, str, Any], ...]:
@@ -104,12 +103,12 @@ RULES = (
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
     Rule("edges of a misfit", _record(passive_misfit, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
-    Rule("what was before a pulse", _record(fitted_pulses, "WINDOW", before_s=0.0)),
-    Rule("balanced rows", _record(pulse_data, "ROWS", balance=(1.0, 1.0))),
-    Rule("minutes of a move", _record(fitted_pulses, "WINDOW", step_s=1e9)),
+    Rule("what was before a pulse", _record(pulse_data, "WINDOW", before_s=0.0)),
+    Rule("balanced rows", _record(pulse_data, "WINDOW", balance=(1.0, 1.0))),
+    Rule("minutes of a move", _record(pulse_data, "WINDOW", step_s=1e9)),
     Rule(
         "variable projection",
-        ((FITTED_PULSES, "fit_pulses", _by_segments),),
+        ((FITTED_PULSES, "fit_pulse", _by_segments),),
     ),
     Rule("stiffness chosen", ((CURVE, "_stiffness", lambda *_: 1.0),)),
     Rule("rests weighed by slope", _record(curve, "MOVED", steep_V=np.inf)),
