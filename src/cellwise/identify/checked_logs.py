@@ -239,8 +239,5 @@ def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) 
 
 def _discharged_Ah(log: CellLog) -> float:
     """The largest discharge of a log [Ah]."""
-    try:
-        halves = find_half_cycles(join_logs(log))
-    except InputError:
-        return 0.0
+    halves = find_half_cycles(join_logs(log))
     return max((h.charge_Ah for h in halves), default=0.0)

@@ -129,10 +129,7 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
 
 def directions(log: CellLog) -> dict[str, BoolArray]:
     """Rows of the log's discharges and charges that move much; shape (n,) each."""
-    try:
-        halves = find_half_cycles(join_logs(log))
-    except InputError:
-        return {}
+    halves = find_half_cycles(join_logs(log))
     most = max((abs(h.charge_Ah) for h in halves), default=0.0)
     found = {}
     for name, sign in (("discharge", 1.0), ("charge", -1.0)):
