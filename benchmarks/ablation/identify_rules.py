@@ -7,17 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.identify import fitted_pulses
 from cellwise.identify.capacity import capacity_choice, half_cycles
 from cellwise.identify.hppc import passive_misfit, plateaus, pulse_quality, pulses
-from cellwise.identify.ocv import curve, ocv_lowrate, ocv_points, ocv_rests
+from cellwise.identify.ocv import curve, ocv_function, ocv_lowrate, ocv_rests
 from cellwise.identify.pulse_fit import pulse_data
 
 IDENTIFY = "cellwise.identify"
 PLATEAUS, PHASES = f"{IDENTIFY}.hppc.plateaus", f"{IDENTIFY}.hppc.phases"
 PULSES, QUALITY = f"{IDENTIFY}.hppc.pulses", f"{IDENTIFY}.hppc.pulse_quality"
 CURVE, RESTS, LOW = (f"{IDENTIFY}.ocv.{m}" for m in ("curve", "ocv_rests", "ocv_lowrate"))
-SPLINE = f"{IDENTIFY}.ocv.ocv_function"
 TESTED = f"{IDENTIFY}.capacity.capacity_test"
 FITTED_PULSES = f"{IDENTIFY}.fitted_pulses"
 MEASURED_CAPACITY, MEASURED_OCV = f"{IDENTIFY}.measured_capacity", f"{IDENTIFY}.measured_ocv"
@@ -68,10 +66,10 @@ def _by_gap(phases: Any) -> float:
     return _widest_gap(np.sort([p.duration_s for p in phases if p.kind == "cc"]))
 
 
-def _by_segments(pulses: Any, _: Any) -> Any:
-    from cellwise.identify.pulse_fit.fit_pulse import fit_pulses
+def _by_segments(data: Any, *_: Any) -> Any:
+    from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 
-    return fit_pulses(pulses, "segments")
+    return fit_pulse(data, "segments")
 
 
 def _record(module: ModuleType, name: str, **changes: Any) -> tuple[tuple[str, str, Any], ...]:
@@ -104,31 +102,27 @@ RULES = (
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
     Rule("edges of a misfit", _record(passive_misfit, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
-    Rule("what was before a pulse", _record(fitted_pulses, "WINDOW", before_s=0.0)),
-    Rule("balanced rows", _record(pulse_data, "ROWS", balance=(1.0, 1.0))),
-    Rule("minutes of a move", _record(fitted_pulses, "WINDOW", step_s=1e9)),
+    Rule("what was before a pulse", _record(pulse_data, "WINDOW", before_s=0.0)),
+    Rule("balanced rows", _record(pulse_data, "WINDOW", balance=(1.0, 1.0))),
+    Rule("minutes of a move", _record(pulse_data, "WINDOW", step_s=1e9)),
     Rule(
         "variable projection",
-        ((FITTED_PULSES, "fit_pulses", _by_segments),),
+        ((FITTED_PULSES, "fit_pulse", _by_segments),),
     ),
-    Rule("stiffness chosen", ((CURVE, "_stiffness", lambda *_: 1.0),)),
     Rule("rests weighed by slope", _record(curve, "MOVED", steep_V=np.inf)),
     Rule("one cell", ((MEASURED_OCV, "sample_notice", _none),)),
     Rule("unrelaxed rests", _record(ocv_rests, "LIMITS", unrelaxed_V=np.inf)),
     Rule("short rests", _record(ocv_rests, "LIMITS", rest_s=0.0)),
     Rule("relaxation extrapolated", ((RESTS, "_relaxed_V", lambda _, v: float(v[-1])),)),
     Rule("climbs short of full", ((RESTS, "_climbs_short_of_full", _no),)),
-    Rule("points condensed", _record(ocv_points, "POINTS", most=10**9)),
-    Rule("steeper to empty", ((SPLINE, "beyond_ends", lambda *_: (np.zeros(0), np.zeros(0))),)),
+    Rule("points condensed", _record(ocv_function, "POINTS", most=10**9)),
     Rule("mean by soundness", ((LOW, "_mean_of_branches", _plain_mean),)),
-    Rule("filled to", ((LOW, "_filled_to", lambda *_: 1.0),)),
     Rule("whole by charge", _record(ocv_lowrate, "LIMITS", nearly_all=np.inf)),
     Rule("HPPC reaches empty", ((MEASURED_CAPACITY, "hppc_reaches_empty", _no),)),
-    Rule("looks like an end", ((TESTED, "looks_like_end", _yes), (LOW, "looks_like_end", _yes))),
-    Rule("full at the start", ((TESTED, "_full_at_start", lambda *_: ("assumed", [])),)),
+    Rule("looks like an end", ((TESTED, "_looks_like_end", _yes),)),
+    Rule("full at the start", ((TESTED, "_not_full", lambda *_: ()),)),
     Rule("capacity test", ((TESTED, "_is_capacity_test", lambda _, h: h.charge_Ah > 0.0),)),
-    Rule("settled end", ((TESTED, "settled_end", lambda _, h, k: h[k].stop - 1),
-                         (LOW, "settled_end", lambda _, h, k: h[k].stop - 1))),
+    Rule("settled end", _record(half_cycles, "LIMITS", dither=-1.0)),
     Rule("nearest temperature", _record(capacity_choice, "NEAR", same_C=np.inf)),
     Rule("charge runs that count", _record(half_cycles, "LIMITS", run=0.0)),
 )  # fmt: skip

@@ -27,9 +27,9 @@ def polynomial(name, soc):
 
 
 def pulse(soc, *, r0, r1, tau1, r2, tau2, share=0.01, method="varpro") -> PulseFit:
-    value = PulseParameters(r0, r1, tau1, r2, tau2, 3.3, 0.2)
+    value = PulseParameters(r0, r1, tau1, r2, tau2, 3.3)
     error = PulseParameters(*(share * np.asarray(value)))
-    return PulseFit(method, float(soc), 10.0, 60.0, value, error, 1e-4, 1e-4, 1000)
+    return PulseFit(method, float(soc), 10.0, 60.0, value, error, 1e-4, 1000)
 
 
 def paper_pulses(levels=LEVELS, **changes) -> list[PulseFit]:

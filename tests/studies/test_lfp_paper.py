@@ -80,9 +80,9 @@ def test_every_test_ends_with_its_move():
 
 
 def fit(soc, r1=0.001, r2=0.002, c1=5000.0, c2=20000.0):
-    value = PulseParameters(0.003 + 0.001 * soc, r1, c1 * r1, r2, c2 * r2, 3.3, 0.1)
+    value = PulseParameters(0.003 + 0.001 * soc, r1, c1 * r1, r2, c2 * r2, 3.3)
     error = PulseParameters(*(0.001 * abs(x) for x in value))
-    return PulseFit("pso", soc, 1.0, 60.0, value, error, 1e-3, 1e-3, 100)
+    return PulseFit("pso", soc, 1.0, 60.0, value, error, 1e-3, 100)
 
 
 def test_polynomials_give_back_what_made_the_pulses():

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.identify.fitted_pulses import pulse_from_arrays
-from cellwise.identify.pulse_fit.pulse_data import PulseData
+from cellwise.identify.pulse_fit.pulse_data import PulseData, pulse_data
 
 Array = NDArray[np.float64]
 
@@ -33,7 +32,7 @@ class Circuit:
 
     @property
     def values(self) -> Array:
-        return np.array([self.r0, self.r1, self.tau1, self.r2, self.tau2, self.ocv, self.slope])
+        return np.array([self.r0, self.r1, self.tau1, self.r2, self.tau2, self.ocv])
 
 
 def stamps(rng: np.random.Generator | None = None, *, pulse_s: float = 60.0, rest_s: float = 600.0,
@@ -78,11 +77,12 @@ def closed_pulse(
     capacity: float = 40.0,
     noise: Array | float = 0.0,
 ) -> PulseData:
-    """The pulse as the package takes it."""
+    """The pulse as the package takes it, at 50 % SOC, with the OCV's slope as a table."""
     flow, v = closed_form(circuit, t, current, pulse_s, capacity)
     start = int(np.argmax(flow != 0.0))
     stop = start + int(np.count_nonzero(flow))
-    return pulse_from_arrays(t, flow, v + noise, start, stop, capacity, soc_start=0.5)
+    soc = 0.5 - current * np.clip(t, 0.0, pulse_s) / 3600.0 / capacity
+    return pulse_data(t, flow, v + noise, soc, start, stop, ocv=lambda s: circuit.slope * s)
 
 
 def random_circuit(rng: np.random.Generator) -> Circuit:

@@ -65,8 +65,13 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     InputError        no usable log; a log whose current has the wrong sign; a pack beside or
                       instead of a cell; a nominal capacity that is none
     """
-    _check_complete(tests, settings)
-    logs = tests.logs()
+    logs, nominal = tests.logs(), settings.nominal_Ah
+    if not logs:
+        raise InputError("no test", "at least one", "Give `hppc=LOG` or `drive=LOG`.")
+    if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
+        raise InputError(
+            f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
+        )
     for log in logs:
         _check_sign(log)
         check_one_cell(log)
@@ -79,29 +84,15 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
             contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
-    low_rate = tuple(low_rate_tests(tests.ocv, default))
     tests = replace(tests, drive=drives)
-    read = tuple(_reading_notices(tests))
-    return CheckedLogs(tests, low_rate, default, tuple(contradictions), read)
-
-
-def _reading_notices(tests: TestLogs) -> list[str]:
-    """What reading the logs has noted, each with the name of its log."""
-    return [
+    # What reading the logs has noted, each with the name of its log.
+    read = [
         n if log.name and log.name in n else f"'{log.name}': {n}"
         for log in tests.logs()
         for n in log.notices
     ]
-
-
-def _check_complete(tests: TestLogs, settings: IdentifySettings) -> None:
-    if not tests.logs():
-        raise InputError("no test", "at least one", "Give `hppc=LOG` or `drive=LOG`.")
-    nominal = settings.nominal_Ah
-    if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
-        raise InputError(
-            f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
-        )
+    low_rate = tuple(low_rate_tests(tests.ocv, default))
+    return CheckedLogs(tests, low_rate, default, tuple(contradictions), tuple(read))
 
 
 def _check_sign(log: CellLog) -> None:
@@ -170,28 +161,21 @@ def grouped_by_temperature(
     merged = _of_pulses(tests, default) if tests.hppc else _of_all(tests, low_rate, default)
     home = min(merged, key=lambda x: abs(x - REFERENCE_C))
 
-    def nearest(at: float) -> float:
+    def nearest(log: CellLog, stated: float | None) -> float:
+        at = log_temperature_C(log, stated, default)
         return min(merged, key=lambda t: abs(t - at))
 
-    def steady(log: CellLog) -> float:
-        # Beside pulses the low-rate and capacity tests are those of the reference temperature.
-        return home if tests.hppc else nearest(log_temperature_C(log, None, default))
-
-    slow = {id(log): steady(test[0]) for test in low_rate for log in test}
+    warm = {id(log): nearest(log, stated) for log, stated in (*tests.hppc, *tests.drive)}
+    # Beside pulses the low-rate and capacity tests are those of the reference temperature.
+    for test in (*low_rate, *((log,) for log in tests.capacity)):
+        at = home if tests.hppc else nearest(test[0], None)
+        warm |= {id(log): at for log in test}
     return {
         t: TestLogs(
-            hppc=tuple(
-                (log, at)
-                for log, at in tests.hppc
-                if nearest(log_temperature_C(log, at, default)) == t
-            ),
-            drive=tuple(
-                (log, at)
-                for log, at in tests.drive
-                if nearest(log_temperature_C(log, at, default)) == t
-            ),
-            capacity=tuple(log for log in tests.capacity if steady(log) == t),
-            ocv=tuple(log for log in tests.ocv if slow[id(log)] == t),
+            hppc=tuple(pair for pair in tests.hppc if warm[id(pair[0])] == t),
+            drive=tuple(pair for pair in tests.drive if warm[id(pair[0])] == t),
+            capacity=tuple(log for log in tests.capacity if warm[id(log)] == t),
+            ocv=tuple(log for log in tests.ocv if warm[id(log)] == t),
         )
         for t in merged
     }
@@ -239,8 +223,5 @@ def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) 
 
 def _discharged_Ah(log: CellLog) -> float:
     """The largest discharge of a log [Ah]."""
-    try:
-        halves = find_half_cycles(join_logs(log))
-    except InputError:
-        return 0.0
+    halves = find_half_cycles(join_logs(log))
     return max((h.charge_Ah for h in halves), default=0.0)

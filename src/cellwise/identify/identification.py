@@ -109,38 +109,30 @@ class TestLogs:
 
 def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     """Logs with the temperature that is stated of each, whichever way they were given."""
-    if isinstance(logs, CellLog):
-        logs = (logs,)
-    if not isinstance(logs, (tuple, list)):
-        raise _no_logs(logs, name)
-    if len(logs) == 2 and isinstance(logs[0], CellLog) and _is_temperature(logs[1]):
-        logs = (logs,)
-    pairs: list[tuple[CellLog, float | None]] = []
-    for one in logs:
-        if isinstance(one, CellLog):
-            pairs.append((one, None))
-        elif (
-            isinstance(one, (tuple, list))
-            and len(one) == 2
-            and isinstance(one[0], CellLog)
-            and _is_temperature(one[1])
-        ):
-            pairs.append((one[0], one[1]))
-        else:
-            raise _no_logs(one, name)
+    given = list(logs) if isinstance(logs, (tuple, list)) else [logs]
+    if len(given) == 2 and isinstance(given[0], CellLog) and not _is_log(given[1]):
+        given = [tuple(given)]
+    pairs = [(one, None) if isinstance(one, CellLog) else one for one in given]
+    for one in pairs:
+        if not _is_log(one):
+            raise InputError(
+                f"{name} of TestLogs with a {type(one).__name__}",
+                "a log, logs, or pairs of a log and its temperature [degC]",
+                f"Write TestLogs({name}=read_log('a.csv')) or "
+                f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+            )
     return pairs
 
 
-def _is_temperature(value: Any) -> bool:
-    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
-
-
-def _no_logs(found: Any, name: str) -> InputError:
-    return InputError(
-        f"{name} of TestLogs with a {type(found).__name__}",
-        "a log, logs, or pairs of a log and its temperature [degC]",
-        f"Write TestLogs({name}=read_log('a.csv')) or "
-        f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+def _is_log(one: Any) -> bool:
+    """Whether it is a log, or a pair of a log and its temperature."""
+    if isinstance(one, CellLog):
+        return True
+    return (
+        isinstance(one, (tuple, list))
+        and len(one) == 2
+        and isinstance(one[0], CellLog)
+        and (one[1] is None or (isinstance(one[1], (int, float)) and not isinstance(one[1], bool)))
     )
 
 

@@ -40,29 +40,33 @@ def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[Ow
     test begins with, where the found one errs twice as much on the rows compared.
     """
     starts = {id(s.log): s for s in fitted.starts}
-    roles: list[tuple[Role, CellLog]] = []
-    roles += [("hppc", log) for log, _ in tests.hppc]
-    roles += [("ocv", log) for log in tests.ocv]
-    roles += [("capacity", log) for log in tests.capacity]
-    roles += [("drive", log) for log, _ in tests.drive]
-    found = []
-    for role, log in roles:
-        start = starts[id(log)]
-        of_log = own_model(model, start.capacity_scale)
-        begins = initial_soc(of_log, log, whole_log=True)
-        simulation = simulate(of_log, log, begins.soc)
-        if start.left_out:
-            found.append(OwnLog(role, False, simulation, begins, None, {}, start.left_out))
-            continue
-        fits = simulate(of_log, log, start.soc0)
-        if _error_V(simulation, start) > WORSE * _error_V(fits, start):
-            begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
-        sides = directions(log) if role in ("ocv", "capacity") else {}
-        errors = {name: _known(simulation, rows) for name, rows in sides.items()}
-        rmse = {n: float(np.sqrt(np.mean(e**2))) for n, e in errors.items() if e.size}
-        said = "; ".join(filter(None, (_own_capacity(start), _gaps(simulation, sides))))
-        found.append(OwnLog(role, True, simulation, begins, start.rows, rmse, said))
-    return tuple(found)
+    roles: list[tuple[Role, CellLog]] = [
+        *(("hppc", log) for log, _ in tests.hppc),
+        *(("ocv", log) for log in tests.ocv),
+        *(("capacity", log) for log in tests.capacity),
+        *(("drive", log) for log, _ in tests.drive),
+    ]
+    return tuple(_simulated_back(model, role, log, starts[id(log)]) for role, log in roles)
+
+
+def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) -> OwnLog:
+    of_log = own_model(model, start.capacity_scale)
+    begins = initial_soc(of_log, log, whole_log=True)
+    simulation = simulate(of_log, log, begins.soc)
+    if start.left_out:
+        return OwnLog(role, False, simulation, begins, None, {}, start.left_out)
+    fits = simulate(of_log, log, start.soc0)
+    if _rmse_V(_known(simulation, start.rows)) > WORSE * _rmse_V(_known(fits, start.rows)):
+        begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
+    sides = directions(log) if role in ("ocv", "capacity") else {}
+    errors = {name: _known(simulation, rows) for name, rows in sides.items()}
+    rmse = {name: _rmse_V(error) for name, error in errors.items() if error.size}
+    away = start.capacity_scale - 1.0
+    said = []
+    if abs(away) >= SAME_CAPACITY:
+        said = [f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"]
+    said += _gaps(log, sides, errors)
+    return OwnLog(role, True, simulation, begins, start.rows, rmse, "; ".join(said))
 
 
 def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
@@ -129,10 +133,7 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
 
 def directions(log: CellLog) -> dict[str, BoolArray]:
     """Rows of the log's discharges and charges that move much; shape (n,) each."""
-    try:
-        halves = find_half_cycles(join_logs(log))
-    except InputError:
-        return {}
+    halves = find_half_cycles(join_logs(log))
     most = max((abs(h.charge_Ah) for h in halves), default=0.0)
     found = {}
     for name, sign in (("discharge", 1.0), ("charge", -1.0)):
@@ -145,42 +146,26 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
     return found
 
 
-def _own_capacity(start: Start) -> str:
-    """What a log that kept its own capacity says of it."""
-    away = start.capacity_scale - 1.0
-    if abs(away) < SAME_CAPACITY:
-        return ""
-    return f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
-
-
-def _error_V(simulation: Simulation, start: Start) -> float:
-    """RMS of the rows that a log is compared on; zero of none [V]."""
-    error = _known(
-        simulation, np.ones(len(simulation.log), np.bool_) if start.rows is None else start.rows
-    )
-    return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
-
-
-def _known(simulation: Simulation, rows: BoolArray) -> FloatArray:
-    error = simulation.error_V[rows]
+def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
+    """Errors of the rows that were measured [V]."""
+    error = simulation.error_V if rows is None else simulation.error_V[rows]
     return np.asarray(error[np.isfinite(error)])
 
 
-def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> str:
+def _rmse_V(error_V: FloatArray) -> float:
+    return float(np.sqrt(np.mean(error_V**2))) if error_V.size else 0.0
+
+
+def _gaps(log: CellLog, sides: dict[str, BoolArray], errors: dict[str, FloatArray]) -> list[str]:
     """The residual of a low-rate or capacity test that has a side the model does not follow."""
     said = []
-    for name, rows in sides.items():
-        error = _known(simulation, rows)
-        if error.size < FEWEST_ROWS or abs(float(np.median(error))) < CLEAR_GAP_V:
-            continue
-        low, high = 1e3 * np.quantile(error, (0.1, 0.9))
-        said.append(f"its {name} lies {low:+.0f} to {high:+.0f} mV from the model")
-    if not said:
-        return ""
-    charge = simulation.log.counted_charge_Ah()
-    moved = {name: abs(float(np.ptp(charge[rows]))) for name, rows in sides.items()}
-    if set(moved) == {"discharge", "charge"}:
-        out, back = moved["discharge"], moved["charge"]
+    for name, error in errors.items():
+        if error.size >= FEWEST_ROWS and abs(float(np.median(error))) >= CLEAR_GAP_V:
+            low, high = 1e3 * np.quantile(error, (0.1, 0.9))
+            said.append(f"its {name} lies {low:+.0f} to {high:+.0f} mV from the model")
+    if said and len(sides) == 2:
+        charge = log.counted_charge_Ah()
+        out, back = (float(np.ptp(charge[sides[name]])) for name in ("discharge", "charge"))
         said.append(f"{back:.3f} Ah came back of {out:.3f} Ah")
         said.append(
             "a current sensor that is off, or a charge that was not whole: the two sides do not "
@@ -188,4 +173,4 @@ def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> str:
             if back < BROUGHT_BACK * out
             else "hysteresis and resistance on charge are not in the model"
         )
-    return "; ".join(said)
+    return said

@@ -10,13 +10,14 @@ one: the update of a prior.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.metadata import version
 
 import numpy as np
 
 from cellwise.cell.metrics import error_metrics
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import moved_ocv_notice, plain_model, table_summary
@@ -32,7 +33,6 @@ from cellwise.identify.identification import (
 )
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
 from cellwise.identify.measured_ocv import MeasuredOcv, measure_ocv
-from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.own_logs import (
     check_possible,
     check_serves,
@@ -44,12 +44,12 @@ from cellwise.identify.own_logs import (
 from cellwise.identify.prior.from_prior import fit_prior, needs_prior
 from cellwise.identify.refinement.effects import fit_with_effects
 from cellwise.identify.refinement.joint_fit import gather_logs
+from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.stated_error import stated_error
 from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.tables import PulseTables
 from cellwise.identify.validity import identified_validity
 from cellwise.threads import one_blas_thread
-from cellwise.typing import FloatArray
 
 Progress = Callable[[str], None]
 
@@ -181,33 +181,14 @@ def _joint_fit(
     say("refinement")
     joint = gather_logs(pulses.groups, ocv.curve, capacity.capacity_Ah, settings)
     fit = fit_with_effects(joint)
-    starts = fit.starts
-    other = other_capacities(starts)
-    model = replace(
-        fit.model,
-        error=stated_error(fit),
-        voltage_min_V=_limit_V(checked.tests, np.nanmin),
-        voltage_max_V=_limit_V(checked.tests, np.nanmax),
-    )
-    temperatures = tuple(
-        TemperatureResult(g.temperature_C, g.pulse_sets, fit.result.at(g.temperature_C))
-        for g in pulses.groups
-    )
-    return Fitted(
-        model=model,
-        ocv=ocv.curve,
-        starts=starts,
-        temperatures=temperatures,
-        measured_soc=ocv.curve.points_soc,
+    model = replace(fit.model, error=stated_error(fit))
+    results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
+    fitted = _fitted(checked, ocv, pulses, settings, model, fit.starts, results)
+    return replace(
+        fitted,
         decided=fit.decided,
-        provenance=_provenance(settings, ocv.curve, temperatures),
-        contradictions=(*ocv.contradictions, *pulses.contradictions, *other),
-        notices=(
-            *ocv.notices,
-            *pulses.notices,
-            *fit.joint.notices,
-            *moved_ocv_notice(fit.of_loads()),
-        ),
+        contradictions=(*fitted.contradictions, *other_capacities(fit.starts)),
+        notices=(*fitted.notices, *fit.joint.notices, *moved_ocv_notice(fit.of_loads())),
     )
 
 
@@ -222,11 +203,7 @@ def _pulses_alone(
     """The pulses' tables as they are, as the papers take them."""
     tables = [_tables_of(g) for g in pulses.groups]
     warm = [g.temperature_C for g in pulses.groups]
-    model = replace(
-        plain_model(tables, ocv.curve, capacity.capacity_Ah, warm),
-        voltage_min_V=_limit_V(checked.tests, np.nanmin),
-        voltage_max_V=_limit_V(checked.tests, np.nanmax),
-    )
+    model = plain_model(tables, ocv.curve, capacity.capacity_Ah, warm)
     resistance = float(np.median(model.r0_ohm + model.r1_ohm))
     anchors = {id(p.log): p.anchor for g in pulses.groups for p in g.pulse_sets}
     starts = []
@@ -235,16 +212,46 @@ def _pulses_alone(
         why_not = "" if anchor else "not part of the fit"
         anchor = anchor or anchor_soc(log, ocv.curve, capacity.capacity_Ah, resistance)
         starts.append(Start(log, anchor.soc, None, why_not))
-    temperatures = tuple(
-        TemperatureResult(g.temperature_C, g.pulse_sets, None) for g in pulses.groups
-    )
+    return _fitted(checked, ocv, pulses, settings, model, tuple(starts), {})
+
+
+def _fitted(
+    checked: CheckedLogs,
+    ocv: MeasuredOcv,
+    pulses: FittedPulses,
+    settings: IdentifySettings,
+    model: CellModel,
+    starts: tuple[Start, ...],
+    results: Mapping[float, RefineResult],
+) -> Fitted:
+    """What both fits say of OCV, pulses and tables, and where their numbers came from."""
+    tests, curve = checked.tests, ocv.curve
+    sets = [s for g in pulses.groups for s in g.pulse_sets]
+    # The voltage window that the laboratory tests kept to.
+    levels = [x.voltage_V for x in (*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc))]
+    low, high = (round(float(end(np.concatenate(levels))), 2) if levels else None
+                 for end in (np.nanmin, np.nanmax))  # fmt: skip
     return Fitted(
-        model=model,
-        ocv=ocv.curve,
-        starts=tuple(starts),
-        temperatures=temperatures,
-        measured_soc=ocv.curve.points_soc,
-        provenance=_provenance(settings, ocv.curve, temperatures),
+        model=replace(model, voltage_min_V=low, voltage_max_V=high),
+        ocv=curve,
+        starts=starts,
+        temperatures=tuple(
+            TemperatureResult(g.temperature_C, g.pulse_sets, results.get(g.temperature_C))
+            for g in pulses.groups
+        ),
+        measured_soc=curve.points_soc,
+        provenance={
+            "ocv": {"source": curve.source, "notes": list(curve.notes)},
+            "pulses": {
+                "method": settings.method,
+                "tables": settings.tables,
+                "logs": [s.log.name for s in sets],
+                "fitted": sum(len(s.fits) for s in sets),
+            },
+            "refinement": [
+                {"temperature_C": t, **table_summary(result)} for t, result in results.items()
+            ],
+        },
         contradictions=(*ocv.contradictions, *pulses.contradictions),
         notices=(*ocv.notices, *pulses.notices),
     )
@@ -258,30 +265,3 @@ def _tables_of(group: Group) -> PulseTables:
             "Leave out `refine=False`.",
         )
     return group.tables
-
-
-def _limit_V(tests: TestLogs, end: Callable[[FloatArray], float]) -> float | None:
-    """The voltage window that the laboratory tests kept to."""
-    logs = [*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc)]
-    return round(float(end(np.array([end(log.voltage_V) for log in logs]))), 2) if logs else None
-
-
-def _provenance(
-    settings: IdentifySettings, ocv: OcvCurve, temperatures: Sequence[TemperatureResult]
-) -> dict[str, object]:
-    """Where the numbers of OCV, pulses and tables came from."""
-    sets = [s for t in temperatures for s in t.pulse_sets]
-    return {
-        "ocv": {"source": ocv.source, "notes": list(ocv.notes)},
-        "pulses": {
-            "method": settings.method,
-            "tables": settings.tables,
-            "logs": [s.log.name for s in sets],
-            "fitted": sum(len(s.fits) for s in sets),
-        },
-        "refinement": [
-            {"temperature_C": t.temperature_C, **table_summary(t.refinement)}
-            for t in temperatures
-            if t.refinement is not None
-        ],
-    }

@@ -153,11 +153,8 @@ def _evidence(
         raise InputError(
             f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
         )
-    try:
-        found_rests = find_ocv_rests(log, min_rest_s=LOOKED_AT.rest_s)
-        rests = [r for r in found_rests if r.duration_s >= LOOKED_AT.rest_s]
-    except InputError:
-        rests = []
+    found_rests = find_ocv_rests(log, min_rest_s=LOOKED_AT.rest_s)
+    rests = [r for r in found_rests if r.duration_s >= LOOKED_AT.rest_s]
     found = [(r.charge_Ah, r.final_V, ERRORS.ocv_V + 0.5 * abs(r.remaining_V)) for r in rests]
     loaded = np.abs(current) >= LOOKED_AT.rest_rate * capacity_Ah
     resting = finite[: int(np.argmax(loaded)) if loaded.any() else len(log)]

@@ -14,7 +14,6 @@ from cellwise.identify.refinement.splines import (
     TABLE_KNOTS,
     curvature_penalty,
     greville,
-    spline_count,
     spline_rows,
     spline_values,
 )
@@ -22,7 +21,6 @@ from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
-RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
 GRID_POINTS = 201
 
 
@@ -31,6 +29,8 @@ class _Smoothing(NamedTuple):
 
     spread: float = 0.05  # pulses of one level differ by rate and direction: no less is an error
     stiffness: float = 0.02  # of the spline: a bend of one costs as much as this misfit
+    hold: float = 1e-4  # and a distance of one from the nearest pulse as much as this
+    beyond: float = 0.05  # of the SOC range: so far beyond the pulses a table goes on
     ratio: float = 1.5  # between the time constants
     unseen: float = 0.01  # of the other resistances: one that no pulse shows
     lowest: float = 0.05  # of the least value: a cubic may dip below zero outside its data
@@ -54,7 +54,7 @@ class PulseTables:
 
 
 def pulse_tables(
-    fits: Sequence[PulseFit], points: int = 201, kind: TableKind = "spline"
+    fits: Sequence[PulseFit], points: int = GRID_POINTS, kind: TableKind = "spline"
 ) -> PulseTables:
     """Tables over SOC from fitted pulses, each weighted by its own standard error.
 
@@ -63,34 +63,37 @@ def pulse_tables(
 
     Raises
     ------
-    InputError        no fit with a known SOC
+    InputError        no pulse that shows a time constant
     """
-    known = [f for f in fits if np.isfinite(f.soc)]
-    if not known:
-        raise InputError(
-            "no fitted pulse with a known SOC",
-            "at least one healthy pulse in a log whose SOC can be counted",
-            "Give an HPPC log with pulses after rests.",
-        )
     grid = np.linspace(0.0, 1.0, points)
-    soc = np.array([f.soc for f in known])
+    soc = np.array([f.soc for f in fits])
     values: dict[str, FloatArray] = {}
     cubic: dict[str, tuple[float, float, float, float]] = {}
     for name in NAMES:
-        value = np.array([getattr(f.value, name) for f in known])
-        if name in RESISTANCES and not np.any(value > 0):
+        value = np.array([getattr(f.value, name) for f in fits])
+        if name.endswith("ohm") and not np.any(value > 0.0):
             # Every fit put the whole answer into the other branches: a model still needs a
             # resistance here, small against theirs.
-            value = np.array([SMOOTHING.unseen * sum(f.value[k] for k in (0, 1, 3)) for f in known])
-        error = np.array([getattr(f.error, name) for f in known])
-        s, v, w = _usable(soc, value, error, name)
+            value = np.array([SMOOTHING.unseen * sum(f.value[k] for k in (0, 1, 3)) for f in fits])
+        error = np.array([getattr(f.error, name) for f in fits])
+        relative = np.where(np.isnan(error), SMOOTHING.spread, error / np.maximum(value, 1e-300))
+        there = value > 0.0
+        good = there & (relative < 1.0)
+        if not good.any():
+            good, relative = there, np.ones(value.size)
+        if not good.any():
+            raise InputError(
+                f"no pulse with a positive {name}",
+                "at least one pulse that shows it",
+                "Give pulses with a longer relaxation, or another method.",
+            )
+        s, v, weight = soc[good], value[good], 1.0 / (relative[good] ** 2 + SMOOTHING.spread**2)
         if kind == "cubic":
-            coefficients = cubic_fit(s, v, w)
-            cubic[name] = coefficients
-            table = np.polynomial.polynomial.polyval(grid, coefficients)
+            cubic[name] = cubic_fit(s, v, weight)
+            table = np.polynomial.polynomial.polyval(grid, cubic[name])
             values[name] = np.maximum(table, SMOOTHING.lowest * float(np.min(v)))
         else:
-            values[name] = np.exp(_smooth(s, np.log(v), w, grid))
+            values[name] = np.exp(_smooth(s, np.log(v), weight, grid))
     values["tau2_s"] = np.maximum(values["tau2_s"], SMOOTHING.ratio * values["tau1_s"])
     return PulseTables(grid, values, cubic)
 
@@ -108,57 +111,25 @@ def cubic_fit(
     soc, value : (n,) float
     weight : (n,) float or None      inverse variances
     """
-    levels = np.unique(np.round(soc, 3)).size
-    degree = min(3, max(levels - 1, 0))
-    root = None if weight is None else np.sqrt(weight / np.max(weight))
-    matrix = np.vander(soc, degree + 1, increasing=True)
-    rhs = value
-    if root is not None:
-        matrix, rhs = matrix * root[:, None], value * root
-    found = np.linalg.lstsq(matrix, rhs, rcond=None)[0]
-    full = np.zeros(4)
-    full[: found.size] = found
-    return (float(full[0]), float(full[1]), float(full[2]), float(full[3]))
-
-
-def _usable(
-    soc: FloatArray, value: FloatArray, error: FloatArray, name: str
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values above zero and their weights; a value without a standard error counts as one."""
-    relative = np.where(np.isnan(error), SMOOTHING.spread, error / np.maximum(value, 1e-300))
-    good = (value > 0) & np.isfinite(value) & np.isfinite(relative) & (relative < 1.0)
-    if not good.any():
-        good = (value > 0) & np.isfinite(value)
-        relative = np.full(value.size, 1.0)
-    if not good.any():
-        raise InputError(
-            f"no pulse with a positive {name}",
-            "at least one pulse that shows it",
-            "Give pulses with a longer relaxation, or another method.",
-        )
-    return soc[good], value[good], 1.0 / (relative[good] ** 2 + SMOOTHING.spread**2)
+    degree = min(3, np.unique(np.round(soc, 3)).size - 1)
+    root = np.ones(soc.size) if weight is None else np.sqrt(weight)
+    found = np.polynomial.polynomial.polyfit(soc, value, degree, w=root)
+    a, b, c, d = np.append(found, np.zeros(3 - degree)).tolist()
+    return a, b, c, d
 
 
 def _smooth(soc: FloatArray, value: FloatArray, weight: FloatArray, grid: FloatArray) -> FloatArray:
-    knots = TABLE_KNOTS
-    rows = spline_rows(soc, knots)
-    n = spline_count(knots)
-    matrix = np.zeros((soc.size, n))
+    """Penalised spline; what no pulse reaches stays level with the nearest one."""
+    rows, centres = spline_rows(soc, TABLE_KNOTS), greville(TABLE_KNOTS)
+    matrix = np.zeros((soc.size, centres.size))
     matrix[np.arange(soc.size)[:, None], rows.first[:, None] + np.arange(4)] = rows.values
-    share = weight / weight.sum()
-    system = matrix.T @ (share[:, None] * matrix)
-    system += SMOOTHING.stiffness / max(soc.size, 1) * curvature_penalty(knots)
-    # What no pulse reaches stays level with the nearest one, rather than run off along a slope.
-    nearest = np.interp(greville(knots), *_sorted_mean(soc, value))
-    hold = 1e-4 / max(soc.size, 1)
-    system += hold * np.eye(n)
-    coefficients = np.linalg.solve(system, matrix.T @ (share * value) + hold * nearest)
-    smooth = spline_values(spline_rows(grid, knots), coefficients)
-    low, high = float(np.min(soc)), float(np.max(soc))
-    inside = np.clip(grid, max(low - 0.05, 0.0), min(high + 0.05, 1.0))
-    return np.asarray(np.interp(inside, grid, smooth))
-
-
-def _sorted_mean(soc: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-    order = np.argsort(soc)
-    return soc[order], value[order]
+    share = matrix.T * (weight / weight.sum())
+    system = share @ matrix + SMOOTHING.stiffness / soc.size * curvature_penalty(TABLE_KNOTS)
+    hold, order = SMOOTHING.hold / soc.size, np.argsort(soc)
+    nearest = np.interp(centres, soc[order], value[order])
+    coefficients = np.linalg.solve(
+        system + hold * np.eye(centres.size), share @ value + hold * nearest
+    )
+    low, high = np.min(soc) - SMOOTHING.beyond, np.max(soc) + SMOOTHING.beyond
+    at = np.clip(grid, max(low, 0.0), min(high, 1.0))
+    return np.asarray(spline_values(spline_rows(at, TABLE_KNOTS), coefficients))

@@ -335,7 +335,6 @@ def relaxation_segments(
             r2_ohm=abs(voltage[row1] - voltage[row3]) / current,
             tau2_s=(time[row3] - time[row1]) / SEGMENTS.taus,
             ocv_V=float(voltage[row3]),
-            ocv_slope_V=0.0,
         )
         fits.append(
             PulseFit(
@@ -344,9 +343,8 @@ def relaxation_segments(
                 current_A=current_A,
                 duration_s=NAN,
                 value=value,
-                error=PulseParameters(*[NAN] * 7),
+                error=PulseParameters(*[NAN] * 6),
                 rmse_V=NAN,
-                noise_V=NAN,
                 rows=row3 - row0 + 1,
             )
         )

@@ -17,16 +17,7 @@ from cellwise.logs import read_log
 
 
 def measured(rate_C, cc_Ah, cv_Ah=0.0, **known):
-    return CapacityTest(
-        name=f"{rate_C:g}C",
-        rate_C=rate_C,
-        current_A=40.0 * rate_C,
-        cc_Ah=cc_Ah,
-        cv_Ah=cv_Ah,
-        voltage_start_V=3.4,
-        voltage_end_V=2.5,
-        **{"reached_limit": True, "full_at_start": "charged", **known},
-    )
+    return CapacityTest(f"{rate_C:g}C", rate_C, 40.0 * rate_C, cc_Ah, cv_Ah, **known)
 
 
 # The table of the LFP040AHA paper: rate, total, CC part, CV part.
@@ -105,7 +96,7 @@ def test_default_is_the_slowest_then_hppc_then_nominal():
 
 
 def test_incomplete_tests_are_left_out():
-    bad = measured(0.2, 20.0, reached_limit=False, notices=("stops at 3.100 V",))
+    bad = measured(0.2, 20.0, complete=False, notices=("stops at 3.100 V",))
     assert usable_tests([bad, *LFP_TESTS]) == tuple(LFP_TESTS)
     assert "stops at 3.100 V" in bad.left_out
     assert "rate:C/5" not in capacity_choices([bad, *LFP_TESTS])
@@ -113,20 +104,19 @@ def test_incomplete_tests_are_left_out():
 
 def test_nothing_complete_or_nothing_at_all_is_refused():
     with pytest.raises(InputError, match="no capacity test that goes from full"):
-        capacity_choices([measured(1.0, 20.0, reached_limit=False)], 40.0)
+        capacity_choices([measured(1.0, 20.0, complete=False)], 40.0)
     with pytest.raises(InputError, match="neither"):
         capacity_choices()
 
 
 def test_temperatures_are_kept_apart():
-    def at(temperature_C, cc_Ah, end_C=None):
-        mean = temperature_C if end_C is None else end_C
-        return measured(1.0, cc_Ah, temperature_start_C=temperature_C, temperature_C=mean)
+    def at(temperature_C, cc_Ah, **known):
+        return measured(1.0, cc_Ah, temperature_C=temperature_C, **known)
 
-    tests = [at(25.0, 3.0), at(28.0, 3.02, 35.0), at(-10.0, 2.2), at(0.0, 2.4)]
+    tests = [at(25.0, 3.0), at(28.0, 3.02), at(-10.0, 2.2), at(0.0, 2.4)]
     assert capacity_choices(tests)["rate:1C"] == pytest.approx(3.01)
     assert capacity_choices(tests, temperature_C=-12.0)["rate:1C"] == pytest.approx(2.2)
-    moved = at(24.0, 2.5, end_C=2.0)  # cooled while it ran: of no temperature
+    moved = at(24.0, 2.5, cooled=True)  # while it ran: of no temperature
     assert moved not in usable_tests([*tests, moved])
     assert {t.cc_Ah for t in usable_tests(tests, temperature_C=60.0)} == {3.0, 3.02}
 
@@ -141,7 +131,7 @@ def test_lg_cell_at_six_temperatures(real_data):
     slow, fast = [], []
     for temperature in (-20.0, -10.0, 0.0, 10.0, 25.0):
         used = usable_tests(tests, temperature_C=temperature)
-        assert all(abs(t.temperature_start_C - temperature) < 6.0 for t in used)
+        assert all(abs(t.temperature_C - temperature) < 6.0 for t in used)
         choices = capacity_choices(tests, 3.0, temperature_C=temperature)
         assert default_choice(choices) == "rate:C/20"
         assert choices["rate:C/20"] > choices["rate:C/2"] > choices["rate:2C"]

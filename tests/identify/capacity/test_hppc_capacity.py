@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
+from cellwise.identify.checked_logs import check_logs
+from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.measured_capacity import (
     hppc_reaches_empty,
     hppc_total_Ah,
-    whole_hppc_Ah,
+    measure_capacity,
 )
 from cellwise.logs import read_log
 from rich_cell import Logger, gitt, hppc, rich_nmc, run
@@ -24,21 +26,26 @@ def cut(log, share):
     return log.rows(np.arange(len(log)) <= int(np.argmax(q >= share * q.max())))
 
 
+def measured(log, nominal_Ah):
+    settings = IdentifySettings(nominal_Ah=nominal_Ah)
+    return measure_capacity(check_logs(TestLogs(hppc=log), settings), settings)
+
+
 @pytest.mark.parametrize("steps", [gitt(CELL), gitt(CELL, step=0.05), hppc(CELL)])
 def test_a_whole_test_ends_empty_and_a_part_does_not(steps):
     log = steps_of(steps)
     assert hppc_reaches_empty(log)
-    assert whole_hppc_Ah([log], 3.0, []) == pytest.approx(3.0, rel=0.01)
-    notices: list[str] = []
-    assert whole_hppc_Ah([cut(log, 0.85)], 3.0, notices) is None
-    assert "is no capacity" in notices[0]
+    assert measured(log, 3.0).choices_Ah["hppc-total"] == pytest.approx(3.0, rel=0.01)
+    part = measured(cut(log, 0.85), 3.0)
+    assert list(part.choices_Ah) == ["nominal"]
+    assert "is no capacity" in part.notices[0]
 
 
 def test_without_a_nominal_capacity_a_part_counts_and_is_said():
-    notices: list[str] = []
     part = cut(steps_of(gitt(CELL)), 0.8)
-    assert whole_hppc_Ah([part], None, notices) == pytest.approx(hppc_total_Ah(part))
-    assert len(notices) == 1
+    found = measured(part, None)
+    assert found.capacity_Ah == pytest.approx(hppc_total_Ah(part))
+    assert len(found.notices) == 1
 
 
 def test_a_climb_moves_what_it_brings_in():

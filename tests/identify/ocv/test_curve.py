@@ -1,11 +1,10 @@
-"""Rests and low-rate branches together: level, and rests that were left out."""
+"""Rests and low-rate branches together: the shape of one, the level of the other."""
 
 import numpy as np
 import pytest
 
 from cellwise.identify.ocv.curve import combine_ocv, curve_from_points
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
-from cellwise.identify.ocv.ocv_points import leave_out_turns
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.logs import read_log
 
@@ -40,34 +39,6 @@ def test_rests_set_the_level_of_the_low_rate_shape():
     assert "rests" in both.source
 
 
-def held_out(rests, low_rate):
-    """RMS error at levels of rests left out, above 12 % SOC: rests alone, both together [V]."""
-    turn = leave_out_turns(rests.points_soc)
-    turn[(rests.points_soc < rests.points_soc[0] + 0.02) | (rests.points_soc > 0.98)] = -1  # ends
-    alone, both, at = [], [], []
-    for fold in range(int(turn.max()) + 1):
-        left = turn == fold
-        s, v = rests.points_soc, rests.points_V
-        some = curve_from_points(
-            s[~left], v[~left], weight=rests.points_weight[~left], capacity_Ah=rests.capacity_Ah
-        )
-        at.append(s[left])
-        alone.append(some.function.evaluate(s[left]) - v[left])
-        both.append(combine_ocv(some, low_rate).function.evaluate(s[left]) - v[left])
-    above = np.concatenate(at) > 0.12  # below, the OCV falls by 10 V per unit of SOC
-    return rms(np.concatenate(alone)[above]), rms(np.concatenate(both)[above])
-
-
-@pytest.mark.parametrize("tag", ["p05", "p25", "p35", "p45"])
-def test_a123_rests_on_a_drive_are_predicted_by_others_and_the_low_rate_curve(real_data, tag):
-    folder = real_data / "plett_a123"
-    low = ocv_from_low_rate([read_log(folder / f"ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)])
-    drive = read_log(folder / f"dyn_{tag}_s1.csv.gz")
-    rests = ocv_from_rests(drive, capacity_Ah=low.capacity_Ah)
-    _, both = held_out(rests, low)
-    assert both < 0.01
-
-
 def test_panasonic_low_rate_curve_is_moved_onto_the_rests(real_data):
     folder = real_data / "panasonic_18650pf"
     low = ocv_from_low_rate(read_log(folder / "ocv_c20_p25.csv.gz"))
@@ -88,15 +59,3 @@ def test_leaf_low_rate_shape_fits_rests_a_quarter_volt_away(real_data, tag):
     middle = (rests.points_soc > 0.1) & (rests.points_soc < 0.99)
     left = (both.function.evaluate(rests.points_soc) - rests.points_V)[middle]
     assert rms(left) < 6e-3
-
-
-def test_embedded_nmc_rests_lie_on_the_mean_of_the_branches(datasets):
-    low = ocv_from_low_rate(read_log(datasets / "nmc/ocv_c20.parquet"))
-    log = read_log(datasets / "nmc/hppc.parquet")
-    rests = ocv_from_rests(log, capacity_Ah=low.capacity_Ah)
-    s = rests.points_soc
-    middle = (s > 0.1) & (s < 0.99)
-    assert rms((low.function.evaluate(s) - rests.points_V)[middle]) < 3e-3
-    # A physics model without hysteresis: the rests ask for no more than some millivolts.
-    both = combine_ocv(rests, low)
-    assert rms((both.function.evaluate(s) - rests.points_V)[middle]) < 1.5e-3

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs, steady_rows
+from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.ocv.ocv_function import fit_monotone_spline
-from cellwise.identify.ocv.ocv_points import leave_out_turns
 from cellwise.logs import read_log
 
 
@@ -61,23 +60,6 @@ def test_spline_averages_noise_out(curve):
     assert rms((f.evaluate(s) - CURVES[curve](s))[middle]) < 0.4 * 5e-3
 
 
-def test_below_the_lowest_rest_the_curve_bends_down():
-    s = np.arange(0.05, 1.001, 0.05)
-    for curve in (lfp, narrow):
-        f = fit_monotone_spline(s, curve(s))
-        line = curve(s[0]) - s[0] * (curve(s[1]) - curve(s[0])) / (s[1] - s[0])
-        assert curve(0.0) - 0.1 < f.evaluate(0.0) < line
-
-
-def test_rests_of_one_level_are_left_out_together():
-    s = np.sort(
-        np.concatenate([level + np.array([0.0, 0.002, 0.004]) for level in np.arange(10) / 10])
-    )
-    turn = leave_out_turns(s).reshape(10, 3)
-    assert np.all(turn == turn[:, :1])
-    assert set(turn[:, 0]) == {0, 1, 2, 3, 4}
-
-
 @pytest.mark.parametrize(
     ("soc", "voltage", "said"),
     [
@@ -86,7 +68,6 @@ def test_rests_of_one_level_are_left_out_together():
         ([0.5] * 6, [3.5] * 6, "does not rise"),
         ([0.1, 0.3, 0.6, 0.9], [3.9, 3.7, 3.4, 3.1], "does not rise"),
         ([10.0, 30.0, 60.0, 90.0], [3.1, 3.3, 3.6, 3.9], "percent"),
-        ([0.1, 0.3, 0.6, 0.9], [3.1, 3.3, 3.6], "shapes"),
     ],
 )
 def test_bad_points_are_refused(soc, voltage, said):
@@ -97,7 +78,7 @@ def test_bad_points_are_refused(soc, voltage, said):
 def discharge_curve(path):
     trace = join_logs(read_log(path))
     half = next(h for h in find_half_cycles(trace) if h.charge_Ah > 0.0)
-    rows = np.arange(half.start, half.stop)[steady_rows(trace, half)]
+    rows = half.at_main_current(trace)
     q = trace.charge_Ah[rows]
     return 1.0 - (q - q[0]) / (q[-1] - q[0]), trace.voltage_V[rows]
 

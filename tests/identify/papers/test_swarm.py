@@ -1,6 +1,5 @@
 """Swarm: the paper's settings, found to work where they can, and measured against varpro."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -41,14 +40,14 @@ def test_costs_are_those_of_the_model():
     data = closed_pulse(Circuit(), t, noise=1e-3 * rng.standard_normal(t.size))
     window = Window(data)
     positions = np.array(
-        [[2e-3, 1e-3, 4.0, 1.5e-3, 60.0, 3.61, 0.8], [1e-3, 2e-3, 2.0, 1e-3, 30.0, 3.6, 0.0]]
+        [[2e-3, 1e-3, 4.0, 1.5e-3, 60.0, 3.61], [1e-3, 2e-3, 2.0, 1e-3, 30.0, 3.6]]
     )
     swapped = positions[:1].copy()
     swapped[0, [2, 4]] = 60.0, 4.0
     costs = costs_of(window, np.vstack((positions, swapped)))
     for position, found in zip(positions, costs, strict=False):
-        residual = window.residual_V(PulseParameters(*position))
-        assert found == pytest.approx(np.sum(window.weight * residual**2), rel=1e-9)
+        rmse_V = window.rmse_V(PulseParameters(*position))
+        assert found == pytest.approx(np.sum(window.weight) * rmse_V**2, rel=1e-9)
     assert np.isinf(costs[2])
 
 
@@ -65,31 +64,9 @@ def test_never_a_better_fit_than_varpro():
         assert fit_varpro(data).rmse_V <= swarm.rmse_V
 
 
-@pytest.mark.slow
-def test_varpro_is_twenty_times_faster_at_full_rate():
-    t = stamps(pulse_hz=135.0, fast_s=60.0, rest_s=1200.0)
-    noise = 1e-3 * np.random.default_rng(1).standard_normal(t.size)
-    data = closed_pulse(Circuit(), t, 40.0, noise=noise)
-    assert len(data) > 17_000
-    fit_varpro(data)
-    fit_swarm(data, 1)
-
-    def cpu(work, times):
-        taken = []
-        for _ in range(times):
-            begin = time.process_time()
-            work()
-            taken.append(time.process_time() - begin)
-        return min(taken)
-
-    swarm = cpu(lambda: fit_swarm(data), 1)
-    assert swarm > 20.0 * cpu(lambda: fit_varpro(data), 5)
-
-
 def test_bounds_and_the_ocv_before_the_pulse():
-    data = closed_pulse(Circuit(), stamps(pulse_hz=5.0), 40.0)
+    data = closed_pulse(Circuit(slope=0.0), stamps(pulse_hz=5.0), 40.0)
     fit = fit_swarm(data)
     assert 0.5 <= fit.tau1_s <= 15.0
     assert 15.0 <= fit.tau2_s <= 120.0 + 1e-9
     assert fit.ocv_V == pytest.approx(data.voltage_V[data.start - 1], abs=1e-9)
-    assert fit.ocv_slope_V == 0.0

@@ -101,10 +101,10 @@ def pulses(log):
 
 
 def pulse_fit(pulse, soc, method="varpro"):
-    value = PulseParameters(0.031, 0.011, 4.5, 0.021, 95.0, 3.7, 0.5)
-    error = PulseParameters(0.001, 0.001, 0.3, 0.02, 40.0, 0.001, 0.1)
+    value = PulseParameters(0.031, 0.011, 4.5, 0.021, 95.0, 3.7)
+    error = PulseParameters(0.001, 0.001, 0.3, 0.02, 40.0, 0.001)
     if method == "segments":
-        error = PulseParameters(*[float("nan")] * 7)
+        error = PulseParameters(*[float("nan")] * 6)
     return PulseFit(
         method=method,
         soc=soc,
@@ -113,7 +113,6 @@ def pulse_fit(pulse, soc, method="varpro"):
         value=value,
         error=error,
         rmse_V=1e-3,
-        noise_V=1e-3,
         rows=60,
     )
 
@@ -196,11 +195,6 @@ def capacity_test(rate_C, cc_Ah, cv_Ah):
         current_A=3.0 * rate_C,
         cc_Ah=cc_Ah,
         cv_Ah=cv_Ah,
-        voltage_start_V=4.2,
-        voltage_end_V=2.5,
-        reached_limit=True,
-        full_at_start="charged",
-        temperature_start_C=25.0,
         temperature_C=25.0,
         notices=("ends <early>",),
     )

@@ -26,7 +26,7 @@ class _Near(NamedTuple):
     """What is called alike."""
 
     rate: float = 0.12  # of a usual rate: a cell hardly ever has its nominal capacity
-    same_C: float = 4.0  # starting temperatures that follow one another within it are one
+    same_C: float = 4.0  # starting temperatures as near as this are one
 
 
 NEAR = _Near()
@@ -107,11 +107,10 @@ def usable_tests(
             "at least one complete discharge",
             "Use a complete test, give the limits of the cell, or leave the capacity tests out.",
         )
-    start = [
-        temperature_C if t.temperature_start_C is None else t.temperature_start_C for t in whole
-    ]
-    steady = [i for i, t in enumerate(whole) if not t.cooled] or list(range(len(whole)))
-    return tuple(whole[i] for i in _nearest_group(start, steady, temperature_C))
+    start = {id(t): temperature_C if t.temperature_C is None else t.temperature_C for t in whole}
+    steady = [t for t in whole if not t.cooled] or whole
+    nearest = min((start[id(t)] for t in steady), key=lambda at: abs(at - temperature_C))
+    return tuple(t for t in steady if abs(start[id(t)] - nearest) <= NEAR.same_C)
 
 
 def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
@@ -232,16 +231,3 @@ def _row(rate: str, tests: Sequence[CapacityTest]) -> CapacityRow:
         n=len(tests),
         coulombic_efficiency=float(np.mean(efficiencies)) if efficiencies else None,
     )
-
-
-def _nearest_group(
-    start_C: Sequence[float], among: Sequence[int], temperature_C: float
-) -> list[int]:
-    """Those tests whose cluster of starting temperatures is nearest to the wanted one."""
-    order = np.array(sorted(among, key=lambda i: start_C[i]))
-    cuts = np.flatnonzero(np.diff(np.asarray(start_C)[order]) > NEAR.same_C) + 1
-    groups = np.split(order, cuts)
-    nearest = min(
-        groups, key=lambda g: abs(float(np.median([start_C[i] for i in g])) - temperature_C)
-    )
-    return sorted(int(i) for i in nearest)

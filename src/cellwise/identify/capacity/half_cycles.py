@@ -7,8 +7,8 @@ its last per cent in the next) are joined first: the charge goes on where the la
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -27,17 +27,10 @@ class _Limits(NamedTuple):
     steady: float = 0.1  # of the main current: rows within it are at it
     dither: float = 0.005  # of a half cycle: what a tester moves back at a limit
     run: float = 0.02  # of its charge: a shorter run at the main current is met in passing
+    whole: float = 0.5  # of the largest: what moves less is a part
 
 
-class _End(NamedTuple):
-    """What shows the end of a discharge where the limit is not given."""
-
-    knee: float = 1.3  # slope over the last 3 % over that of the middle
-    round_V: float = 0.1  # limits are set to a multiple of it ...
-    tolerance_V: float = 0.004  # ... and met within it
-
-
-LIMITS, END = _Limits(), _End()
+LIMITS = _Limits()
 
 
 class Trace(NamedTuple):
@@ -48,7 +41,6 @@ class Trace(NamedTuple):
     voltage_V : (n,) missing values filled from their neighbours
     temperature_C : (n,) nan where not measured
     log : (n,) number of the log that the row comes from
-    row : (n,) row in that log
     """
 
     charge_Ah: FloatArray
@@ -57,24 +49,38 @@ class Trace(NamedTuple):
     voltage_V: FloatArray
     temperature_C: FloatArray
     log: NDArray[np.intp]
-    row: NDArray[np.intp]
 
 
 class HalfCycle(NamedTuple):
     """Rows ``start`` to ``stop`` (not included) of a trace that move charge one way on the whole.
 
-    charge_Ah : removed (positive) or brought back (negative)
     main_current_A : the current at which half of the charge has flowed, from small to large [A]
     steady_start, steady_stop : first row at the main current, row after the last one, moments in
         passing left out; the first may lie before ``start`` by what a coarse counter hides
+    end : last row before the next half cycle's current, where a dither at the limit has settled;
+        the last row where charge came back by more than a dither would
+    charge_Ah : from before the main current to ``end``: removed, or negative for brought back
     """
 
     start: int
     stop: int
-    charge_Ah: float
     main_current_A: float
     steady_start: int
     steady_stop: int
+    end: int
+    charge_Ah: float
+
+    @property
+    def begin(self) -> int:
+        """Last row before the main current flows."""
+        return max(self.steady_start - 1, 0)
+
+    def at_main_current(self, trace: Trace) -> BoolArray:
+        """Rows of the trace at its main current, shape (n,)."""
+        near_A = LIMITS.steady * abs(self.main_current_A)
+        rows = np.abs(trace.current_A - self.main_current_A) <= near_A
+        rows[: self.steady_start] = rows[self.steady_stop :] = False
+        return rows
 
 
 def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
@@ -90,124 +96,80 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
     parts = [logs] if isinstance(logs, CellLog) else list(logs)
     if not parts:
         raise InputError("no log", "at least one log", "Name the log of the test.")
-    charge, current, interval, before = [], [], [], 0.0
+    charge, before = [], 0.0
     for part in parts:
-        counted = part.counted_charge_Ah()
-        charge.append(before + counted)
-        before += float(counted[-1])
-        interval.append(part.interval_s)
-        current.append(part.known_current_A())
+        charge.append(before + part.counted_charge_Ah())
+        before = float(charge[-1][-1])
+    warm = [p.temperature_C for p in parts]
     return Trace(
         charge_Ah=np.concatenate(charge),
-        current_A=np.concatenate(current),
-        interval_s=np.concatenate(interval),
+        current_A=np.concatenate([part.known_current_A() for part in parts]),
+        interval_s=np.concatenate([part.interval_s for part in parts]),
         voltage_V=np.concatenate([filled(part.voltage_V) for part in parts]),
         temperature_C=np.concatenate(
-            [
-                np.full(len(part), np.nan) if part.temperature_C is None else part.temperature_C
-                for part in parts
-            ]
+            [np.full(len(p), np.nan) if t is None else t for p, t in zip(parts, warm, strict=True)]
         ),
         log=np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-        row=np.concatenate([np.arange(len(part)) for part in parts]),
     )
 
 
 def find_half_cycles(trace: Trace) -> tuple[HalfCycle, ...]:
     """Stretches between the turning points of the counted charge."""
-    turns = _turning_rows(trace.charge_Ah, LIMITS.turn * float(np.ptp(trace.charge_Ah)))
-    found = (_half_cycle(trace, a + 1, b + 1) for a, b in itertools.pairwise(turns))
-    return tuple(h for h in found if h is not None)
+    charge = trace.charge_Ah
+    turns = _turning_rows(charge, LIMITS.turn * float(np.ptp(charge)))
+    found = [h for a, b in pairwise(turns) if (h := _half_cycle(trace, a + 1, b + 1)) is not None]
+    halves = []
+    for k, half in enumerate(found):
+        end = half.end
+        later = charge.size - 1 if k + 1 == len(found) else found[k + 1].begin
+        if later >= end and abs(charge[end] - charge[later]) <= LIMITS.dither * abs(half.charge_Ah):
+            end = later
+        moved = float(charge[end] - charge[half.begin])
+        halves.append(half._replace(end=end, charge_Ah=moved))
+    return tuple(halves)
 
 
-def steady_rows(trace: Trace, half: HalfCycle) -> BoolArray:
-    """Rows of a half cycle at its main current, shape (stop - start,)."""
-    current = trace.current_A[half.start : half.stop]
-    return np.abs(current - half.main_current_A) <= LIMITS.steady * abs(half.main_current_A)
-
-
-def _steady_span(steady: BoolArray, share: FloatArray) -> tuple[int, int]:
-    """First and past-the-last row of the runs at the main current that move a noticeable charge.
-
-    A dither at the limit passes through the main current too, for moments.
-    """
-    change = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False]))))
-    flow = np.append(0.0, np.cumsum(share))
-    runs = [(int(a), int(b)) for a, b in change.reshape(-1, 2)]
-    large = [(a, b) for a, b in runs if flow[b] - flow[a] >= LIMITS.run * flow[-1]] or runs
-    return large[0][0], large[-1][1]
+def whole_discharges(log: CellLog) -> tuple[Trace, list[HalfCycle]]:
+    """Discharges that move at least half of what the largest one of the log does."""
+    trace = join_logs(log)
+    down = [h for h in find_half_cycles(trace) if h.charge_Ah > 0.0]
+    most = max((h.charge_Ah for h in down), default=0.0)
+    return trace, [h for h in down if h.charge_Ah >= LIMITS.whole * most]
 
 
 def discharge_rows(log: CellLog) -> BoolArray:
     """Rows of the first whole discharge of a log, from the row before it to its lowest voltage.
 
-    Whole: at least half of what the largest one of the log moves. Shape (n,); all False without
-    a discharge.
+    Shape (n,); all False without a discharge.
     """
-    trace = join_logs(log)
-    down = [h for h in find_half_cycles(trace) if h.charge_Ah > 0.0]
+    trace, down = whole_discharges(log)
     rows = np.zeros(len(log), dtype=np.bool_)
-    if down:
-        most = max(h.charge_Ah for h in down)
-        half = next(h for h in down if h.charge_Ah >= 0.5 * most)
-        first = max(half.steady_start - 1, 0)
-        last = first + int(np.argmin(trace.voltage_V[first : half.steady_stop]))
-        rows[first : last + 1] = True
+    for half in down[:1]:
+        lowest = int(np.argmin(trace.voltage_V[half.begin : half.steady_stop]))
+        rows[half.begin : half.begin + lowest + 1] = True
     return rows
 
 
-def settled_end(trace: Trace, halves: tuple[HalfCycle, ...], k: int) -> int:
-    """Last row before the next half cycle's current, where a dither at the limit has settled.
-
-    The half cycle's own last row where charge came back by more than a dither would.
-    """
-    last = halves[k].stop - 1
-    end = trace.charge_Ah.size - 1 if k + 1 == len(halves) else halves[k + 1].steady_start - 1
-    back = abs(float(trace.charge_Ah[last] - trace.charge_Ah[end]))
-    return end if end >= last and back <= LIMITS.dither * abs(halves[k].charge_Ah) else last
-
-
-def _is(current_A: float, main_A: float) -> bool:
-    return abs(current_A - main_A) <= LIMITS.steady * abs(main_A)
-
-
-def looks_like_end(trace: Trace, start: int, stop: int) -> bool:
-    """Whether the discharge in rows start to stop ends as one does: bending down, or at a round V.
-
-    For a lone test without given limits, where it is all there is. Of 49 measured discharges all
-    pass; cut off at 80 % of their charge 29 are refused, at 60 % 34.
-    """
-    q, v = trace.charge_Ah[start:stop], trace.voltage_V[start:stop]
-    if q.size < 2 or q[-1] <= q[0]:
-        return False
-    at_10, at_90, at_97 = np.interp((0.1, 0.9, 0.97), (q - q[0]) / (q[-1] - q[0]), v)
-    bends = (at_97 - v[-1]) / 0.03 >= END.knee * (at_10 - at_90) / 0.8
-    off_round = abs(float(v[-1]) - END.round_V * round(float(v[-1]) / END.round_V))
-    return bool(bends or off_round <= END.tolerance_V)
-
-
 def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:
-    rows = slice(start, stop)
-    moved = trace.charge_Ah[stop - 1] - trace.charge_Ah[start - 1]
-    current, dt = trace.current_A[rows], trace.interval_s[rows]
-    share = np.maximum(current * np.sign(moved), 0.0) * dt
+    moved = float(trace.charge_Ah[stop - 1] - trace.charge_Ah[start - 1])
+    current = trace.current_A[start:stop]
+    share = np.maximum(current * np.sign(moved), 0.0) * trace.interval_s[start:stop]
     if share.sum() <= 0.0:
         return None
     order = np.argsort(np.abs(current))
-    half_way = np.searchsorted(np.cumsum(share[order]), 0.5 * share.sum())
-    main = float(current[order[half_way]])
-    first, last = _steady_span(np.abs(current - main) <= LIMITS.steady * abs(main), share)
-    earlier = 0
-    while first == 0 and start > earlier and _is(trace.current_A[start - earlier - 1], main):
-        earlier += 1
-    return HalfCycle(
-        start=start,
-        stop=stop,
-        charge_Ah=float(moved),
-        main_current_A=main,
-        steady_start=start + first - earlier,
-        steady_stop=start + last,
-    )
+    main = float(current[order[np.searchsorted(np.cumsum(share[order]), 0.5 * share.sum())]])
+    # Runs at the main current that move a noticeable charge: a dither at the limit passes through
+    # it too, for moments.
+    near_A = LIMITS.steady * abs(main)
+    steady = np.abs(current - main) <= near_A
+    runs = np.flatnonzero(np.diff(np.concatenate(([False], steady, [False])))).reshape(-1, 2)
+    flow = np.append(0.0, np.cumsum(share))
+    large = runs[flow[runs[:, 1]] - flow[runs[:, 0]] >= LIMITS.run * flow[-1]]
+    first, last = (large if large.size else runs)[[0, -1], [0, 1]].tolist()
+    begin = start + first
+    while first == 0 and begin > 0 and abs(trace.current_A[begin - 1] - main) <= near_A:
+        begin -= 1
+    return HalfCycle(start, stop, main, begin, start + last, stop - 1, moved)
 
 
 def _turning_rows(charge: FloatArray, threshold: float) -> list[int]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
-from cellwise.identify.ocv.ocv_function import MonotoneSpline, fit_monotone_spline
-from cellwise.identify.ocv.ocv_points import POINTS, checked_points, leave_out_turns
+from cellwise.identify.ocv.ocv_function import MonotoneSpline, checked_points, fit_monotone_spline
 from cellwise.typing import FloatArray
 
 GRID_INTERVALS = 200
@@ -20,13 +20,23 @@ class _Moved(NamedTuple):
     """How a low-rate curve is moved onto rests."""
 
     cells: int = 20  # of the correction over SOC
-    stiffness: tuple[float, ...] = (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)  # one is chosen by rests
-    usual: float = 1.0  # with too few rests to leave any out
+    stiffness: float = 0.1  # V^2 of a step over its cell against V^2 of a rest
     # V per unit of SOC: a rest is good for 2 mV and 0.003 of SOC, so beyond this its SOC decides.
     steep_V: float = 0.67
 
 
-MOVED = _Moved()
+class _Limits(NamedTuple):
+    """What separates two cells from one."""
+
+    between_soc: tuple[float, float] = (0.08, 0.97)  # at the steep ends rests say nothing of charge
+    least_rests: int = 5
+    scales: tuple[float, float] = (0.7, 1.4)  # of the charge of one over that of the other
+    other_capacity: float = 0.03  # counters and rests cut short differ by less
+    clear: float = 0.7  # error on the better scale over that on one scale
+    other_shape_V: float = 0.015  # beyond: another chemistry, or a cell of another age
+
+
+MOVED, LIMITS = _Moved(), _Limits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +52,6 @@ class OcvCurve:
     discharge_V, charge_V : (n,) or None     low-rate branches on the grid, nan where not measured
     source : str                             log or logs, and method
     notes : tuple of str                     what a person should know
-    temperature_C : float or None            median over the test
     """
 
     soc: FloatArray
@@ -56,7 +65,6 @@ class OcvCurve:
     charge_V: FloatArray | None = None
     source: str = ""
     notes: tuple[str, ...] = ()
-    temperature_C: float | None = None
 
     @property
     def gap_V(self) -> FloatArray | None:
@@ -76,7 +84,6 @@ def curve_from_points(
     charge_V: FloatArray | None = None,
     source: str = "",
     notes: tuple[str, ...] = (),
-    temperature_C: float | None = None,
 ) -> OcvCurve:
     """Fit points of OCV over SOC and hold the result on the uniform grid.
 
@@ -92,18 +99,17 @@ def curve_from_points(
     function = fit_monotone_spline(s, v, w)
     grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
     return OcvCurve(
-        soc=grid,
-        voltage_V=function.evaluate(grid),
-        capacity_Ah=capacity_Ah,
-        function=function,
-        points_soc=s,
-        points_V=v,
-        points_weight=w,
-        discharge_V=discharge_V,
-        charge_V=charge_V,
-        source=source,
-        notes=notes,
-        temperature_C=temperature_C,
+        grid,
+        function.evaluate(grid),
+        capacity_Ah,
+        function,
+        s,
+        v,
+        w,
+        discharge_V,
+        charge_V,
+        source,
+        notes,
     )
 
 
@@ -115,9 +121,9 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
 
     .. math:: OCV(s) = L(s) + c(s)
 
-    with the low-rate curve L and a smooth correction, constant beyond the outermost rests. Rests
-    left out, level by level, choose how stiff the correction is. There is one SOC scale, as
-    counted: whether both tests are of one cell is for `check_samples`.
+    with the low-rate curve L and a smooth correction: straight lines between uniform nodes, least
+    squares with first differences penalised, constant beyond the outermost rests. There is one SOC
+    scale, as counted: whether both tests are of one cell is for `sample_notice`.
 
     Parameters
     ----------
@@ -131,145 +137,64 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
     difference = rests.points_V - low_rate.function.evaluate(s)
     # Unweighted, the steep ends move by up to 90 mV (Samsung) and the middle by 4 (Panasonic).
     weight = rests.points_weight / (1.0 + (rests.function.slope(s) / MOVED.steep_V) ** 2)
-    stiffness = _stiffness(s, difference, weight)
-    nodes, correction = _correction(s, difference, weight, stiffness)
+    nodes = np.linspace(0.0, 1.0, MOVED.cells + 1)
+    hats = np.maximum(0.0, 1.0 - MOVED.cells * np.abs(np.clip(s, 0, 1)[:, None] - nodes))
+    change = np.diff(np.eye(nodes.size), axis=0)
+    weighted = hats.T * (weight / np.mean(weight))
+    normal = weighted @ hats + MOVED.stiffness * MOVED.cells * change.T @ change
+    correction = np.linalg.solve(normal, weighted @ difference)
     grid = low_rate.soc
-    level = low_rate.function.evaluate(grid) + np.interp(grid, nodes, correction)
-    left = weight * (difference - np.interp(s, nodes, correction)) ** 2
-    notes = [
+    left_V = np.sqrt(np.average((difference - hats @ correction) ** 2, weights=weight))
+    note = (
         f"low-rate curve moved by {1e3 * correction.min():+.1f} to {1e3 * correction.max():+.1f} mV"
-        f" to {s.size} rests, {1e3 * np.sqrt(left.sum() / weight.sum()):.1f} mV RMS left"
-    ]
+        f" to {s.size} rests, {1e3 * left_V:.1f} mV RMS left"
+    )
     return curve_from_points(
         grid,
-        level,
+        low_rate.function.evaluate(grid) + np.interp(grid, nodes, correction),
         capacity_Ah=rests.capacity_Ah,
         discharge_V=low_rate.discharge_V,
         charge_V=low_rate.charge_V,
         source=f"{low_rate.source}; {rests.source}",
-        notes=(*low_rate.notes, *rests.notes, *notes),
-        temperature_C=rests.temperature_C
-        if low_rate.temperature_C is None
-        else low_rate.temperature_C,
+        notes=(*low_rate.notes, *rests.notes, note),
     )
 
 
-def _stiffness(s: FloatArray, difference: FloatArray, weight: FloatArray) -> float:
-    """Stiffness of the correction with the least error at rests that are left out."""
-    if s.size < POINTS.fewest + 2:
-        return MOVED.usual
-    turn = leave_out_turns(s)
-    squares = np.zeros(len(MOVED.stiffness))
-    for left in (turn == fold for fold in range(int(turn.max()) + 1)):
-        for j, stiffness in enumerate(MOVED.stiffness):
-            nodes, line = _correction(s[~left], difference[~left], weight[~left], stiffness)
-            missed = difference[left] - np.interp(s[left], nodes, line)
-            squares[j] += np.sum(weight[left] * missed**2)
-    return MOVED.stiffness[int(np.argmin(squares))]
+def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> Notice | None:
+    """Notice for a person whose OCV test and pulse test are not of one cell.
 
-
-def _correction(
-    s: FloatArray, y: FloatArray, w: FloatArray, stiffness: float
-) -> tuple[FloatArray, FloatArray]:
-    """Straight lines between uniform nodes, least squares with first differences penalised.
-
-    Returns
-    -------
-    nodes, values : (m,) float
-    """
-    nodes = np.linspace(0.0, 1.0, MOVED.cells + 1)
-    hats = np.maximum(0.0, 1.0 - MOVED.cells * np.abs(np.clip(s, 0, 1)[:, None] - nodes))
-    change = np.diff(np.eye(nodes.size), axis=0)
-    weighted = hats.T * (w / np.mean(w))
-    normal = weighted @ hats + stiffness * MOVED.cells * change.T @ change
-    return nodes, np.asarray(np.linalg.solve(normal, weighted @ y))
-
-
-class _Limits(NamedTuple):
-    """What separates two cells from one."""
-
-    between_soc: tuple[float, float] = (0.08, 0.97)  # at the steep ends rests say nothing of charge
-    least_rests: int = 5
-    other_capacity: float = 0.03  # counters and rests cut short differ by less
-    clear: float = 0.7  # error on the better scale over that on one scale
-    other_shape_V: float = 0.015  # beyond: another chemistry, or a cell of another age
-
-
-LIMITS = _Limits()
-SCALES = np.arange(0.70, 1.4001, 0.0025)
-
-
-class SampleCheck(NamedTuple):
-    """What lies between the same two voltages in both tests.
-
-    high_V, low_V : first and last rest compared [V]
-    ocv_Ah, rests_Ah : charge between them in the low-rate test and in the pulse test [Ah]
-    left_V : RMS between rests and low-rate curve on the better scale [V]
-    one_cell : whether both may be one cell
-    """
-
-    high_V: float
-    low_V: float
-    ocv_Ah: float
-    rests_Ah: float
-    left_V: float
-    one_cell: bool
-
-
-def check_samples(rests: OcvCurve, low_rate: OcvCurve) -> SampleCheck | None:
-    """Compare the rests of a pulse test with a low-rate curve; None with too few rests.
-
-    The low-rate curve carries half the hysteresis and its polarisation: a constant is allowed
-    beside the scale.
+    The rests are laid on the low-rate curve with a scale of their charge, and a constant beside it:
+    the curve carries half the hysteresis and its polarisation. None too with too few rests.
 
     Parameters
     ----------
     rests, low_rate : OcvCurve        SOC of both over one capacity
     """
-    order = np.argsort(rests.points_soc)[::-1]
-    soc, v = rests.points_soc[order], rests.points_V[order]
-    used = (soc >= LIMITS.between_soc[0]) & (soc <= LIMITS.between_soc[1])
-    if np.count_nonzero(used) < LIMITS.least_rests:
-        return None
-    soc, v = soc[used], v[used]
-    fits = [_left(soc, v, low_rate, scale) for scale in SCALES]
-    errors = np.array([error for error, _ in fits])
-    one = float(np.interp(1.0, SCALES, errors))
-    best = int(np.argmin(errors))
-    scale, moved = float(SCALES[best]), fits[best][1]
-    grid = low_rate.soc
-    level = np.maximum.accumulate(low_rate.function.evaluate(grid)) + moved
-    at = np.interp(np.array([v[0], v[-1]]), level, grid)
-    other = abs(scale - 1.0) > LIMITS.other_capacity and errors[best] < LIMITS.clear * one
-    return SampleCheck(
-        high_V=float(v[0]),
-        low_V=float(v[-1]),
-        ocv_Ah=float((at[0] - at[1]) * low_rate.capacity_Ah),
-        rests_Ah=float((soc[0] - soc[-1]) * rests.capacity_Ah),
-        left_V=float(errors[best]),
-        one_cell=not other and float(errors[best]) <= LIMITS.other_shape_V,
+    inside = (rests.points_soc >= LIMITS.between_soc[0]) & (
+        rests.points_soc <= LIMITS.between_soc[1]
     )
-
-
-def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> Notice | None:
-    """Notice for a person whose OCV test and pulse test are not of one cell."""
-    found = check_samples(rests, low_rate)
-    if found is None or found.one_cell:
+    soc, v = rests.points_soc[inside], rests.points_V[inside]
+    if soc.size < LIMITS.least_rests:
         return None
-    percent = 100.0 * (found.rests_Ah / found.ocv_Ah - 1.0) if found.ocv_Ah > 0.0 else float("nan")
-    size_V = RANGE_V * abs(math.log(found.rests_Ah / found.ocv_Ah)) if found.ocv_Ah > 0.0 else 0.0
+
+    def away_V(scale: float) -> FloatArray:
+        at = np.clip(1.0 - scale * (1.0 - soc), 0.0, 1.0)
+        return v - low_rate.function.evaluate(at)
+
+    best = minimize_scalar(lambda k: np.std(away_V(k)), bounds=LIMITS.scales, method="bounded")
+    scale, left_V = float(best.x), float(best.fun)
+    other = abs(scale - 1.0) > LIMITS.other_capacity and left_V < LIMITS.clear * np.std(away_V(1.0))
+    if not other and left_V <= LIMITS.other_shape_V:
+        return None
+    level = np.maximum.accumulate(low_rate.voltage_V) + float(np.mean(away_V(scale)))
+    at = np.interp(v[[0, -1]], level, low_rate.soc)
+    moved_Ah = max(float(np.ptp(at)) * low_rate.capacity_Ah, 1e-3 * capacity_Ah)
+    rests_Ah = float(np.ptp(soc)) * rests.capacity_Ah
     text = (
         f"'{low_rate.source}' and '{rests.source}' do not look like one cell: from "
-        f"{found.high_V:.3f} to {found.low_V:.3f} V the first moves {found.ocv_Ah:.3f} Ah, the "
-        f"second {found.rests_Ah:.3f} Ah ({percent:+.1f} %), and {1e3 * found.left_V:.0f} mV RMS "
-        f"are left between them. Two samples, two ages, or a current sensor that is off; SOC "
-        f"refers to {capacity_Ah:.3f} Ah"
+        f"{v[-1]:.3f} to {v[0]:.3f} V the first moves {moved_Ah:.3f} Ah, the second "
+        f"{rests_Ah:.3f} Ah ({100.0 * (rests_Ah / moved_Ah - 1.0):+.1f} %), and "
+        f"{1e3 * left_V:.0f} mV RMS are left between them. Two samples, two ages, or a current "
+        f"sensor that is off; SOC refers to {capacity_Ah:.3f} Ah"
     )
-    return Notice(size_V + found.left_V, text)
-
-
-def _left(soc: FloatArray, v: FloatArray, low_rate: OcvCurve, scale: float) -> tuple[float, float]:
-    """RMS between rests and the curve on a scale, and the constant between them [V]."""
-    at = np.clip(1.0 - scale * (1.0 - soc), 0.0, 1.0)
-    difference = v - low_rate.function.evaluate(at)
-    return float(np.std(difference)), float(np.mean(difference))
+    return Notice(RANGE_V * abs(math.log(rests_Ah / moved_Ah)) + left_V, text)

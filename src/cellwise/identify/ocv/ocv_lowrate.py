@@ -18,14 +18,11 @@ from cellwise.identify.capacity.half_cycles import (
     Trace,
     find_half_cycles,
     join_logs,
-    looks_like_end,
-    settled_end,
-    steady_rows,
 )
 from cellwise.identify.ocv.curve import GRID_INTERVALS, OcvCurve, curve_from_points
 from cellwise.identify.ocv.ocv_function import fit_monotone_spline
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class _Limits(NamedTuple):
@@ -33,24 +30,23 @@ class _Limits(NamedTuple):
 
     low_rate: float = 1.0 / 9.0  # [1/h] of the branch's own charge: faster is said
     fastest_rate: float = 1.0 / 1.8  # [1/h]: faster is no low rate
+    alike: float = 1.3  # times the slowest: of these the one that moved most
     cover: float = 0.75  # of the SOC range that a branch must cover
     # A whole charge brings back this much of what the discharge took, counter errors included;
     # nearly all is whole whatever voltage its last row shows.
-    least_back: float = 0.95
+    back: tuple[float, float] = (0.95, 1.10)
     nearly_all: float = 0.99
-    most_back: float = 1.10
     at_limit_V: float = 0.01
     alike_rate: float = 2.0  # factor between the rates of branches that are averaged
     # Between these parts of the SOC range the gap is what it is; towards the ends it may grow by
     # the factor that follows.
     middle: tuple[float, float] = (0.25, 0.75)
     end_gap: float = 1.3
-    rested_s: float = 600.0  # a voltage after so long without current gives the SOC
-    no_current: float = 0.02  # of the main current
     outside: float = 0.02  # of the SOC range: rows beyond the ends that are still taken
 
 
 LIMITS = _Limits()
+BOTH = "mean of both branches"
 
 
 class Branch(NamedTuple):
@@ -60,7 +56,7 @@ class Branch(NamedTuple):
     grid_V : (m,) smoothed, on the uniform grid; nan where not measured
     moved_Ah : charge of the whole half cycle, positive
     rate : current over that charge [1/h]
-    whole : goes from one end to the other and covers enough at the low rate
+    cover : part of the SOC range in which it has rows
     """
 
     soc: FloatArray
@@ -68,15 +64,7 @@ class Branch(NamedTuple):
     grid_V: FloatArray
     moved_Ah: float
     rate: float
-    whole: bool
-
-
-class _Moved(NamedTuple):
-    """A half cycle, the charge it moved until it settled [Ah, positive], the row where it had."""
-
-    half: HalfCycle
-    charge_Ah: float
-    end: int
+    cover: float
 
 
 def ocv_from_low_rate(
@@ -98,20 +86,34 @@ def ocv_from_low_rate(
     InputError                 no low-rate half cycle
     """
     trace = join_logs(logs)
-    name = _names(logs)
-    halves = find_half_cycles(trace)
-    taken, returned = _slowest_pair(trace, halves, name)
-    capacity = capacity_Ah or next(m.charge_Ah for m in (taken, returned) if m is not None)
+    parts = [logs] if isinstance(logs, CellLog) else list(logs)
+    name = " + ".join(part.name or part.source or "a log" for part in parts)
+    taken, returned = (_slowest(find_half_cycles(trace), sign) for sign in (1.0, -1.0))
+    first = taken or returned
+    if first is None:
+        raise InputError(
+            f"no discharge or charge slower than C/2 in {name}",
+            "a discharge or charge at C/20 or slower over the whole range",
+            "Use a low-rate log, or an HPPC log through its rests.",
+        )
+    capacity = capacity_Ah or abs(first.charge_Ah)
     discharge = charge = None
+    averaged = False
     if taken is not None:
-        discharge = _discharge_branch(trace, taken, capacity)
+        discharge = _branch(trace, taken, 1.0, capacity)
     if returned is not None:
-        charge = _charge_branch(trace, returned, taken, discharge, capacity)
-    soc, level, chosen = _choose(discharge, charge)
-    cut_short: tuple[str, ...] = ()
-    if taken is not None and capacity_Ah is None and not _ends(trace, taken.half):
-        cut_short = ("the discharge does not look as if it reached its limit: give capacity_Ah",)
-    temperature = trace.temperature_C[np.isfinite(trace.temperature_C)]
+        back_Ah, empty = -returned.charge_Ah, 0.0
+        top_V = np.max(trace.voltage_V[returned.start : returned.stop])
+        whole = bool(top_V >= np.max(trace.voltage_V) - LIMITS.at_limit_V)
+        scale_Ah = back_Ah if whole else capacity
+        if taken is not None:
+            ratio, empty = back_Ah / taken.charge_Ah, 1.0 - taken.charge_Ah / capacity
+            whole = whole or ratio >= LIMITS.nearly_all
+            averaged = whole and LIMITS.back[0] <= ratio <= LIMITS.back[1]
+            # Charge that is lost on the way cannot make the cell fuller than full.
+            scale_Ah = capacity * (max(ratio, 1.0) if averaged else 1.0)
+        charge = _branch(trace, returned, empty, scale_Ah)
+    soc, level, chosen = _chosen(discharge, charge, averaged)
     return curve_from_points(
         soc,
         level,
@@ -119,150 +121,52 @@ def ocv_from_low_rate(
         discharge_V=None if discharge is None else discharge.grid_V,
         charge_V=None if charge is None else charge.grid_V,
         source=f"{chosen} of {name}",
-        notes=(*_notes(discharge, charge), *cut_short),
-        temperature_C=float(np.median(temperature)) if temperature.size else None,
+        notes=_notes(discharge, charge, chosen == BOTH),
     )
 
 
-def _slowest_pair(
-    trace: Trace, halves: tuple[HalfCycle, ...], name: str
-) -> tuple[_Moved | None, _Moved | None]:
-    """The slowest discharge and charge; of several alike the one that moved most."""
-    found: dict[bool, list[_Moved]] = {True: [], False: []}
-    for k, half in enumerate(halves):
-        end = settled_end(trace, halves, k)
-        moved = abs(float(trace.charge_Ah[end] - trace.charge_Ah[_begin(half)]))
-        if abs(half.main_current_A) <= LIMITS.fastest_rate * moved:
-            found[half.charge_Ah > 0.0].append(_Moved(half, moved, end))
-
-    def slowest(among: list[_Moved]) -> _Moved | None:
-        if not among:
-            return None
-        rates = [abs(m.half.main_current_A) / m.charge_Ah for m in among]
-        slow = [m for m, rate in zip(among, rates, strict=True) if rate <= 1.3 * min(rates)]
-        return max(slow, key=lambda m: m.charge_Ah)
-
-    if not found[True] and not found[False]:
-        raise InputError(
-            f"no discharge or charge slower than C/2 in {name}",
-            "a discharge or charge at C/20 or slower over the whole range",
-            "Use a low-rate log, or an HPPC log through its rests.",
-        )
-    return slowest(found[True]), slowest(found[False])
+def _slowest(halves: Sequence[HalfCycle], sign: float) -> HalfCycle | None:
+    """The slowest discharge (sign 1) or charge (-1); of several alike the one that moved most."""
+    rates = {
+        h: abs(h.main_current_A / h.charge_Ah)
+        for h in halves
+        if sign * h.charge_Ah > 0.0
+        and abs(h.main_current_A) <= LIMITS.fastest_rate * abs(h.charge_Ah)
+    }
+    slow = [h for h, rate in rates.items() if rate <= LIMITS.alike * min(rates.values())]
+    return max(slow, key=lambda h: abs(h.charge_Ah), default=None)
 
 
-def _discharge_branch(trace: Trace, taken: _Moved, capacity_Ah: float) -> Branch:
-    rows = _rows(trace, taken.half)
-    soc = 1.0 - (trace.charge_Ah[rows] - trace.charge_Ah[_begin(taken.half)]) / capacity_Ah
-    return _branch(trace, taken, rows, soc)
-
-
-def _charge_branch(
-    trace: Trace,
-    returned: _Moved,
-    taken: _Moved | None,
-    discharge: Branch | None,
-    capacity_Ah: float,
-) -> Branch:
-    """The charge branch. A whole one is laid from empty to full by its own charge.
-
-    The counters of charge and discharge differ (coulombic efficiency, counter gains): between
-    two states that are known, the branch's own count is the better scale.
-    """
-    half = returned.half
-    rows = _rows(trace, half)
-    back = trace.charge_Ah[_begin(half)] - trace.charge_Ah[rows]
-    top = float(np.max(trace.voltage_V[half.start : half.stop]))
-    whole = top >= float(np.max(trace.voltage_V)) - LIMITS.at_limit_V
-    empty, full = 0.0, 1.0
-    if taken is not None and discharge is not None:
-        ratio = returned.charge_Ah / taken.charge_Ah
-        whole = whole or ratio >= LIMITS.nearly_all
-        whole = whole and LIMITS.least_back <= ratio <= LIMITS.most_back
-        empty = 1.0 - taken.charge_Ah / capacity_Ah
-        full = 1.0 - (1.0 - _filled_to(trace, returned, taken, discharge, ratio)) * (1.0 - empty)
-    scale = (full - empty) / returned.charge_Ah if whole else 1.0 / capacity_Ah
-    branch = _branch(trace, returned, rows, empty + back * scale)
-    alike = (
-        discharge is None
-        or 1.0 / LIMITS.alike_rate <= branch.rate / discharge.rate <= LIMITS.alike_rate
-    )
-    return branch._replace(whole=whole and alike and branch.whole)
-
-
-def _filled_to(
-    trace: Trace, returned: _Moved, taken: _Moved, discharge: Branch, ratio: float
-) -> float:
-    """How full a charge left the cell; 1 is the state in which the discharge began.
-
-    By the count, which coulombic losses only lower and which cannot make the cell fuller than full;
-    and by the voltages at rest after the one and before the other, laid on the discharge branch,
-    which bends down too steeply at its onset. The larger is nearer in both cases.
-    """
-    if returned.end < taken.half.steady_start:
-        return 1.0
-    counted = min(ratio, 1.0)
-    before, after = _begin(taken.half), returned.end
-    rested = np.abs(trace.current_A) <= LIMITS.no_current * abs(returned.half.main_current_A)
-    moving = np.flatnonzero(~rested[: after + 1])
-    rest_s = float(np.sum(trace.interval_s[moving[-1] + 1 : after + 1])) if moving.size else 0.0
-    if rest_s < LIMITS.rested_s or not rested[before]:
-        return counted
-    known = np.isfinite(discharge.grid_V)
-    grid, level = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)[known], discharge.grid_V[known]
-    missing_V = float(trace.voltage_V[before] - trace.voltage_V[after])
-    short = grid[-1] - float(np.interp(level[-1] - missing_V, level, grid))
-    return float(np.clip(1.0 - short, counted, 1.0))
-
-
-def _ends(trace: Trace, half: HalfCycle) -> bool:
-    return looks_like_end(trace, half.steady_start, half.steady_stop)
-
-
-def _begin(half: HalfCycle) -> int:
-    """Last row before the main current flows."""
-    return max(half.steady_start - 1, 0)
-
-
-def _branch(trace: Trace, moved: _Moved, rows: BoolArray, soc: FloatArray) -> Branch:
-    level = trace.voltage_V[rows]
+def _branch(trace: Trace, half: HalfCycle, soc_begin: float, scale_Ah: float) -> Branch:
+    """Rows at the low current, in the log in which it began, from the SOC at which it did."""
+    rows = half.at_main_current(trace) & (trace.log == trace.log[half.steady_start])
+    soc = soc_begin - (trace.charge_Ah[rows] - trace.charge_Ah[half.begin]) / scale_Ah
     inside = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
     order = np.argsort(soc[inside], kind="stable")
-    s, v = soc[inside][order], level[inside][order]
+    s, v = soc[inside][order], trace.voltage_V[rows][inside][order]
     grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
     smooth = fit_monotone_spline(s, v).evaluate(grid)
     near = 0.5 / GRID_INTERVALS
     smooth[(grid < s[0] - near) | (grid > s[-1] + near)] = np.nan
-    return Branch(
-        soc=s,
-        voltage_V=v,
-        grid_V=smooth,
-        moved_Ah=moved.charge_Ah,
-        rate=abs(moved.half.main_current_A) / moved.charge_Ah,
-        whole=bool(min(s[-1], 1.0) - max(s[0], 0.0) >= LIMITS.cover),
-    )
+    moved_Ah = abs(half.charge_Ah)
+    cover = float(min(s[-1], 1.0) - max(s[0], 0.0))
+    return Branch(s, v, smooth, moved_Ah, abs(half.main_current_A) / moved_Ah, cover)
 
 
-def _cover(branch: Branch) -> float:
-    """Part of the SOC range in which a branch has rows at the low current."""
-    return float(min(branch.soc[-1], 1.0) - max(branch.soc[0], 0.0))
+def _alike(discharge: Branch, charge: Branch) -> bool:
+    """Whether both were measured at about one rate."""
+    return 1.0 / LIMITS.alike_rate <= charge.rate / discharge.rate <= LIMITS.alike_rate
 
 
-def _rows(trace: Trace, half: HalfCycle) -> BoolArray:
-    """Rows of the trace at the low current, in the log in which it began."""
-    rows = np.zeros(trace.charge_Ah.size, dtype=np.bool_)
-    rows[half.start : half.stop] = steady_rows(trace, half)
-    rows[half.steady_stop :] = False
-    rows[: half.steady_start] = False
-    rows[trace.log != trace.log[half.steady_start]] = False
-    return rows
-
-
-def _choose(discharge: Branch | None, charge: Branch | None) -> tuple[FloatArray, FloatArray, str]:
-    """SOC, voltage and name of what is taken for the OCV; one branch there is."""
-    if discharge is not None and charge is not None and discharge.whole and charge.whole:
-        grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
-        return grid, _mean_of_branches(discharge.grid_V, charge.grid_V), "mean of both branches"
+def _chosen(
+    discharge: Branch | None, charge: Branch | None, averaged: bool
+) -> tuple[FloatArray, FloatArray, str]:
+    """SOC, voltage and name of what is taken for the OCV."""
+    if discharge is not None and charge is not None:
+        covered = min(discharge.cover, charge.cover) >= LIMITS.cover
+        if averaged and covered and _alike(discharge, charge):
+            grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
+            return grid, _mean_of_branches(discharge.grid_V, charge.grid_V), BOTH
     if discharge is not None:
         return discharge.soc, discharge.voltage_V, "discharge branch"
     if charge is None:  # a half cycle was found, in one direction or the other
@@ -279,21 +183,18 @@ def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArr
     Systems vol. 1, 2015, section 2.9 takes the branches so too, with the gap at 50 % SOC.)
     """
     soc = np.linspace(0.0, 1.0, discharge_V.size)
+    low, high = LIMITS.middle
     half = 0.5 * (charge_V - discharge_V)
-    middle = (soc > LIMITS.middle[0]) & (soc < LIMITS.middle[1]) & np.isfinite(half)
-    usual = float(np.median(half[middle])) if middle.any() else float(np.nanmedian(half))
-    half = np.where(
-        np.isfinite(half), np.minimum(half, LIMITS.end_gap * usual), LIMITS.end_gap * usual
-    )
-    share = np.clip((soc - LIMITS.middle[0]) / (LIMITS.middle[1] - LIMITS.middle[0]), 0.0, 1.0)
+    most = LIMITS.end_gap * float(np.nanmedian(half[(soc > low) & (soc < high)]))
+    half = np.fmin(half, most)  # the usual one, too, where a branch is not known
+    share = np.clip((soc - low) / (high - low), 0.0, 1.0)
     share = np.where(np.isfinite(charge_V), share, 1.0)
     share = np.where(np.isfinite(discharge_V), share, 0.0)
-    from_discharge = np.where(np.isfinite(discharge_V), discharge_V, 0.0) + half
-    from_charge = np.where(np.isfinite(charge_V), charge_V, 0.0) - half
-    return share * from_discharge + (1.0 - share) * from_charge
+    from_discharge, from_charge = np.nan_to_num(discharge_V) + half, np.nan_to_num(charge_V) - half
+    return np.asarray(share * from_discharge + (1.0 - share) * from_charge)
 
 
-def _notes(discharge: Branch | None, charge: Branch | None) -> tuple[str, ...]:
+def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> tuple[str, ...]:
     notes = []
     for label, branch in (("discharge", discharge), ("charge", charge)):
         if branch is not None:
@@ -303,21 +204,17 @@ def _notes(discharge: Branch | None, charge: Branch | None) -> tuple[str, ...]:
             )
             if branch.rate > LIMITS.low_rate:
                 notes.append(f"{label} branch is faster than C/10: it carries much polarisation")
-    if discharge is not None and charge is not None:
-        if charge.whole and discharge.whole:
-            gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
-            notes.append(f"gap between the branches: {gap:.1f} mV median")
-        elif not 1.0 / LIMITS.alike_rate <= charge.rate / discharge.rate <= LIMITS.alike_rate:
-            notes.append("charge branch at another rate than the discharge: not averaged in")
-        else:
-            notes.append(
-                f"incomplete: charge brought back {charge.moved_Ah:.4f} of"
-                f" {discharge.moved_Ah:.4f} Ah; at the low rate the branches cover"
-                f" {_cover(charge):.0%} and {_cover(discharge):.0%}. Not averaged"
-            )
+    if discharge is None or charge is None:
+        return tuple(notes)
+    if averaged:
+        gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
+        notes.append(f"gap between the branches: {gap:.1f} mV median")
+    elif not _alike(discharge, charge):
+        notes.append("charge branch at another rate than the discharge: not averaged in")
+    else:
+        notes.append(
+            f"incomplete: charge brought back {charge.moved_Ah:.4f} of {discharge.moved_Ah:.4f} Ah;"
+            f" at the low rate the branches cover {charge.cover:.0%} and {discharge.cover:.0%}. "
+            "Not averaged"
+        )
     return tuple(notes)
-
-
-def _names(logs: CellLog | Sequence[CellLog]) -> str:
-    parts = [logs] if isinstance(logs, CellLog) else list(logs)
-    return " + ".join(part.name or part.source or "a log" for part in parts) or "no log"

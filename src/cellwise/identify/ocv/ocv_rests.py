@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +10,7 @@ from cellwise.errors import InputError
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class _Limits(NamedTuple):
@@ -35,18 +33,14 @@ LIMITS = _Limits()
 RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
 
 
-@dataclass(frozen=True)
-class OcvRest:
+class OcvRest(NamedTuple):
     """What one rest says about the open-circuit voltage.
 
-    Parameters
-    ----------
-    charge_Ah : float         removed since the log's first row [Ah]
-    voltage_V : float         mean over the last 10 s without current [V], as the LFP paper has it
-    final_V : float           where the second half of the rest tends to [V]
-    duration_s : float        length [s]; for a log that begins at rest what is seen of it
-    start, stop : int         rows whose intervals belong to it
-    after : str               ``discharge`` or ``charge``, what came before; ``start`` of the log
+    charge_Ah : removed since the log's first row [Ah]
+    voltage_V : mean over the last 10 s without current [V], as the LFP paper has it
+    final_V : where the second half of the rest tends to [V]
+    duration_s : length [s]; for a log that begins at rest what is seen of it
+    start, stop : rows whose intervals belong to it
     """
 
     charge_Ah: float
@@ -55,7 +49,6 @@ class OcvRest:
     duration_s: float
     start: int
     stop: int
-    after: Literal["discharge", "charge", "start"]
 
     @property
     def remaining_V(self) -> float:
@@ -64,7 +57,7 @@ class OcvRest:
 
 
 def find_ocv_rests(log: CellLog, *, min_rest_s: float | None = None) -> tuple[OcvRest, ...]:
-    """Rests of a log that are long enough to say something about OCV.
+    """Rests of a log that are long enough to say something about OCV, in order of time.
 
     Parameters
     ----------
@@ -72,35 +65,16 @@ def find_ocv_rests(log: CellLog, *, min_rest_s: float | None = None) -> tuple[Oc
     min_rest_s : float      shortest rest taken [s]; default 300, or half the longest rest where
                             fewer than four are that long. A rest at the log's start always counts:
                             files are cut where a test begins.
-
-    Returns
-    -------
-    tuple of OcvRest, in order of time
-
-    Raises
-    ------
-    InputError              the log never rests
     """
-    phases = find_phases(log)
     limit_A = LIMITS.current * float(np.nanmax(np.abs(log.current_A)))
-    rests = [p for p in phases if p.kind == "rest" and abs(p.current_A) <= limit_A]
-    if not rests:
-        raise InputError(
-            f"no rest in log '{log.name or log.source}'",
-            "stretches without current, best of half an hour and more",
-            "Use an HPPC log with rests, or a low-rate log through ocv_from_low_rate.",
-        )
+    rests = [p for p in find_phases(log) if p.kind == "rest" and abs(p.current_A) <= limit_A]
     if min_rest_s is None:
-        longest = max(p.duration_s for p in rests)
-        enough = sum(p.duration_s >= LIMITS.rest_s for p in rests) >= LIMITS.enough
-        min_rest_s = LIMITS.rest_s if enough else 0.5 * longest
+        long = [p.duration_s for p in rests if p.duration_s >= LIMITS.rest_s]
+        longest = max((p.duration_s for p in rests), default=0.0)
+        min_rest_s = LIMITS.rest_s if len(long) >= LIMITS.enough else 0.5 * longest
     charge = log.counted_charge_Ah()
-    before: dict[int, Phase] = {b.start: a for a, b in pairwise(phases)}
-    return tuple(
-        _rest(log, p, before.get(p.start), charge)
-        for p in rests
-        if p.duration_s >= min_rest_s or p.start == 0
-    )
+    chosen = [p for p in rests if p.duration_s >= min_rest_s or p.start == 0]
+    return tuple(r for p in chosen if (r := _rest(log, p, charge)) is not None)
 
 
 def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
@@ -121,6 +95,12 @@ def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
     InputError              no rest, too few rests, all at one SOC
     """
     rests = find_ocv_rests(log)
+    if not rests:
+        raise InputError(
+            f"no rest in log '{log.name or log.source}'",
+            "stretches without current, best of half an hour and more",
+            "Use an HPPC log with rests, or a low-rate log (`ocv=LOG`).",
+        )
     charge = np.array([r.charge_Ah for r in rests])
     # The first row counts as well: a log may begin full and under load.
     full_at = min(0.0, float(np.min(charge)))
@@ -129,17 +109,26 @@ def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
     elif _climbs_short_of_full(log, log.counted_charge_Ah(), capacity_Ah):
         full_at = max(0.0, float(np.max(charge))) - capacity_Ah
     soc = 1.0 - (charge - full_at) / capacity_Ah
-    voltage = np.array([r.final_V for r in rests])
+    inside = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
     remaining = np.array([r.remaining_V for r in rests])
-    inside: BoolArray = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
+    weight = 1.0 / (1.0 + (remaining / LIMITS.unrelaxed_V) ** 2)
+    used = soc[inside] if inside.any() else soc
+    left_mV = 1e3 * np.abs(remaining)
+    notes = [
+        f"{np.count_nonzero(inside)} rests from SOC {used.min():.3f} to {used.max():.3f}",
+        f"still to relax: {np.median(left_mV):.1f} mV median, {np.max(left_mV):.1f} mV at most",
+    ]
+    if not inside.all():
+        span = f"SOC {soc.min():.3f} to {soc.max():.3f}"
+        outside = np.count_nonzero(~inside)
+        notes.append(f"{outside} rests left out: {span} with this capacity")
     return curve_from_points(
         soc[inside],
-        voltage[inside],
+        np.array([r.final_V for r in rests])[inside],
         capacity_Ah=capacity_Ah,
-        weight=1.0 / (1.0 + (remaining[inside] / LIMITS.unrelaxed_V) ** 2),
+        weight=weight[inside],
         source=f"rests of {log.name or log.source or 'a log'}",
-        notes=_notes(soc, remaining, inside),
-        temperature_C=_median_temperature(log),
+        notes=tuple(notes),
     )
 
 
@@ -152,23 +141,15 @@ def _climbs_short_of_full(log: CellLog, charge_Ah: FloatArray, capacity_Ah: floa
     return not charging or charging[-1].kind != "cv"
 
 
-def _rest(log: CellLog, phase: Phase, before: Phase | None, charge: FloatArray) -> OcvRest:
-    rows = np.arange(phase.start, phase.stop)
-    t, v = log.time_s[rows], log.voltage_V[rows]
-    known = np.isfinite(v)
-    if not known.any():
-        known[-1:], v = True, np.full(v.size, phase.voltage_end_V)
-    t, v = t[known], v[known]
+def _rest(log: CellLog, phase: Phase, charge: FloatArray) -> OcvRest | None:
+    """None without a single voltage."""
+    t, v = log.time_s[phase.start : phase.stop], log.voltage_V[phase.start : phase.stop]
+    t, v = t[np.isfinite(v)], v[np.isfinite(v)]
+    if t.size == 0:
+        return None
     last = t >= t[-1] - LIMITS.average_s
-    return OcvRest(
-        charge_Ah=float(charge[phase.stop - 1]),
-        voltage_V=float(np.mean(v[last])),
-        final_V=_relaxed_V(t, v),
-        duration_s=phase.duration_s,
-        start=phase.start,
-        stop=phase.stop,
-        after="start" if before is None else "charge" if before.charge_Ah < 0.0 else "discharge",
-    )
+    charge_Ah, mean_V = float(charge[phase.stop - 1]), float(np.mean(v[last]))
+    return OcvRest(charge_Ah, mean_V, _relaxed_V(t, v), phase.duration_s, phase.start, phase.stop)
 
 
 def _relaxed_V(t: FloatArray, v: FloatArray) -> float:
@@ -189,23 +170,3 @@ def _relaxed_V(t: FloatArray, v: FloatArray) -> float:
         fits.append((float(np.sum((columns @ found - y) ** 2)), float(found[1])))
     moved = abs(float(v[-1] - v[0]))
     return float(np.mean(y[-max(1, y.size // 20) :]) - np.clip(min(fits)[1], -moved, moved))
-
-
-def _notes(soc: FloatArray, remaining: FloatArray, inside: BoolArray) -> tuple[str, ...]:
-    used = soc[inside] if inside.any() else soc
-    notes = [
-        f"{np.count_nonzero(inside)} rests from SOC {used.min():.3f} to {used.max():.3f}",
-        f"still to relax: {1e3 * np.median(np.abs(remaining)):.1f} mV median,"
-        f" {1e3 * np.max(np.abs(remaining)):.1f} mV at most",
-    ]
-    if not inside.all():
-        outside = np.count_nonzero(np.logical_not(inside))
-        span = f"SOC {soc.min():.3f} to {soc.max():.3f}"
-        notes.append(f"{outside} rests left out: {span} with this capacity")
-    return tuple(notes)
-
-
-def _median_temperature(log: CellLog) -> float | None:
-    if log.temperature_C is None or np.all(np.isnan(log.temperature_C)):
-        return None
-    return float(np.nanmedian(log.temperature_C))

@@ -19,7 +19,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.circuit import Circuit
-from cellwise.identify.pulse_fit.pulse_data import PulseData, voltage_noise
+from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 
 
@@ -50,7 +50,6 @@ def fit_segments(data: PulseData) -> PulseFit:
     ------
     InputError        no row before the pulse, or no three settled rows in it
     """
-    data = data.alone()
     row0, row3 = data.start - 1, data.stop - 1
     settled = np.flatnonzero(~data.settling_rows[data.start : data.stop])
     row1 = data.start + int(settled[0]) if settled.size else row3
@@ -60,30 +59,26 @@ def fit_segments(data: PulseData) -> PulseFit:
             "at least 1 row before and 3 in it",
             "Cut the pulse with some rest before it, or leave it out.",
         )
-    time, voltage = data.time_s, data.voltage_V
+    time, voltage, current = data.time_s, data.voltage_V, abs(data.pulse_current_A)
     wanted = time[row1] + SEGMENTS.fast_part * (time[row3] - time[row1])
     row2 = int(np.argmin(np.abs(time[row1 + 1 : row3] - wanted))) + row1 + 1
-    current = abs(data.pulse_current_A)
-    r0 = abs(voltage[row0] - voltage[row1]) / current  # (6)
-    r1 = abs(voltage[row1] - voltage[row2]) / current  # (7)
-    r2 = abs(voltage[row1] - voltage[row3]) / current  # (7) on the longer segment
-    tau1 = (time[row2] - time[row1]) / SEGMENTS.taus  # (8)
-    tau2 = (time[row3] - time[row1]) / SEGMENTS.taus
     value = PulseParameters(
-        float(r0), float(r1), float(tau1), float(r2), float(tau2), float(voltage[row0]), 0.0
+        r0_ohm=float(abs(voltage[row0] - voltage[row1]) / current),  # (6)
+        r1_ohm=float(abs(voltage[row1] - voltage[row2]) / current),  # (7)
+        tau1_s=float(time[row2] - time[row1]) / SEGMENTS.taus,  # (8)
+        r2_ohm=float(abs(voltage[row1] - voltage[row3]) / current),  # (7), the longer segment
+        tau2_s=float(time[row3] - time[row1]) / SEGMENTS.taus,
+        ocv_V=float(voltage[row0]),
     )
-    circuit, noise = Circuit(data), voltage_noise(data)
-    error = float(np.sqrt(2.0)) * noise / current
-    nan = float("nan")
+    circuit, nan = Circuit(data), float("nan")
+    error = float(np.sqrt(2.0)) * data.noise_V / current
     return PulseFit(
         method="segments",
-        soc=data.soc,
+        soc=data.mean_soc,
         current_A=data.pulse_current_A,
         duration_s=data.pulse_duration_s,
         value=value,
-        error=PulseParameters(error, error, nan, error, nan, noise, nan),
+        error=PulseParameters(error, error, nan, error, nan, data.noise_V),
         rmse_V=circuit.rmse_V(value._replace(ocv_V=float(circuit.known[row0]))),
-        noise_V=noise,
-        rows=len(data),
-        left_out=row1 - data.start,
+        rows=time.size - data.first,
     )

@@ -74,7 +74,7 @@ def fit_swarm(
     InputError        bounds that leave no room, too few settled rows
     """
     rng = rng or np.random.default_rng(0)
-    circuit = Circuit(data.alone())
+    circuit = Circuit(data)
     low, high = _box(circuit)
     value = PulseParameters(*_swarm(circuit, low, high, iterations, rng).tolist())
     free = value._fields[:5]
@@ -83,26 +83,24 @@ def fit_swarm(
         for name, x, least, most in zip(value._fields, value, low, high, strict=True)
         if name in free and not least < x < (np.inf if name.endswith("ohm") else most)
     ]
-    slope = circuit.table_slope_V
-    stated = value if slope is None else value._replace(ocv_slope_V=slope)
-    return circuit.described("pso", stated, free, held)
+    return circuit.described("pso", value, free, held)
 
 
 def _box(circuit: Circuit) -> tuple[FloatArray, FloatArray]:
-    """Search box of R0, R1, tau1, R2, tau2, OCV, OCV slope, shape (7,) each.
+    """Search box of R0, R1, tau1, R2, tau2, OCV, shape (6,) each.
 
     The paper's time constants, within what the window can show.
     """
     data, window = circuit.data, circuit.tau_bounds()
     slowest, fastest = min(BOX.slowest_s, window.slowest_s), max(BOX.fastest_s, window.fastest_s)
     between = float(np.clip(BOX.between_s, BOX.ratio * fastest, slowest / BOX.ratio))
-    swing = float(np.ptp(data.voltage_V))
+    swing = float(np.ptp(data.voltage_V[data.first :]))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]
     rest = slice(int(np.searchsorted(data.time_s, before - BOX.rest_s)), max(data.start, 1))
     ocv = float(np.mean(circuit.known[rest]))
-    low = np.array([0.0, 0.0, fastest, 0.0, between, ocv, 0.0])
-    high = np.array([most, most, between, most, slowest, ocv, 0.0])
+    low = np.array([0.0, 0.0, fastest, 0.0, between, ocv])
+    high = np.array([most, most, between, most, slowest, ocv])
     return low, high
 
 
@@ -113,7 +111,7 @@ def _swarm(
     iterations: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Best position, shape (7,)."""
+    """Best position, shape (6,)."""
     phi = SWARM.cognition
     chi = 2.0 / (phi - 2.0 + np.sqrt(phi * phi - 4.0 * phi))
     count, half = SWARM.particles, SWARM.neighbours // 2
@@ -138,12 +136,12 @@ def _swarm(
 
 
 def costs_of(circuit: Circuit, position: FloatArray) -> FloatArray:
-    """Weighted sum of squared residuals of every particle [V^2], shape (m, 7) -> (m,).
+    """Weighted sum of squared residuals of every particle [V^2], shape (m, 6) -> (m,).
 
     Infinite where tau1 >= tau2.
     """
-    r0, r1, tau1, r2, tau2, ocv, slope = position.T[..., None]
+    r0, r1, tau1, r2, tau2, ocv = position.T[..., None]
     u1, u2 = (circuit.responses(tau[:, 0]) for tau in (tau1, tau2))
-    model = ocv + slope * circuit.x - r0 * circuit.current_A - r1 * u1 - r2 * u2
+    model = ocv - r0 * circuit.current_A - r1 * u1 - r2 * u2
     costs = (circuit.known - model) ** 2 @ circuit.weight
     return np.where(position[:, 2] < position[:, 4], costs, np.inf)

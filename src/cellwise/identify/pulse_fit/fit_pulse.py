@@ -7,23 +7,23 @@ numbers: a grid, then downhill from its best pair.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 from cellwise.errors import InputError
 from cellwise.identify.papers.segments import fit_segments
 from cellwise.identify.papers.swarm import fit_swarm
-from cellwise.identify.pulse_fit.circuit import NUMERICS, Circuit, TauBounds
+from cellwise.identify.pulse_fit.circuit import Circuit
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
 Method = Literal["varpro", "segments", "pso"]
 GRID = 16  # time constants from which the search begins, in every pair
-SEARCH: dict[str, Any] = {"method": "dogbox", "xtol": 1e-8, "ftol": 1e-12, "gtol": None}
+RIDGE = 1e-12  # of the scaled normal equations: two branches may be alike
+AT_BOUND = 1e-3  # of the range of ln tau
 
 
 def fit_pulse(
@@ -44,7 +44,7 @@ def fit_pulse(
 
     Raises
     ------
-    InputError        unknown method, too few rows
+    InputError        unknown method, too few settled rows
     """
     if method == "varpro":
         return fit_varpro(data)
@@ -57,126 +57,66 @@ def fit_pulse(
     )
 
 
-def fit_pulses(pulses: Sequence[PulseData], method: Method = "varpro") -> list[PulseFit]:
-    """Parameters of all pulses of a test, in the order given; see `fit_pulse`."""
-    rng = np.random.default_rng(0)  # one for all: alike draws would err alike
-    return [fit_pulse(data, method, rng) for data in pulses]
-
-
-def fit_varpro(data: PulseData, bounds: TauBounds | None = None) -> PulseFit:
+def fit_varpro(data: PulseData) -> PulseFit:
     """Fit one pulse and its relaxation by variable projection.
 
-    Parameters
-    ----------
-    data : PulseData
-    bounds : TauBounds        of the time constants; by default what the window can show
-
-    Returns
-    -------
-    PulseFit
+    Searched are ln tau1 and ln(tau2 / tau1), within what the window can show.
 
     Raises
     ------
     InputError        too few settled rows
     """
     circuit = Circuit(data)
-    search = _Search(circuit, circuit.tau_bounds() if bounds is None else bounds)
-    found = least_squares(search.residual, search.start(), bounds=(0.0, 1.0), **SEARCH)
-    return circuit.described("varpro", *search.result(found.x))
+    fastest_s, slowest_s, ratio = circuit.tau_bounds()
+    fast, slow, apart = np.log([fastest_s, slowest_s, ratio])
+    share = circuit.weight / np.sum(circuit.weight)
+
+    def rows_of(tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Voltage and responses less their means, as rows count; the means."""
+        rows = np.vstack((circuit.known, -circuit.current_A, -circuit.responses(tau_s)))
+        mean = rows @ share
+        return (rows - mean[:, None]) * np.sqrt(share), mean
+
+    def tau_of(at: FloatArray) -> FloatArray:
+        return np.exp([at[0], min(at[0] + at[1], slow)])
+
+    def left_V(at: FloatArray) -> FloatArray:
+        rows, _ = rows_of(tau_of(at))
+        return np.asarray(rows[0] - _resistances(rows @ rows.T) @ rows[1:])
+
+    ln_tau = np.linspace(fast, slow, GRID)
+    rows, _ = rows_of(np.exp(ln_tau))
+    gram = rows @ rows.T
+    pairs = np.argwhere(ln_tau - ln_tau[:, None] >= apart)
+    chosen = [np.array([0, 1, 2 + j, 2 + k]) for j, k in pairs]
+    costs = [_cost(gram[np.ix_(at, at)]) for at in chosen]
+    first, second = ln_tau[pairs[int(np.argmin(costs))]]
+    low, high = np.array([fast, apart]), np.array([slow - apart, slow - fast])
+    start = np.clip([first, second - first], low, high)
+    at = least_squares(
+        left_V, start, bounds=(low, high), method="dogbox", xtol=1e-8, ftol=1e-12, gtol=None
+    ).x
+    tau = tau_of(at)
+    rows, mean = rows_of(tau)
+    x = _resistances(rows @ rows.T)
+    r0, r1, r2 = x.tolist()
+    value = PulseParameters(r0, r1, float(tau[0]), r2, float(tau[1]), float(mean[0] - mean[1:] @ x))
+    held = [n for n in ("r0_ohm", "r1_ohm", "r2_ohm") if getattr(value, n) <= 0.0]
+    room = AT_BOUND * (slow - fast)
+    if at[0] < fast + room or at[1] < apart + room or at[0] + at[1] > slow - room:
+        held += ["tau1_s", "tau2_s"]  # where one is held, the other stands for both
+    return circuit.described("varpro", value, value._fields, held)
 
 
-class _Search:
-    """The plane of both time constants, as a unit square.
-
-    Its first coordinate is where ln tau2 lies in its range, the second where ln tau1 lies between
-    its least and the most that tau2 leaves it: every point of the square keeps the bounds.
-    """
-
-    def __init__(self, circuit: Circuit, bounds: TauBounds) -> None:
-        self.circuit = circuit
-        self.low, self.apart = np.log(bounds.fastest_s), np.log(bounds.ratio)
-        self.room = np.log(bounds.slowest_s) - self.apart - self.low
-        slope = [circuit.x] if circuit.table_slope_V is None else []
-        self.plain = np.vstack((circuit.known, -circuit.current_A, *slope))
-        self.share = circuit.weight / np.sum(circuit.weight)
-
-    def tau_s(self, at: FloatArray) -> FloatArray:
-        """Time constants of a point, shape (2,)."""
-        fast = self.low + at[0] * at[1] * self.room
-        return np.asarray(np.exp([fast, self.low + at[0] * self.room + self.apart]))
-
-    def start(self) -> FloatArray:
-        """The best pair of a grid, all else fitted."""
-        ln_tau = np.linspace(self.low, self.low + self.room + self.apart, GRID)
-        rows, _ = self._rows(np.exp(ln_tau))
-        head = len(self.plain)
-        pairs = np.argwhere(ln_tau - ln_tau[:, None] >= self.apart)
-        at = np.column_stack((np.tile(np.arange(head), (len(pairs), 1)), head + pairs))
-        left, _ = _solved((rows @ rows.T)[at[:, :, None], at[:, None, :]])
-        fast, slow = ln_tau[pairs[int(np.argmin(left))]]
-        far = (slow - self.apart - self.low) / self.room
-        near = (fast - self.low) / self.room / max(far, 1e-12)
-        return np.asarray(np.clip([far, near], 0.0, 1.0))
-
-    def residual(self, at: FloatArray) -> FloatArray:
-        """Residual of the voltage at a point, as its rows count [V], shape (n,)."""
-        rows, _ = self._rows(self.tau_s(at))
-        return np.asarray(rows[0] - _solved(rows @ rows.T)[1] @ rows[1:])
-
-    def result(self, at: FloatArray) -> tuple[PulseParameters, list[str], list[str]]:
-        """Parameters at a point, which of them were free, and which a bound holds."""
-        tau = self.tau_s(at)
-        rows, mean = self._rows(tau)
-        x = _solved(rows @ rows.T)[1]
-        slope = self.circuit.table_slope_V
-        value = PulseParameters(
-            r0_ohm=float(x[0]),
-            r1_ohm=float(x[-2]),
-            tau1_s=float(tau[0]),
-            r2_ohm=float(x[-1]),
-            tau2_s=float(tau[1]),
-            ocv_V=float(mean[0] - mean[1:] @ x),
-            ocv_slope_V=float(x[1]) if slope is None else slope,
-        )
-        free = [n for n in value._fields if n != "ocv_slope_V" or slope is None]
-        held = [n for n in free if n not in ("tau1_s", "tau2_s") and getattr(value, n) <= 0.0]
-        if np.any(np.abs(at - 0.5) > 0.5 - NUMERICS.at_bound):
-            held += ["tau1_s", "tau2_s"]  # where one is held, the other stands for both
-        return value, free, held
-
-    def _rows(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Voltage, linear columns and branches less their means, as rows count; the means."""
-        rows = np.vstack((self.plain, -self.circuit.responses(tau_s)))
-        mean = rows @ self.share
-        return (rows - mean[:, None]) * np.sqrt(self.share), mean
+def _resistances(gram: FloatArray) -> FloatArray:
+    """Least squares with no resistance below zero, from products of voltage and columns."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram)[1:], 1e-300))
+    part = gram[1:, 1:] / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
+    factor = np.linalg.cholesky(part)
+    return np.asarray(nnls(factor.T, np.linalg.solve(factor, gram[1:, 0] / scale))[0] / scale)
 
 
-def _solved(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least squares with no unknown below zero: every choice of those that are zero is tried.
-
-    For a convex quadratic the best feasible choice is the bounded optimum.
-
-    Parameters
-    ----------
-    gram : (..., k + 1, k + 1) float      products of voltage and columns, the voltage first
-
-    Returns
-    -------
-    left : (...) float            mean square of the residual [V^2]
-    unknowns : (..., k) float
-    """
-    k = gram.shape[-1] - 1
-    free = (np.arange(1 << k)[:, None] >> np.arange(k) & 1).astype(np.float64)  # (2^k, k)
-    part = gram[..., 1:, 1:]
-    scale = np.sqrt(np.maximum(np.diagonal(part, axis1=-2, axis2=-1), 1e-300))[..., None, :]
-    products = gram[..., None, 0, 1:] / scale * free
-    scaled = (part / scale / np.swapaxes(scale, -1, -2))[..., None, :, :]
-    system = scaled * (free[:, :, None] * free[:, None, :]) + (1.0 + NUMERICS.ridge - free)[
-        ..., None
-    ] * np.eye(k)
-    tried = np.linalg.solve(system, products[..., None])[..., 0]
-    explained = np.where(np.all(tried >= 0.0, axis=-1), np.sum(tried * products, axis=-1), -np.inf)
-    best = np.argmax(explained, axis=-1)[..., None]
-    left = gram[..., 0, 0] - np.take_along_axis(explained, best, axis=-1)[..., 0]
-    unknowns = np.take_along_axis(tried, best[..., None], axis=-2)[..., 0, :] / scale[..., 0, :]
-    return np.maximum(left, 0.0), unknowns
+def _cost(gram: FloatArray) -> float:
+    """Mean square of what the best resistances leave [V^2]."""
+    x = _resistances(gram)
+    return float(gram[0, 0] - 2.0 * x @ gram[1:, 0] + x @ gram[1:, 1:] @ x)

@@ -1,28 +1,33 @@
-"""One pulse cut out of a log: its rows, its edges, and the charge behind every row."""
+"""One pulse cut out of a log: the rest before, the pulse, its relaxation, and what a row counts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.identify.hppc.pulses import Pulse
+from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-
-class _Rows(NamedTuple):
-    """Rows of a window, settled ones of them for seven unknowns, and what a row may count.
-
-    A relaxation row may count at most so much less or more than a pulse row.
-    """
-
-    window: int = 12
-    settled: int = 10
-    balance: tuple[float, float] = (0.02, 5.0)
+OcvTable = Callable[[FloatArray], FloatArray]
 
 
-ROWS = _Rows()
+class _Window(NamedTuple):
+    """How much of a log belongs to a pulse, and what its rows count."""
+
+    rest_s: float = 60.0  # of rest before it that is compared, if there is as much
+    rest_rows: int = 3  # at least
+    before_s: float = 600.0  # shown before it: branches of minutes have forgotten what was earlier
+    # Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and
+    # R0 takes in all that is fast. What is slow is for the refinement on the whole log.
+    step_s: float = 300.0
+    step_rows: int = 25
+    settled: int = 10  # rows at least, for six unknowns
+    balance: tuple[float, float] = (0.02, 5.0)  # of a relaxation row over a pulse row
 
 
 class _Settling(NamedTuple):
@@ -43,78 +48,34 @@ class _Settling(NamedTuple):
     early: float = 0.5  # of the step: so much before the current, and the voltage has stepped
 
 
-SETTLING = _Settling()
+WINDOW, SETTLING = _Window(), _Settling()
 
 
 @dataclass(frozen=True, eq=False)
 class PulseData:
-    """Rows of one pulse: what was before, some rest, the pulse, its relaxation up to a current.
+    """Rows of one pulse with a voltage: what was before, some rest, the pulse, its relaxation.
 
     Parameters
     ----------
-    time_s : (n,) float         [s]
-    current_A : (n,) float      current during the interval that ends at each row [A], positive =
-                                discharge
-    voltage_V : (n,) float      [V]
-    charge_Ah : (n,) float      charge discharged since the first row [Ah]
+    time_s, voltage_V : (n,) float
+    current_A : (n,) float      of the interval that ends at each row, positive = discharge
+    soc : (n,) float            [0..1]
     start, stop : int           first row of the pulse; first row after it
-    capacity_Ah : float         turns charge into SOC [Ah]
-    soc_start : float           SOC at the first row [0..1]; NaN if unknown
     first : int                 first row that is compared; the rows before only say what the
                                 branches hold, as after a short rest
-    ocv_change_V : (n,) float or None   what a tabulated OCV says the OCV changed by since the
-                                first row [V]; then no OCV slope is fitted
+    ocv_V : (n,) float          what a table says of each row; a constant without one
     name : str                  for people
-
-    Raises
-    ------
-    InputError        too few rows
-
-    See Also
-    --------
-    cellwise.identify.fitted_pulses : cuts one out of a log
     """
 
     time_s: FloatArray
     current_A: FloatArray
     voltage_V: FloatArray
-    charge_Ah: FloatArray
+    soc: FloatArray
     start: int
     stop: int
-    capacity_Ah: float
-    soc_start: float = float("nan")
-    first: int = 0
-    ocv_change_V: FloatArray | None = None
+    first: int
+    ocv_V: FloatArray
     name: str = ""
-
-    def __post_init__(self) -> None:
-        for field in ("time_s", "current_A", "voltage_V", "charge_Ah", "ocv_change_V"):
-            value = getattr(self, field)
-            if value is not None:
-                array = np.array(value, dtype=np.float64)
-                array.setflags(write=False)
-                object.__setattr__(self, field, array)
-        rows = len(self) - self.first
-        if rows < ROWS.window:
-            raise InputError(
-                f"{rows} rows in pulse '{self.name}'",
-                f"at least {ROWS.window}",
-                "Log the pulse faster, or leave it out.",
-            )
-
-    def __len__(self) -> int:
-        return self.time_s.size
-
-    def _moved_early(self, before: int, edge: int) -> bool:
-        """Whether the voltage stepped at row ``before`` already, ahead of the current.
-
-        Switched late in that row's interval: its mean current is next to nothing, or next to all.
-        """
-        if before < 1:
-            return False
-        v = self.voltage_V
-        whole = abs(v[edge] - v[before - 1])
-        return bool(abs(v[before] - v[before - 1]) > SETTLING.early * whole)
 
     @property
     def interval_s(self) -> FloatArray:
@@ -122,18 +83,11 @@ class PulseData:
         return np.diff(self.time_s, prepend=self.time_s[0])
 
     @property
-    def charge_fraction(self) -> FloatArray:
-        """Charge discharged since the first row, over capacity [-], shape (n,)."""
-        fraction: FloatArray = (self.charge_Ah - self.charge_Ah[0]) / self.capacity_Ah
-        return fraction
-
-    @property
     def pulse_current_A(self) -> float:
         """Mean current of the pulse [A], positive = discharge."""
-        dt = self.interval_s[self.start : self.stop]
-        current = self.current_A[self.start : self.stop]
-        whole = float(np.sum(dt))
-        return float(np.sum(current * dt)) / whole if whole > 0.0 else float(np.mean(current))
+        rows = slice(self.start, self.stop)
+        dt = self.interval_s[rows]
+        return float(np.average(self.current_A[rows], weights=dt if np.any(dt > 0.0) else None))
 
     @property
     def pulse_duration_s(self) -> float:
@@ -141,32 +95,15 @@ class PulseData:
         return float(self.time_s[self.stop - 1] - self.time_s[max(self.start - 1, 0)])
 
     @property
-    def pulse_centre(self) -> float:
-        """`charge_fraction` at the pulse's mean SOC [-]."""
-        fraction = self.charge_fraction
-        return 0.5 * float(fraction[max(self.start - 1, 0)] + fraction[self.stop - 1])
-
-    def alone(self) -> PulseData:
-        """The compared rows, for a method that knows of nothing before them."""
-        rows = slice(self.first, None)
-        change = self.ocv_change_V
-        return replace(
-            self,
-            time_s=self.time_s[rows],
-            current_A=self.current_A[rows],
-            voltage_V=self.voltage_V[rows],
-            charge_Ah=self.charge_Ah[rows] - self.charge_Ah[self.first],
-            ocv_change_V=None if change is None else change[rows] - change[self.first],
-            start=self.start - self.first,
-            stop=self.stop - self.first,
-            first=0,
-            soc_start=self.soc_start - float(self.charge_fraction[self.first]),
-        )
+    def mean_soc(self) -> float:
+        """The middle between before and after the pulse [0..1]."""
+        return 0.5 * float(self.soc[max(self.start - 1, 0)] + self.soc[self.stop - 1])
 
     @property
-    def soc(self) -> float:
-        """Mean SOC of the pulse: the middle between before and after [0..1]."""
-        return float(self.soc_start - self.pulse_centre)
+    def noise_V(self) -> float:
+        """Row-to-row noise of the voltage [V]: median of second differences, edges do not count."""
+        second = np.abs(np.diff(self.voltage_V[self.first :], 2))
+        return float(np.median(second) / (0.6745 * np.sqrt(6.0))) if second.size else 0.0
 
     @property
     def settling_rows(self) -> BoolArray:
@@ -174,66 +111,147 @@ class PulseData:
 
         Either the current is still on its way (a switch inside the row's interval: its mean
         current is not what flows when the voltage is read), or the voltage is still arriving, see
-        `_Settling`. A property of the data, not of a fit.
+        `_Settling`.
         """
-        rows = np.zeros(len(self), dtype=np.bool_)
+        t, v, start = self.time_s, self.voltage_V, self.start
+        rows = np.zeros(t.size, dtype=np.bool_)
         change = np.abs(np.diff(self.current_A, prepend=self.current_A[0]))
-        peak = float(np.max(np.abs(self.current_A[self.start : self.stop])))
-        noise = voltage_noise(self)
+        peak = float(np.max(np.abs(self.current_A[start : self.stop])))
         moving = np.flatnonzero(change > SETTLING.still * peak)
         for group in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1):
-            if group.size == 0 or group.size > SETTLING.edge_rows:
-                continue  # no edge, or a current that never stands still
+            # A current that never stands still has no edge.
+            if not 0 < group.size <= SETTLING.edge_rows:
+                continue
             if np.max(change[group]) < SETTLING.edge * peak:
                 continue
             before, edge = int(group[0]) - 1, int(group[-1])
-            before -= self._moved_early(before, edge)
+            # Switched late in a row: its mean current is next to nothing, its voltage has stepped.
+            if before >= 1 and abs(v[before] - v[before - 1]) > SETTLING.early * abs(
+                v[edge] - v[before - 1]
+            ):
+                before -= 1
             rows[before + 1 : edge] = True
-            until = self.time_s[before] + SETTLING.longest_s
-            last = int(np.searchsorted(self.time_s, until, side="right"))
-            moves = np.diff(self.voltage_V[before:last])
-            if moves.size <= edge - before:
-                continue
-            step = float(np.sum(moves[: edge - before]))
-            moves *= np.sign(step)
-            whole = max(float(np.sum(moves)), abs(step))
-            still = moves[edge - before :] > max(SETTLING.moving * whole, SETTLING.noises * noise)
-            rows[edge : edge + (still.size if still.all() else int(np.argmin(still)))] = True
-        in_pulse = rows[self.start : self.stop]
-        if 2 * np.count_nonzero(in_pulse) > in_pulse.size:  # a pulse too short to settle
-            in_pulse[:] = False
+            until = int(np.searchsorted(t, t[before] + SETTLING.longest_s, side="right"))
+            moves = np.diff(v[before:until])
+            moves *= np.sign(np.sum(moves[: edge - before]))
+            least = max(SETTLING.moving * float(np.sum(moves)), SETTLING.noises * self.noise_V)
+            after = moves[edge - before :] > max(least, 0.0)
+            rows[edge : edge + (after.size if after.all() else int(np.argmin(after)))] = True
+        if 2 * np.count_nonzero(rows[start : self.stop]) > self.stop - start:
+            rows[start : self.stop] = False  # a pulse too short to settle
         return rows
 
+    @property
+    def weight(self) -> FloatArray:
+        """How much each row counts in a fit, shape (n,), mean 1 over those that do.
 
-def voltage_noise(data: PulseData) -> float:
-    """Standard deviation of the voltage's row-to-row noise [V], from its second differences.
+        The relaxation as a whole counts as much as the pulse as a whole, within limits per row: a
+        tester may log 100 rows in a pulse and 1,700 in the rest that follows, and as no cell is
+        exactly a 2-RC circuit the side with more rows would decide alone. Rows that are not
+        compared, or have not settled, count zero.
+        """
+        weight = np.ones(self.time_s.size)
+        relaxation = weight.size - self.stop
+        if relaxation > 0:
+            weight[self.stop :] = np.clip((self.stop - self.start) / relaxation, *WINDOW.balance)
+        weight[: self.first] = 0.0
+        weight[self.settling_rows] = 0.0
+        return weight * (np.count_nonzero(weight) / max(float(np.sum(weight)), 1e-300))
 
-    Robust (median of magnitudes), so edges and relaxation do not count.
+
+def pulse_data(
+    time_s: FloatArray,
+    current_A: FloatArray,
+    voltage_V: FloatArray,
+    soc: FloatArray,
+    start: int,
+    stop: int,
+    *,
+    first: int = 0,
+    ocv: OcvTable | None = None,
+    name: str = "",
+) -> PulseData:
+    """One pulse from plain arrays; rows without a finite voltage are dropped.
+
+    The charge that flowed up to a dropped row stays in the interval of the row that follows.
+
+    Parameters
+    ----------
+    time_s, current_A, voltage_V, soc : (n,) float     as in `PulseData`; voltage may hold NaN
+    start, stop, first : int     as in `PulseData`
+    ocv : callable               tabulated OCV: SOC array -> voltage array [V]
     """
-    second = np.abs(np.diff(data.voltage_V[data.first :], 2))
-    return float(np.median(second) / (0.6745 * np.sqrt(6.0)))
+    keep = np.flatnonzero(np.isfinite(voltage_V))
+    time, current, at = time_s[keep], current_A[keep], soc[keep]
+    if 0 < keep.size < time_s.size:
+        moved = np.cumsum(current_A * np.diff(time_s, prepend=time_s[0]))[keep]
+        dt = np.diff(time, prepend=time[0])
+        current = np.divide(np.diff(moved, prepend=0.0), dt, out=current.copy(), where=dt > 0.0)
+    start, stop, first = (int(np.searchsorted(keep, row)) for row in (start, stop, first))
+    table = np.zeros(keep.size) if ocv is None else np.asarray(ocv(at), dtype=np.float64)
+    return PulseData(time, current, voltage_V[keep], at, start, stop, first, table, name)
 
 
-def row_weights(data: PulseData) -> FloatArray:
-    """How much each row counts in a fit, shape (n,), mean 1 over the rows that count.
+def cut_pulse(
+    log: CellLog, pulse: Pulse, soc: FloatArray, ocv: OcvTable | None = None
+) -> PulseData:
+    """Cut a pulse that `find_pulses` found out of its log; of a move, its first minutes.
 
-    The relaxation as a whole counts as much as the pulse as a whole, within limits per
-    row. A tester may log 100 rows in a 10 s pulse and 1,700 in the rest that follows, or 600 rows
-    of 0.1 s and then 20 of 60 s; as no cell is exactly a 2-RC circuit, the side with more rows
-    would decide alone, and the result would depend on the tester's settings.
+    What is compared begins a minute before the pulse and ends before the next current or a gap. Ten
+    minutes before the pulse are shown, too: what its branches hold comes from there.
 
-    Rows before `PulseData.first`, and rows at an edge that have not settled
-    (`PulseData.settling_rows`), count zero.
+    Parameters
+    ----------
+    soc : (n,) float          of every row of the log [0..1]
+    ocv : callable            tabulated OCV: SOC array -> voltage array [V]; None: it stands still
     """
-    weight = np.ones(len(data))
-    pulse, relaxation = data.stop - data.start, len(data) - data.stop
-    if relaxation > 0:
-        weight[data.stop :] = np.clip(pulse / relaxation, *ROWS.balance)
-    weight[: data.first] = 0.0
-    weight[data.settling_rows] = 0.0
-    return weight * (np.count_nonzero(weight) / max(float(np.sum(weight)), 1e-300))
+    time, start, stop = log.time_s, pulse.start, fitted_stop(log, pulse)
+    end = stop
+    if stop == pulse.stop:
+        # The row before the next current may hold part of its switch.
+        switch = pulse.relax_stop < time.size and pulse.relax_stop > stop + 1
+        end = pulse.relax_stop - switch
+    gaps = np.flatnonzero(log.gap_rows)
+    end = min([end, *gaps[(gaps > stop) & (gaps < end)]])
+    began_s = time[max(start - 1, 0)]
+    shown = int(np.searchsorted(time, began_s - WINDOW.rest_s))
+    first = max(pulse.rest_before_start, min(shown, start - WINDOW.rest_rows), 0)
+    before = int(np.searchsorted(time, began_s - WINDOW.before_s))
+    before = min(max([before, *gaps[gaps <= first]]), first)
+    rows = slice(before, end)
+    return pulse_data(
+        time[rows],
+        log.known_current_A()[rows],
+        log.voltage_V[rows],
+        soc[rows],
+        start - before,
+        stop - before,
+        first=first - before,
+        ocv=ocv,
+        name=f"{log.name} at {time[start]:.0f} s",
+    )
 
 
-def has_enough_rows(data: PulseData) -> bool:
-    """Whether a fit finds the rows that it needs."""
-    return int(np.count_nonzero(row_weights(data))) >= ROWS.settled
+def fitted_stop(log: CellLog, pulse: Pulse) -> int:
+    """Row after the last one that a fit sees as the pulse: of a long move, some minutes."""
+    if pulse.role != "move":
+        return pulse.stop
+    begin_s = float(log.time_s[max(pulse.start - 1, 0)])
+    shown = int(np.searchsorted(log.time_s, begin_s + WINDOW.step_s, "right"))
+    return min(max(shown, pulse.start + WINDOW.step_rows), pulse.stop)
+
+
+def check_rows(data: PulseData) -> None:
+    """Refuse a pulse of which too few rows count.
+
+    Raises
+    ------
+    InputError
+    """
+    settled = np.count_nonzero(data.weight)
+    if settled < WINDOW.settled:
+        raise InputError(
+            f"{settled} settled rows of {data.time_s.size} in pulse '{data.name}'",
+            f"at least {WINDOW.settled} rows for 6 unknowns",
+            "Log the pulse faster or longer, or leave it out.",
+        )

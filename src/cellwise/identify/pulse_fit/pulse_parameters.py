@@ -7,22 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-
-class _Identified(NamedTuple):
-    """Standard errors of what is identified: a part of its value; of an OCV slope V per SOC."""
-
-    part: float = 0.3
-    slope_V: float = 0.3
-
-
-IDENTIFIED = _Identified()
+IDENTIFIED = 0.3  # standard error over value, up to which a parameter is known
 
 
 class PulseParameters(NamedTuple):
-    """Seven numbers, one per parameter of a pulse; values, errors or flags alike.
+    """Six numbers, one per parameter of a pulse; values, errors or flags alike.
 
-    Resistances [ohm], time constants [s], OCV at the pulse's mean SOC [V], its slope [V per unit
-    SOC].
+    Resistances [ohm], time constants [s], OCV at the pulse's mean SOC [V].
     """
 
     r0_ohm: float
@@ -31,7 +22,6 @@ class PulseParameters(NamedTuple):
     r2_ohm: float
     tau2_s: float
     ocv_V: float
-    ocv_slope_V: float
 
 
 @dataclass(frozen=True)
@@ -41,16 +31,14 @@ class PulseFit:
     Parameters
     ----------
     method : str              ``varpro``, ``segments`` or ``pso``
-    soc : float               mean SOC of the pulse [0..1]; NaN if unknown
+    soc : float               mean SOC of the pulse [0..1]
     current_A : float         mean current of the pulse [A], positive = discharge
-    duration_s : float        length of the pulse [s]
-    value : PulseParameters   the parameters
+    duration_s : float        of the pulse [s]
+    value : PulseParameters
     error : PulseParameters   standard error of each; inf where the data do not show it, NaN where
                               the method has none
     rmse_V : float            weighted root mean square of the residual [V]
-    noise_V : float           root mean square of the residual over all rows that were used [V]
-    rows, left_out : int      rows of the window; rows left out while the voltage settled
-    rows_per_residual : float     rows that share one independent residual [-], 1 for white noise
+    rows : int                rows of the window that were compared
     at_bound : tuple of str   parameters that ended at a bound
     """
 
@@ -61,10 +49,7 @@ class PulseFit:
     value: PulseParameters
     error: PulseParameters
     rmse_V: float
-    noise_V: float
     rows: int
-    left_out: int = 0
-    rows_per_residual: float = 1.0
     at_bound: tuple[str, ...] = ()
 
     def __getattr__(self, name: str) -> float:
@@ -86,16 +71,11 @@ class PulseFit:
     def identified(self) -> PulseParameters:
         """Whether each parameter is known well enough to enter a table (1.0) or not (0.0).
 
-        Not when it sits at a bound, when its standard error is above three tenths of it, or
-        when it has none (the time constants of ``segments``). A fitted OCV slope counts only with
-        a known tau2: a slow branch that the window does not see passes for slope.
+        Not when it sits at a bound, when its standard error is above three tenths of it, or when it
+        has none (the time constants of ``segments``).
         """
-        flags = {}
-        for name, value, error in zip(self.value._fields, self.value, self.error, strict=True):
-            limit = IDENTIFIED.part * abs(value)
-            if name == "ocv_slope_V":
-                limit = max(limit, IDENTIFIED.slope_V)
-            flags[name] = bool(np.isfinite(error)) and error <= limit and name not in self.at_bound
-        if self.error.ocv_slope_V > 0.0:
-            flags["ocv_slope_V"] = flags["ocv_slope_V"] and flags["tau2_s"]
-        return PulseParameters(**{name: float(flag) for name, flag in flags.items()})
+        known = [
+            float(np.isfinite(error) and error <= IDENTIFIED * abs(x) and n not in self.at_bound)
+            for n, x, error in zip(self.value._fields, self.value, self.error, strict=True)
+        ]
+        return PulseParameters(*known)
