@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.report.diagnosis.page import (
     cause_content,
     diagnose_page,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.plotting import Line, Panel
 from cellwise.report.diagnosis.pictures import (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.diagnose.log_runs import LogRun
+from cellwise.diagnose.applied import LogRun
 from cellwise.report.diagnosis.statements import change, corrected_mV, named_log
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, paragraph

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
     SPACE,
