@@ -29,10 +29,10 @@ from benchmarks.physics_laboratory.changes import CHANGES
 from benchmarks.physics_laboratory.stored import model_of, read_cases
 from cellwise import CellModel, read_model
 from cellwise.diagnose import diagnosis as station
+from cellwise.diagnose.applied import apply
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.fit.rests import NO_READING
-from cellwise.diagnose.log_runs import apply
 from cellwise.logs import CellLog
 from cellwise.logs.cell_log import resample
 
@@ -154,6 +154,18 @@ def cases(model: CellModel, data: Path | None, physics: Path) -> Iterator[Case]:
 
 
 Replace = Callable[[Any], Any]
+
+
+def slow_alone(stated: Any) -> Any:
+    """The stated error without its fast part."""
+
+    def found(*given: Any) -> Any:
+        one = stated(*given)
+        return replace(one, fast_V=np.ones(one.evidence.rows), fast_weight=0.0 * one.fast_weight)
+
+    return found
+
+
 SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "tolerances tried at shares": (
         ("fit.cause_fits.OVER", lambda old: old._replace(shares=(1.0,))),
@@ -162,18 +174,15 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
         ("fit.cause_fits._times", lambda _: lambda *_: np.array([1.0])),
     ),
     "share of shapes in the noise": (
-        ("fit.cause_fits.with_shape", lambda _: lambda _e, size, weight, _s: (size, weight)),
+        ("fit.noise.Objective.with_shape", lambda _: lambda stated, _: stated),
     ),
     "fast and slow apart": (
-        ("fit.least_squares.Objective.bands", lambda _: lambda o, c: (one_band(o, c), 0.0 * c)),
-        (
-            "fit.cause_fits.fast_part",
-            lambda _: lambda _m, e, *_: (np.ones(e.rows), np.zeros(e.rows)),
-        ),
+        ("fit.noise.Objective.bands", lambda _: lambda o, c: (one_band(o, c), 0.0 * c)),
+        ("fit.cause_fits.stated_objective", slow_alone),
     ),
     "starts read again": (
         ("fit.priors.start_readings", lambda _: lambda *_: {}),
-        ("identifiability.start_readings", lambda _: lambda *_: {}),
+        ("limits.start_readings", lambda _: lambda *_: {}),
     ),
     "current at rest": (("fit.rows.rest_reading", lambda _: lambda *_: NO_READING),),
     "voltage at rest": (("fit.rests.RestVoltages.ln_likelihood", lambda _: lambda *_: 0.0),),
@@ -184,11 +193,11 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "baseline": (("fit.cause_fits.CauseFits.calibrate", lambda _: lambda *_: None),),
     **{
         f"search, {name} {value}": (
-            ("decision.explanations.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
+            ("decision.search.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
         )
         for name, value in (("beam", 1), ("beam", 2), ("tried_share", 1.0))
     },
-    "slower diffusion": (("decision.explanations.forms_of", lambda _: lambda cause, _c: (cause,)),),
+    "slower diffusion": (("decision.search.forms_of", lambda _: lambda cause, _c: (cause,)),),
     "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
     "age is one cause": (("decision.odds.AGE", lambda _: frozenset()),),
     "rare since the baseline": (
@@ -208,11 +217,9 @@ def one_band(objective: Any, columns: Any) -> Any:
 
 def plainly_weighed(hypotheses: Any, *_: Any) -> Any:
     """Sets by their odds alone."""
-    odds = np.array([h.total - h.rarity for h in hypotheses])
+    odds = np.array([h[1] for h in hypotheses])
     share = np.exp(odds - odds.max())
-    found = [
-        Weighed(h.causes, float(p)) for h, p in zip(hypotheses, share / share.sum(), strict=True)
-    ]
+    found = [Weighed(h[0], float(p)) for h, p in zip(hypotheses, share / share.sum(), strict=True)]
     return tuple(sorted(found, key=lambda w: -w.probability))
 
 

@@ -12,11 +12,10 @@ from cellwise.cell.initial_soc.pauses import simulate
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.applied import starts_with
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.log_runs import explanation
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -65,31 +64,23 @@ def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
 
 def test_a_start_that_the_wrong_model_chose_is_not_held_against_the_right_cause(unsure):
     """All of the log took the model for right: with another model it says another start."""
-    log = measured(unsure, 0)
-    start = initial_soc(unsure, log, whole_log=True)
+    start = initial_soc(unsure, measured(unsure, 0), whole_log=True)
     assert start.beginning is not None
-    evidence = gather(unsure, [(log, start), (log, InitialSoc(SOC0, 0.005, "given"))])
-    coordinates = Coordinates(unsure)
-    z = {"soc0:0": 0.03, "soc0:1": 0.03, "ln_scale": 0.2}
-    found = Fit(z, tuple(z), np.eye(len(z)), 0.0, log.voltage_V, log.voltage_V, coordinates)
-    known = explanation(found, {"ln_scale": 0.2}, ["cell"], evidence, {})
-    assert known.starts == pytest.approx((start.soc + 0.03, SOC0))
-    given = gather(unsure, [(log, InitialSoc(SOC0, 0.005, "given"))])
-    assert explanation(found, {"ln_scale": 0.2}, ["cell"], given, {}).starts is None
+    given, z = InitialSoc(SOC0, 0.005, "given"), {"soc0:0": 0.03, "soc0:1": 0.03}
+    moved = (start.soc + 0.03, SOC0)
+    assert starts_with({"cell"}, False, z, [start, given]) == pytest.approx(moved)
+    assert starts_with({"cell"}, False, z, [given]) is None
 
 
-def test_a_rest_is_read_again_where_the_ocv_is_another_one(unsure):
-    log = measured(unsure, 90)
-    rested = InitialSoc(0.8, 0.02, "rest of 90 s at the start, 3.9 V")
-    evidence = gather(unsure, [(log, rested), (log, InitialSoc(SOC0, 0.005, "given"))])
-    starts = {"soc0:0": 0.03, "soc0:1": 0.03}
-    for shift_V, known in ((0.01, (0.83, SOC0)), (0.0, None)):
-        z = {**starts, "ocv_4": shift_V, "ln_scale": 0.2}
-        found = Fit(z, tuple(z), np.eye(len(z)), 0.0, log.voltage_V, log.voltage_V,
-                    Coordinates(unsure))  # fmt: skip
-        cause = {"ocv_4": shift_V, "ln_scale": 0.2}
-        read = explanation(found, cause, ["cell"], evidence, {}).starts
-        assert read == (None if known is None else pytest.approx(known))
+def test_a_rest_is_read_again_where_the_ocv_is_another_one():
+    starts = (
+        InitialSoc(0.8, 0.02, "rest of 90 s at the start, 3.9 V"),
+        InitialSoc(SOC0, 0.005, "given"),
+    )
+    z = {"soc0:0": 0.03, "soc0:1": 0.03}
+    assert starts_with({"cell"}, True, z, starts) == pytest.approx((0.83, SOC0))
+    assert starts_with({"cell"}, False, z, starts) is None
+    assert starts_with({"start"}, False, z, starts) == pytest.approx((0.83, SOC0 + 0.03))
 
 
 @pytest.mark.slow

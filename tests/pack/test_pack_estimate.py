@@ -12,7 +12,7 @@ from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack.differences import RESISTANCE
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
-from cellwise.pack.suspicion import EXPLANATIONS, _named
+from cellwise.pack.suspicion import CAUSES, named
 from emulated_packs import Fault, emulated_pack
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
@@ -54,13 +54,11 @@ def test_one_changed_cell_is_named_with_its_cause(cells, change, cause, alike):
 
 def test_what_is_just_beyond_chance_is_not_certain():
     """One cause alone is far from sure where so many cells give such a ratio by chance."""
-    allowed, quiet = 1e-5, np.zeros(len(EXPLANATIONS))
-    shifts = stds = [np.ones(1)] * len(EXPLANATIONS)
+    allowed, ones = 1e-5, np.ones(len(CAUSES))
     said = []
     for gain in (-np.log(allowed), 2.0 * -np.log(allowed)):
-        ratio = quiet.copy()
-        ratio[1] = gain
-        said.append(_named(0, 0, ratio, shifts, stds, False, allowed).probability)
+        gains = np.where(np.arange(len(CAUSES)) == 1, gain, 0.0)
+        said.append(named(0, gains, ones, ones, False, allowed).probability)
     assert said[0] < 0.5
     assert said[1] > 0.99
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.logs.cell_log import CellLog

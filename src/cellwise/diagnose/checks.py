@@ -12,11 +12,11 @@ from scipy.special import fdtri
 
 from cellwise.arguments import number, shown
 from cellwise.cell.model import CellModel
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, Cause
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import STATED, share_claimed
-from cellwise.diagnose.fit.rows import IGNORED, Evidence
-from cellwise.diagnose.log_runs import LogRun
+from cellwise.diagnose.fit.rows import Evidence
 from cellwise.errors import InputError
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.logs.cell_log import CellLog, check_is_log
@@ -143,14 +143,13 @@ def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
     return ""
 
 
-def another_cell(model: CellModel, evidence: Evidence, base: Fit, soc: FloatArray) -> str:
+def another_cell(model: CellModel, evidence: Evidence, base: Fit) -> str:
     """Why the log cannot be of the model's kind of cell; empty if it can.
 
     ``base`` is the best the model can do within its tolerances. A voltage far outside the model's
     window, a charge beyond any capacity, or an error no fault explains is another cell.
     """
-    used = evidence.known & (evidence.role != IGNORED)
-    voltage = evidence.voltage_V[used]
+    used, voltage = evidence.known, evidence.voltage_V[evidence.known]
     low, high = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
     middle = float(np.median(voltage))
     if middle > high + OTHER.voltage_V or middle < low - OTHER.voltage_V:
@@ -158,11 +157,11 @@ def another_cell(model: CellModel, evidence: Evidence, base: Fit, soc: FloatArra
             f"the log's median voltage {middle:.2f} V lies outside the model's OCV "
             f"({low:.2f} to {high:.2f} V)"
         )
-    lowest, highest = float(np.min(soc[used])), float(np.max(soc[used]))
+    lowest, highest = float(np.min(base.soc[used])), float(np.max(base.soc[used]))
     if lowest < -OTHER.soc or highest > 1.0 + OTHER.soc:
         moved = (highest - lowest) * model.capacity_Ah
         return f"the log moves {moved:.3g} Ah through a model of {model.capacity_Ah:.3g} Ah"
-    error = float(np.median(np.abs(evidence.voltage_V[used] - base.voltage_V[used])))
+    error = float(np.median(np.abs(voltage - base.voltage_V[used])))
     if error > OTHER.voltage_V:
         return f"the model is {1e3 * error:.0f} mV off in the median, more than any fault explains"
     return ""

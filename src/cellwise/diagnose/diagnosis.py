@@ -12,6 +12,19 @@ from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
+from cellwise.diagnose.applied import (
+    Applied,
+    LogRun,
+    Step,
+    UsedLog,
+    applied,
+    apply,
+    plain_runs,
+    soc_gain,
+    step_between,
+    with_own_starts,
+    with_use,
+)
 from cellwise.diagnose.causes.catalogue import UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.checks import (
@@ -24,37 +37,16 @@ from cellwise.diagnose.checks import (
     too_little,
     unseen_temperature_C,
 )
-from cellwise.diagnose.decision.explanations import Explanation, Explanations, Progress
-from cellwise.diagnose.decision.odds import (
-    NAMING,
-    RARE,
-    Rarity,
-    probability_of,
-)
+from cellwise.diagnose.decision.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
+from cellwise.diagnose.decision.search import Explanation, Explanations, Progress
 from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Prior
-from cellwise.diagnose.fit.priors import GOOD, tolerances
-from cellwise.diagnose.fit.rests import rest_voltages
-from cellwise.diagnose.fit.rows import Evidence, gather
-from cellwise.diagnose.identifiability import LONGER_LOG, Limits, limits, next_test
-from cellwise.diagnose.log_runs import (
-    Applied,
-    LogRun,
-    Step,
-    UsedLog,
-    applied,
-    apply,
-    judged_runs,
-    kept,
-    log_runs,
-    reference_for,
-    soc_gain,
-    step_between,
-    with_own_starts,
-    with_use,
-)
+from cellwise.diagnose.fit.priors import GOOD
+from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.limits import Limits, limits
+from cellwise.diagnose.next_test import LONGER_LOG, next_test
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
@@ -117,67 +109,64 @@ def diagnose(
     chosen = causes_of(causes)
     with_all_rows = groups[0] + groups[1]
     cleaned, stated, faults = without_faults(groups, stated_starts(groups, soc0))
-    groups = tuple(cleaned)
-
-    def said(found: Diagnosis) -> Diagnosis:
-        return with_faults(found, faults, model, with_all_rows)
-
-    missing = too_little(model, groups[0])
-    starts = _starts(model, groups, stated)
+    logs, holdout, _ = cleaned
+    missing = too_little(model, logs)
+    starts = _starts(model, cleaned, stated)
+    used = with_use([*starts[0], *starts[1]], len(logs))
     if missing:
-        return said(_undetermined(model, starts, missing))
-    slowest = _slowest(model)
-    evidence = gather(model, starts[0], starts[1], slowest)
+        said = _undetermined(model, logs, holdout, used, missing)
+        return with_faults(said, faults, model, with_all_rows)
+    evidence = gather(model, starts[0], starts[1], _slowest_s(model))
     unseen_C = unseen_temperature_C(model, evidence)
     coordinates = Coordinates(model, unseen_C=unseen_C)
     if unseen_C is not None:
         chosen = [UNSEEN_TEMPERATURE if c.name == UNSEEN_TEMPERATURE.name else c for c in chosen]
     chosen = [c for c in chosen if all(coordinates.possible(n) for n in c.coordinates)]
-    fits = _cause_fits(evidence, coordinates, seed)
-    if groups[2]:
-        fits.calibrate(_cause_fits(gather(model, starts[2], whole=True), coordinates, seed))
-    base, noise = fits.base(fits.prior)
-    other = another_cell(model, evidence, base, base.soc)
-    if other:
-        return said(_undetermined(model, starts, f"this looks like another cell: {other}"))
+    fits = CauseFits.of(evidence, coordinates, seed)
+    if starts[2]:
+        fits.calibrate(CauseFits.of(gather(model, starts[2], whole=True), coordinates, seed))
+    base, scale = fits.base()
+    if other := another_cell(model, evidence, base):
+        why = f"this looks like another cell: {other}"
+        said = _undetermined(model, logs, holdout, used, why)
+        return with_faults(said, faults, model, with_all_rows)
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
     asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
-    shown = limits(fits, chosen, base, noise, asked)
+    shown = limits(fits, chosen, base, scale, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
-    sets.search(chosen, base, noise)
-    outcome = decide(sets)
-    found = _diagnosis(model, groups[0], groups[1], fits, outcome, shown, reference_capacity_Ah)
-    return said(found)
+    sets.search(chosen, base, scale)
+    found = _diagnosis(logs, holdout, used, fits, decide(sets), shown, reference_capacity_Ah)
+    return with_faults(found, faults, model, with_all_rows)
 
 
-def _undetermined(model: CellModel, starts: list[list[StartedLog]], why: str) -> Diagnosis:
+def _undetermined(
+    model: CellModel,
+    logs: tuple[CellLog, ...],
+    holdout: tuple[CellLog, ...],
+    used: Sequence[UsedLog],
+    why: str,
+) -> Diagnosis:
     """No verdict, and what is missing for one."""
-    logs, holdout = (tuple(g for g, _ in group) for group in starts[:2])
-    every = [*starts[0], *starts[1]]
-    runs = log_runs(model, with_use(every, len(logs)))
+    runs = plain_runs(model, used)
     error = residual_analysis(model, logs[0], runs[0].before.soc0)
     return Diagnosis(
         "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
-        tuple(start.to_dict() for _, start in every), runs=runs,
+        tuple(start.to_dict() for _, start, _ in used), runs=runs,
     )  # fmt: skip
 
 
-def _slowest(model: CellModel) -> float:
+def _slowest_s(model: CellModel) -> float:
     """The slowest memory of the model [s]."""
     table, _, _ = model.parameters()
-    slow = float(np.median(table[..., TAU2]))
-    if np.any(table[..., R3]):
-        slow = max(slow, float(np.median(table[..., TAU3])))
-    return slow
+    columns = [TAU2, TAU3] if np.any(table[..., R3]) else [TAU2]
+    return max(float(np.median(table[..., c])) for c in columns)
 
 
 def _starts(
-    model: CellModel,
-    groups: Sequence[Sequence[CellLog]],
-    stated: Sequence[float | str],
+    model: CellModel, groups: Sequence[Sequence[CellLog]], stated: Sequence[float | str]
 ) -> list[list[StartedLog]]:
-    """Every log with its start."""
+    """Every log with its start; a log's own where it states one."""
 
     def start_of(log: CellLog, value: float | str) -> InitialSoc:
         known = log.soc0 if value == "auto" else float(value)
@@ -190,77 +179,62 @@ def _starts(
     return [[(log, start_of(log, next(said))) for log in group] for group in groups]
 
 
-def _cause_fits(evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
-    """Fits with the tolerances of a good laboratory."""
-    model = coordinates.model
-    return CauseFits(
-        evidence,
-        coordinates,
-        tolerances(coordinates, evidence),
-        rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency),
-        seed,
-    )
-
-
 def _diagnosis(
-    model: CellModel,
     logs: tuple[CellLog, ...],
     holdout: tuple[CellLog, ...],
+    used: Sequence[UsedLog],
     fits: CauseFits,
     outcome: Outcome,
     shown: Limits,
     reference_Ah: float | None,
 ) -> Diagnosis:
-    evidence = fits.evidence
-    used = with_use([(g.log, g.start) for g in evidence.logs], len(logs))
+    evidence, model = fits.evidence, fits.coordinates.model
     known = applied(fits, outcome, used)
     chosen = () if known is None else known.causes
-    refused = [a.cause.name for a in outcome.accepted if a.cause not in chosen]
-    outcome = kept(outcome, known)
-    runs = log_runs(model, used) if known is None else known.runs
-    causes = () if known is None else _found_causes(fits, outcome, used, known)
+    refused = [c.name for c in outcome.causes if c not in chosen]
+    outcome = replace(outcome, accepted=tuple(a for a in outcome.accepted if a.cause in chosen))
+    runs = plain_runs(model, used) if known is None else known.runs
     beyond = [c for c in claim_checks(model, runs, evidence) if c.beyond]
+    causes: tuple[FoundCause, ...] = ()
+    corrected, extended, gain, no_gain = logs, None, None, ""
+    if known is not None:
+        causes = _found_causes(fits, outcome, used, known)
+        corrected = tuple(known.corrected(g) for g in logs)
+        seen = [r.explained.soc0 for r in runs[: len(logs)]]
+        validity = extended_validity(known.model, corrected, seen)
+        extended = _with_own_error(replace(known.model, validity=validity), runs, fits)
+        runs = with_own_starts(extended, runs, used)
+        gain, no_gain = soc_gain(known, model, extended, reference_Ah)
+    open_between = outcome.open_between
     if causes:
         verdict = causes[0].name
-    elif outcome.open_between:
+    elif open_between:
         verdict = "undetermined"
     else:
         verdict = "unexplained" if beyond else "none"
-    corrected = tuple(logs)
-    extended, gain, no_gain = None, None, ""
-    if known is not None:
-        corrected = tuple(known.explained.corrected(g, known.fit) for g in logs)
-        seen = runs[: len(logs)]
-        new = known.explained.model
-        validity = extended_validity(new, corrected, [r.explained.soc0 for r in seen])
-        extended = _with_own_error(replace(new, validity=validity), runs, fits)
-        runs = with_own_starts(extended, runs, used)
-        reference = reference_for(model, reference_Ah, [c.name for c in causes])
-        gain, no_gain = soc_gain(model, extended, judged_runs(runs), reference)
-    reasons = outcome.reasons
+    reasons = [c.text() for c in beyond if not causes]
     if refused:
         names = " and ".join(refused)
-        reasons = (f"{names} fit, but leave held-out rows no better simulated", *reasons)
-    if outcome.open_between:
-        names = " or ".join(" with ".join(e.names) for e in outcome.open_between[:3])
-        reasons = (*reasons, f"{names}: these logs do not separate them")
-    if not causes:
-        reasons = (*(c.text() for c in beyond), *reasons)
+        reasons.append(f"{names} fit, but leave held-out rows no better simulated")
+    reasons += outcome.reasons
+    if open_between:
+        names = " or ".join(" with ".join(e.names) for e in open_between[:3])
+        reasons.append(f"{names}: these logs do not separate them")
     return Diagnosis(
         verdict,
         causes,
         tuple(_tried(e, fits, outcome.none, used) for e in outcome.first),
         residual_analysis(model, logs[0], runs[0].before.soc0),
         "" if verdict == "none" else next_test(outcome, model, evidence),
-        reasons,
+        tuple(reasons),
         model,
         extended,
         logs,
         holdout,
         corrected,
-        tuple(g.start.to_dict() for g in evidence.logs),
+        tuple(start.to_dict() for _, start, _ in used),
         gain,
-        outcome.noise._asdict(),
+        {"scale": outcome.scale},
         runs,
         no_gain,
         shown.sizes,
@@ -287,40 +261,35 @@ def _found_causes(
     prior = fits.widened_for(known.causes, known.fit.coordinates)
     found = []
     for k, accepted in enumerate(outcome.accepted, 1):
-        after = [r.explained for r in known.runs]
+        part = known
         if k < len(known.causes):
-            near = fits.fit_causes(known.causes[:k], known.fit, outcome.noise)
+            near = fits.fit_causes(known.causes[:k], known.fit, outcome.scale)
             part = apply(fits, known.causes[:k], near, used)
-            after = [r.explained for r in part.runs]
-        step = step_between(fits.evidence, before, after, np.random.default_rng(fits.seed))
-        found.append(_found(accepted, step, known.fit, prior, outcome, fits.evidence))
+        after = [r.explained for r in part.runs]
+        step = step_between(fits.evidence, before, after, fits.seed)
+        start = fits.evidence.logs[0].start.soc
+        probability = probability_of(accepted.cause.name, outcome.weighed)
+        found.append(_found(accepted, step, known.fit, prior, start, probability))
         before = after
     return tuple(found)
 
 
 def _found(
-    accepted: Accepted, step: Step, final: Fit, prior: Prior, outcome: Outcome, evidence: Evidence
+    accepted: Accepted, step: Step, final: Fit, prior: Prior, soc0: float, probability: float
 ) -> FoundCause:
     cause = accepted.cause
-    soc0 = evidence.logs[0].start.soc
-    values = parameters_of(cause, final.coordinates, final.z, soc0)
     intervals, usual = {}, []
     for p in cause.parameters:
-        key = "soc0:0" if p.coordinate == "soc0" else p.coordinate
-        x = final.z.get(key, 0.0)
-        std = final.std(key)
-        if std > NAMING.narrower * prior.std[key]:
+        x, std = final.z.get(p.key, 0.0), final.std(p.key)
+        if std > NAMING.narrower * prior.std[p.key]:
             usual.append(p.name)
-        ends = (
-            value_of(p.coordinate, x - 1.96 * std, final.coordinates, soc0),
-            value_of(p.coordinate, x + 1.96 * std, final.coordinates, soc0),
-        )
-        intervals[p.name] = (min(ends), max(ends))
+        ends = sorted(value_of(p, x + k * std, final.coordinates, soc0) for k in (-1.96, 1.96))
+        intervals[p.name] = (ends[0], ends[1])
     return FoundCause(
         cause.name,
         cause.kind,
         cause.meaning,
-        values,
+        parameters_of(cause, final.coordinates, final.z, soc0),
         intervals,
         step.train_before_V,
         step.train_after_V,
@@ -330,7 +299,7 @@ def _found(
         (step.low, step.high),
         _evidence(accepted, step),
         cause.confused_with,
-        probability_of(cause.name, outcome.weighed),
+        probability,
         tuple(usual),
     )
 
@@ -339,15 +308,14 @@ def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
     """Why a cause was accepted."""
     least = f"{100 * step.low:.0f}" if step.low >= 0.0 else f"{-100 * step.low:.0f} % more"
     needed = "" if step.held_after_V <= step.held_before_V else "; needed by the others"
-    lines = [
+    return (
         f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
         f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less{needed}, "
         "95 % interval over blocks of time)",
         f"e^{accepted.score:.0f} times as probable as the best explanation without it"
         + (f" ({' with '.join(accepted.instead)})" if accepted.instead else ""),
-    ]
-    lines.append(accepted.cause.signature)
-    return tuple(lines)
+        accepted.cause.signature,
+    )
 
 
 def _tried(
@@ -355,7 +323,6 @@ def _tried(
 ) -> TriedCause:
     """A single cause as a user would apply it: its error is what `simulate` shows with it."""
     (c,), f = candidate.causes, candidate.fit
-    score = candidate.found.total - none.found.total
-    error = apply(fits, (c,), f, used).step.held_after_V
     values = parameters_of(c, f.coordinates, f.z, fits.evidence.logs[0].start.soc)
-    return TriedCause(c.name, error, values, score)
+    error = apply(fits, (c,), f, used).step.held_after_V
+    return TriedCause(c.name, error, values, candidate.found.total - none.found.total)

@@ -29,7 +29,7 @@ from cellwise.cell.model_error import with_temperature
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.point_kernels import ENTROPY, OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.causes.catalogue import Cause
+from cellwise.diagnose.causes.catalogue import Cause, Parameter
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, UNSEEN_NAMES, Coordinates
 from cellwise.diagnose.fit.rows import shifted_current
 from cellwise.identify.validity import joined, log_validity
@@ -44,19 +44,13 @@ def parameters_of(
     cause: Cause, coordinates: Coordinates, z: Mapping[str, float], soc0: float
 ) -> dict[str, float]:
     """The values of a cause's parameters as people see them."""
-    return {
-        p.name: value_of(p.coordinate, z.get(_key(p.coordinate), 0.0), coordinates, soc0)
-        for p in cause.parameters
-    }
+    return {p.name: value_of(p, z.get(p.key, 0.0), coordinates, soc0) for p in cause.parameters}
 
 
-def _key(coordinate: str) -> str:
-    return "soc0:0" if coordinate == "soc0" else coordinate
-
-
-def value_of(coordinate: str, x: float, coordinates: Coordinates, soc0: float) -> float:
+def value_of(parameter: Parameter, x: float, coordinates: Coordinates, soc0: float) -> float:
     """A parameter's value at ``x`` in its coordinate."""
-    return soc0 + x if coordinate == "soc0" else coordinates.value_of(coordinate, x)
+    start = parameter.coordinate == "soc0"
+    return soc0 + x if start else coordinates.value_of(parameter.coordinate, x)
 
 
 def split_skew(
@@ -159,7 +153,7 @@ def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellM
     return replace(model, error=with_temperature(error, temperature_C, times))
 
 
-def correct_log(log: CellLog, coordinates: Coordinates, z: Mapping[str, float]) -> CellLog:
+def correct_log(log: CellLog, z: Mapping[str, float]) -> CellLog:
     """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
 
     The model's own sampling delay stays in the model; one that was found is removed here.

@@ -13,7 +13,9 @@ bar-delta filtering; the columns for polling and offset are ours).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +24,11 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.initial_soc.pauses import stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
+from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.packs.pack_log import PackLog
+from cellwise.logs.stated import check_order, day_of_name
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -42,6 +47,7 @@ class Compared(NamedTuple):
 
 
 COMPARED = Compared()
+PERIOD_DAYS = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +97,65 @@ def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> Mean
         soc[rows], std[rows], voltage[rows] = trace.soc, trace.soc_std, trace.voltage_V
         part[rows] = count
     return MeanCell(log, begun, soc, std, voltage, part)
+
+
+@dataclass(frozen=True, eq=False)
+class PackDay:
+    """One log, its mean cell, and on which day it was recorded (None: nobody knows)."""
+
+    log: PackLog
+    mean: MeanCell
+    day: date | None
+
+    @property
+    def ordinal(self) -> float:
+        """Days on a common clock; 0 where nobody knows."""
+        return 0.0 if self.day is None else float(self.day.toordinal())
+
+
+def pack_days(
+    model: CellModel, logs: Sequence[PackLog], names: tuple[str, ...] | None = None
+) -> tuple[PackDay, ...]:
+    """The mean cell of every log, in order of time.
+
+    Parameters
+    ----------
+    names : tuple of str or None      the cells that an earlier state knows
+
+    Raises
+    ------
+    InputError        no log; other cells in one log than in another; days that run backwards
+    """
+    if not logs:
+        raise InputError("no log", "at least one log with cell voltages", "Name it.")
+    expected = logs[0].names if names is None else names
+    before = "the saved state" if names is not None else f"'{logs[0].name}'"
+    for log in logs:
+        if log.names != expected:
+            absent = [n for n in expected if n not in log.names][:3]
+            added = [n for n in log.names if n not in expected][:3]
+            raise InputError(
+                f"{log.cells} cells in '{log.name}' and {len(expected)} in {before}"
+                + (f", without {', '.join(absent)}" if absent else "")
+                + (f", with {', '.join(added)}" if added else ""),
+                "the same cells in every log of a pack",
+                "Estimate logs with other cells by themselves, or repair the columns.",
+            )
+    days = [PackDay(log, mean_cell(model, log.mean), day_of_name(log.name)) for log in logs]
+    check_order([(one.log.name, one.day) for one in days])
+    return tuple(days)
+
+
+def periods(days: Sequence[PackDay]) -> tuple[tuple[PackDay, ...], ...]:
+    """Logs of :data:`PERIOD_DAYS` together; all together where a day is not known."""
+    if any(d.day is None for d in days):
+        return (tuple(days),)
+    found: list[list[PackDay]] = [[days[0]]]
+    for day in days[1:]:
+        if day.ordinal - found[-1][0].ordinal >= PERIOD_DAYS:
+            found.append([])
+        found[-1].append(day)
+    return tuple(tuple(part) for part in found)
 
 
 class OcvSlope:

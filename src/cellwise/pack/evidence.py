@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.pack.differences import NAMED, SIZE, SOC, Regressors, usual_spread
+from cellwise.cell.model import CellModel
+from cellwise.pack.differences import (
+    NAMED,
+    OFFSET,
+    SIZE,
+    SOC,
+    OcvSlope,
+    PackDay,
+    Regressors,
+    regressors,
+    usual_spread,
+)
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -21,7 +34,8 @@ class UsualNoise(NamedTuple):
     deviations beyond which a reading counts no more; ``weight``: cells, or cells and blocks, that a
     usual size counts as beside those that are seen; ``least_share``: of a usual spread, since a
     pack of equal cells is not expected to be more equal; ``passes`` of an
-    expectation-maximisation, which comes near enough in a few.
+    expectation-maximisation, which comes near enough in a few; ``rows`` of a period are compared:
+    more say no more.
     """
 
     row_V: float = 0.003
@@ -35,6 +49,7 @@ class UsualNoise(NamedTuple):
     weight: float = 10.0
     least_share: float = 0.2
     passes: int = 30
+    rows: int = 200_000
 
 
 USUAL = UsualNoise()
@@ -65,6 +80,30 @@ class PackEvidence:
     block_V: float
     balancing_soc: float
     days: float = 0.0
+
+
+def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
+    """What the logs of one period say of the cells; of many rows every so many are enough."""
+    middle = 0.5 * (days[0].ordinal + days[-1].ordinal)
+    some = slice(None, None, max(-(-sum(len(d.log) for d in days) // USUAL.rows), 1))
+    parts = []
+    count = 0
+    for number, day in enumerate(days):
+        log, part = day.log, day.mean.part
+        found = regressors(day.mean, OcvSlope(model, log.mean), day.ordinal - middle)
+        ok = np.isfinite(log.cell_V)
+        if log.balancing is not None:
+            ok &= ~log.balancing  # the bypass current loads the sense wires
+        clock = (log.mean.time_s // USUAL.block_s).astype(np.int64)
+        moved = np.diff(clock, prepend=clock[0]) + np.abs(np.diff(part, prepend=part[0]))
+        block = count + np.cumsum(moved != 0)
+        count = int(block[-1]) + 1
+        of_log = np.full(len(log), number)
+        columns = (*found, log.difference_V, ok, block, of_log)
+        parts.append([column[some] for column in columns])
+    rows, change, used, *others = (np.concatenate(c) for c in zip(*parts, strict=True))
+    found_of_all = pack_evidence(Regressors(rows, change, used), *others)
+    return replace(found_of_all, days=days[-1].ordinal - days[0].ordinal)
 
 
 def pack_evidence(
@@ -112,11 +151,13 @@ def pack_evidence(
         drawn = np.minimum(np.maximum(d, fit - limit), fit + limit)
         drawn[~ok] = 0.0
         x = _ridge(rows, weight, drawn, ok, prior)
-    sums = _block_sums(rows, weight, drawn, ok, _starts(block[used]))
-    block_V = _block_noise(sums, x)
-    matrix, vector = _without_block_errors(sums, block_V)
-    of_block = log[used][_starts(block[used])]
-    starts = _starts(of_block)
+    starts = _starts(block[used])
+    matrix, vector = _block_sums(rows, weight, drawn, ok, starts)
+    block_V = _block_noise(matrix, vector, x)
+    own = np.zeros(SIZE)
+    own[OFFSET] = block_V**2  # an error that stays for a block is an offset of its own
+    matrix, vector = _integrated(matrix, vector, own)
+    starts = _starts(log[used][starts])
     balance = 0.0
     if starts.size > 1:
         matrix = np.add.reduceat(matrix, starts, axis=0)
@@ -163,22 +204,6 @@ def _row_noise(left: FloatArray, ok: BoolArray, change: FloatArray) -> tuple[flo
     return noise, float(np.sqrt(excess)) / max(moved, USUAL.least_V)
 
 
-@dataclass(frozen=True, eq=False)
-class _BlockSums:
-    """Sums over each block.
-
-    ``A`` (blocks, SIZE, SIZE), of cells with missing readings ``own``; ``b`` (blocks, SIZE, cells),
-    ``c`` (blocks, SIZE), ``total`` (blocks,) weights, ``d`` (blocks, cells) weighted differences.
-    """
-
-    A: FloatArray
-    b: FloatArray
-    c: FloatArray
-    total: FloatArray
-    d: FloatArray
-    own: dict[int, tuple[FloatArray, FloatArray, FloatArray]]
-
-
 def _starts(number: IndexArray) -> IndexArray:
     """Rows at which a new number begins."""
     return np.flatnonzero(np.diff(number, prepend=number[0] - 1) != 0)
@@ -186,59 +211,46 @@ def _starts(number: IndexArray) -> IndexArray:
 
 def _block_sums(
     rows: FloatArray, weight: FloatArray, d: FloatArray, ok: BoolArray, starts: IndexArray
-) -> _BlockSums:
+) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of each block: (blocks, cells or 1, SIZE, SIZE) and (blocks, cells, SIZE).
+
+    Cells have one matrix unless readings of some are missing.
+    """
     weighted = weight[:, None] * rows
-    stops = np.append(starts[1:], rows.shape[0])
-    spans = list(zip(starts.tolist(), stops.tolist(), strict=True))
-    a = np.stack([rows[i:j].T @ weighted[i:j] for i, j in spans])
-    b = np.stack([weighted[i:j].T @ d[i:j] for i, j in spans])
-    c = np.add.reduceat(weighted, starts, axis=0)
-    total = np.add.reduceat(weight, starts)
-    dsum = np.stack([weight[i:j] @ d[i:j] for i, j in spans])
-    own = {}
-    for k in np.flatnonzero(~ok.all(axis=0)).tolist():
+    spans = list(pairwise([*starts.tolist(), rows.shape[0]]))
+    matrix = np.stack([rows[i:j].T @ weighted[i:j] for i, j in spans])[:, None]
+    vector = np.stack([d[i:j].T @ weighted[i:j] for i, j in spans])
+    missing = np.flatnonzero(~ok.all(axis=0))
+    if missing.size:
+        matrix = np.repeat(matrix, d.shape[1], axis=1)
+    for k in missing.tolist():
         masked = weighted * ok[:, k : k + 1]
-        own[k] = (
-            np.stack([rows[i:j].T @ masked[i:j] for i, j in spans]),
-            np.add.reduceat(masked, starts, axis=0),
-            np.add.reduceat(weight * ok[:, k], starts),
-        )
-    return _BlockSums(a, b, c, total, dsum, own)
+        matrix[:, k] = np.stack([rows[i:j].T @ masked[i:j] for i, j in spans])
+    return matrix, vector
 
 
-def _block_noise(sums: _BlockSums, x: FloatArray) -> float:
+def _block_noise(matrix: FloatArray, vector: FloatArray, x: FloatArray) -> float:
     """Standard deviation of what stays for a block [V], of all cells and blocks."""
-    mean = sums.d / sums.total[:, None] - (sums.c / sums.total[:, None]) @ x.T
-    mean = np.delete(mean, list(sums.own), axis=1)
+    total = matrix[:, :, OFFSET, OFFSET]
+    left = vector[:, :, OFFSET] - np.einsum("bci,ci->bc", _of_cells(matrix[:, :, OFFSET], x), x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(total > 0.0, left / total, np.nan)
+    mean = mean[np.isfinite(mean)]
     if mean.size == 0:
         return USUAL.block_V
-    found = max(float(robust_std(mean.ravel())) ** 2 - float(np.median(1.0 / sums.total)), 0.0)
+    of_rows = float(np.median(1.0 / total[total > 0.0]))
+    found = max(float(robust_std(mean)) ** 2 - of_rows, 0.0)
     return _with_usual(found, float(mean.size), USUAL.block_V)
+
+
+def _of_cells(of_one: FloatArray, x: FloatArray) -> FloatArray:
+    """What all cells have in common (n, 1, SIZE), for each of them."""
+    return np.broadcast_to(of_one, (of_one.shape[0], *x.shape))
 
 
 def _with_usual(found: float, many: float, usual: float) -> float:
     """Deviation of a variance that so many have shown, and of a usual one [unit of ``usual``]."""
     return float(np.sqrt((many * found + USUAL.weight * usual**2) / (many + USUAL.weight)))
-
-
-def _without_block_errors(sums: _BlockSums, block_V: float) -> tuple[FloatArray, FloatArray]:
-    """Information of each block and cell with the block's own constant error integrated out.
-
-    Shapes (blocks, cells or 1, SIZE, SIZE) and (blocks, cells, SIZE).
-    """
-    cells = sums.b.shape[2]
-    share = 1.0 / (sums.total + block_V**-2.0)
-    a = sums.A - share[:, None, None] * sums.c[:, :, None] * sums.c[:, None, :]
-    b = sums.b - share[:, None, None] * sums.c[:, :, None] * sums.d[:, None, :]
-    b = np.moveaxis(b, 2, 1)
-    if not sums.own:
-        return a[:, None], b
-    matrix = np.repeat(a[:, None], cells, axis=1)
-    for k, (own, c, total) in sums.own.items():
-        share = 1.0 / (total + block_V**-2.0)
-        matrix[:, k] = own - share[:, None, None] * c[:, :, None] * c[:, None, :]
-        b[:, k] = sums.b[:, :, k] - share[:, None] * c * sums.d[:, k : k + 1]
-    return matrix, b
 
 
 def _without_balancing(
@@ -248,28 +260,34 @@ def _without_balancing(
 
     Between logs a pack is charged and balanced: what a cell's SOC is against the mean's is new each
     time, by a size that the logs themselves show; and what that does to the voltage is known as
-    well as the OCV's slope is. Shapes as :func:`_without_block_errors` has them.
+    well as the OCV's slope is. Shapes as
+    :func:`_block_sums` has them.
     """
     size = USUAL.balancing_soc
     for _ in range(USUAL.passes):
-        a, b = _integrated(matrix, vector, size)
+        a, b = _integrated(matrix, vector, _balanced(size))
         x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
-        column = np.broadcast_to(matrix[:, :, SOC], vector.shape)
-        pull = vector[:, :, SOC] - np.einsum("lcj,cj->lc", column, x)
+        pull = vector[:, :, SOC] - np.einsum("lci,ci->lc", _of_cells(matrix[:, :, SOC], x), x)
         variance = 1.0 / (matrix[:, :, SOC, SOC] + size**-2.0)
         moved = variance * pull
         seen = float(np.median(np.broadcast_to(variance, moved.shape)))
         found = float(robust_std(moved.ravel())) ** 2 + min(seen, size**2)
         size = _with_usual(found, float(moved.size), USUAL.balancing_soc)
-    return *_integrated(matrix, vector, size), size
+    return *_integrated(matrix, vector, _balanced(size)), size
 
 
-def _integrated(
-    matrix: FloatArray, vector: FloatArray, size: float
-) -> tuple[FloatArray, FloatArray]:
+def _balanced(size: float) -> FloatArray:
+    """Variances of what balancing by a size moves, (SIZE,)."""
     own = np.zeros(SIZE)
     own[SOC] = size**2
     own[NAMED:] = (USUAL.slope_V * size) ** 2
+    return own
+
+
+def _integrated(
+    matrix: FloatArray, vector: FloatArray, own: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Information of parts (a block, a log) once each has differences of its own, by variances."""
     eye = np.eye(SIZE)
     a = np.linalg.solve(eye + matrix * own, matrix)
     b = np.linalg.solve(eye + matrix * own, vector[..., None])[..., 0]

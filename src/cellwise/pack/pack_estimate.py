@@ -1,4 +1,4 @@
-"""Every cell of a pack on one model: SOC, capacity, resistance, and what is odd."""
+"""Every cell of a pack on one model: SOC, capacity, resistance, what is odd and usable."""
 
 from __future__ import annotations
 
@@ -9,12 +9,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import (
-    far_off_text,
-    in_order,
-    outside_notices,
-    withheld,
-)
+from cellwise.cell.plausibility.notice import far_off_text, in_order, outside_notices, withheld
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack.differences import (
     CAPACITY,
@@ -26,26 +21,29 @@ from cellwise.pack.differences import (
     SELF_DISCHARGE,
     SIZE,
     SOC,
+    OcvSlope,
+    PackDay,
+    pack_days,
+    periods,
 )
-from cellwise.pack.evidence import PackEvidence
+from cellwise.pack.evidence import PackEvidence, period_evidence
 from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
-from cellwise.pack.periods import PackDay, pack_days, period_evidence, periods
 from cellwise.pack.suspicion import (
+    LEAK,
     Suspicion,
-    against_others,
-    against_past,
     also_drifting,
     drift_of,
     drifting,
     exchanged_cells,
     self_discharging,
+    suspicions,
     with_exchanged,
 )
-from cellwise.pack.usable import Usable, usable_charge
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 BALANCED = [SOC, SELF_DISCHARGE]
+POINTS = 101  # of the mean of the OCV between full and empty
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +68,34 @@ class CellsEstimate:
     voltage_rmse_V: FloatArray
 
 
+@dataclass(frozen=True)
+class Usable:
+    """Charge and energy of a pack between its first full and its first empty cell.
+
+    ``usable_Ah`` as the cells are; ``balanced_Ah`` when all are full together, so that the smallest
+    cell alone decides; ``left_Ah`` until the first cell is empty; ``usable_Wh`` of ``usable_Ah``
+    at open circuit.
+    """
+
+    usable_Ah: float
+    balanced_Ah: float
+    left_Ah: float
+    usable_Wh: float
+
+    def to_dict(self) -> dict[str, float]:
+        """JSON values, with what balancing would bring; rounding is none."""
+        return {**vars(self), "balancing_gain_Ah": round(self.balanced_Ah - self.usable_Ah, 9)}
+
+
+UNKNOWN = Usable(np.nan, np.nan, np.nan, np.nan)
+
+
 @dataclass(frozen=True, eq=False)
 class PackEstimate:
     """A pack after its logs.
 
     ``days`` are the logs with their mean cells, ``evidence`` the last period's, ``state`` what a
-    later call continues from, ``suspicions`` of all periods with the number of each.
+    later call continues from, ``suspicions`` those of all periods.
     """
 
     model: CellModel
@@ -83,7 +103,7 @@ class PackEstimate:
     cells: CellsEstimate
     usable: Usable
     evidence: PackEvidence
-    suspicions: tuple[tuple[int, Suspicion], ...]
+    suspicions: tuple[Suspicion, ...]
     exchanged: tuple[str, ...]
     state: PackState
     withheld: str | None = None
@@ -114,14 +134,8 @@ class PackEstimate:
         unknown = np.full(len(self.names), np.nan)
         health = ("capacity", "resistance", "offset", "skew")
         fields = {k: unknown for k in vars(self.cells) if k.startswith(health)}
-        nothing = Usable(np.nan, np.nan, np.nan, np.nan)
-        return replace(
-            self,
-            cells=replace(self.cells, **fields),
-            usable=nothing,
-            suspicions=(),
-            withheld=withheld(text),
-        )
+        cells = replace(self.cells, **fields)
+        return replace(self, cells=cells, usable=UNKNOWN, suspicions=(), withheld=withheld(text))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,8 +153,8 @@ class PackEstimate:
     def causes(self) -> list[dict[str, Any]]:
         """Odd cells and sensors as `cellwise diagnose` lists causes, the most certain first."""
         found = [
-            cause_of(one, self.names[one.cell], self.model, number, len(self.state.periods))
-            for number, one in sorted(self.suspicions, key=lambda s: -s[1].gain)
+            one.to_dict(self.names[one.cell], self.model, len(self.state.periods))
+            for one in sorted(self.suspicions, key=lambda s: -s.gain)
         ]
         for flag in self.days[-1].log.flags:
             if flag.kind in ("dead", "frozen"):
@@ -162,17 +176,16 @@ class PackEstimate:
             "by_capacity": cells.capacity_Ah,
             "by_resistance": -cells.resistance_scale,
         }
-        known = {k: v for k, v in least.items() if np.any(np.isfinite(v))}
-        return {k: self.names[int(np.nanargmin(known[k]))] if k in known else "-" for k in least}
+        return {
+            k: self.names[int(np.nanargmin(v))] if np.isfinite(v).any() else "-"
+            for k, v in least.items()
+        }
 
     @property
     def weak(self) -> list[str]:
         """Cells that are weak beyond what a pack's cells differ by; sensors are not."""
-        return list(
-            dict.fromkeys(
-                self.names[s.cell] for _, s in self.suspicions if not s.explanation.sensor
-            )
-        )
+        found = (self.names[s.cell] for s in self.suspicions if not s.cause.sensor)
+        return list(dict.fromkeys(found))
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -189,10 +202,11 @@ class PackEstimate:
     @property
     def _drift(self) -> tuple[str, ...]:
         """What one period shows and only several can decide."""
-        said = bool(self.state.drifts) and self.evidence.days > 0.0 and self.withheld is None
-        drift = self.state.drifts[-1] if said else None
-        cell = None if drift is None else drifting(drift)
-        if drift is None or cell is None or "self_discharge" in {c["name"] for c in self.causes}:
+        if self.evidence.days <= 0.0 or not self.state.drifts or self.withheld is not None:
+            return ()
+        drift = self.state.drifts[-1]
+        cell = drifting(drift)
+        if cell is None or LEAK.name in {c["name"] for c in self.causes}:
             return ()
         ampere = 1e3 * self.model.capacity_Ah / 24.0
         low, high = (ampere * (drift.per_day[cell] + k * drift.std[cell]) for k in (-2.0, 2.0))
@@ -204,23 +218,19 @@ class PackEstimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
-        cells, names = self.cells, self.names
-        keys = (
-            "soc", "soc_std", "capacity_Ah", "capacity_std_Ah", "resistance_scale",
-            "resistance_std", "voltage_rmse_V", "offset_V", "offset_std_V", "skew_s", "skew_std_s",
-        )  # fmt: skip
+        columns, soc = self.columns(), self.cells.soc
         return {
-            "cells": len(names),
+            "cells": len(self.names),
             "soc": {
-                "min": float(np.nanmin(cells.soc)),
-                "mean": float(np.nanmean(cells.soc)),
-                "max": float(np.nanmax(cells.soc)),
+                "min": float(np.nanmin(soc)),
+                "mean": float(np.nanmean(soc)),
+                "max": float(np.nanmax(soc)),
             },
             "weakest": self.weakest,
             "weak": self.weak,
             "per_cell": [
-                {"name": name, **{key: float(getattr(cells, key)[k]) for key in keys}}
-                for k, name in enumerate(names)
+                {"name": name, **{k: float(v[cell]) for k, v in vars(self.cells).items()}}
+                for cell, name in enumerate(columns["name"])
             ],
             **self.usable.to_dict(),
             "causes": self.causes,
@@ -264,67 +274,62 @@ def estimate_pack(
     InputError        other cells in one log than in another, days that run backwards
     """
     days = pack_days(model, logs, None if state is None else state.names)
-    parts = periods(days)
-    origin = parts[0][0].ordinal if state is None else state.origin
-    deltas = None if state is None else state.deltas
-    history = [] if state is None else list(state.periods)
-    drifts = [] if state is None else list(state.drifts)
-    suspected: list[tuple[int, Suspicion]] = []
+    names, parts = days[0].log.names, periods(days)
+    known = state is not None
+    if state is None:
+        state = PackState(names, parts[0][0].ordinal, CellDeltas.unknown(len(names)), ())
+    deltas, history, drifts = state.deltas, list(state.periods), list(state.drifts)
+    suspected: list[Suspicion] = []
     exchanged: list[str] = []
     for part in parts:
         evidence = period_evidence(model, part)
         spread = spread_between(evidence)
-        found = against_others(spread, evidence)
-        if deltas is None:
-            deltas = CellDeltas.unknown(len(days[0].log.names), spread)
+        others = CellDeltas.unknown(len(names), spread)
+        found: list[Suspicion] = []
+        if not known:
+            deltas, known = others, True
         else:
-            deltas = deltas.later(max(part[0].ordinal - origin, deltas.days))
+            deltas = deltas.later(max(part[0].ordinal - state.origin, deltas.days))
             moves = drift_between(deltas, evidence)
-            expected = replace(deltas, covariance=deltas.covariance + np.diag(moves))
-            changed = against_past(expected, evidence)
-            pair = exchanged_cells(expected, evidence, changed)
-            if pair is not None:
-                i, j = pair
-                names = days[0].log.names
+            past = replace(deltas, covariance=deltas.covariance + np.diag(moves))
+            found = suspicions(past, evidence, changed=True)
+            if pair := exchanged_cells(past, evidence, found):
+                one, two = (names[k] for k in pair)
                 exchanged.append(
-                    f"{names[i]} and {names[j]} have exchanged their voltages from "
+                    f"{one} and {two} have exchanged their voltages from "
                     f"'{part[0].log.name}' on: each is now what the other was"
                 )
-                evidence = with_exchanged(evidence, i, j)
-                found = [s for s in against_others(spread, evidence) if s.cell not in pair]
-                changed = against_past(expected, evidence)
+                evidence = with_exchanged(evidence, pair)
+                found = suspicions(past, evidence, changed=True)
             # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.
             moved = np.zeros(SIZE)
             moved[BALANCED] = moves[BALANCED]
             deltas = replace(deltas, covariance=deltas.covariance + np.diag(moved))
-            seen = {s.cell for s in changed}
-            found = changed + [s for s in found if s.cell not in seen]
+        seen = {s.cell for s in found}
+        found += [s for s in suspicions(others, evidence, changed=False) if s.cell not in seen]
         deltas = deltas.updated(evidence)
         drift = drift_of(spread, evidence)
         if drift is not None:
             found = also_drifting(found, drift)
             drifts.append(drift)
-        suspected += [(len(history), s) for s in found]
+        suspected += [replace(s, period=len(history)) for s in found]
         history.append(part[0].log.name)
-    if deltas is None:
-        deltas = CellDeltas.unknown(len(days[0].log.names))
-    for one in self_discharging(drifts):
+    for leak in self_discharging(drifts):
         # A cell that runs empty is far from the others in all that is linear about them.
-        also = {s.explanation.cause for _, s in suspected if s.cell == one.cell}
-        suspected = [(number, s) for number, s in suspected if s.cell != one.cell]
-        suspected.append((len(history) - 1, replace(one, others=tuple(sorted(also)))))
+        also = tuple(sorted({s.cause.name for s in suspected if s.cell == leak.cell}))
+        suspected = [s for s in suspected if s.cell != leak.cell]
+        suspected.append(replace(leak, others=also, period=len(history) - 1))
     last = days[-1]
-    at_end = _at_end(model, deltas, evidence, last)
-    cells = _cells(model, at_end, last, evidence)
+    cells = _cells(model, _at_end(model, deltas, evidence, last), last, evidence)
     return PackEstimate(
         model=model,
         days=days,
         cells=cells,
-        usable=usable_charge(model, last.log.mean, cells.soc, cells.capacity_Ah, last.log.parallel),
+        usable=usable_charge(model, last.log, cells.soc, cells.capacity_Ah),
         evidence=evidence,
         suspicions=tuple(suspected),
         exchanged=tuple(exchanged),
-        state=PackState(last.log.names, origin, deltas, tuple(history), tuple(drifts)),
+        state=PackState(names, state.origin, deltas, tuple(history), tuple(drifts)),
     )
 
 
@@ -354,77 +359,50 @@ def _cells(
     model: CellModel, deltas: CellDeltas, last: PackDay, evidence: PackEvidence
 ) -> CellsEstimate:
     used = np.flatnonzero(last.mean.used)
-    z = float(last.mean.soc[used[-1]]) if used.size else float("nan")
-    z_std = float(last.mean.soc_std[used[-1]]) if used.size else float("nan")
+    at = used[-1] if used.size else 0
+    z, z_std = float(last.mean.soc[at]), float(last.mean.soc_std[at])
     x = deltas.mean - np.mean(deltas.mean, axis=0)  # differences from the mean have no mean
-    p = deltas.covariance
-    lever = np.zeros(SIZE)
-    lever[SOC], lever[CAPACITY] = 1.0, REFERENCE_SOC - z
-    both = np.zeros(SIZE)
-    both[LAG] = both[LEAD] = 1.0
-
-    def std(row: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(np.einsum("i,cij,j->c", row, p, row)))
-
-    def one(index: int) -> FloatArray:
-        return np.asarray(np.eye(SIZE)[index])
-
-    capacity = model.capacity_Ah * (1.0 + x[:, CAPACITY])
-    shared = model.capacity_std_Ah
     there = evidence.rows > 0
+
+    def seen(*parts: tuple[int, float]) -> tuple[FloatArray, FloatArray]:
+        """A sum of differences, and its deviation."""
+        row = np.zeros(SIZE)
+        for k, factor in parts:
+            row[k] = factor
+        return x @ row, np.sqrt(np.einsum("i,cij,j->c", row, deltas.covariance, row))
+
+    soc, soc_std = seen((SOC, 1.0), (CAPACITY, REFERENCE_SOC - z))
+    capacity, capacity_std = seen((CAPACITY, model.capacity_Ah))
+    resistance, resistance_std = seen((RESISTANCE, 1.0))
     return CellsEstimate(
-        soc=np.where(there, np.clip(z + x @ lever, 0.0, 1.0), np.nan),
-        soc_std=np.hypot(z_std, std(lever)),
-        capacity_Ah=np.where(there, capacity, np.nan),
-        capacity_std_Ah=np.hypot(shared, model.capacity_Ah * std(one(CAPACITY))),
-        resistance_scale=np.where(there, 1.0 + x[:, RESISTANCE], np.nan),
-        resistance_std=std(one(RESISTANCE)),
-        offset_V=x[:, OFFSET],
-        offset_std_V=std(one(OFFSET)),
-        skew_s=x @ both,
-        skew_std_s=std(both),
-        voltage_rmse_V=evidence.rmse_V,
+        np.where(there, np.clip(z + soc, 0.0, 1.0), np.nan),
+        np.hypot(z_std, soc_std),
+        np.where(there, model.capacity_Ah + capacity, np.nan),
+        np.hypot(model.capacity_std_Ah, capacity_std),
+        np.where(there, 1.0 + resistance, np.nan),
+        resistance_std,
+        *seen((OFFSET, 1.0)),
+        *seen((LAG, 1.0), (LEAD, 1.0)),
+        evidence.rmse_V,
     )
 
 
-def cause_of(
-    one: Suspicion, name: str, model: CellModel, period: int, periods: int
-) -> dict[str, Any]:
-    """One entry of ``causes``: name, cell, parameters with 95 % intervals, evidence."""
-    value, std, text = _in_units(one, model)
-    low, high = sorted((value - 1.96 * std, value + 1.96 * std))
-    against = "its own past" if one.changed else "the other cells"
-    parameter = one.explanation.parameter
-    lines = [f"{name}: {text} against {against}"]
-    if periods > 1:
-        lines.append(f"found in period {period + 1} of {periods}")
-    return {
-        "name": one.explanation.cause,
-        "cell": name,
-        "probability": one.probability,
-        "parameters": {parameter: value},
-        "ci95": {parameter: [low, high]},
-        "of": "sensor" if one.explanation.sensor else "cell",
-        "changed": one.changed,
-        "period": period + 1,
-        "gain": one.gain,
-        "evidence": lines,
-        "confusable_with": list(one.others),
-    }
+def usable_charge(
+    model: CellModel, log: PackLog, soc: FloatArray, capacity_Ah: FloatArray
+) -> Usable:
+    """What cells in series give, from SOC and capacity of each, shape (cells,); NaN: unknown.
 
-
-def _in_units(one: Suspicion, model: CellModel) -> tuple[float, float, str]:
-    """Value, deviation and text of the parameter that the cause has in `cellwise diagnose`."""
-    capacity = model.capacity_Ah
-    # What is added and multiplied for the parameter; for the text: factor, digits, words around.
-    start, factor, shown, digits, before, after = {
-        "capacity": (capacity, capacity, 100.0, 1, "capacity", "%"),
-        "resistance_scale": (1.0, 1.0, 100.0, 1, "resistance", "%"),
-        "initial_soc": (0.0, 1.0, 100.0, 2, "SOC", "points"),
-        "self_discharge": (0.0, capacity / 24.0, 1e3 * capacity / 24.0, 2, "loses", "mA"),
-        "voltage_offset": (0.0, 1.0, 1e3, 1, "its voltage reads", "mV"),
-        "time_skew": (0.0, 1.0, 1.0, 2, "polled late by", "s"),
-    }[one.explanation.cause]
-    size, low, high = (shown * (one.size + k * one.std) for k in (0.0, -1.96, 1.96))
-    text = f"{before} {size:+.{digits}f} {after} ({low:+.{digits}f} to {high:+.{digits}f})"
-    return start + factor * one.size, factor * one.std, text
+    All of the log's parallel strings give so many times as much.
+    """
+    known = np.isfinite(soc) & np.isfinite(capacity_Ah)
+    if not known.any():
+        return UNKNOWN
+    z, q = soc[known], log.parallel * capacity_Ah[known]
+    left = float(np.min(z * q))
+    room = float(np.min((1.0 - z) * q))
+    moved = np.linspace(room, -left, POINTS)  # charge put in, from the pack's full to its empty
+    at = np.clip(z + moved[:, None] / q, 0.0, 1.0)
+    volts = OcvSlope(model, log.mean).ocv_V(at).sum(axis=1)
+    volts *= soc.size / z.size  # cells without a sensor are there all the same
+    usable = left + room
+    return Usable(usable, float(np.min(q)), left, usable * float(np.mean(volts)))

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
+from cellwise.cell.model import CellModel
 from cellwise.pack.differences import (
     CAPACITY,
     LAG,
@@ -35,8 +36,8 @@ class Alarm(NamedTuple):
 
     ``false_alarms``: share of packs and periods with a false one, over all cells and causes;
     ``odd_share`` of the cells, one at least, may be odd themselves; ``penalty``: log likelihood
-    that one more parameter costs; ``confusable``: within which two explanations are;
-    ``tail_shares`` of the cells, at which their ratios are compared with theory's.
+    that one more parameter costs; ``confusable``: within which two causes are; ``tail_shares`` of
+    the cells, at which their ratios are compared with theory's; ``fewest`` cells.
     """
 
     false_alarms: float = 0.01
@@ -44,6 +45,7 @@ class Alarm(NamedTuple):
     penalty: float = 2.0
     confusable: float = 3.0
     tail_shares: tuple[float, ...] = (0.5, 0.8, 0.9, 0.94)
+    fewest: int = 3
 
 
 class Exchange(NamedTuple):
@@ -76,111 +78,150 @@ class Drifting(NamedTuple):
 ALARM, EXCHANGE, DRIFTING = Alarm(), Exchange(), Drifting()
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """A cause: its name as `cellwise diagnose` has it, and the differences that it moves."""
+class CellCause(NamedTuple):
+    """A cause by its name in `cellwise diagnose`, and the differences that it ``moves``.
 
-    cause: str
+    Of these ``shown`` is the parameter's (of polling: lag and lead together), smaller than
+    ``negligible`` nobody would act on it; ``sign`` of a fault, 0: either. ``said``: words before
+    and after, what the difference is multiplied by between them, and decimals.
+    """
+
+    name: str
     moves: tuple[int, ...]
     shown: int
     parameter: str
     negligible: float
+    said: tuple[str, str, float, int]
     sign: int = 0
     sensor: bool = False
 
 
-# Smaller differences nobody would act on. A cell may only lose capacity, gain resistance and lose
-# charge of its own: the other way round it is no fault.
-EXPLANATIONS = (
-    Explanation("capacity", (CAPACITY, SOC), CAPACITY, "capacity_Ah", 0.003, sign=-1),
-    Explanation("resistance_scale", (RESISTANCE,), RESISTANCE, "scale", 0.010, sign=1),
-    Explanation("initial_soc", (SOC,), SOC, "soc0", 0.002),
-    Explanation("self_discharge", (SELF_DISCHARGE, SOC), SELF_DISCHARGE, "leak_A", 2e-5, sign=1),
-    Explanation("voltage_offset", (OFFSET,), OFFSET, "offset_V", 0.0005, sensor=True),
-    Explanation("time_skew", (LAG, LEAD), LAG, "skew_s", 0.05, sensor=True),
-)
+# A cell may only lose capacity, gain resistance and lose charge of its own.
+CAUSES = (
+    CellCause(
+        "capacity", (CAPACITY, SOC), CAPACITY, "capacity_Ah", 0.003, ("capacity", "%", 100.0, 1), -1
+    ),
+    CellCause(
+        "resistance_scale", (RESISTANCE,), RESISTANCE, "scale", 0.010,
+        ("resistance", "%", 100.0, 1), 1,
+    ),
+    CellCause("initial_soc", (SOC,), SOC, "soc0", 0.002, ("SOC", "points", 100.0, 2)),
+    CellCause(
+        "self_discharge", (SELF_DISCHARGE, SOC), SELF_DISCHARGE, "leak_A", 2e-5,
+        ("loses", "mA", 1e3, 2), 1,
+    ),
+    CellCause(
+        "voltage_offset", (OFFSET,), OFFSET, "offset_V", 0.0005,
+        ("its voltage reads", "mV", 1e3, 1), sensor=True,
+    ),
+    CellCause(
+        "time_skew", (LAG, LEAD), LAG, "skew_s", 0.05, ("polled late by", "s", 1.0, 2), sensor=True
+    ),
+)  # fmt: skip
+LEAK = next(c for c in CAUSES if c.name == "self_discharge")
+NEGLIGIBLE = np.zeros(SIZE)
+for _cause in CAUSES:
+    NEGLIGIBLE[list(_cause.moves if _cause.sensor else (_cause.shown,))] = _cause.negligible
 
 
 @dataclass(frozen=True)
 class Suspicion:
     """One cell and its most probable cause.
 
-    ``size`` and ``std`` are the difference of ``explanation.shown`` (for polling: lag plus lead)
-    from the other cells or from the cell's own past; ``gain`` the log likelihood that it explains,
-    ``probability`` that of the cause against the other causes and against none, which any one cell
-    has but for ``false_alarms`` of packs; ``others`` what explains nearly as much; ``changed``:
-    against its own past.
+    ``size`` and ``std`` are the difference of ``cause.shown`` from the other cells or from the
+    cell's own past; ``gain`` the log likelihood that it explains, ``probability`` that of the cause
+    against the other causes and against none, which any one cell has but for ``false_alarms`` of
+    packs; ``others`` what explains nearly as much; ``changed``: against its own past; ``period``:
+    the number of the one in which it was found.
     """
 
     cell: int
-    explanation: Explanation
+    cause: CellCause
     size: float
     std: float
     gain: float
     probability: float
     others: tuple[str, ...]
     changed: bool
+    period: int = 0
+
+    def to_dict(self, name: str, model: CellModel, periods: int) -> dict[str, Any]:
+        """One entry of ``causes`` of the cell ``name``, its parameters with 95 % intervals."""
+        cause, ends = self.cause, (self.size - 1.96 * self.std, self.size + 1.96 * self.std)
+        start, unit = {
+            "capacity_Ah": (model.capacity_Ah, model.capacity_Ah),
+            "scale": (1.0, 1.0),
+            "leak_A": (0.0, model.capacity_Ah / 24.0),  # of the SOC in a day
+        }.get(cause.parameter, (0.0, 1.0))
+        before, after, factor, digits = cause.said
+        factor *= unit if cause is LEAK else 1.0
+        value, low, high = (f"{factor * x:+.{digits}f}" for x in (self.size, *ends))
+        against = "its own past" if self.changed else "the other cells"
+        evidence = [f"{name}: {before} {value} {after} ({low} to {high}) against {against}"]
+        if periods > 1:
+            evidence.append(f"found in period {self.period + 1} of {periods}")
+        return {
+            "name": cause.name,
+            "cell": name,
+            "probability": self.probability,
+            "parameters": {cause.parameter: start + unit * self.size},
+            "ci95": {cause.parameter: [start + unit * x for x in ends]},
+            "of": "sensor" if cause.sensor else "cell",
+            "changed": self.changed,
+            "period": self.period + 1,
+            "gain": self.gain,
+            "evidence": evidence,
+            "confusable_with": list(self.others),
+        }
 
 
-def suspicions(
-    prior_mean: FloatArray, prior_covariance: FloatArray, evidence: PackEvidence, *, changed: bool
-) -> list[Suspicion]:
+def suspicions(past: CellDeltas, evidence: PackEvidence, *, changed: bool) -> list[Suspicion]:
     """Cells whose evidence is not what is expected of them.
 
     Parameters
     ----------
-    prior_mean : (cells, SIZE) float                what is expected: zero and the spread between
-    prior_covariance : (cells, SIZE, SIZE) float    cells, or the cell's own past and its drift
-    changed : bool                                  which of the two it is
+    past : CellDeltas      what is expected: zero and the spread between cells, or the cell's own
+                           past and its drift
+    changed : bool         which of the two it is
 
     Notes
     -----
-    Generalised likelihood ratio of a shift along each explanation's directions. What all cells
-    have in common is no cell's; and the cells are each other's reference: where their usual ratio
-    is larger than theory has it, all ratios are scaled down by as much.
+    Generalised likelihood ratio of a shift along each cause's directions. What all cells have in
+    common is no cell's; and the cells are each other's reference: where their usual ratio is larger
+    than theory has it, all ratios are scaled down by as much.
     """
     there = np.flatnonzero(evidence.rows > 0)
-    if there.size < 3:
+    if there.size < ALARM.fewest:
         return []
-    a = evidence.matrix[there]
-    p = prior_covariance[there] + np.diag(_negligible() ** 2)
-    mean = prior_mean[there]
-    after, _ = posterior(prior_mean, prior_covariance, evidence)
+    a, mean = evidence.matrix[there], past.mean[there]
+    after, _ = posterior(past.mean, past.covariance, evidence)
     common = np.median(after[there] - mean, axis=0)
     surprise = evidence.vector[there] - np.einsum("cij,cj->ci", a, mean + common)
-    eye = np.eye(SIZE)
-    precision = np.asarray(
-        np.linalg.solve(eye + a @ p, a), dtype=np.float64
-    )  # of the evidence about a shift
-    pull = np.asarray(np.linalg.solve(eye + a @ p, surprise[..., None])[..., 0])
-    gains, shifts, stds = [], [], []
-    for one in EXPLANATIONS:
+    wide = np.eye(SIZE) + a @ (past.covariance[there] + np.diag(NEGLIGIBLE**2))
+    precision = np.asarray(np.linalg.solve(wide, a), dtype=np.float64)  # about a shift
+    pull = np.asarray(np.linalg.solve(wide, surprise[..., None])[..., 0])
+    ratios, shifts, stds = [], [], []
+    for one in CAUSES:
         gain, shift, std = _along(precision, pull, one)
         scale = scale_of(2.0 * gain, len(one.moves))
-        gains.append(gain / scale)
+        ratios.append(gain / scale)
         shifts.append(shift)
         stds.append(std * np.sqrt(scale))
-    found = []
-    allowed = ALARM.false_alarms / (there.size * len(EXPLANATIONS))
-    for k, cell in enumerate(there.tolist()):
-        ratio = np.array([g[k] for g in gains])
-        tail = [
-            float(chdtrc(len(e.moves), 2.0 * max(g, 0.0)))
-            for g, e in zip(ratio, EXPLANATIONS, strict=True)
-        ]
-        if min(tail) >= allowed:
-            continue
-        suspect = _named(cell, k, ratio, shifts, stds, changed, allowed)
-        # From day to day balancing moves a cell as self-discharge does: several periods decide.
-        if evidence.days == 0.0 or suspect.explanation.shown != SELF_DISCHARGE:
-            found.append(suspect)
-    return found
+    gains, sizes, widths = (np.stack(x, axis=1) for x in (ratios, shifts, stds))
+    allowed = ALARM.false_alarms / (there.size * len(CAUSES))
+    tails = chdtrc([len(c.moves) for c in CAUSES], 2.0 * np.maximum(gains, 0.0))
+    found = [
+        named(int(there[k]), gains[k], sizes[k], widths[k], changed, allowed)
+        for k in np.flatnonzero(np.min(tails, axis=1) < allowed)
+    ]
+    # From day to day balancing moves a cell as self-discharge does: several periods decide.
+    return [one for one in found if evidence.days == 0.0 or one.cause is not LEAK]
 
 
 def _along(
-    precision: FloatArray, pull: FloatArray, one: Explanation
+    precision: FloatArray, pull: FloatArray, one: CellCause
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Log likelihood ratio, size and deviation of a shift along an explanation, (cells,) each."""
+    """Log likelihood ratio, size and deviation of a shift along a cause, (cells,) each."""
     moves = list(one.moves)
     inner = precision[:, moves][:, :, moves] + 1e-12 * np.eye(len(moves))
     right = pull[:, moves]
@@ -210,66 +251,36 @@ def scale_of(ratio: FloatArray, freedom: int) -> float:
     return max((cells * max(found) + USUAL.weight) / (cells + USUAL.weight), 1.0)
 
 
-def _negligible() -> FloatArray:
-    found = np.zeros(SIZE)
-    for one in EXPLANATIONS:
-        found[one.shown] = one.negligible
-    found[LEAD] = found[LAG]
-    return found
-
-
-def _named(
-    cell: int,
-    k: int,
-    ratio: FloatArray,
-    shifts: Sequence[FloatArray],
-    stds: Sequence[FloatArray],
-    changed: bool,
-    allowed: float,
+def named(
+    cell: int, gains: FloatArray, sizes: FloatArray, stds: FloatArray, changed: bool, allowed: float
 ) -> Suspicion:
-    scores = ratio - ALARM.penalty * np.array([len(e.moves) for e in EXPLANATIONS])
+    """The likeliest cause of one cell; log likelihoods, sizes and deviations of all causes."""
+    scores = gains - ALARM.penalty * np.array([len(c.moves) for c in CAUSES])
     best = int(np.argmax(scores))
-    near = [
-        e.cause
-        for j, e in enumerate(EXPLANATIONS)
-        if j != best and scores[best] - scores[j] < ALARM.confusable
-    ]
-    weights = np.exp(scores - scores[best])
+    near = np.flatnonzero(scores[best] - scores < ALARM.confusable)
     chance = math.exp(-math.log(allowed) - float(scores[best]))
     return Suspicion(
         cell=cell,
-        explanation=EXPLANATIONS[best],
-        size=float(shifts[best][k]),
-        std=float(stds[best][k]),
-        gain=float(ratio[best]),
-        probability=float(weights[best] / (weights.sum() + chance)),
-        others=tuple(near),
+        cause=CAUSES[best],
+        size=float(sizes[best]),
+        std=float(stds[best]),
+        gain=float(gains[best]),
+        probability=1.0 / (float(np.exp(scores - scores[best]).sum()) + chance),
+        others=tuple(CAUSES[j].name for j in near if j != best),
         changed=changed,
     )
-
-
-def against_others(spread: FloatArray, evidence: PackEvidence) -> list[Suspicion]:
-    """Cells that are not like the others."""
-    start = CellDeltas.unknown(evidence.rows.size, spread)
-    return suspicions(start.mean, start.covariance, evidence, changed=False)
-
-
-def against_past(past: CellDeltas, evidence: PackEvidence) -> list[Suspicion]:
-    """Cells that are not as they were."""
-    return suspicions(past.mean, past.covariance, evidence, changed=True)
 
 
 def exchanged_cells(
     deltas: CellDeltas, evidence: PackEvidence, suspects: Sequence[Suspicion]
 ) -> tuple[int, int] | None:
     """The pair, one a suspect, of which each is what the other was; None: no such pair."""
-    cells = sorted({s.cell for s in suspects})
     there = np.flatnonzero(evidence.rows > 0).tolist()
     own = {k: _misfit(deltas, evidence, k, k) for k in there}
     usual = float(np.median(list(own.values())))
     best: float = EXCHANGE.better
     pair = None
-    for i in cells:
+    for i in sorted({s.cell for s in suspects}):
         for j in there:
             if j == i:
                 continue
@@ -283,17 +294,13 @@ def exchanged_cells(
     return pair
 
 
-def with_exchanged(evidence: PackEvidence, i: int, j: int) -> PackEvidence:
+def with_exchanged(evidence: PackEvidence, pair: tuple[int, int]) -> PackEvidence:
     """The evidence with two cells' places exchanged."""
     order = np.arange(evidence.rows.size)
-    order[[i, j]] = order[[j, i]]
-    return replace(
-        evidence,
-        matrix=evidence.matrix[order],
-        vector=evidence.vector[order],
-        rows=evidence.rows[order],
-        rmse_V=evidence.rmse_V[order],
-    )
+    order[list(pair)] = order[list(pair)[::-1]]
+    of_cells = ("matrix", "vector", "rows", "rmse_V")
+    moved: dict[str, Any] = {k: getattr(evidence, k)[order] for k in of_cells}
+    return replace(evidence, **moved)
 
 
 def _misfit(deltas: CellDeltas, evidence: PackEvidence, cell: int, source: int) -> float:
@@ -338,24 +345,21 @@ def self_discharging(drifts: Sequence[Drift]) -> list[Suspicion]:
     size_of, start_of = np.unravel_index(best, gains.shape[:2])
     gain = np.maximum(gains[size_of, start_of, np.arange(best.size)], 0.0)
     gain /= scale_of(2.0 * gain, 1)
-    allowed = ALARM.false_alarms / (gain.size * len(EXPLANATIONS))
-    cause = next(one for one in EXPLANATIONS if one.cause == "self_discharge")
-    found = []
-    for cell in np.flatnonzero(chdtrc(1, 2.0 * gain) < allowed).tolist():
-        chance = math.exp(ALARM.penalty - math.log(allowed) - float(gain[cell]))
-        found.append(
-            Suspicion(
-                cell=cell,
-                explanation=cause,
-                size=float(sizes[size_of[cell], 0, 0]),
-                std=float(np.sum(std[-2 - start_of[cell] :, cell] ** -2.0) ** -0.5),
-                gain=float(gain[cell]),
-                probability=1.0 / (1.0 + chance),
-                others=(),
-                changed=False,
-            )
+    allowed = ALARM.false_alarms / (gain.size * len(CAUSES))
+    chance = np.exp(ALARM.penalty - math.log(allowed) - gain)
+    return [
+        Suspicion(
+            cell=cell,
+            cause=LEAK,
+            size=float(sizes[size_of[cell], 0, 0]),
+            std=float(np.sum(std[-2 - start_of[cell] :, cell] ** -2.0) ** -0.5),
+            gain=float(gain[cell]),
+            probability=float(1.0 / (1.0 + chance[cell])),
+            others=(),
+            changed=False,
         )
-    return found
+        for cell in np.flatnonzero(chdtrc(1, 2.0 * gain) < allowed).tolist()
+    ]
 
 
 def also_drifting(found: Sequence[Suspicion], drift: Drift) -> list[Suspicion]:
@@ -366,11 +370,11 @@ def also_drifting(found: Sequence[Suspicion], drift: Drift) -> list[Suspicion]:
     times = drift.per_day / drift.std
     return [
         one
-        if one.explanation.cause in DRIFTING.apart or times[one.cell] < DRIFTING.uncertain
+        if one.cause.name in DRIFTING.apart or times[one.cell] < DRIFTING.uncertain
         else replace(
             one,
             probability=min(one.probability, 0.5),
-            others=tuple(dict.fromkeys(("self_discharge", *one.others))),
+            others=tuple(dict.fromkeys((LEAK.name, *one.others))),
         )
         for one in found
     ]

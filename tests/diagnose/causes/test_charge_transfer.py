@@ -16,10 +16,8 @@ from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import extend_model, parameters_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.priors import tolerances
-from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.identifiability import limits
+from cellwise.diagnose.limits import limits
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -89,11 +87,8 @@ def test_small_currents_in_slow_rows_do_not_tell_it_from_an_ohmic_resistance(
 ):
     log = measured(FLAT, drive(2400, interval_s, largest_C))
     evidence = gather(FLAT, [(log, initial_soc(FLAT, log, 0.9, 0.002))])
-    coordinates = Coordinates(FLAT)
-    rests = rest_voltages(evidence.logs, CELL.capacity_Ah, 1.0)
-    fits = CauseFits(evidence, coordinates, tolerances(coordinates, evidence), rests, 0)
-    base, noise = fits.base(fits.prior)
-    found = limits(fits, [CAUSES[n] for n in NAMES], base, noise, 10.0)
+    fits = CauseFits.of(evidence, Coordinates(FLAT), 0)
+    found = limits(fits, [CAUSES[n] for n in NAMES], *fits.base(), 10.0)
     pair = {"charge_transfer", "ohmic_resistance"}
     assert any(pair <= set(group) for group in found.inseparable) != apart
     assert "exchange_scale" in found.sizes["charge_transfer"]

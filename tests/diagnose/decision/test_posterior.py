@@ -10,7 +10,6 @@ import pytest
 
 from cellwise.diagnose.decision.odds import (
     NAMING,
-    Hypothesis,
     probability_of,
     weigh,
 )
@@ -31,7 +30,7 @@ def rows():
 def hypothesis(*names, per_block, rarity=0.0):
     """A set whose evidence in each block is given [nats]."""
     terms = np.repeat(np.asarray(per_block, dtype=float) / ROWS, ROWS)
-    return Hypothesis(names, float(np.sum(per_block)), terms, rarity)
+    return names, float(np.sum(per_block)) - rarity, terms
 
 
 def weights(*sets, seed=0):

@@ -10,23 +10,20 @@ import pytest
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.applied import plain_runs, with_use
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.checks import claim_checks
 from cellwise.diagnose.decision.odds import RARE
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.noise import Noise
-from cellwise.diagnose.fit.priors import tolerances
-from cellwise.diagnose.fit.rests import rest_voltages
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.identifiability import limits
-from cellwise.diagnose.log_runs import log_runs, with_use
+from cellwise.diagnose.limits import limits
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load
 
 CELL = curved_cell()
-NOISE = Noise()
+AS_STATED = 1.0  # times the model's error
 NAMES = ("current_offset", "current_gain", "voltage_offset", "capacity", "resistance_scale")
 
 
@@ -42,22 +39,14 @@ def started(rows, seed=3, noise_V=1e-3):
 
 
 def fits_of(logs):
-    evidence, coordinates = gather(CELL, logs), Coordinates(CELL)
-    fits = CauseFits(
-        evidence,
-        coordinates,
-        tolerances(coordinates, evidence),
-        rest_voltages(evidence.logs, CELL.capacity_Ah, CELL.charge_efficiency),
-        0,
-    )
-    base, _ = fits.base(fits.prior)
-    return fits, base
+    fits = CauseFits.of(gather(CELL, logs), Coordinates(CELL), 0)
+    return fits, fits.base()[0]
 
 
 @pytest.fixture(scope="module")
 def short():
     fits, base = fits_of([started(1500)])
-    return fits, base, limits(fits, [CAUSES[n] for n in NAMES], base, NOISE, RARE.one_cause)
+    return fits, base, limits(fits, [CAUSES[n] for n in NAMES], base, AS_STATED, RARE.one_cause)
 
 
 def test_every_cause_has_a_limit_above_what_a_good_laboratory_leaves_open(short):
@@ -76,10 +65,10 @@ def test_a_change_at_its_limit_has_the_evidence_that_is_asked_for(short):
         log, start = started(1500)
         moved = replace(log, voltage_V=log.voltage_V + times * size)
         fits, base = fits_of([(moved, start)])
-        none = fits.explained(base, NOISE, fits.prior, ()).total
-        with_it = fits.fit_causes((cause,), base, NOISE)
+        none = fits.explained(base, AS_STATED, fits.prior, ()).total
+        with_it = fits.fit_causes((cause,), base, AS_STATED)
         prior = fits.widened_for((cause,), fits.coordinates)
-        score = fits.explained(with_it, NOISE, prior, (cause,)).total - none
+        score = fits.explained(with_it, AS_STATED, prior, (cause,)).total - none
         assert (score > RARE.one_cause) == enough, (times, score)
 
 
@@ -90,18 +79,20 @@ def test_what_a_log_cannot_tell_apart_is_one_group():
     log = CellLog(time, current, np.full(1200, 3.7))
     log = replace(log, voltage_V=simulate(CELL, log, 0.6).voltage_V)
     fits, base = fits_of([(log, initial_soc(CELL, log, 0.6, 0.002))])
-    found = limits(fits, [CAUSES[n] for n in ("current_offset", "current_gain")], base, NOISE, 10.0)
+    found = limits(
+        fits, [CAUSES[n] for n in ("current_offset", "current_gain")], base, AS_STATED, 10.0
+    )
     assert found.inseparable == (("current_offset", "current_gain"),)
 
 
 def test_an_error_within_the_claim_is_not_beyond_it():
     log, start = started(1500)
     evidence = gather(CELL, [(log, start)])
-    (good,) = claim_checks(CELL, log_runs(CELL, with_use([(log, start)], 1)), evidence)
+    (good,) = claim_checks(CELL, plain_runs(CELL, with_use([(log, start)], 1)), evidence)
     assert not good.beyond
     claim = float(np.mean(CELL.error.at(CELL.soc)))
     bad_log = replace(log, voltage_V=log.voltage_V + 8.0 * claim)
-    (bad,) = claim_checks(CELL, log_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
+    (bad,) = claim_checks(CELL, plain_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
     assert bad.beyond
     assert f"{1e3 * bad.rmse_V:.1f} mV" in bad.text()
 
@@ -110,10 +101,7 @@ def test_an_error_within_the_claim_is_not_beyond_it():
 def test_a_limit_is_a_change_that_a_cell_can_have(r3_ohm):
     """Of next to nothing no log shows how many times as large it is, nor hundreds of ohms."""
     odd = CELL.with_effect(SlowDiffusion(r3_ohm, 5e4))
-    evidence = gather(odd, [started(1500)])
-    coordinates = Coordinates(odd)
-    rests = rest_voltages(evidence.logs, odd.capacity_Ah, 1.0)
-    own = CauseFits(evidence, coordinates, tolerances(coordinates, evidence), rests, 0)
+    own = CauseFits.of(gather(odd, [started(1500)]), Coordinates(odd), 0)
     cause = CAUSES["slow_diffusion"]
-    found = limits(own, [cause], own.base(own.prior)[0], NOISE, RARE.one_cause).sizes
+    found = limits(own, [cause], own.base()[0], AS_STATED, RARE.one_cause).sizes
     assert found.get("slow_diffusion", {}).get("r3_ohm", 0.0) <= min(r3_ohm, 100.0)

@@ -13,50 +13,35 @@ from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.noise import (
     STATED,
     KnownScale,
-    row_weights,
+    Objective,
+    independent_errors,
     share_claimed,
-    with_shape,
 )
-from cellwise.diagnose.fit.rows import FITTED, IGNORED
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.logs.cell_log import CellLog
 
 ROWS = 4001
 
 
-def evidence(rows=ROWS, unused=0):
-    log = SimpleNamespace(clock_s=np.arange(float(rows)), scored=rows)
-    role = np.full(rows, FITTED)
-    role[:unused] = IGNORED
-    return SimpleNamespace(
-        each=lambda: [(log, slice(0, rows))], known=np.ones(rows, dtype=bool), role=role
-    )
-
-
-SOC = np.linspace(0.9, 0.1, ROWS)
-
-
-def test_rows_count_as_many_errors_as_their_time_and_soc_hold():
+def test_a_log_holds_as_many_errors_as_its_time_and_soc():
     error = ModelError.of_white_and_slow(correlation_s=200.0)
-    weights = row_weights(evidence(), error, SOC)
-    assert np.sum(weights) == pytest.approx(1.0 + 4000.0 / 400.0)
-    some = row_weights(evidence(unused=1000), error, SOC)
-    assert np.sum(some[1000:]) == pytest.approx(1.0 + 4000.0 / 400.0)
-    along = row_weights(evidence(), replace(error, correlation_soc=0.04), SOC)
-    assert np.sum(along) == pytest.approx(1.0 + 4000.0 / 400.0 + 0.8 / 0.08)
+    assert independent_errors(error, 4000.0, 0.8) == pytest.approx(1.0 + 4000.0 / 400.0)
+    along = replace(error, correlation_soc=0.04)
+    of_both = 1.0 + 4000.0 / 400.0 + 0.8 / 0.08
+    assert independent_errors(along, 4000.0, 0.8) == pytest.approx(of_both)
 
 
 def test_a_shape_that_is_not_natures_is_few_errors_in_however_many_rows():
+    log = SimpleNamespace(each=lambda: [(None, slice(0, ROWS))], known=np.ones(ROWS, dtype=bool))
     size, weight = np.full(ROWS, 2e-3), np.full(ROWS, 200.0 / ROWS)
-    none = with_shape(evidence(), size, weight, 0.0)
-    np.testing.assert_allclose(none[0], size)
-    np.testing.assert_allclose(none[1], weight)
-    large, few = with_shape(evidence(), size, weight, 0.2)
-    np.testing.assert_allclose(large, np.hypot(2e-3, 0.2))
-    assert np.sum(few) == pytest.approx(STATED.shape_errors, rel=0.01)
+    stated = Objective(log, size, weight, size, weight)
+    np.testing.assert_allclose(stated.with_shape(0.0).weight, weight)
+    large = stated.with_shape(0.2)
+    np.testing.assert_allclose(large.size_V, np.hypot(2e-3, 0.2))
+    assert np.sum(large.weight) == pytest.approx(STATED.shape_errors, rel=0.01)
     # A mean over all rows is as uncertain as the two errors together.
-    both, some = with_shape(evidence(), size, weight, 2e-3)
-    assert np.mean(both) ** 2 / np.sum(some) == pytest.approx(
+    both = stated.with_shape(2e-3)
+    assert np.mean(both.size_V) ** 2 / np.sum(both.weight) == pytest.approx(
         4e-6 / 200.0 + 4e-6 / STATED.shape_errors
     )
 

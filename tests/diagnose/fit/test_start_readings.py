@@ -11,11 +11,10 @@ from cellwise import simulate
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
-from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
 from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.least_squares import Prior
-from cellwise.diagnose.fit.priors import start_readings, tolerances, widened_for
+from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
@@ -62,18 +61,14 @@ def test_with_a_hysteresis_a_rest_is_read_as_predicted(soc, branch):
 def test_a_start_that_was_given_was_not_read():
     evidence = gathered(rested_log(3), given=SOC0)
     assert start_readings(["offset_V", *OCV_NAMES], Coordinates(MODEL), evidence) == {}
-    prior = tolerances(Coordinates(MODEL), evidence)
-    wide = widened_for(prior, CAUSES["voltage_offset"], Coordinates(MODEL), evidence)
-    assert wide.mean_with("soc0:0", {"offset_V": 0.03}) == 0.0
 
 
 def test_the_prior_is_that_of_the_reading():
     """Start = its reading + 2 x offset: their covariance by hand."""
-    prior = Prior({"soc0:0": 0.1, "offset_V": 0.3}, {}, {}, {})
-    prior = prior.with_readings({"soc0:0": {"offset_V": 2.0}})
+    read = {"soc0:0": {"offset_V": 2.0}}
+    prior = Prior({"soc0:0": 0.1, "offset_V": 0.3}, {}, {}, {}, read=read)
     expected = [[0.1**2 + (2.0 * 0.3) ** 2, 2.0 * 0.3**2], [2.0 * 0.3**2, 0.3**2]]
     np.testing.assert_allclose(np.linalg.inv(prior.precision()), expected, rtol=1e-9)
-    assert prior.mean_with("soc0:0", {"offset_V": 0.05}) == pytest.approx(0.1)
 
 
 @pytest.mark.slow

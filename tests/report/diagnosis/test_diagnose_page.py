@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.report.diagnosis.page import (
     cause_content,
     diagnose_page,
@@ -175,14 +175,6 @@ def test_a_limit_that_the_logs_do_not_have_is_said():
     without = said.partition("These logs could show no change of")[2]
     assert "self discharge" in without
     assert "hysteresis" not in without
-
-
-def test_a_limit_that_no_cell_could_exceed_is_none():
-    """A third branch of 15.5 kohm is not what these logs could show of a cell of 30 mohm."""
-    huge = {"slow_diffusion": {"r3_ohm": 15_500.0}, "hysteresis": {"m_V": 0.016}}
-    said = limits_table(diagnosis("hysteresis", limits=huge))
-    assert "r3_ohm" not in said
-    assert "slow diffusion" in said.partition("These logs could show no change of")[2]
 
 
 def test_the_headline_is_short(written):

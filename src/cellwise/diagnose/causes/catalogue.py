@@ -33,6 +33,11 @@ class Parameter:
     wide: float
     per: Literal["one", "capacity"] = "one"
 
+    @property
+    def key(self) -> str:
+        """Name of its coordinate in a point: of the first log where every log has its own."""
+        return "soc0:0" if self.coordinate == "soc0" else self.coordinate
+
 
 @dataclass(frozen=True)
 class Cause:

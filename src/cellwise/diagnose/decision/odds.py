@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.cell.metrics import block_sums
-from cellwise.diagnose.fit.rows import FITTED, HELD, Evidence
+from cellwise.diagnose.fit.rows import START, Evidence
 from cellwise.typing import FloatArray
 
 
@@ -118,16 +118,6 @@ class Rarity:
         return total + RARE.one_cause * len(left - age)
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A set of causes, ln p of all rows with them estimated, each row's part of it, its rarity."""
-
-    causes: tuple[str, ...]
-    total: float
-    terms: FloatArray
-    rarity: float = 0.0
-
-
 @dataclass(frozen=True)
 class Weighed:
     """A set of causes and its probability among all that were weighed."""
@@ -141,27 +131,25 @@ class Weighed:
 
 
 def weigh(
-    hypotheses: Sequence[Hypothesis], evidence: Evidence, rng: np.random.Generator
+    sets: Sequence[tuple[tuple[str, ...], float, FloatArray]],
+    evidence: Evidence,
+    rng: np.random.Generator,
 ) -> tuple[Weighed, ...]:
-    """Probability of every set, most probable first; of the same set the best fit counts."""
-    best: dict[frozenset[str], Hypothesis] = {}
-    for one in hypotheses:
-        known = best.get(frozenset(one.causes))
-        if known is None or one.total > known.total:
-            best[frozenset(one.causes)] = one
-    sets = list(best.values())
-    if not sets:
-        return ()
-    used = ((evidence.role == HELD) | (evidence.role == FITTED)) & evidence.known
-    blocks = block_sums(evidence.block[used], np.column_stack([h.terms[used] for h in sets]))
-    rest = np.array([h.total for h in sets]) - blocks.sum(axis=0)
-    rest -= np.array([h.rarity for h in sets])
+    """Probability of every set of causes, most probable first.
+
+    Parameters
+    ----------
+    sets : names, ln p of all rows less what the set's rarity costs, each row's part (rows,)
+    """
+    names, totals, terms = zip(*sets, strict=True)
+    used = (evidence.role != START) & evidence.known
+    blocks = block_sums(evidence.block[used], np.column_stack(terms)[used])
     many = len(blocks)
     draws = many * rng.dirichlet(np.ones(many), NAMING.draws)
-    score = draws @ blocks + rest
+    score = draws @ blocks + (np.array(totals) - blocks.sum(axis=0))
     weight = np.exp(score - score.max(axis=1, keepdims=True))
     share = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
-    found = [Weighed(h.causes, float(p)) for h, p in zip(sets, share, strict=True)]
+    found = [Weighed(n, float(p)) for n, p in zip(names, share, strict=True)]
     return tuple(sorted(found, key=lambda w: -w.probability))
 
 

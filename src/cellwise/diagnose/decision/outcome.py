@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause
-from cellwise.diagnose.decision.explanations import Explanation, Explanations
-from cellwise.diagnose.decision.odds import NAMING, Hypothesis, Weighed, probability_of, weigh
+from cellwise.diagnose.decision.odds import NAMING, Weighed, probability_of, weigh
+from cellwise.diagnose.decision.search import Explanation, Explanations
 from cellwise.diagnose.fit.least_squares import Fit
-from cellwise.diagnose.fit.noise import Noise
 
 NOT_MEASURED_THERE = (
     "{} explains the logs best, but the model was not measured at their temperature, where a cell "
@@ -42,10 +41,10 @@ class Outcome:
 
     accepted: tuple[Accepted, ...]
     fit: Fit
+    scale: float
     none: Explanation
     first: tuple[Explanation, ...]
     alternatives: tuple[Explanation, ...]
-    noise: Noise
     reasons: tuple[str, ...]
     weighed: tuple[Weighed, ...] = ()
 
@@ -62,79 +61,69 @@ class Outcome:
 
 def decide(sets: Explanations) -> Outcome:
     """Name every cause that the sets that hold it make probable; leave open what they do not."""
-    fits, none = sets.fits, sets.tried[frozenset()]
+    fits, none, ranked = sets.fits, sets.none, sets.best()
     weighed = weigh(
-        [
-            Hypothesis(e.names, e.found.total, e.found.terms, sets.rarity.nats(e.names))
-            for e in sets.tried.values()
-        ],
+        [(e.names, sets.odds(e), e.found.terms) for e in sets.tried.values()],
         fits.evidence,
         np.random.default_rng(fits.seed),
     )
-    best = sets.best(1)[0]
-    known = {c.name for e in sets.tried.values() for c in e.causes}
-    likely = [name for name in sorted(known) if probability_of(name, weighed) > NAMING.least]
+    known = sorted({c.name for e in ranked for c in e.causes})
+    likely = [name for name in known if probability_of(name, weighed) > NAMING.least]
     hidden = [name for name in likely if sets.rarity.hides(name)]
-    named = _as_explained(sets, frozenset(likely) - frozenset(hidden))
-    accepted = sorted((_accepted(sets, c) for c in named), key=lambda a: -a.score)
-    nothing = sum(w.probability for w in weighed if not w.causes)
-    alternatives: tuple[Explanation, ...] = ()
-    fit, noise = none.fit, none.noise
-    if accepted:
-        fit, noise = _of_named(sets, [a.cause for a in accepted])
-    if nothing < NAMING.likely:
+    named = _as_explained(ranked, frozenset(likely) - frozenset(hidden))
+    accepted = sorted((_accepted(sets, ranked, c) for c in named), key=lambda a: -a.score)
+    alternatives: list[Explanation] = []
+    if sum(w.probability for w in weighed if not w.causes) < NAMING.likely:
+        needed = np.searchsorted(np.cumsum([w.probability for w in weighed]), NAMING.least)
         compete = [sets.tried[frozenset(w.causes)] for w in weighed if w.causes]
-        alternatives = tuple(compete[: max(2, _needed(weighed))])
+        alternatives = compete[: max(2, int(needed) + 1)]
+    fit, scale = _of_named(sets, ranked, [a.cause for a in accepted])
     first = tuple(sets.best(len(known), 1))
-    reasons = () if accepted or best.causes else _reasons(sets, first)
+    reasons = () if accepted or ranked[0].causes else _reasons(sets, first)
     reasons = (*(NOT_MEASURED_THERE.format(name) for name in hidden), *reasons)
-    return Outcome(tuple(accepted), fit, none, first, alternatives, noise, reasons, weighed)
+    return Outcome(tuple(accepted), fit, scale, none, first, tuple(alternatives), reasons, weighed)
 
 
-def _as_explained(sets: Explanations, names: frozenset[str]) -> tuple[Cause, ...]:
+def _as_explained(ranked: Sequence[Explanation], names: frozenset[str]) -> tuple[Cause, ...]:
     """Causes in the forms that explain most: of the set that is they, else of the nearest to it.
 
     Named by different sets, they need stand in none together.
     """
-    ranked = sets.best(len(sets.tried))
-    own = sets.tried.get(names)
-    nearest = [own] if own else [e for e in ranked if names <= e.key]
-    found = {c.name: c for e in [*nearest[:1], *ranked][::-1] for c in e.causes}
+    own = [e for e in ranked if e.key == names] or [e for e in ranked if names <= e.key]
+    found = {c.name: c for e in [*own[:1], *ranked][::-1] for c in e.causes}
     return tuple(found[n] for n in sorted(names))
 
 
-def _accepted(sets: Explanations, cause: Cause) -> Accepted:
-    ranked = sets.best(len(sets.tried))
+def _accepted(sets: Explanations, ranked: Sequence[Explanation], cause: Cause) -> Accepted:
     with_it = next(e for e in ranked if cause.name in e.names)
     without = next(e for e in ranked if cause.name not in e.names)
     return Accepted(cause, sets.odds(with_it) - sets.odds(without), without.names)
 
 
-def _of_named(sets: Explanations, causes: Sequence[Cause]) -> tuple[Fit, Noise]:
+def _of_named(
+    sets: Explanations, ranked: Sequence[Explanation], causes: Sequence[Cause]
+) -> tuple[Fit, float]:
     """The named causes alone: what the others of their likeliest set explain is left."""
     names = frozenset(c.name for c in causes)
     own = sets.tried.get(names)
     if own is not None:
-        return own.fit, own.noise
-    near = next(e for e in sets.best(len(sets.tried)) if names <= e.key)
-    return sets.fits.fit_causes(causes, near.fit, near.noise), near.noise
-
-
-def _needed(weighed: Sequence[Weighed]) -> int:
-    """How many sets make up :attr:`NAMING.least` of the probability."""
-    total = np.cumsum([w.probability for w in weighed])
-    return int(np.searchsorted(total, NAMING.least)) + 1
+        return own.fit, own.scale
+    near = next(e for e in ranked if names <= e.key)
+    return sets.fits.fit_causes(causes, near.fit, near.scale), near.scale
 
 
 def _reasons(sets: Explanations, first: Sequence[Explanation]) -> tuple[str, ...]:
     """Why the likeliest causes are not the explanation, where nothing is."""
-    none, rests = sets.tried[frozenset()], sets.fits.rests
-    before = rests.ln_likelihood(none.fit.coordinates, none.fit.z)
-    found = []
-    for one in first:
-        here = one.fit.coordinates, one.fit.z
-        if rests.ln_likelihood(*here) < before - NAMING.refuted:
-            found.append(f"{one.names[0]} is refuted: {rests.contradiction(*here)}")
+    rests = sets.fits.rests
+
+    def at_rest(one: Explanation) -> float:
+        return rests.ln_likelihood(one.fit.coordinates, one.fit.z)
+
+    found = [
+        f"{one.names[0]} is refuted: {rests.contradiction(one.fit.coordinates, one.fit.z)}"
+        for one in first
+        if at_rest(one) < at_rest(sets.none) - NAMING.refuted
+    ]
     if first:
         found.append(f"{first[0].names[0]}, the likeliest, explains no more than chance would")
     return (*found[: NAMING.reasons], *list(sets.refused.values())[: NAMING.reasons])

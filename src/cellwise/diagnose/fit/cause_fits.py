@@ -14,7 +14,7 @@ how far the model's statement of its error is off (:class:`cellwise.diagnose.fit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -23,175 +23,12 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.extension import MEASURED_NAMES
-from cellwise.diagnose.fit.least_squares import (
-    NOTHING_KNOWN,
-    SOLVING,
-    Fit,
-    Frozen,
-    Objective,
-    Prior,
-    complete,
-    fit,
-    freeze,
-    normal_of,
-)
-from cellwise.diagnose.fit.noise import (
-    STATED,
-    KnownScale,
-    Noise,
-    fast_part,
-    row_weights,
-    stated_V,
-    with_shape,
-)
-from cellwise.diagnose.fit.priors import calibrated, ln_size, widened_for
-from cellwise.diagnose.fit.rests import RestVoltages
-from cellwise.diagnose.fit.rows import IGNORED, Evidence, rmse
+from cellwise.diagnose.fit.least_squares import NOTHING_KNOWN, Fit, Frozen, Prior, complete, fit
+from cellwise.diagnose.fit.noise import STATED, KnownScale, Objective, stated_objective
+from cellwise.diagnose.fit.priors import calibrated, ln_size, tolerances, widened_for
+from cellwise.diagnose.fit.rests import RestVoltages, rest_voltages
+from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import BoolArray, FloatArray
-
-
-@dataclass(eq=False)
-class CauseFits:
-    """What every fit of a diagnosis shares.
-
-    ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of how
-    many times the model's stated error is left; ``stated_V`` (rows,) that error, ``weight`` (rows,)
-    how much each row counts. ``rests`` are the voltages at rest; ``same_age`` says that a
-    good log of the same cell is known.
-    """
-
-    evidence: Evidence
-    coordinates: Coordinates
-    prior: Prior
-    rests: RestVoltages
-    seed: int
-    known: KnownScale = field(default_factory=KnownScale)
-    same_age: bool = False
-    stated_V: FloatArray = field(default_factory=lambda: np.ones(1))
-    weight: FloatArray = field(default_factory=lambda: np.ones(1))
-    fast_V: FloatArray = field(default_factory=lambda: np.ones(1))
-    fast_weight: FloatArray = field(default_factory=lambda: np.ones(1))
-    _frozen: tuple[Fit, Frozen] | None = field(default=None, repr=False)
-
-    def calibrate(self, good: CauseFits) -> None:
-        """Move the tolerances to what logs show that are known to be good, of the same cell.
-
-        The noise that these leave is the least that is assumed.
-        """
-        found, _ = good.base(good.prior)
-        self.prior = calibrated(self.prior, found)
-        self.known = self.known.with_more(*good.squares(found))
-        self.same_age = True
-
-    def base(self, prior: Prior) -> tuple[Fit, Noise]:
-        """The fit within the tolerances, no cause estimated, and the noise that it leaves."""
-        model = self.coordinates.model
-        start = {**prior.mean, **dict.fromkeys(self.evidence.starts(), 0.0)}
-        voltage, soc = self.evidence.simulate(self.coordinates, start)
-        stated = stated_V(model, self.evidence, soc, voltage)
-        weight = row_weights(self.evidence, model.error, soc)
-        self.weight, self.stated_V, noise = weight, stated, Noise()
-        self.fast_V, self.fast_weight = fast_part(model, self.evidence, soc, voltage)
-        found = self.fit(noise, self.coordinates, prior, start, 5)
-        for _ in range(2):
-            found = complete(self.objective(noise), found, prior)
-            left = self.evidence.voltage_V - found.voltage_V
-            shape_V = STATED.shape * rmse(left, self._used())
-            self.stated_V, self.weight = with_shape(self.evidence, stated, weight, shape_V)
-            noise = self.noise(found, prior)
-            found = self.fit(noise, self.coordinates, prior, found.z, 4)
-        return complete(self.objective(noise), found, prior), noise
-
-    def _used(self) -> BoolArray:
-        return np.asarray(self.evidence.known & (self.evidence.role != IGNORED))
-
-    def fit(
-        self,
-        noise: Noise,
-        coordinates: Coordinates,
-        prior: Prior,
-        start: Mapping[str, float],
-        iterations: int,
-        frozen: Frozen | None = None,
-        moving: Sequence[str] = (),
-    ) -> Fit:
-        """The most likely point under a noise (:func:`cellwise.diagnose.fit.least_squares.fit`)."""
-        objective = self.objective(noise)
-        return fit(objective, coordinates, prior, start, iterations, None, frozen, moving)
-
-    def fit_causes(self, causes: Sequence[Cause], near: Fit, noise: Noise) -> Fit:
-        """A thorough fit of all causes together, from a point nearby."""
-        known = tuple(causes)
-        prior = self.widened_for(known, near.coordinates)
-        if self._frozen is None or self._frozen[0] is not near:
-            every = freeze(self.objective(noise), near.coordinates, near.names, near.z)
-            self._frozen = near, every
-        # The point is nearby: what is no cause keeps its derivatives.
-        moving = [*kept_coordinates(known), *self.evidence.starts()]
-        frozen = self._frozen[1]
-        found = self.fit(noise, near.coordinates, prior, near.z, SOLVING.iterations, frozen, moving)
-        return complete(self.objective(noise), found, prior)
-
-    def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
-        """The tolerances, widened for all of the causes."""
-        prior = self.prior
-        for cause in causes:
-            prior = widened_for(prior, cause, coordinates, self.evidence)
-        return prior
-
-    def noise(self, found: Fit, prior: Prior) -> Noise:
-        """How many times the stated error a fit leaves on all rows."""
-        plain = self.objective(Noise())
-        found = complete(plain, found, prior)
-        square, errors = self.squares(found)
-        return Noise(self.known.scale(square, errors))
-
-    def squares(self, found: Fit) -> tuple[float, float]:
-        """Sum of squares of the used rows in units of the stated error, and how many errors."""
-        rows, plain = self._used(), self.objective(Noise())
-        left = plain.squares(self.evidence.voltage_V - found.voltage_V)
-        return float(np.sum(left[rows])), float(np.sum(plain.errors[rows]))
-
-    def objective(self, noise: Noise) -> Objective:
-        """What a fit is judged by under a noise."""
-        plain = Objective(self.evidence, self.stated_V, self.weight, self.fast_V, self.fast_weight)
-        return plain.times(noise.scale)
-
-    def explained(
-        self,
-        found: Fit,
-        noise: Noise,
-        prior: Prior,
-        causes: Iterable[Cause],
-        near: Frozen = NOTHING_KNOWN,
-    ) -> Prediction:
-        """How likely all rows are with the causes estimated, and what the logs read at rest.
-
-        ``near`` are the derivatives that the fit was made with: those by causes and starts are
-        taken again.
-        """
-        kept = kept_coordinates(causes)
-        moving = [*kept, *self.evidence.starts()]
-        jacobian = near.jacobian_near(found, self.evidence, moving)
-        objective = self.objective(noise)
-        found_so = predict(objective, found, jacobian, prior, self.known, noise.scale, kept)
-        more = self.at_rest(found) + ln_size(found.z, kept, prior)
-        return found_so._replace(total=found_so.total + more)
-
-    def at_rest(self, found: Fit) -> float:
-        """Ln likelihood of what voltage and current sensor read at rest."""
-        voltage = self.rests.ln_likelihood(found.coordinates, found.z)
-        return voltage + self.evidence.rest.ln_likelihood(found.z)
-
-    def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
-        """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
-
-        Not what the fit made of them since: there a cause that is not named might hide. What a
-        baseline makes of its instruments and of the charge is no news of the cell.
-        """
-        of_cell = [n for n in self.prior.linked if n not in (*MEASURED_NAMES, "ln_capacity")]
-        baseline = {n: self.prior.mean[n] for n in of_cell}
-        return baseline | {n: v for n, v in found.z.items() if n in keep}
 
 
 class Averaged(NamedTuple):
@@ -220,6 +57,129 @@ class Prediction(NamedTuple):
     terms: FloatArray
 
 
+@dataclass(eq=False)
+class CauseFits:
+    """What every fit of a diagnosis shares; a scale is how many times the stated error is left.
+
+    ``prior`` are the tolerances, no cause estimated. ``known`` is what is known beforehand of the
+    scale; ``stated`` the rows under the stated error, there from :meth:`base` on. ``rests`` are the
+    voltages at rest; ``same_age`` says that a good log of the same cell is known.
+    """
+
+    evidence: Evidence
+    coordinates: Coordinates
+    prior: Prior
+    rests: RestVoltages
+    seed: int
+    known: KnownScale = field(default_factory=KnownScale)
+    same_age: bool = False
+    stated: Objective = field(init=False)
+
+    @classmethod
+    def of(cls, evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
+        """Fits with the tolerances of a good laboratory."""
+        model, prior = coordinates.model, tolerances(coordinates, evidence)
+        rests = rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency)
+        return cls(evidence, coordinates, prior, rests, seed)
+
+    def calibrate(self, good: CauseFits) -> None:
+        """Move the tolerances to what logs show that are known to be good, of the same cell.
+
+        The noise that these leave is the least that is assumed.
+        """
+        found, _ = good.base()
+        self.prior = calibrated(self.prior, found)
+        self.known = self.known.with_more(*good.squares(found))
+        self.same_age = True
+
+    def base(self) -> tuple[Fit, float]:
+        """The fit within the tolerances, no cause estimated, and the scale that it leaves."""
+        start = {**self.prior.mean, **dict.fromkeys(self.evidence.starts(), 0.0)}
+        voltage, soc = self.evidence.simulate(self.coordinates, start)
+        plain = stated_objective(self.coordinates.model, self.evidence, soc, voltage)
+        self.stated = plain
+        scale, found = 1.0, fit(plain, self.coordinates, self.prior, start, 5)
+        for _ in range(2):
+            left = self.evidence.voltage_V - self.complete(found, scale, self.prior).voltage_V
+            size_V = float(np.sqrt(np.mean(left[self.evidence.known] ** 2)))
+            self.stated = plain.with_shape(STATED.shape * size_V)
+            scale = self.scale(found, self.prior)
+            found = fit(self.stated.times(scale), self.coordinates, self.prior, found.z, 4)
+        return self.complete(found, scale, self.prior), scale
+
+    def complete(self, found: Fit, scale: float, prior: Prior) -> Fit:
+        """The fit with the held-out logs simulated from where their first part says."""
+        return complete(self.stated.times(scale), found, prior)
+
+    def frozen(self, found: Fit, prior: Prior) -> Frozen:
+        """Derivatives at a fit, for those that stay near it."""
+        names = tuple(prior.names)
+        return Frozen(names, self.evidence.jacobian(found.coordinates, found.z, names))
+
+    def fit_causes(self, causes: Sequence[Cause], near: Fit, scale: float) -> Fit:
+        """A thorough fit of all causes together, from a point nearby."""
+        prior = self.widened_for(causes, near.coordinates)
+        # The point is nearby: what is no cause keeps its derivatives.
+        moving = [*kept_coordinates(causes), *self.evidence.starts()]
+        frozen = Frozen(near.names, self.evidence.jacobian(near.coordinates, near.z, near.names))
+        found = fit(
+            self.stated.times(scale), near.coordinates, prior, near.z, frozen=frozen, moving=moving
+        )
+        return self.complete(found, scale, prior)
+
+    def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
+        """The tolerances, widened for all of the causes."""
+        prior = self.prior
+        for cause in causes:
+            prior = widened_for(prior, cause, coordinates, self.evidence)
+        return prior
+
+    def scale(self, found: Fit, prior: Prior) -> float:
+        """How many times the stated error a fit leaves on all rows."""
+        return self.known.scale(*self.squares(self.complete(found, 1.0, prior)))
+
+    def squares(self, found: Fit) -> tuple[float, float]:
+        """Sum of squares of the known rows in units of the stated error, and how many errors."""
+        known, left = self.evidence.known, self.evidence.voltage_V - found.voltage_V
+        squares = self.stated.squares(left)[known]
+        return float(np.sum(squares)), float(np.sum(self.stated.errors[known]))
+
+    def explained(
+        self,
+        found: Fit,
+        scale: float,
+        prior: Prior,
+        causes: Iterable[Cause],
+        near: Frozen = NOTHING_KNOWN,
+    ) -> Prediction:
+        """How likely all rows are with the causes estimated, and what the logs read at rest.
+
+        ``near`` are the derivatives that the fit was made with: those by causes and starts are
+        taken again.
+        """
+        kept = kept_coordinates(causes)
+        jacobian = near.jacobian_near(found, self.evidence, [*kept, *self.evidence.starts()])
+        objective = self.stated.times(scale)
+        found_so = predict(objective, found, jacobian, prior, self.known, scale, kept)
+        more = self.at_rest(found) + ln_size(found.z, kept, prior)
+        return found_so._replace(total=found_so.total + more)
+
+    def at_rest(self, found: Fit) -> float:
+        """Ln likelihood of what voltage and current sensor read at rest."""
+        voltage = self.rests.ln_likelihood(found.coordinates, found.z)
+        return voltage + self.evidence.rest.ln_likelihood(found.z)
+
+    def point(self, found: Fit, keep: set[str]) -> dict[str, float]:
+        """The causes' coordinates as found, the cell's as calibrated on a baseline, nothing else.
+
+        Not what the fit made of them since: there a cause that is not named might hide. What a
+        baseline makes of its instruments and of the charge is no news of the cell.
+        """
+        of_cell = [n for n in self.prior.linked if n not in (*MEASURED_NAMES, "ln_capacity")]
+        baseline = {n: self.prior.mean[n] for n in of_cell}
+        return baseline | {n: v for n, v in found.z.items() if n in keep}
+
+
 def predict(
     objective: Objective,
     found: Fit,
@@ -227,7 +187,7 @@ def predict(
     prior: Prior,
     known: KnownScale,
     scale: float,
-    free: set[str] | None = None,
+    free: set[str],
 ) -> Prediction:
     """Density of all rows to second order about the fit.
 
@@ -242,47 +202,38 @@ def predict(
     jacobian : (rows, names) derivatives at the fit
     known : what is known of that scale
     """
-    evidence = objective.evidence
-    names = list(found.names)
-    residual = np.nan_to_num(evidence.voltage_V - found.voltage_V)
-    used = evidence.known & (evidence.role != IGNORED)
-    white = objective.scaled(np.column_stack((residual, jacobian)))
-    normal, gradient = normal_of(white, used, objective.clip)
-    squares = float(np.sum(objective.squares(residual)[used]))
-    plain = float(np.sum(objective.terms(residual)[used])) + 0.5 * squares
-    count = float(np.sum(objective.errors[used]))
-    x = np.array([found.z[n] for n in names])
-    low = np.array([prior.low.get(n, -np.inf) for n in names])
-    high = np.array([prior.high.get(n, np.inf) for n in names])
-    away = x - np.array([prior.mean.get(n, 0.0) for n in names])
+    rows, residual = objective.evidence.known, objective.evidence.voltage_V - found.voltage_V
+    normal, gradient = objective.normal(found.voltage_V, jacobian)
+    squares = float(np.sum(objective.squares(residual)[rows]))
+    plain = float(np.sum(objective.terms(residual)[rows])) + 0.5 * squares
+    count = float(np.sum(objective.errors[rows]))
+    x = np.array([found.z[n] for n in prior.names])
+    low, high = prior.box()
     inside = (x > low) & (x < high)
-    kept = free or set()
-    scalable = np.array([n not in kept and ":" not in n for n in names])
+    scalable = np.array([n not in free and ":" not in n for n in prior.names])
     precision = prior.precision()
     weights = [
         precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in OVER.shares)
     ]
     totals: list[float] = []
     best = -math.inf, 1.0, jacobian[:, 0]
-    for times in _times(known, scale):
+    for times in _times(scale):
         r = times**-2.0
         here = plain - 0.5 * r * squares - count * math.log(times) + known.ln_density(times * scale)
         for weight in weights:
+            away = prior.away(found.z)
             value, step = _density(here, r * normal, r * gradient, weight, away, inside)
             totals.append(value)
             if value > best[0]:
                 best = value, times, jacobian @ step
-    every = float(np.logaddexp.reduce(totals))
-    total = every + math.log(OVER.scale_step / len(OVER.shares))
+    total = float(np.logaddexp.reduce(totals)) + math.log(OVER.scale_step / len(OVER.shares))
     return Prediction(total, objective.times(best[1]).terms(residual - best[2]))
 
 
-def _times(known: KnownScale, scale: float) -> FloatArray:
-    """Scales to try, in units of the one that the fit leaves: from the least that is known."""
-    least = 1.0  # what is stated
-    most = OVER.beyond * max(scale, least)
-    steps = np.arange(0.0, math.log(most / least), OVER.scale_step)
-    return np.asarray(least / scale * np.exp(steps))
+def _times(scale: float) -> FloatArray:
+    """Scales to try, in units of the one that the fit leaves: from what is stated on."""
+    most = OVER.beyond * max(scale, 1.0)
+    return np.asarray(np.exp(np.arange(0.0, math.log(most), OVER.scale_step)) / scale)
 
 
 def _density(

@@ -17,20 +17,23 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
-from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates, step_of
+from cellwise.diagnose.fit.noise import Objective, normal_of
 from cellwise.diagnose.fit.rows import FITTED, START, Evidence
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
+
+Values = Mapping[str, float]
 
 
 class Solving(NamedTuple):
     """Gauss-Newton: ``iterations`` at most, until a step gains less than ``converged`` [nats].
 
-    From ``clip`` standard deviations of an error on a residual counts in proportion (Huber).
+    ``halvings`` are the shares of a step that are tried until one is better.
     """
 
     iterations: int = 7
     converged: float = 0.02
-    clip: float = 6.0
+    halvings: tuple[float, ...] = (1.0, 0.4, 0.15, 0.05, 0.01)
 
 
 SOLVING = Solving()
@@ -45,13 +48,13 @@ class Prior:
     what a unit of it moves the start's mean by (:mod:`cellwise.diagnose.fit.priors`).
     """
 
-    std: Mapping[str, float]
-    mean: Mapping[str, float]
-    low: Mapping[str, float]
-    high: Mapping[str, float]
+    std: Values
+    mean: Values
+    low: Values
+    high: Values
     linked: tuple[str, ...] = ()
     cross: FloatArray | None = None
-    read: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    read: Mapping[str, Values] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -60,32 +63,28 @@ class Prior:
 
     def widened(
         self,
-        std: Mapping[str, float],
-        mean: Mapping[str, float],
-        low: Mapping[str, float],
-        high: Mapping[str, float],
+        std: Values,
+        mean: Values,
+        low: Values,
+        high: Values,
+        read: Mapping[str, Values] | None = None,
     ) -> Prior:
-        """The prior with some coordinates widened."""
-        return Prior(
-            {**self.std, **std},
-            {**self.mean, **mean},
-            {**self.low, **low},
-            {**self.high, **high},
-            self.linked,
-            self.cross,
-            self.read,
+        """The prior with some coordinates widened, and what those make of the starts' readings."""
+        more = read or {}
+        return replace(
+            self,
+            std={**self.std, **std},
+            mean={**self.mean, **mean},
+            low={**self.low, **low},
+            high={**self.high, **high},
+            read={s: {**self.read.get(s, {}), **more.get(s, {})} for s in {**self.read, **more}},
         )
-
-    def with_readings(self, read: Mapping[str, Mapping[str, float]]) -> Prior:
-        """The prior with what further coordinates make of the starts' readings."""
-        both = {s: {**self.read.get(s, {}), **read.get(s, {})} for s in {**self.read, **read}}
-        return replace(self, read=both)
 
     def precision(self) -> FloatArray:
         """Inverse covariance of the coordinates, in the order of ``names``."""
         names = self.names
         covariance = np.diag([self.std[n] ** 2 for n in names])
-        if self.cross is None or not self.linked:
+        if self.cross is None:
             precision = np.asarray(np.diag(1.0 / np.diag(covariance)))
         else:
             place = [names.index(n) for n in self.linked]
@@ -96,13 +95,17 @@ class Prior:
         own = 2.0 * np.eye(len(names)) - shear(names, self.read)
         return np.asarray(own.T @ precision @ own)
 
-    def mean_with(self, name: str, z: Mapping[str, float]) -> float:
-        """Mean of a start whose reading other coordinates change."""
-        moved = (by * z.get(n, 0.0) for n, by in self.read.get(name, {}).items())
-        return self.mean.get(name, 0.0) + sum(moved)
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the coordinates, in the order of ``names``."""
+        low = np.array([self.low.get(n, -np.inf) for n in self.names])
+        return low, np.array([self.high.get(n, np.inf) for n in self.names])
+
+    def away(self, z: Values) -> FloatArray:
+        """The way from the mean, in the order of ``names``."""
+        return np.array([z.get(n, 0.0) - self.mean.get(n, 0.0) for n in self.names])
 
 
-def shear(names: Sequence[str], read: Mapping[str, Mapping[str, float]]) -> FloatArray:
+def shear(names: Sequence[str], read: Mapping[str, Values]) -> FloatArray:
     """From what starts were read as, and all else, to the coordinates ``names``."""
     found = np.eye(len(names))
     for start, moved in read.items():
@@ -135,81 +138,8 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
-    """Rows, how wrong the model may be at each of them, and how much each counts.
-
-    ``size_V`` (rows,) is the standard deviation of what no cause explains. It stays for minutes, so
-    that thousands of rows hold as few errors as ``weight`` (rows,) sums up to. What changes within
-    a window of :attr:`Evidence.windows` has a size of its own, ``fast_V``, and more errors.
-    """
-
-    evidence: Evidence
-    size_V: FloatArray
-    weight: FloatArray
-    fast_V: FloatArray
-    fast_weight: FloatArray
-
-    @property
-    def fitted(self) -> Objective:
-        """The same over the logs that have rows to fit."""
-        part = self.evidence.fitted
-        return self.part(part, slice(0, part.rows))
-
-    def part(self, evidence: Evidence, rows: slice) -> Objective:
-        """The same over some of the rows."""
-        fast = self.fast_V[rows], self.fast_weight[rows]
-        return Objective(evidence, self.size_V[rows], self.weight[rows], *fast)
-
-    def times(self, scale: float) -> Objective:
-        """The same with what may be wrong so many times as large."""
-        return replace(self, size_V=scale * self.size_V, fast_V=scale * self.fast_V)
-
-    @property
-    def clip(self) -> float:
-        """Where a residual in these units is wilder than the rest (Huber)."""
-        return SOLVING.clip * math.sqrt(float(np.mean(self.errors)))
-
-    @property
-    def errors(self) -> FloatArray:
-        """How many independent errors every row counts for."""
-        return self.weight + self.fast_weight
-
-    def bands(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is slow of columns (rows, P), and what is fast, in units of what may be wrong.
-
-        Each row as much as it counts. Within a window the fast part adds up to zero: the squares
-        of both together are those of their sum.
-        """
-        known = self.evidence.known
-        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is refused by its cost
-            mean = self.evidence.window_means(columns)
-            slow = mean * (known * np.sqrt(self.weight) / self.size_V)[:, None]
-            fast = (columns - mean) * (np.sqrt(self.fast_weight) / self.fast_V)[:, None]
-        fast[~known] = 0.0
-        return slow, fast
-
-    def scaled(self, columns: FloatArray) -> FloatArray:
-        """Both bands of columns (rows, P) in units of what may be wrong."""
-        slow, fast = self.bands(columns)
-        slow += fast
-        return slow
-
-    def squares(self, residual_V: FloatArray) -> FloatArray:
-        """Squared residuals in these units; beyond :attr:`clip` they grow in proportion (Huber)."""
-        size, clip = np.abs(self.scaled(np.nan_to_num(residual_V)[:, None])[:, 0]), self.clip
-        with np.errstate(over="ignore"):
-            return np.where(size < clip, size * size, clip * (2.0 * size - clip))
-
-    def terms(self, residual_V: FloatArray) -> FloatArray:
-        """Ln likelihood of every row."""
-        terms = -0.5 * self.squares(residual_V) - self.weight * np.log(self.size_V)
-        terms -= self.fast_weight * np.log(self.fast_V)
-        return np.where(self.evidence.known, terms, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
 class Frozen:
-    """Derivatives that a fit may take as they were at another point nearby."""
+    """Derivatives of all rows that fits may take as they were at another point nearby."""
 
     names: tuple[str, ...]
     jacobian: FloatArray
@@ -217,127 +147,116 @@ class Frozen:
     def jacobian_near(self, found: Fit, evidence: Evidence, moving: Sequence[str]) -> FloatArray:
         """Derivatives at a fit nearby, fresh by the coordinates in ``moving`` and by new ones."""
         fresh = [n for n in found.names if n in moving or n not in self.names]
-        here = evidence.jacobian(found.coordinates, found.z, fresh)
         columns = np.empty((evidence.rows, len(found.names)))
-        for k, name in enumerate(found.names):
-            known = name not in fresh
-            of, names = (self.jacobian, self.names) if known else (here, fresh)
-            columns[:, k] = of[:, names.index(name)]
+        columns[:, [found.names.index(n) for n in fresh]] = evidence.jacobian(
+            found.coordinates, found.z, fresh
+        )
+        kept = [n for n in found.names if n not in fresh]
+        columns[:, [found.names.index(n) for n in kept]] = self.columns(kept, evidence.rows)
         return columns
+
+    def columns(self, names: Sequence[str], rows: int) -> FloatArray:
+        """Those by some of the coordinates, of the first rows."""
+        if not names:
+            return np.empty((rows, 0))
+        return np.take(self.jacobian[:rows], [self.names.index(n) for n in names], axis=1)
 
 
 NOTHING_KNOWN = Frozen((), np.empty((0, 0)))
-
-
-def freeze(
-    objective: Objective, coordinates: Coordinates, names: Sequence[str], z: Mapping[str, float]
-) -> Frozen:
-    """Derivatives at a point, for fits that stay near it."""
-    return Frozen(tuple(names), objective.evidence.jacobian(coordinates, z, names))
 
 
 def fit(
     objective: Objective,
     coordinates: Coordinates,
     prior: Prior,
-    start: Mapping[str, float],
+    start: Values,
     iterations: int = SOLVING.iterations,
-    fixed: Mapping[str, float] | None = None,
-    frozen: Frozen | None = None,
+    frozen: Frozen = NOTHING_KNOWN,
     moving: Sequence[str] = (),
 ) -> Fit:
-    """Most likely point under the prior, by damped Gauss-Newton with analytic sensitivities.
+    """Most likely point under the prior, by damped Gauss-Newton.
 
-    Only the logs that have rows to fit are simulated; :func:`complete` adds the others. ``fixed``
-    holds coordinates that are no part of the fit at given values. With ``frozen`` only the
-    derivatives by ``moving`` and by the starts are computed at every point.
+    Only the logs that have rows to fit are simulated; :func:`complete` adds the others. With
+    ``frozen`` only the derivatives by ``moving`` and by the starts are computed at every point.
     """
-    held_still = dict(fixed or {})
     train = objective.fitted
     evidence = train.evidence
-    names = prior.names
+    names, weight, (low, high) = prior.names, prior.precision(), prior.box()
     mean = np.array([prior.mean.get(n, 0.0) for n in names])
-    weight = prior.precision()
-    low = np.array([prior.low.get(n, -np.inf) for n in names])
-    high = np.array([prior.high.get(n, np.inf) for n in names])
     x = np.clip(np.array([start.get(n, mean[k]) for k, n in enumerate(names)]), low, high)
-    still = () if frozen is None else tuple(n for n in frozen.names if n not in moving)
-    fresh = [k for k, n in enumerate(names) if n not in still]
-    kept = [k for k, n in enumerate(names) if n in still]
+    kept = [k for k, n in enumerate(names) if n in frozen.names and n not in moving]
+    fresh = [k for k in range(len(names)) if k not in kept]
     rows = (evidence.role == FITTED) & evidence.known
     white = np.empty((evidence.rows, 1 + len(names)))
-    if frozen is not None and kept:
-        places = [frozen.names.index(names[k]) for k in kept]
-        columns = np.take(frozen.jacobian[: evidence.rows], places, axis=1)
-        white[:, [1 + k for k in kept]] = train.scaled(columns)
+    still = frozen.columns([names[k] for k in kept], evidence.rows)
+    white[:, [1 + k for k in kept]] = train.scaled(still)
 
-    def cost_of(point: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        z = {**held_still, **dict(zip(names, point, strict=True))}
-        voltage, soc = evidence.simulate(coordinates, z)
+    def point(at: FloatArray) -> dict[str, float]:
+        return dict(zip(names, map(float, at), strict=True))
+
+    def cost_of(at: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        voltage, soc = evidence.simulate(coordinates, point(at))
         terms = train.terms(evidence.voltage_V - voltage)
-        penalty = 0.5 * float((point - mean) @ weight @ (point - mean))
+        penalty = 0.5 * float((at - mean) @ weight @ (at - mean))
         value = penalty - float(np.sum(terms[rows]))
         return (value if math.isfinite(value) else math.inf), voltage, soc
 
     cost, voltage, soc = cost_of(x)
     normal = weight.copy()
-    for _ in range(iterations if names else 0):
-        z = {**held_still, **dict(zip(names, x, strict=True))}
-        jacobian = evidence.jacobian(coordinates, z, [names[k] for k in fresh])
-        residual = np.nan_to_num(evidence.voltage_V - voltage)
-        columns = np.column_stack((residual, jacobian))
+    for _ in range(iterations):
+        jacobian = evidence.jacobian(coordinates, point(x), [names[k] for k in fresh])
+        columns = np.column_stack((np.nan_to_num(evidence.voltage_V - voltage), jacobian))
         white[:, [0, *(1 + k for k in fresh)]] = train.scaled(columns)
-        normal, gradient = _normal(white, rows, train.clip, weight, x - mean)
+        normal, gradient = normal_of(white, rows, train.clip)
+        normal, gradient = normal + weight, gradient - weight @ (x - mean)
         step = _bounded_step(normal, gradient, x, low, high)
         expected = float(gradient @ step) / 2
-        trial, value, v, s = x, math.inf, voltage, soc
-        for scale in (1.0, 0.4, 0.15, 0.05, 0.01):
-            trial = np.clip(x + scale * step, low, high)
+        for share in SOLVING.halvings:
+            trial = np.clip(x + share * step, low, high)
             value, v, s = cost_of(trial)
             if value < cost:
                 break
-        if value >= cost:
+        else:
             break
         gained = cost - value
         x, cost, voltage, soc = trial, value, v, s
         if min(gained, expected) < SOLVING.converged:
             break
-    z = {**held_still, **dict(zip(names, (float(v) for v in x), strict=True))}
     covariance = np.asarray(np.linalg.pinv(normal), dtype=np.float64)
-    _, ln_det = np.linalg.slogdet(normal)
-    log_evidence = -cost - 0.5 * float(ln_det) + 0.5 * float(np.linalg.slogdet(weight)[1])
+    ln_det = float(np.linalg.slogdet(normal)[1]) - float(np.linalg.slogdet(weight)[1])
     missing = np.full(objective.evidence.rows - evidence.rows, np.nan)
     voltage, soc = np.concatenate((voltage, missing)), np.concatenate((soc, missing))
-    return Fit(z, tuple(names), covariance, log_evidence, voltage, soc, coordinates)
+    evidence_ln = -cost - 0.5 * ln_det
+    return Fit(point(x), tuple(names), covariance, evidence_ln, voltage, soc, coordinates)
 
 
 def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
     """The fit with the held-out logs simulated, each from where its first part says it starts."""
     evidence = objective.evidence
-    if evidence.fitted is evidence:
-        return found
-    z = _held_starts(objective, found, prior)
-    many, done = len(evidence.fitted.logs), evidence.fitted.rows
+    z, inputs = dict(found.z), found.coordinates.inputs(found.z)
     voltage, soc = found.voltage_V.copy(), found.soc.copy()
-    voltage[done:], soc[done:] = evidence.simulate(found.coordinates, z, many)
+    for k, (log, rows) in enumerate(evidence.each()):
+        first = int(np.sum(log.role == START))
+        if not first:
+            continue
+        name, step = f"soc0:{k}", step_of("soc0")
+        mean = prior.mean.get(name, 0.0)
+        mean += sum(by * z.get(n, 0.0) for n, by in prior.read.get(name, {}).items())
+        begins = np.zeros(evidence.rows, dtype=bool)
+        begins[rows.start : rows.start + first] = True
+        for _ in range(SOLVING.iterations):
+            here, moved = (log.simulate(inputs, z[name] + s, first)[0] for s in (0.0, step))
+            whole, slope = np.zeros(evidence.rows), np.zeros((evidence.rows, 1))
+            whole[begins], slope[begins, 0] = here, (moved - here) / step
+            normal, gradient = objective.normal(whole, slope, begins)
+            pull = float(gradient[0]) - (z[name] - mean) / prior.std[name] ** 2
+            at = z[name] + pull / (float(normal[0, 0]) + prior.std[name] ** -2)
+            at = min(max(at, prior.low[name]), prior.high[name])
+            z[name], change = at, abs(at - z[name])
+            if change < step:
+                break
+        voltage[rows], soc[rows] = log.simulate(inputs, z[name])
     return replace(found, z=z, voltage_V=voltage, soc=soc)
-
-
-def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and gradient of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
-    used = white[rows]
-    size = np.maximum(np.abs(used[:, :1]), clip)
-    used *= np.sqrt(clip / size)
-    every = used.T @ used
-    return every[1:, 1:], every[1:, 0]
-
-
-def _normal(
-    white: FloatArray, rows: BoolArray, clip: float, weight: FloatArray, away: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and gradient with the prior's."""
-    normal, gradient = normal_of(white, rows, clip)
-    return normal + weight, gradient - weight @ away
 
 
 def _bounded_step(
@@ -357,23 +276,3 @@ def _bounded_step(
         return np.asarray(free * size)
     found = lsq_linear(root.T, target, ends, method="bvls", max_iter=4 * x.size)
     return np.asarray(found.x * size)
-
-
-def _held_starts(objective: Objective, found: Fit, prior: Prior) -> dict[str, float]:
-    """The point with the starts of held-out logs as their first rows say, all else as it is."""
-    evidence, z = objective.evidence, dict(found.z)
-    for k, (log, whole) in enumerate(evidence.each()):
-        name = f"soc0:{k}"
-        begins = int(np.sum(log.role == START))
-        if begins and name in prior.std:
-            rows = slice(whole.start, whole.start + begins)
-            first = objective.part(evidence.beginnings[k], rows)
-            one = Prior(
-                {"soc0:0": prior.std[name]},
-                {"soc0:0": prior.mean_with(name, z)},
-                {"soc0:0": prior.low[name]},
-                {"soc0:0": prior.high[name]},
-            )
-            here = {"soc0:0": z[name]}
-            z[name] = fit(first, found.coordinates, one, here, 4, z).z["soc0:0"]
-    return z

@@ -14,14 +14,14 @@ errors in a log as such a shape has features.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.fit.rows import IGNORED, SPLIT, Evidence
+from cellwise.diagnose.fit.rows import SPLIT, Evidence
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
@@ -31,22 +31,18 @@ class Stated(NamedTuple):
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
     error that no cause explains, since no cause has the shape of nature, with ``shape_errors``
-    independent errors in a log; ``least_V``: no voltage is known better.
+    independent errors in a log; ``least_V``: no voltage is known better. From ``clip`` standard
+    deviations of an error on a residual counts in proportion (Huber).
     """
 
     errors: float = 10.0
     shape: float = 0.1
     shape_errors: float = 10.0
     least_V: float = 1e-4
+    clip: float = 6.0
 
 
 STATED = Stated()
-
-
-class Noise(NamedTuple):
-    """How many times what the model states is left."""
-
-    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +74,135 @@ class KnownScale:
         return -self.errors * math.log(scale) - 0.5 * self.square / scale**2
 
 
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Rows, how wrong the model may be at each of them, and how much each counts.
+
+    ``size_V`` (rows,) is the standard deviation of what no cause explains. It stays for minutes, so
+    that thousands of rows hold as few errors as ``weight`` (rows,) sums up to. What changes within
+    a window of :attr:`Evidence.windows` has a size of its own, ``fast_V``, and more errors.
+    """
+
+    evidence: Evidence
+    size_V: FloatArray
+    weight: FloatArray
+    fast_V: FloatArray
+    fast_weight: FloatArray
+
+    @property
+    def fitted(self) -> Objective:
+        """The same over the logs that have rows to fit."""
+        part = self.evidence.fitted
+        rows = slice(0, part.rows)
+        fast = self.fast_V[rows], self.fast_weight[rows]
+        return Objective(part, self.size_V[rows], self.weight[rows], *fast)
+
+    def times(self, scale: float) -> Objective:
+        """The same with what may be wrong so many times as large."""
+        return replace(self, size_V=scale * self.size_V, fast_V=scale * self.fast_V)
+
+    def with_shape(self, shape_V: float) -> Objective:
+        """The same with an error of the shapes of causes.
+
+        What a mean over many rows leaves uncertain adds up: size^2 over weight.
+        """
+        both = self.size_V**2 + shape_V**2
+        mean = self.size_V**2 / self.weight
+        for _, rows in self.evidence.each():
+            known = int(self.evidence.known[rows].sum())
+            mean[rows] += shape_V**2 * max(known, 1) / STATED.shape_errors
+        return replace(self, size_V=np.sqrt(both), weight=np.minimum(self.weight, both / mean))
+
+    @property
+    def clip(self) -> float:
+        """Where a residual in these units is wilder than the rest (Huber)."""
+        return STATED.clip * math.sqrt(float(np.mean(self.errors)))
+
+    @property
+    def errors(self) -> FloatArray:
+        """How many independent errors every row counts for."""
+        return self.weight + self.fast_weight
+
+    def bands(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is slow of columns (rows, P), and what is fast, in units of what may be wrong.
+
+        Each row as much as it counts. Within a window the fast part adds up to zero: the squares
+        of both together are those of their sum.
+        """
+        known = self.evidence.known
+        with np.errstate(over="ignore", invalid="ignore"):  # a step too far is refused by its cost
+            mean = self.evidence.window_means(columns)
+            slow = mean * (known * np.sqrt(self.weight) / self.size_V)[:, None]
+            fast = (columns - mean) * (np.sqrt(self.fast_weight) / self.fast_V)[:, None]
+        fast[~known] = 0.0
+        return slow, fast
+
+    def scaled(self, columns: FloatArray) -> FloatArray:
+        """Both bands of columns (rows, P) in units of what may be wrong."""
+        slow, fast = self.bands(columns)
+        slow += fast
+        return slow
+
+    def squares(self, residual_V: FloatArray) -> FloatArray:
+        """Squared residuals in these units; beyond :attr:`clip` they grow in proportion (Huber)."""
+        size, clip = np.abs(self.scaled(np.nan_to_num(residual_V)[:, None])[:, 0]), self.clip
+        with np.errstate(over="ignore"):
+            return np.where(size < clip, size * size, clip * (2.0 * size - clip))
+
+    def terms(self, residual_V: FloatArray) -> FloatArray:
+        """Ln likelihood of every row."""
+        terms = -0.5 * self.squares(residual_V) - self.weight * np.log(self.size_V)
+        terms -= self.fast_weight * np.log(self.fast_V)
+        return np.where(self.evidence.known, terms, 0.0)
+
+    def normal(
+        self, simulated_V: FloatArray, jacobian: FloatArray, rows: BoolArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Normal matrix (P, P) and gradient (P,) of the known ``rows`` about a simulation."""
+        residual = np.nan_to_num(self.evidence.voltage_V - simulated_V)
+        white = self.scaled(np.column_stack((residual, jacobian)))
+        known = self.evidence.known if rows is None else rows & self.evidence.known
+        return normal_of(white, known, self.clip)
+
+
+def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and gradient of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
+    used = white[rows]
+    size = np.maximum(np.abs(used[:, :1]), clip)
+    used *= np.sqrt(clip / size)
+    every = used.T @ used
+    return every[1:, 1:], every[1:, 0]
+
+
+def stated_objective(
+    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
+) -> Objective:
+    """What the model states of its error at every scored row; SOC and voltage as simulated.
+
+    What lasts for minutes counts as the independent errors that a log holds. What changes within a
+    window is no larger than all that is stated on any time scale, and comes back with every pulse:
+    however many of these there are, all logs together hold as few errors of it as such a shape has
+    features.
+    """
+    error = model.error
+    size, fast, weight = (np.empty(evidence.rows) for _ in range(3))
+    for g, rows in evidence.each():
+        warm = float(np.median(g.temperature_C))
+        at = np.clip(soc[rows], 0.0, 1.0)
+        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
+        charged = charged_for_minutes(g.log)[:: g.stride]
+        size[rows] = np.hypot(lasting_V(error, at, warm, drop, charged), STATED.least_V)
+        own = np.hypot(error.at(at, warm), share_claimed(error, drop, charged) * drop)
+        fast[rows] = np.sqrt(own**2 + error.white_V**2 + STATED.least_V**2)
+        known = evidence.known[rows]
+        span_soc = float(np.ptp(soc[rows][known])) if known.any() else 0.0
+        errors = independent_errors(error, float(g.clock_s[-1] - g.clock_s[0]), span_soc)
+        weight[rows] = min(errors / max(int(known.sum()), 1), 1.0)
+    every = max(int(evidence.known.sum()), 1)
+    fast_weight = np.full(evidence.rows, min(STATED.shape_errors / every, 1.0))
+    return Objective(evidence, size, weight, fast, fast_weight)
+
+
 def slow_scales(error: ModelError) -> tuple[int, ...]:
     """Processes of an error that outlast a window; the slowest in any case."""
     last = len(error.scales_s) - 1
@@ -107,36 +232,6 @@ def independent_errors(error: ModelError, span_s: float, span_soc: float) -> flo
     return 1.0 + span_s / (2.0 * max(memory_s, 1e-3)) + by_soc
 
 
-def row_weights(evidence: Evidence, error: ModelError, soc: FloatArray) -> FloatArray:
-    """How much every scored row counts: the used rows of a log sum up to its independent errors.
-
-    ``soc`` is that of every scored row.
-    """
-    weights = []
-    for log, rows in evidence.each():
-        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
-        span_s = float(log.clock_s[-1] - log.clock_s[0])
-        span_soc = float(np.ptp(soc[rows][used])) if used.any() else 0.0
-        errors = independent_errors(error, span_s, span_soc)
-        weights.append(np.full(log.scored, min(errors / max(int(used.sum()), 1), 1.0)))
-    return np.concatenate(weights)
-
-
-def with_shape(
-    evidence: Evidence, size_V: FloatArray, weight: FloatArray, shape_V: float
-) -> tuple[FloatArray, FloatArray]:
-    """Size and weight of the model's error at every row with that of the shapes of causes.
-
-    What a mean over many rows leaves uncertain adds up: size^2 over weight.
-    """
-    both = size_V**2 + shape_V**2
-    mean = size_V**2 / weight
-    for _, rows in evidence.each():
-        used = evidence.known[rows] & (evidence.role[rows] != IGNORED)
-        mean[rows] += shape_V**2 * max(int(used.sum()), 1) / STATED.shape_errors
-    return np.sqrt(both), np.minimum(weight, both / mean)
-
-
 def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
@@ -146,42 +241,3 @@ def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> 
     """
     charge = np.where(charged, error.whole_share(-1.0), error.shown_share(-1.0))
     return np.where(drop_V >= 0.0, error.shown_share(1.0), charge)
-
-
-def stated_V(
-    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
-) -> FloatArray:
-    """What the model states at every scored row of an error that lasts for minutes [V].
-
-    ``soc`` and ``voltage_V`` are as simulated.
-    """
-    size = np.empty(evidence.rows)
-    for g, rows in evidence.each():
-        warm = float(np.median(g.temperature_C))
-        at = np.clip(soc[rows], 0.0, 1.0)
-        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
-        charged = charged_for_minutes(g.log)[:: g.stride]
-        lasts = lasting_V(model.error, at, warm, drop, charged)
-        size[rows] = np.sqrt(lasts**2 + STATED.least_V**2)
-    return size
-
-
-def fast_part(
-    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Size [V] and weight at every row of what changes within a window of the model's error.
-
-    No larger than all that is stated of it on any time scale. It comes back with every pulse:
-    however many of these there are, all logs together hold as few errors of it as such a shape has
-    features.
-    """
-    size = np.empty(evidence.rows)
-    for g, rows in evidence.each():
-        warm = float(np.median(g.temperature_C))
-        at = np.clip(soc[rows], 0.0, 1.0)
-        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
-        share = share_claimed(model.error, drop, charged_for_minutes(g.log)[:: g.stride])
-        own = np.hypot(model.error.at(at, warm), share * drop)
-        size[rows] = np.sqrt(own**2 + model.error.white_V**2 + STATED.least_V**2)
-    used = evidence.known & (evidence.role != IGNORED)
-    return size, np.full(evidence.rows, min(STATED.shape_errors / max(int(used.sum()), 1), 1.0))

@@ -166,7 +166,7 @@ def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: 
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):
         if name in readings:  # where the reading goes, the start may go
             low[name], high[name] = -0.05 - log.start.soc, 1.05 - log.start.soc
-    return prior.widened(std, mean, low, high).with_readings(readings)
+    return prior.widened(std, mean, low, high, readings)
 
 
 def needs_activation(coordinates: Coordinates) -> bool:

@@ -38,7 +38,7 @@ class Split(NamedTuple):
 
 SPLIT = Split()
 
-IGNORED, FITTED, HELD, START = range(4)
+FITTED, HELD, START = range(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,28 +65,20 @@ class LogRows:
         """Measured voltage of the scored rows [V]."""
         return self.log.voltage_V[:: self.stride]
 
-    def first(self, scored: int) -> LogRows:
-        """Its first so many scored rows, to be fitted."""
-        rows = min((scored - 1) * self.stride + 1, len(self.log))
-        return LogRows(
-            self.log.part(0, rows),
-            self.start,
-            self.dt_s[:rows],
-            self.current_A[:rows],
-            self.temperature_C[:rows],
-            self.stride,
-            np.full(scored, FITTED, dtype=np.int32),
-            self.block[:scored],
-            self.clock_s[:scored],
-        )
+    def simulate(
+        self, inputs: KernelInputs, soc_shift: float, scored: int | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Voltage [V] and SOC of its first ``scored`` rows (None: of all).
 
-    def simulate(self, inputs: KernelInputs, soc_shift: float) -> tuple[FloatArray, FloatArray]:
-        """Voltage [V] and SOC of the scored rows, from ``soc_shift`` away from the stated start."""
+        From ``soc_shift`` away from the stated start.
+        """
+        rows = slice(0, None if scored is None else (scored - 1) * self.stride + 1)
         start = empty_state(self.start.soc + soc_shift, start_hysteresis(self.start.soc))
         shifted = shifted_current(self.log.time_s, self.dt_s, self.current_A, inputs.skew_s)
-        flow = (shifted - inputs.offset_A) / inputs.gain
+        flow = ((shifted - inputs.offset_A) / inputs.gain)[rows]
         voltage, soc = np.empty(flow.size), np.empty(flow.size)
-        simulate_rows(inputs.tables, start, self.dt_s, flow, self.temperature_C, voltage, soc)
+        dt, warm = self.dt_s[rows], self.temperature_C[rows]
+        simulate_rows(inputs.tables, start, dt, flow, warm, voltage, soc)
         return voltage[:: self.stride] + inputs.added_V, soc[:: self.stride]
 
 
@@ -140,25 +132,12 @@ class Evidence:
         """Names of the coordinates of the logs' starts."""
         return [f"soc0:{k}" for k in range(len(self.logs))]
 
-    @cached_property
-    def beginnings(self) -> dict[int, Evidence]:
-        """The first part of every held-out log, by its number: what determines its start."""
-        found = {}
-        for k, log in enumerate(self.logs):
-            scored = int(np.sum(log.role == START))
-            if scored:
-                found[k] = _evidence((log.first(scored),))
-        return found
-
     def simulate(
-        self, coordinates: Coordinates, z: Mapping[str, float], first: int = 0
+        self, coordinates: Coordinates, z: Mapping[str, float]
     ) -> tuple[FloatArray, FloatArray]:
-        """Voltage [V] and SOC of every scored row of the logs from the ``first`` one on."""
+        """Voltage [V] and SOC of every scored row."""
         inputs = coordinates.inputs(z)
-        parts = [
-            log.simulate(inputs, z.get(f"soc0:{k}", 0.0))
-            for k, log in enumerate(self.logs[first:], first)
-        ]
+        parts = [log.simulate(inputs, z.get(f"soc0:{k}", 0.0)) for k, log in enumerate(self.logs)]
         voltage, soc = zip(*parts, strict=True)
         return np.concatenate(voltage), np.concatenate(soc)
 
@@ -170,6 +149,8 @@ class Evidence:
         What only adds to the voltage has no memory and is not simulated. A start moves its own log
         alone, and inwards: full and empty are the ends of its tables.
         """
+        if not names:
+            return np.empty((self.rows, 0))
         here, soc = self.simulate(coordinates, z)
         inputs = coordinates.inputs(z)
         found = np.zeros((self.rows, len(names)))
@@ -286,8 +267,3 @@ def _rows(
         block.astype(np.int32),
         clock,
     )
-
-
-def rmse(residual: FloatArray, rows: BoolArray) -> float:
-    """Root mean square over the rows [V]."""
-    return float(np.sqrt(np.mean(residual[rows] ** 2))) if rows.any() else float("nan")

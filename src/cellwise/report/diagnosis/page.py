@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel
 from cellwise.report.diagnosis.pictures import (
     BEFORE_AFTER_CAPTION,
@@ -60,8 +61,6 @@ from cellwise.report.page.numerals import (
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, Traces, trace_section, write_page
 
-IMPOSSIBLE_TIMES = 10.0  # of the model's resistance: no cell of this kind has so much more
-
 
 def diagnose_page(
     diagnosis: Diagnosis, path: str | Path, *, figures: str | Path | FigureFiles | None = None
@@ -73,7 +72,7 @@ def diagnose_page(
     diagnosis : Diagnosis
     path, figures : as of `write_page`, whose errors it raises
     """
-    runs = in_order(diagnosis.runs)
+    runs = sorted(diagnosis.runs, key=lambda r: r.used != "holdout")  # held-out logs first
     name = diagnosis.model.name or "the model"
     lines, more = lead_lines(diagnosis), alerts(diagnosis)
     first = [*lines[: MOST.bullets - bool(more)], *more[:1]]
@@ -82,7 +81,7 @@ def diagnose_page(
         path,
         # Plain spaces: programs read the figures in it, too.
         diagnosis_finding(diagnosis).replace("\N{NO-BREAK SPACE}", " "),
-        f"Errors of {name} on {_names(diagnosis)}, by cellwise",
+        f"Errors of {name} on {_names(diagnosis.logs)}, by cellwise",
         diagnosis_sections(diagnosis, runs),
         diagnosis.to_dict(),
         lead=Markup(
@@ -114,8 +113,10 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
             competing_table(diagnosis),
         )
         sections.append(Section("evidence", "What was tried", tried, "Evidence"))
-    limits = (bullets(inseparable_lines(diagnosis)), limits_table(diagnosis))
     if diagnosis.limits:
+        alike = [listed([cause_name(c) for c in group]) for group in diagnosis.inseparable]
+        lines = bullets(f"These logs do not separate {names}." for names in alike)
+        limits = (lines, limits_table(diagnosis))
         sections.append(Section("limits", "What these logs could show", limits, "Limits"))
     sections.append(residual_section(diagnosis.anatomy, clock_of(diagnosis.logs[0])))
     if pictures[1:]:
@@ -135,11 +136,6 @@ def run_traces(run: LogRun, explained: bool) -> Traces:
         Panel("current [A]", (Line("current", hours, run.log.current_A),)),
     )
     return Traces("time [h]", panels, clock_of(run.log))
-
-
-def in_order(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
-    """Held-out logs first."""
-    return tuple(sorted(runs, key=lambda r: r.used != "holdout"))
 
 
 def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
@@ -184,7 +180,7 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"{prefix}{within(KINDS[kind])}" if prefix else KINDS[kind])
     if diagnosis.causes:
         where = (
-            f"Held out: {_held(diagnosis)}; nothing but an initial SOC was fitted there."
+            f"Held out: {_names(diagnosis.holdout)}; nothing but an initial SOC was fitted there."
             if diagnosis.holdout
             else "Held out: later blocks of the logs themselves, never used in the fit."
         )
@@ -284,21 +280,11 @@ def competing_table(diagnosis: Diagnosis) -> Markup:
     )
 
 
-def inseparable_lines(diagnosis: Diagnosis) -> list[str]:
-    """Groups that these logs do not separate."""
-    return [
-        f"These logs do not separate {listed([cause_name(c) for c in group])}."
-        for group in diagnosis.inseparable
-    ]
-
-
 def limits_table(diagnosis: Diagnosis) -> Markup:
-    """The smallest change of every cause that these logs could show, where a cell can have it."""
-    shown = {c: shown_limits(c, values, diagnosis) for c, values in diagnosis.limits.items()}
-    shown = {c: values for c, values in shown.items() if values}
-    without = sorted({c.name for c in diagnosis.candidates} - set(shown))
+    """The smallest change of every cause that these logs could show."""
+    without = sorted({c.name for c in diagnosis.candidates} - set(diagnosis.limits))
     found = record_table(
-        shown.items(),
+        diagnosis.limits.items(),
         ("cause", lambda one: cause_name(one[0])),
         ("smallest change", lambda one: _values(*one)),
         caption="From sensitivities and noise, before any cause was fitted: smaller changes look "
@@ -307,26 +293,6 @@ def limits_table(diagnosis: Diagnosis) -> Markup:
     )
     none = f"These logs could show no change of {listed([cause_name(c) for c in without])}."
     return Markup(found + (paragraph(none) if without else ""))
-
-
-def shown_limits(cause: str, values: Mapping[str, float], diagnosis: Diagnosis) -> dict[str, float]:
-    """The limits that a real cell or sensor could exceed.
-
-    A limit beyond ten times the resistance of the model, or beyond the cause's own bounds, is of a
-    change that nobody could take for the cell it is said of.
-    """
-    known = {p.name: p for p in CAUSES[cause].parameters} if cause in CAUSES else {}
-    most_ohm = IMPOSSIBLE_TIMES * float(np.median(diagnosis.model.r0_ohm + diagnosis.model.r2_ohm))
-    found = {}
-    for name, value in values.items():
-        one = known.get(name)
-        beyond = one is not None and (
-            not one.bounds[0] <= one.neutral + value <= one.bounds[1]
-            or (one.unit == "ohm" and value > most_ohm)
-        )
-        if not beyond:
-            found[name] = value
-    return found
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:
@@ -340,7 +306,7 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
             ("cause", lambda c: cause_name(c.name)),
             ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
             ("evidence", lambda c: significant(c.score)),
-            ("its parameters", lambda c: _first_values(c.name, c.parameters)),
+            ("its parameters", lambda c: _values(c.name, c.parameters, 2)),
             text_columns=(0, 3),
             **options,
         )
@@ -359,24 +325,16 @@ def _units(cause: str) -> dict[str, str]:
     return {p.name: p.unit for p in CAUSES[cause].parameters} if cause in CAUSES else {}
 
 
-def _first_values(cause: str, parameters: Mapping[str, float]) -> str:
-    """The first two; the others of many stand in the figures for machines."""
-    more = f" and {len(parameters) - 2} more" if len(parameters) > 2 else ""
-    return _values(cause, dict(list(parameters.items())[:2])) + more
-
-
-def _values(cause: str, parameters: Mapping[str, float]) -> str:
-    units = _units(cause)
-    return ", ".join(f"{k} {valued(v, units.get(k, '1'))}" for k, v in parameters.items())
+def _values(cause: str, parameters: Mapping[str, float], most: int = 99) -> str:
+    """The first ones; the others of many stand in the figures for machines."""
+    units, more = _units(cause), len(parameters) - most
+    shown = [f"{k} {valued(v, units.get(k, '1'))}" for k, v in list(parameters.items())[:most]]
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
 
 
 def _between(ends: tuple[float, float] | None, unit: str) -> str:
     return "" if ends is None else f"{valued(ends[0], unit)} to {valued(ends[1], unit)}"
 
 
-def _names(diagnosis: Diagnosis) -> str:
-    return listed(list(dict.fromkeys(g.name or "a log" for g in diagnosis.logs)))
-
-
-def _held(diagnosis: Diagnosis) -> str:
-    return listed(list(dict.fromkeys(g.name or "another log" for g in diagnosis.holdout)))
+def _names(logs: Sequence[CellLog]) -> str:
+    return listed(list(dict.fromkeys(g.name or "a log" for g in logs)))

@@ -7,17 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.diagnose.log_runs import LogRun
+from cellwise.diagnose.applied import LogRun
 from cellwise.report.diagnosis.statements import change, corrected_mV, named_log
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, paragraph
-from cellwise.report.page.numerals import (
-    counted,
-    duration,
-    millivolt,
-    percent,
-    significant,
-)
+from cellwise.report.page.markup import paragraph
+from cellwise.report.page.numerals import counted, duration, millivolt, percent
 from cellwise.report.page.picture import pictured
 from cellwise.report.page.section import Section
 from cellwise.report.page.traces import (
@@ -98,27 +92,18 @@ Group = Mapping[str, Any]
 
 def residual_section(residual: Mapping[str, Any], name: str) -> Section:
     """Text and picture of where the error lies."""
-    content = (residual_text(residual), residual_picture(residual))
-    return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
-
-
-def panels(
-    residual: Mapping[str, Any],
-) -> list[tuple[str, Sequence[Group], Callable[[Group], str], str]]:
-    """Of every division: what it is by, its groups, how a group is called, label of the axis."""
-    warm = residual.get("by_temperature_C") or []
-    by_charge = (
-        "charge moved",
-        residual["by_charge_Ah"],
-        lambda g: significant(g["to"], 2),
-        "charge moved up to [Ah]",
+    noise = residual["noise"]
+    text = (
+        f"{counted(residual['rows'])} rows, {millivolt(residual['rmse_V'])} RMSE, mean "
+        f"{millivolt(residual['mean_V'])}."
     )
-    return [
-        ("SOC", residual["by_soc"], _soc, "SOC [%]"),
-        ("current", residual["by_current_C"], _rate, "current [C]; c: charge"),
-        ("time since an edge", residual["by_edge_s"], _seconds, "time since a current step [s]"),
-        ("temperature", warm, _plain, "temperature [°C]") if len(warm) > 1 else by_charge,
-    ]
+    if noise["floor_V"] is not None:
+        text += (
+            f" The noise from row to row, which no model can predict, is "
+            f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
+        )
+    content = (paragraph(text), residual_picture(residual))
+    return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
 
 
 @pictured(
@@ -128,17 +113,23 @@ def panels(
     "model is too low). Numbers: the group's share of the whole squared error.",
 )
 def residual_picture(residual: Mapping[str, Any]) -> style.Figure:
-    """Four panels of bars."""
+    """Four panels of bars: what the error is divided by, how a group is called, its unit."""
     figure = style.new_figure(5.6)
-    for axes, (what, groups, name, label) in zip(
-        style.panels(figure, 2, 2), panels(residual), strict=True
-    ):
-        _bars(axes, what, groups, name, label)
+    warm = residual.get("by_temperature_C") or []
+    charge = ("charge moved up to", residual["by_charge_Ah"], lambda g: f"{g['to']:.2g}", "Ah")
+    panels = (
+        ("SOC", residual["by_soc"], lambda g: f"{100 * g['from']:.0f}–{100 * g['to']:.0f}", "%"),
+        ("current (c: charge)", residual["by_current_C"], _rate, "C"),
+        ("time since a current step", residual["by_edge_s"], _between, "s"),
+        ("temperature", warm, _between, "°C") if len(warm) > 1 else charge,
+    )
+    for axes, panel in zip(style.panels(figure, 2, 2), panels, strict=True):
+        _bars(axes, *panel)
     return figure
 
 
 def _bars(
-    axes: style.Axes, what: str, groups: Sequence[Group], name: Callable[[Group], str], label: str
+    axes: style.Axes, what: str, groups: Sequence[Group], name: Callable[[Group], str], unit: str
 ) -> None:
     place = np.arange(len(groups))
     sizes = [1e3 * (g["rmse_V"] or 0.0) for g in groups]
@@ -155,66 +146,32 @@ def _bars(
     axes.set_xticks(place, [name(g) for g in groups], fontsize=style.SMALL_PT)
     if len(groups) > 5:
         axes.tick_params(axis="x", rotation=60)
-    style.labels(axes, label, "error [mV]")
+    style.labels(axes, f"{what} [{unit}]", "error [mV]")
     axes.margins(y=0.14)
     axes.grid(axis="x", visible=False)
-    style.finding(axes, _title(what, groups, name, worst), 0.42)
     if what == "SOC":
         style.legend(axes)
-
-
-def _title(what: str, groups: Sequence[Group], name: Callable[[Group], str], worst: int) -> str:
     if not groups:
-        return f"No {what} to divide by"
-    top = groups[worst]
-    units = {"SOC": " % SOC", "current": "C", "temperature": " °C"}
-    where = f"{name(top)}{units.get(what, '')}"
-    rows = sum(g["rows"] for g in groups)
-    part = f", {percent(top['rows'] / max(rows, 1), 0)} of rows"
-    text = {
-        "charge moved": f"part {worst + 1} of {len(groups)} of the charge",
-        "current": "rest" if where == "restC" else where.replace("c ", "charge at "),
-        "time since an edge": f"{where} s after an edge",
-    }.get(what, where)
-    return f"{percent(top['share'], 0)} of the error: {text}{part}"
+        style.finding(axes, f"No {what} to divide by", 0.42)
+        return
+    top, rows = groups[worst], sum(g["rows"] for g in groups)
+    where = name(top) if name(top) == "rest" else f"{what.partition(' (')[0]} {name(top)} {unit}"
+    part = f"{percent(top['rows'] / max(rows, 1), 0)} of rows"
+    style.finding(axes, f"{percent(top['share'], 0)} of the error: {where}, {part}", 0.42)
 
 
-def residual_text(residual: Mapping[str, Any]) -> Markup:
-    """Size and noise as text."""
-    noise = residual["noise"]
-    lines = [
-        f"{counted(residual['rows'])} rows, {millivolt(residual['rmse_V'])} RMSE, mean "
-        f"{millivolt(residual['mean_V'])}."
-    ]
-    if noise["floor_V"] is not None:
-        lines.append(
-            f"The noise from row to row, which no model can predict, is "
-            f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
-        )
-    return paragraph(" ".join(lines))
-
-
-def _soc(g: Group) -> str:
-    return f"{100 * g['from']:.0f}–{100 * g['to']:.0f}"
-
-
-def _plain(g: Group) -> str:
-    return f"{g['from']:.0f} to {g['to']:.0f}".replace("-", "−")
+def _between(g: Group) -> str:
+    """Between its edges; above the one that it has."""
+    low, high = g["from"], g["to"]
+    text = f">{low:g}" if high is None else f"{low:g} to {high:g}"
+    return text.replace("-", "−")
 
 
 def _rate(g: Group) -> str:
+    """Of a current, whose negative values are charges."""
     low, high = g["from"], g["to"]
     if low is not None and high is not None and low < 0.0 < high:
         return "rest"
-    if low is None:
-        return f"c >{-high:g}"
-    if high is None:
-        return f">{low:g}"
-    return f"{low:g}–{high:g}" if low > 0.0 else f"c {-high:g}–{-low:g}"
-
-
-def _seconds(g: Group) -> str:
-    low, high = g["from"], g["to"]
-    if not low:
-        return f"<{high:g}"
-    return f">{low:g}" if high is None else f"{low:g}–{high:g}"
+    if low is None or low < 0.0:
+        return f"c {_between({'from': -high, 'to': None if low is None else -low})}"
+    return _between(g)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Mapping
 
+from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.decision.odds import Weighed
-from cellwise.diagnose.log_runs import LogRun
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
-    SPACE,
     ampere_hours,
     duration,
     listed,
@@ -27,6 +27,7 @@ KINDS = {
     "cell": "A property of the cell: the model is extended.",
 }
 UNITS = {"A": 1e3, "V": 1e3}
+Values = Mapping[str, float]
 CERTAIN = 0.9994  # a probability that is no longer written out
 CORRECTED = " with the log corrected"
 
@@ -199,76 +200,82 @@ def change_of(before_V: float, after_V: float) -> str:
 
 def statement(cause: FoundCause, diagnosis: Diagnosis) -> str:
     """The cause with its numbers, without a full stop."""
-    if cause.kind == "cell":
-        return _of_cell(cause, diagnosis)
-    p = cause.parameters
-    if cause.name == "current_offset":
-        return f"The current sensor reads {ampere(abs(p['offset_A']))} too {_much(p['offset_A'])}"
-    if cause.name == "current_gain":
-        share = p["gain"] - 1.0
-        return f"The current sensor reads {percent(abs(share), 1)} too {_much(share)}"
-    if cause.name == "voltage_offset":
-        return (
-            f"The voltage sensor reads {millivolt(abs(p['offset_V']))} too {_much(p['offset_V'])}"
-        )
-    if cause.name == "time_skew":
-        late = "after" if p["skew_s"] > 0 else "before"
-        return f"The voltage is logged {duration(abs(p['skew_s']))} {late} the current"
-    if cause.name == "initial_soc":
-        stated = diagnosis.soc0[0].get("value") if diagnosis.soc0 else None
-        instead = f", not at {points(float(stated))}" if stated is not None else ""
-        return f"The log starts at {points(p['soc0'])} SOC{instead}"
-    return cause.meaning.rstrip(".")
+    say = SAID.get(cause.name)
+    return cause.meaning.rstrip(".") if say is None else say(cause.parameters, diagnosis)
 
 
-def _of_cell(cause: FoundCause, diagnosis: Diagnosis) -> str:
-    p = cause.parameters
-    name = cause.name
-    if name == "capacity":
-        was = diagnosis.model.capacity_Ah
-        share = p["capacity_Ah"] / was - 1.0
-        more = "more" if share > 0.0 else "less"
-        return (
-            f"The cell holds {ampere_hours(p['capacity_Ah'])}, {percent(abs(share), 1)} {more} "
-            f"than the model's {ampere_hours(was)}"
-        )
-    if name == "resistance_scale":
-        return f"Every resistance is {significant(p['scale'])} times the model's"
-    if name == "ocv_shift":
-        knot = max(p, key=lambda k: abs(p[k]))
-        soc = int(knot.split("_")[1]) / 1000.0
-        return f"The OCV curve differs, by {millivolt(p[knot])} at {points(soc)} SOC"
-    if name == "slow_diffusion":
-        factor, unit = ohm_unit(abs(p["r3_ohm"]) or 1.0)
-        size = f"{significant(factor * p['r3_ohm'])} {unit}"
-        return f"A slow polarisation is missing, {size} with {duration(p['tau3_s'])}"
-    if name == "hysteresis":
-        return f"The OCV depends on the direction, by {millivolt(p['m_V'])} to either side"
-    if name == "temperature_dependence":
-        change = p["activation_K"] * (1 / 288.15 - 1 / 298.15)
-        return f"Resistances at 15 °C are {significant(math.exp(change))} times those at 25 °C"
-    if name == "charge_transfer":
-        return f"The exchange current is {significant(p['exchange_scale'])} times the model's"
-    if name == "rate_dependence":
-        factor = 1.0 / (1.0 + p["rate_h"])
-        return f"Resistances at 1C are {significant(factor)} times those at small currents"
-    if name == "charge_asymmetry":
-        scale = significant(p["charge_scale"])
-        return f"Resistances on charge are {scale} times those on discharge"
-    if name == "self_heating":
-        rise = significant(p["rth_K_per_W"])
-        after = duration(p["thermal_s"])
-        return f"The cell is warmer inside than logged, {rise} K per watt after {after}"
-    if name == "self_discharge":
-        return f"The cell discharges itself by {ampere(p['leak_A'])}"
-    return cause.meaning.rstrip(".")
+def _reads(channel: str, size: str, value: float) -> str:
+    much = "much" if value > 0.0 else "little"
+    return f"The {channel} sensor reads {size} too {much}"
 
 
-def ampere(current_A: float) -> str:
-    """A current as ``98 mA`` or ``1.2 A``."""
-    if abs(current_A) < 0.9995:
-        return f"{significant(1e3 * current_A)}{SPACE}mA"
-    return f"{significant(current_A)}{SPACE}A"
+def _start(p: Values, d: Diagnosis) -> str:
+    stated = d.soc0[0].get("value") if d.soc0 else None
+    instead = f", not at {points(float(stated))}" if stated is not None else ""
+    return f"The log starts at {points(p['soc0'])} SOC{instead}"
+
+
+def _capacity(p: Values, d: Diagnosis) -> str:
+    was = d.model.capacity_Ah
+    share = p["capacity_Ah"] / was - 1.0
+    more = "more" if share > 0.0 else "less"
+    return (
+        f"The cell holds {ampere_hours(p['capacity_Ah'])}, {percent(abs(share), 1)} {more} "
+        f"than the model's {ampere_hours(was)}"
+    )
+
+
+def _ocv(p: Values, _: Diagnosis) -> str:
+    knot = max(p, key=lambda k: abs(p[k]))
+    soc = int(knot.split("_")[1]) / 1000.0
+    return f"The OCV curve differs, by {millivolt(p[knot])} at {points(soc)} SOC"
+
+
+def _resistances(where: str, factor: float, than: str) -> str:
+    return f"Resistances {where} are {significant(factor)} times those {than}"
+
+
+# What every cause is with its numbers; of the others their meaning is said.
+SAID: dict[str, Callable[[Values, Diagnosis], str]] = {
+    "current_offset": lambda p, _: _reads(
+        "current", valued(abs(p["offset_A"]), "A"), p["offset_A"]
+    ),
+    "current_gain": lambda p, _: _reads(
+        "current", percent(abs(p["gain"] - 1.0), 1), p["gain"] - 1.0
+    ),
+    "voltage_offset": lambda p, _: _reads("voltage", millivolt(abs(p["offset_V"])), p["offset_V"]),
+    "time_skew": lambda p, _: (
+        f"The voltage is logged {duration(abs(p['skew_s']))} "
+        f"{'after' if p['skew_s'] > 0 else 'before'} the current"
+    ),
+    "initial_soc": _start,
+    "capacity": _capacity,
+    "ocv_shift": _ocv,
+    "resistance_scale": lambda p, _: (
+        f"Every resistance is {significant(p['scale'])} times the model's"
+    ),
+    "charge_transfer": lambda p, _: (
+        f"The exchange current is {significant(p['exchange_scale'])} times the model's"
+    ),
+    "slow_diffusion": lambda p, _: (
+        f"A slow polarisation is missing, {valued(p['r3_ohm'], 'ohm')} with {duration(p['tau3_s'])}"
+    ),
+    "hysteresis": lambda p, _: (
+        f"The OCV depends on the direction, by {millivolt(p['m_V'])} to either side"
+    ),
+    "temperature_dependence": lambda p, _: _resistances(
+        "at 15 °C", math.exp(p["activation_K"] * (1 / 288.15 - 1 / 298.15)), "at 25 °C"
+    ),
+    "rate_dependence": lambda p, _: _resistances(
+        "at 1C", 1.0 / (1.0 + p["rate_h"]), "at small currents"
+    ),
+    "charge_asymmetry": lambda p, _: _resistances("on charge", p["charge_scale"], "on discharge"),
+    "self_heating": lambda p, _: (
+        f"The cell is warmer inside than logged, {significant(p['rth_K_per_W'])} K per watt "
+        f"after {duration(p['thermal_s'])}"
+    ),
+    "self_discharge": lambda p, _: f"The cell discharges itself by {valued(p['leak_A'], 'A')}",
+}
 
 
 def valued(value: float, unit: str) -> str:
@@ -280,7 +287,3 @@ def valued(value: float, unit: str) -> str:
         factor, name = ohm_unit(abs(value) or 1.0)
         return f"{significant(factor * value)} {name}"
     return significant(value) if unit == "1" else f"{significant(value)} {unit}"
-
-
-def _much(value: float) -> str:
-    return "much" if value > 0.0 else "little"

@@ -1,0 +1,251 @@
+"""Sets of causes fitted together, and the odds of each.
+
+Singles first, then what could still explain something beside the likeliest of them, fitted jointly.
+A set is judged by the evidence of all rows under a noise that is never less than what the model
+states of its own error, by what rests and zero readings say, and by how rare its causes are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.diagnose.decision.odds import Rarity
+from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
+from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, fit
+from cellwise.diagnose.fit.priors import USUAL, needs_activation, starts_to_try, widened_for
+from cellwise.typing import FloatArray
+
+Progress = Callable[[float, str], None]
+
+
+class Search(NamedTuple):
+    """How far sets of causes are searched.
+
+    ``beam`` sets of one size get further causes, ``added`` to each, up to ``most_causes``. One
+    step is no bound on what a fit gains: beside a set that is better than nothing, a cause is tried
+    where ``tried_share`` of its rarity is in sight.
+    """
+
+    beam: int = 4
+    added: int = 5
+    most_causes: int = 4
+    tried_share: float = 0.5
+
+
+SEARCH = Search()
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A set of causes fitted to all logs, and how likely the rows are with it."""
+
+    causes: tuple[Cause, ...]
+    fit: Fit
+    scale: float
+    prior: Prior
+    found: Prediction
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(c.name for c in self.causes)
+
+    @property
+    def key(self) -> frozenset[str]:
+        """What makes it another explanation than others."""
+        return frozenset(self.names)
+
+
+@dataclass(eq=False)
+class Explanations:
+    """All sets that were tried in one diagnosis; ``refused`` says which causes fit no bounds."""
+
+    fits: CauseFits
+    rarity: Rarity
+    progress: Progress | None = None
+    tried: dict[frozenset[str], Explanation] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def none(self) -> Explanation:
+        """No cause."""
+        return self.tried[frozenset()]
+
+    def odds(self, one: Explanation) -> float:
+        """Ln of the odds of a set against no cause, up to the weight of blocks [nats]."""
+        return one.found.total - self.none.found.total - self.rarity.nats(one.names)
+
+    def best(self, many: int | None = None, size: int | None = None) -> list[Explanation]:
+        """The likeliest sets, of one size or of any."""
+        sets = [e for e in self.tried.values() if size is None or len(e.causes) == size]
+        return sorted(sets, key=self.odds, reverse=True)[:many]
+
+    def search(self, causes: Sequence[Cause], base: Fit, scale: float) -> None:
+        """Try sets of causes on top of the base until one more gains less than its rarity.
+
+        Two causes may explain together what neither does alone: one size more is tried.
+        """
+        prior = self.fits.prior
+        self._keep(self._explained((), base, scale, prior, self.fits.frozen(base, prior)))
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            for size in range(1, SEARCH.most_causes + 1):
+                self._with_one_more(causes, size, threads)
+                if len(self.best(1)[0].causes) < size - 1:
+                    break
+
+    def _with_one_more(
+        self, causes: Sequence[Cause], size: int, threads: ThreadPoolExecutor
+    ) -> None:
+        """Try sets of a size, every one from the likeliest that it can be made of."""
+
+        def prepared(start: Explanation) -> tuple[Explanation, Frozen, list[Cause]]:
+            frozen = self.fits.frozen(start.fit, start.prior)
+            return start, frozen, self._promising(start, causes, frozen)
+
+        todo: dict[frozenset[str], tuple[Explanation, Cause, Frozen]] = {}
+        for start, frozen, more in threads.map(prepared, self.best(SEARCH.beam, size - 1)):
+            for cause in more:
+                todo.setdefault(start.key | {cause.name}, (start, cause, frozen))
+        tasks = [task for key, task in todo.items() if key not in self.tried]
+        for k, one in enumerate(threads.map(lambda task: self._added(*task), tasks), 1):
+            if self.progress is not None:
+                name = tasks[k - 1][1].name.replace("_", " ")
+                self.progress(1.0 - 0.5 ** (size - 1 + k / len(tasks)), name)
+            if one is not None:
+                self._keep(one)
+
+    def _promising(
+        self, start: Explanation, causes: Sequence[Cause], frozen: Frozen
+    ) -> list[Cause]:
+        """Causes that could gain their rarity beside a set, those that could most."""
+        left = [c for c in causes if c.name not in start.names]
+        if not start.causes:
+            return left
+        most = could_explain(self.fits, left, start.fit, start.prior, frozen)
+        own = self.rarity.nats(start.names)
+        price = {c.name: self.rarity.nats((*start.names, c.name)) - own for c in left}
+        least = SEARCH.tried_share if self.odds(start) > 0.0 else 1.0
+        promising = [c for c in left if most[c.name] > least * price[c.name]]
+        return sorted(promising, key=lambda c: -most[c.name])[: SEARCH.added]
+
+    def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
+        """A set with one more cause, all of it fitted; None where the cause stays away."""
+        forms = forms_of(cause, start.fit.coordinates)
+        ends = [self._with_form(start, form, frozen) for form in forms]
+        physical = [e for e in ends if not unphysical(e)]
+        if not physical and not start.causes:
+            self.refused[cause.name] = unphysical(ends[0])
+        return max(physical, key=lambda e: e.found.total, default=None)
+
+    def _with_form(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation:
+        """A set with one form of one more cause, all of it fitted, from its best beginning."""
+        fits, evidence = self.fits, self.fits.evidence
+        causes = (*start.causes, cause)
+        moving = [*kept_coordinates(causes), *evidence.starts()]
+
+        def fitted(
+            scale: float, coordinates: Coordinates, z: Mapping[str, float], steps: int, here: Frozen
+        ) -> tuple[Fit, Prior]:
+            wide = widened_for(start.prior, cause, coordinates, evidence)
+            objective = fits.stated.times(scale)
+            return fit(objective, coordinates, wide, z, steps, here, moving), wide
+
+        found = []
+        beginnings = starts_to_try(cause, start.fit.coordinates, evidence)
+        for shaped, beginning in beginnings:
+            point = {**start.fit.z, **beginning}
+            if cause.name == "self_heating":
+                point["rth_K_per_W"] = 1.0
+                if needs_activation(shaped):
+                    point["activation_K"] = USUAL.activation_K
+            steps = 1 if len(beginnings) > 1 else 5
+            found.append(fitted(start.scale, shaped, point, steps, frozen))
+        near, wide = max(found, key=lambda f: f[0].log_evidence)
+        if len(beginnings) > 1:
+            near, wide = fitted(start.scale, near.coordinates, near.z, 3, frozen)
+        scale, here = fits.scale(near, wide), fits.frozen(near, wide)
+        near, wide = fitted(scale, near.coordinates, near.z, 5, here)
+        return self._explained(causes, near, scale, wide, here)
+
+    def _keep(self, one: Explanation) -> None:
+        known = self.tried.get(one.key)
+        if known is None or one.found.total > known.found.total:
+            self.tried[one.key] = one
+
+    def _explained(
+        self, causes: tuple[Cause, ...], found: Fit, scale: float, prior: Prior, near: Frozen
+    ) -> Explanation:
+        found = self.fits.complete(found, scale, prior)
+        likely = self.fits.explained(found, scale, prior, causes, near)
+        return Explanation(causes, found, scale, prior, likely)
+
+
+def unphysical(one: Explanation) -> str:
+    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
+    z = one.fit.z
+    for cause in one.causes:
+        switch = cause.parameters[0]
+        if cause.shape is not None and z.get(switch.coordinate, 0.0) == 0.0:
+            return f"{cause.name} fits best with {switch.name} at zero"
+        for p in cause.parameters:
+            ends = (one.prior.low.get(p.coordinate), one.prior.high.get(p.coordinate))
+            if p.coordinate in z and z[p.coordinate] in ends:
+                return f"{cause.name} would need {p.name} outside its physical bounds"
+    return ""
+
+
+def could_explain(
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Prior, frozen: Frozen
+) -> dict[str, float]:
+    """Nats that every cause would gain at most by one Gauss-Newton step from a fit.
+
+    Rao's score test: gradient and information at the null hypothesis, where nothing of the cause
+    is fitted yet; what it takes off the squares counts by the scale that both leave. Causes with a
+    memory are tried at each of those from which their search starts.
+    """
+    evidence = fits.evidence
+    shapes: dict[int, Coordinates] = {}
+    tried: list[tuple[Cause, int, Prior]] = []
+    for cause in (f for c in causes for f in forms_of(c, base.coordinates)):
+        of_cause = {id(s): s for s, _ in starts_to_try(cause, base.coordinates, evidence)}
+        shapes |= of_cause
+        tried += [
+            (cause, key, widened_for(prior, cause, s, evidence)) for key, s in of_cause.items()
+        ]
+    # Derivatives of the stage, and one pass for the further ones of all causes of one shape.
+    parts, place = [frozen.jacobian], {(0, n): k for k, n in enumerate(frozen.names)}
+    for key, shaped in shapes.items():
+        new = {n: None for _, k, wide in tried if k == key for n in wide.names}
+        names = [n for n in new if n not in frozen.names]
+        place |= {(key, n): len(place) + j for j, n in enumerate(names)}
+        parts.append(evidence.jacobian(shaped, base.z, names))
+    normal, gradient = fits.stated.normal(base.voltage_V, np.column_stack(parts))
+
+    def gain(key: int, wide: Prior) -> float:
+        at = [place.get((key, n), place.get((0, n), -1)) for n in wide.names]
+        return _gain(normal[np.ix_(at, at)], gradient[at], wide, base.z)
+
+    none = gain(0, prior)
+    left, errors = fits.squares(base)
+    found: dict[str, float] = {}
+    for cause, key, wide in tried:
+        nats = fits.known.gained(left, 2.0 * max(gain(key, wide) - none, 0.0), errors)
+        found[cause.name] = max(found.get(cause.name, 0.0), nats)
+    return found
+
+
+def _gain(normal: FloatArray, gradient: FloatArray, prior: Prior, z: Mapping[str, float]) -> float:
+    """Nats that the best step of some coordinates gains, under their prior."""
+    weight, away = prior.precision(), prior.away(z)
+    pull = gradient - weight @ away
+    # What the prior costs at the start is not gained by a cause that widens it.
+    start = 0.5 * float(away @ weight @ away)
+    return 0.5 * float(pull @ np.linalg.solve(normal + weight, pull)) - start
