@@ -120,7 +120,7 @@ def read_log(
         sign=known.sign,
         current_meaning=known.current_meaning,
     )
-    log = assemble(CellLog, raw, origin, sign, check_sign=check_sign)
+    log = assemble(raw, origin, sign, check_sign=check_sign)
     return stated.applied(log)
 
 

@@ -359,9 +359,3 @@ def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
     """Names in quotes, the first dozen."""
     shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def tidy_header(fields: Sequence[str]) -> list[str]:
-    """Column names of the tidy form for fields of `CellLog`."""
-    names = {channel.field: channel.usual_name for channel in TIDY_CHANNELS}
-    return [names[field] for field in fields]

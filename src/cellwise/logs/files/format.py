@@ -10,9 +10,9 @@ from importlib import import_module
 from typing import Any, Literal
 
 from cellwise.errors import InputError
+from cellwise.logs.cell_log import CurrentMeaning
 from cellwise.logs.files.columns import Channel
 from cellwise.logs.files.source import LogSource, RawLog
-from cellwise.logs.measured_log import CurrentMeaning
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
 Reader = Callable[[LogSource, "Format"], RawLog]

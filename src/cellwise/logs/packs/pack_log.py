@@ -329,7 +329,7 @@ def _assembled(
         notices.append(f"current of {source.options.parallel} in parallel, read as that of one")
     fields = {c.field for c in TIDY_CHANNELS}
     kept = {field: values for field, values in channels.items() if field in fields}
-    mean = assemble(CellLog, RawLog(kept, tuple(notices)), origin, sign, check_sign=check_sign)
+    mean = assemble(RawLog(kept, tuple(notices)), origin, sign, check_sign=check_sign)
     return PackLog(mean, volts, names, balancing, pack_V, flags, source.options.parallel)
 
 
