@@ -16,7 +16,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.packs.cells import known_cell
+from cellwise.logs.packs.cells import known_column
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
@@ -111,10 +111,10 @@ class CellReadings:
     def take_object(self, found: dict[str, object], time_s: float) -> None:
         """The readings of an object with tidy names: ``cell_01_V`` or ``cell_01_mV``."""
         for name, value in found.items() if self.cells else ():
-            known = known_cell(name)
-            if known is not None and isinstance(value, (int, float)):
-                number, unit = known
-                self.take(number - 1, float(value) * unit.factor + unit.offset, time_s)
+            known = known_column(name)
+            if known is not None and known.kind == "cell" and isinstance(value, (int, float)):
+                unit = known.unit
+                self.take(known.number - 1, float(value) * unit.factor + unit.offset, time_s)
 
     def now(self, time_s: float) -> tuple[float, ...]:
         """Voltage of every cell [V]; NaN for one that has not come for a while."""

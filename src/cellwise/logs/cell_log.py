@@ -238,13 +238,13 @@ class CellLog(Plottable, Tabular):
         ------
         InputError          as `read_log` does for a file with these columns
         """
-        from cellwise.logs.files.assembly import Origin, assemble
+        from cellwise.logs.files.assembly import Origin, assemble, complete
         from cellwise.logs.files.columns import TIDY_CHANNELS
         from cellwise.logs.files.named_columns import table_channels
 
         origin = Origin(name=name, source=source, format="table")
         raw = table_channels(table, TIDY_CHANNELS, origin.where)
-        return assemble(raw, origin, sign)
+        return assemble(complete(raw, origin.sign, origin.where), origin, sign)
 
     def columns(self) -> dict[str, Any]:
         """The tidy form's columns, as `to_pandas` and `to_polars` have them."""
