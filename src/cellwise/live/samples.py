@@ -14,19 +14,12 @@ from typing import IO, Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
-from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
+from cellwise.logs.files.columns import TIDY_NAMES, Unit, tidy_name
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.packs.cells import known_column
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
-# Tidy name to field and unit.
-TIDY_NAMES = {
-    name: (channel.field, unit)
-    for channel in TIDY_CHANNELS
-    if channel.field in FIELDS
-    for name, unit in channel.names.items()
-}
 # A cell is polled every few seconds at the slowest; an older voltage is that of another current.
 HELD_S = 5.0
 POLL_S = 0.2  # a source that nothing comes from says so as often
@@ -168,13 +161,10 @@ class ObjectReader:
     def __init__(self, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self._scale = CellScale(options, sign)
         self._cells = CellReadings(cells)
-        self._names: dict[str, tuple[str, Unit]] = dict(TIDY_NAMES)
+        own = {n: known for n, known in TIDY_NAMES.items() if known[0] in FIELDS}
+        self._names: dict[str, tuple[str, Unit]] = own
         for tidy, name in options.channels.items():
-            if tidy not in TIDY_NAMES:
-                raise InputError(
-                    f"a channel '{tidy}'", f"one of {', '.join(TIDY_NAMES)}", "Correct the name."
-                )
-            self._names[name] = TIDY_NAMES[tidy]
+            self._names[name] = tidy_name(tidy, FIELDS)
         self.names = frozenset(self._names)
 
     def field_of(self, name: str) -> str:

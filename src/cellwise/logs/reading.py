@@ -22,7 +22,7 @@ from typing import IO, Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.files.assembly import Origin, assemble, complete, to_cell
+from cellwise.logs.files.assembly import Origin, assemble, complete
 from cellwise.logs.files.format import Format, damaged, detect_format
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -34,10 +34,10 @@ from cellwise.logs.files.source import (
     open_source,
 )
 from cellwise.logs.formats import FORMATS
+from cellwise.logs.packs.cells import to_cell
 from cellwise.logs.packs.pack_log import columns_of_table, pack_of
 from cellwise.logs.stated import Stated, plain_name
 
-TIDY = ("tidy-parquet", "tidy-csv")
 AS_MEAN_CELL = "read as their mean cell"  # marks the notice
 
 
@@ -105,7 +105,7 @@ def read_log(
     named = plain_name(source.path) if name is None else name
     columns = columns_of_table(source, known)
     cells = sum(c.kind == "cell" for c in columns)
-    if cells and series in ((1, FROM_FILE, cells) if known.name in TIDY else (1,)):
+    if cells and series in (1, FROM_FILE, cells):
         pack = pack_of(source, known, columns, sign=sign, name=named, check_sign=check_sign)
         warm = sum(c.kind == "temperature" for c in columns)
         what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")

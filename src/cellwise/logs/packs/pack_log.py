@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.files.assembly import Origin, assemble, complete, to_cell
+from cellwise.logs.files.assembly import Origin, assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
@@ -27,6 +27,7 @@ from cellwise.logs.packs.cells import (
     checked_cells,
     mean_of_known,
     mean_voltage_V,
+    to_cell,
 )
 from cellwise.logs.stated import Stated
 from cellwise.typing import BoolArray, FloatArray
