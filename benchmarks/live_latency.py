@@ -67,6 +67,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
     from cellwise.live.run import LatencyMeter
+    from cellwise.live.source import BUS_EVERY_S, Sending
     from cellwise.logs.files.source import ReadOptions
 
     samples = round(rate_Hz * seconds)
@@ -78,6 +79,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
         live = LiveFilter(three_branches())
         outlook = Outlook(live.model, 3.0)
         sender = SocSender(source, "Cellwise.Soc")
+        to = Sending(lambda update, _: sender.send(update.info.soc), lambda: None, BUS_EVERY_S)
         behind: list[float] = []
         vehicle = threading.Thread(target=play, args=(channel, dbc, rate_Hz, samples, behind))
         with (Path(folder) / "out.jsonl").open("w") as file:
@@ -85,7 +87,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
 
             def take(update):
                 outlook.take(update)
-                sender.send(update.info.soc, update.sample.arrived_s)
+                to.take(update, dict)
                 write(update)
 
             def begin(counts):  # called while nothing comes yet

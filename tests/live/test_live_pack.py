@@ -13,7 +13,7 @@ from cellwise import InputError
 from cellwise.cell.model_file import write_model
 from cellwise.cli import main
 from cellwise.live import LiveFilter, Sample, open_source
-from cellwise.live.samples import CellReadings, cell_number
+from cellwise.live.samples import Readings, cell_number
 from cellwise.logs.files.source import ReadOptions
 from emulated_packs import Fault, emulated_pack
 
@@ -157,6 +157,6 @@ def test_a_cell_is_known_by_the_name_of_its_signal(name, number):
 def test_wrong_packs_are_refused():
     for cells in (1, -3, 1001):
         with pytest.raises(InputError, match="2 to 1000 in series"):
-            CellReadings(cells)
+            Readings(ReadOptions(), "auto", cells)
     with pytest.raises(InputError, match="cells of a pack in a ULog stream"):
         open_source("ulog:none.ulg", cells=4)

@@ -62,6 +62,7 @@ CONTENTS = [
     (FLIPPED, "damaged gzip"),
     (np.random.default_rng(3).bytes(5000), "no known format"),
     (b"PK\x03\x04" + bytes(100), "Excel"),
+    (b"\0\1\0\0Standard Jet DB" + bytes(100), "mdb-export"),
     (b"\x89HDF\r\n\x1a\n" + bytes(100), "HDF5"),
     (TEXT.encode("utf-16"), "UTF-16"),
     (bytes(1000), "no known format"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.logs import CellLog, find_gaps, read_log
-from cellwise.logs.measured_log import cut_at_pauses
+from cellwise.logs.gaps import cut_at_pauses
 
 
 def stamps(*intervals: tuple[float, int]) -> np.ndarray:

@@ -8,8 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from cellwise.fleet.store import CHANNELS, read_prepared
-from cellwise.logs import CellLog, read_log, write_log
+from cellwise.fleet.store import read_prepared
+from cellwise.logs import read_log, write_log
+from cellwise.logs.cell_log import CHANNELS
 from example_cells import random_log
 
 
@@ -63,17 +64,3 @@ def test_a_damaged_cache_is_passed_over(path, tmp_path):
     for damage in (b"", b"garbage", whole[: len(whole) // 2]):
         place.write_bytes(damage)
         same(read_prepared(path, cache), read_log(path))
-
-
-def test_what_is_kept_beside_the_channels_is_what_the_log_would_find(tmp_path):
-    time_s = np.concatenate((np.arange(2000.0), 5000.0 + np.arange(2000.0)))
-    voltage_V = 3.7 + 0.1 * np.sin(time_s)
-    voltage_V[::7] = np.nan
-    path = write_log(CellLog(time_s, np.cos(time_s), voltage_V), tmp_path / "log.parquet")
-    read_prepared(path, tmp_path / "cache")
-    kept = read_prepared(path, tmp_path / "cache")
-    assert "gap_rows" in vars(kept)
-    read = read_log(path)
-    assert read.gap_rows.sum() == 1
-    np.testing.assert_array_equal(kept.gap_rows, read.gap_rows)
-    assert kept.typical_voltage_V == read.typical_voltage_V

@@ -147,7 +147,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.convergence import expected_convergence
     from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
     from cellwise.logs.cell_log import resample
-    from cellwise.logs.measured_log import cut_at_pauses
+    from cellwise.logs.gaps import cut_at_pauses
 
     options.check_places(arguments.output, arguments.plotjuggler)
     check_layout(arguments)

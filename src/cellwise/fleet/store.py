@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from cellwise.errors import InputError, MachineError
 from cellwise.files import made_folder, write_atomically
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CHANNELS, CellLog
 from cellwise.logs.reading import read_log
 from cellwise.logs.writing import read_rows, write_rows
 
@@ -82,8 +81,7 @@ HISTORY: Mapping[str, type] = {
     **typed(numbers="resistance_scale resistance_std"),
 }
 
-VERSION = 4  # of a log that is kept
-CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah")
+VERSION = 5  # of a log that is kept
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -96,24 +94,24 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
     options                 of `read_log`; without a cache the sign is not checked, for the
                             sake of speed
 
-    Returns
-    -------
-    CellLog                 without the tester's steps
-
     Raises
     ------
     InputError              as `read_log`
     """
     if not cache:
         return read_log(path, check_sign=False, **options)
-    place = Path(cache) / f"{_key(path, options)}.npy"
+    place = Path(cache) / f"{_key(path, options)}.npz"
     # None is there, or one that is not whole.
-    with suppress(OSError, EOFError, IndexError, KeyError, TypeError, ValueError):
-        return _load(place, path)
-    log = replace(read_log(path, **options), step=None)
+    with suppress(OSError, EOFError, KeyError, TypeError, ValueError, BadZipFile):
+        with np.load(place) as kept:
+            channels = dict(kept)
+        said = json.loads(str(channels.pop("said")))
+        said["notices"] = tuple(said["notices"])
+        return CellLog(**channels, **said, source=str(path))
+    log = read_log(path, **options)
     try:
         made_folder(cache)
-        write_atomically(place, lambda target: _store(log, target))
+        write_atomically(place, lambda target: _keep(log, target))
     except MachineError as error:
         # What is wrong with the cache is not wrong with the log.
         return log.with_notices((*log.notices, f"not kept in the cache: {error.found}"))
@@ -122,49 +120,19 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
 
 def _key(path: Path, options: dict[str, Any]) -> str:
     """A name that changes with the file, and with how it is read."""
-    try:
-        status = os.stat(path)
-    except OSError:
-        return "none"
-    what = [
-        VERSION,
-        os.path.abspath(path),
-        status.st_size,
-        status.st_mtime_ns,
-        sorted(options.items()),
-    ]
-    return hashlib.sha256(json.dumps(what, default=str).encode()).hexdigest()[:24]
+    with suppress(OSError):
+        status = path.stat()
+        what = [VERSION, str(path.absolute()), status.st_size, status.st_mtime_ns]
+        text = json.dumps([*what, sorted(options.items())], default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+    return "none"
 
 
-def _store(log: CellLog, target: Path) -> None:
-    """The channels as one array, and what is known beside them below it."""
-    names = [f for f in CHANNELS if getattr(log, f) is not None]
-    fields = {
-        **{name: getattr(log, name) for name in ("name", "format", "current_meaning", "notices")},
-        "gap_rows": np.flatnonzero(log.gap_rows).tolist(),
-        "typical_voltage_V": log.typical_voltage_V,
-        "channels": names,
-    }
+def _keep(log: CellLog, target: Path) -> None:
+    said = {name: getattr(log, name) for name in ("name", "format", "current_meaning", "notices")}
+    channels = {f: x for f in CHANNELS if (x := getattr(log, f)) is not None}
     with target.open("wb") as file:
-        np.save(file, np.stack([getattr(log, name) for name in names]))
-        file.write(json.dumps(fields).encode())
-
-
-def _load(place: Path, path: Path) -> CellLog:
-    """The log as it was kept; the channels stay in the system's own copy of the file."""
-    array = np.load(place, mmap_mode="r")
-    with place.open("rb") as file:
-        file.seek(array.offset + array.nbytes)
-        fields = json.load(file)
-    channels = dict(zip(fields.pop("channels"), array.view(np.ndarray), strict=True))
-    gap_rows = np.zeros(array.shape[1], dtype=np.bool_)
-    gap_rows[fields.pop("gap_rows")] = True
-    typical_V = float(fields.pop("typical_voltage_V"))
-    fields["notices"] = tuple(fields["notices"])
-    log = CellLog.checked_before(**channels, source=str(path), **fields)
-    # What `cached_property` would look for again.
-    vars(log).update(gap_rows=gap_rows, typical_voltage_V=typical_V)
-    return log
+        np.savez(file, said=np.array(json.dumps(said)), **channels)
 
 
 MANIFEST = "_fleet.json"

@@ -21,7 +21,7 @@ from cellwise.identify.identification import (
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.measured_log import cut_at_pauses
+from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.live.samples import FAILURES, CellReadings, CellScale, Sample, Stray
+from cellwise.live.samples import CELL_FIELDS, FAILURES, Readings, Sample, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
@@ -36,10 +36,10 @@ class BleStream:
     InputError              no library, no adapter, no such device of its list
     """
 
-    def __init__(self, place: str, options: ReadOptions, sign: str, cells: int) -> None:
+    def __init__(self, place: str, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self.name = f"BLE {place}"
-        self._scale = CellScale(options, "charge-positive" if sign == "auto" else sign)
-        self._cells = CellReadings(cells)
+        sign = "charge-positive" if sign == "auto" else sign
+        self._readings = Readings(options, sign, cells)
         known = need("aiobmsble.utils", "a BLE source", "aiobmsble (Python 3.12)", extra="live")
         self._bleak = need("bleak", "a BLE source", extra="live")
         self._loop = asyncio.new_event_loop()
@@ -89,11 +89,11 @@ class BleStream:
 
     def _sample(self, found: dict[str, Any], now_s: float) -> Sample:
         for k, volts in enumerate(found.get("cell_voltages", ())):
-            self._cells.take(k, float(volts), now_s)
-        current, voltage, warm = (
-            float(found.get(name, math.nan)) for name in ("current", "voltage", "temperature")
-        )
-        return self._cells.added_to(self._scale.sample(now_s, current, voltage, warm, now_s))
+            self._readings.take(k, float(volts), now_s)
+        for field in CELL_FIELDS:
+            name = field.partition("_")[0]
+            self._readings.take(field, float(found.get(name, math.nan)), now_s)
+        return self._readings.sample(now_s, now_s)
 
     def close(self) -> None:
         """Disconnect."""

@@ -11,8 +11,7 @@ from cellwise.errors import InputError
 from cellwise.live.samples import (
     FAILURES,
     POLL_S,
-    CellReadings,
-    CellScale,
+    Readings,
     Sample,
     Stray,
     cell_number,
@@ -31,17 +30,15 @@ from cellwise.logs.formats.vehicle_signals import (
 
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
-HOLD_S = 60.0  # a temperature older than this is missing
 SAME_CLOCK_S = 3600.0
 
 Key = tuple[int, bool]
-CELL = "cell:"  # field of a cell's voltage, with its position
 
 
 class Wanted(NamedTuple):
-    """A signal of a frame: for which channel, how to convert it, what the database allows."""
+    """A signal of a frame: for which field or cell, its unit, what the database allows."""
 
-    field: str
+    field: str | int
     name: str
     unit: Unit
     low: float
@@ -51,13 +48,11 @@ class Wanted(NamedTuple):
 class CanStream:
     """Samples of a CAN bus, one for each voltage.
 
-    The current of a sample is the mean of the currents since the sample before, so that none is
-    lost where it comes faster; where none has come it is the last one. Where only the voltage has
-    stopped, samples without a voltage go on once a second.
+    Where only the voltage has stopped, samples without a voltage go on once a second.
 
     Parameters
     ----------
-    interface, channel : str    of python-can: ``socketcan`` and ``can0``, ``virtual`` and any name
+    place : str                 INTERFACE:CHANNEL of python-can: ``socketcan:can0``, ``virtual:...``
     options : ReadOptions       database, channels, pack
     sign : str                  ``charge-positive`` turns the current round
     cells : int                 voltages of so many cells, by the names of their signals; 0: none
@@ -67,19 +62,19 @@ class CanStream:
     InputError                  no database, no clear signals in it, a bus that cannot be opened
     """
 
-    def __init__(
-        self, interface: str, channel: str, options: ReadOptions, sign: str, cells: int = 0
-    ) -> None:
+    def __init__(self, place: str, options: ReadOptions, sign: str, cells: int = 0) -> None:
+        interface, _, channel = place.partition(":")
         self.name = f"CAN {interface} {channel}"
         self._can = need("can", "a CAN bus", "python-can")
         self.database = can_database(options.dbc, f"frames of {self.name}")
-        self._scale = CellScale(options, sign)
-        self._cells = CellReadings(cells)
+        self._readings = Readings(options, sign, cells)
         self._messages: dict[Key, Any] = {
             (m.frame_id, m.is_extended_frame): m for m in self.database.messages
         }
         self._wanted, self.notices = self._choose(options)
         try:
+            if not channel:
+                raise ValueError("no channel")
             self.bus = self._can.Bus(interface=interface, channel=channel)
         except Exception as error:  # every interface has errors of its own
             text = " ".join(str(error).split())[:160] or type(error).__name__
@@ -88,9 +83,6 @@ class CanStream:
                 "a bus that is up",
                 "Name the source can:INTERFACE:CHANNEL, e.g. can:socketcan:can0.",
             ) from error
-        self._currents: list[float] = []
-        self._last = dict.fromkeys(("current_A", "temperature_C"), math.nan)
-        self._at = dict.fromkeys(("current_A", "temperature_C"), -math.inf)
         self._emitted_s = math.nan
 
     def __iter__(self) -> Iterator[Sample | Stray | None]:
@@ -136,21 +128,21 @@ class CanStream:
         for signal, position in of_cells:
             key, found = signal.key
             milli = UNITS["voltage_V"][signal.unit.strip().lower()]
-            cell = Wanted(f"{CELL}{position}", found.name, milli, -math.inf, math.inf)
+            cell = Wanted(position, found.name, milli, -math.inf, math.inf)
             wanted.setdefault(key, []).append(cell)
         return wanted, notices
 
     def _cell_signals(self, signals: list[Signal]) -> list[tuple[Signal, int]]:
         """Signals of cells' voltages with their positions; refuses another number than asked."""
-        if not self._cells.cells:
+        if not self._readings.cells:
             return []
         volts = [s for s in signals if s.unit.strip().lower() in UNITS["voltage_V"]]
         numbered = [(s, n) for s in volts if (n := cell_number(s.short)) is not None]
         numbers = sorted({n for _, n in numbered})
-        if len(numbers) != self._cells.cells or len(numbered) != len(numbers):
+        if len(numbers) != self._readings.cells or len(numbered) != len(numbers):
             raise InputError(
                 f"signals of {len(numbers)} cells' voltages in the database",
-                f"{self._cells.cells}, one for each cell, named like CellVoltage01 or VCell_1",
+                f"{self._readings.cells}, one for each cell, named like CellVoltage01 or VCell_1",
                 "Correct the number of cells, or the names in the database.",
             )
         return [(s, numbers.index(n)) for s, n in numbered]
@@ -164,7 +156,6 @@ class CanStream:
         if not values:
             return Stray("a frame that the database does not describe")
         stamp = float(message.timestamp)
-        voltage = math.nan
         has_voltage = False
         for one in wanted:
             if one.name not in values:  # of another multiplexer
@@ -172,37 +163,17 @@ class CanStream:
             value = float(values[one.name])
             if not one.low <= value <= one.high:
                 value = math.nan
-            value = value * one.unit.factor + one.unit.offset
-            if one.field == "voltage_V":
-                voltage, has_voltage = value, True
-            elif one.field.startswith(CELL):
-                self._cells.take(int(one.field.removeprefix(CELL)), value, stamp)
-            elif one.field in self._last:
-                self._last[one.field], self._at[one.field] = value, stamp
-                if one.field == "current_A":
-                    self._currents.append(value)
+            self._readings.take(one.field, value * one.unit.factor + one.unit.offset, stamp)
+            has_voltage |= one.field == "voltage_V"
         if math.isnan(self._emitted_s):
             self._emitted_s = stamp
-        if has_voltage or (self._currents and stamp - self._emitted_s > NO_VOLTAGE_S):
-            return self._sample(stamp, voltage)
-        return None
-
-    def _sample(self, stamp: float, voltage: float) -> Sample:
-        known = [x for x in self._currents if not math.isnan(x)]
-        current = self._last["current_A"]
-        if known:
-            current = sum(known) / len(known)
-        elif self._currents or stamp - self._at["current_A"] > NO_VOLTAGE_S:
-            current = math.nan
-        warm = stamp - self._at["temperature_C"] <= HOLD_S
-        temperature = self._last["temperature_C"] if warm else math.nan
-        self._currents.clear()
+        late = self._readings.waiting and stamp - self._emitted_s > NO_VOLTAGE_S
+        if not (has_voltage or late):
+            return None
         self._emitted_s = stamp
         now_s = time.time()
         # A stamp of this machine's clock shows how long the frame has waited to be read.
-        arrived_s = stamp if 0.0 <= now_s - stamp < SAME_CLOCK_S else now_s
-        sample = self._scale.sample(stamp, current, voltage, temperature, arrived_s)
-        return self._cells.added_to(sample)
+        return self._readings.sample(stamp, stamp if 0.0 <= now_s - stamp < SAME_CLOCK_S else now_s)
 
 
 class SocSender:
@@ -212,17 +183,14 @@ class SocSender:
     ----------
     stream : CanStream
     target : str            ``MESSAGE.SIGNAL``; one in ``%``, or up to more than 2, gets per cent
-    every_s : float         time between two frames [s]
 
     Raises
     ------
     InputError              no such signal
     """
 
-    def __init__(self, stream: CanStream, target: str, every_s: float = 0.1) -> None:
+    def __init__(self, stream: CanStream, target: str) -> None:
         self._stream = stream
-        self._every_s = every_s
-        self._sent_s = -math.inf
         self.sent = self.failed = 0
         message_name, _, signal_name = target.partition(".")
         there = {m.name: m for m in stream.database.messages}
@@ -243,11 +211,8 @@ class SocSender:
         percent = (self._signal.unit or "").strip() in ("%", "percent")
         self._factor = 100.0 if percent or 2.0 < self._high < math.inf else 1.0
 
-    def send(self, soc: float, now_s: float) -> None:
-        """Send, if it is time; a bus that does not take the frame is counted, not fatal."""
-        if now_s - self._sent_s < self._every_s:
-            return
-        self._sent_s = now_s
+    def send(self, soc: float) -> None:
+        """Send; a bus that does not take the frame is counted, not fatal."""
         value = min(max(self._factor * soc, self._low), self._high)
         can = self._stream._can
         data = self._message.encode({**self._others, self._signal.name: value}, strict=False)

@@ -17,7 +17,7 @@ from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.estimate.status import INNOVATION_REJECTED, OUT_OF_RANGE, Status
-from cellwise.live.samples import POLL_S, CellReadings, CellScale, Sample, Source, Stray
+from cellwise.live.samples import POLL_S, Readings, Sample, Source, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
@@ -102,9 +102,8 @@ class MavlinkStream:
     def __init__(self, place: str, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self.name = f"MAVLink {place}"
         self.place = place
-        self._options, self._sign = options, sign
-        self._scale = None if options.series == "auto" else CellScale(options, sign)
-        self._cells = CellReadings(cells)
+        self._options, self._sign, self._cells = options, sign, cells
+        self._readings = None if options.series == "auto" else Readings(options, sign, cells)
         self.battery = options.instance
         self.last: Any = None  # BATTERY_STATUS of this battery
         self._ends = Path(place).is_file()
@@ -148,7 +147,7 @@ class MavlinkStream:
         series = self._options.series
         if series == "auto":
             self._options = replace(self._options, series=count)
-            self._scale = CellScale(self._options, self._sign)
+            self._readings = Readings(self._options, self._sign, self._cells)
         elif series != count:
             raise InputError(
                 f"{kind} of {self.name} with {count} cells in series, {series} given",
@@ -164,21 +163,21 @@ class MavlinkStream:
         if message.id != self.battery:
             return None
         self.last = message
-        if self._scale is None:
+        if self._readings is None:
             return Stray("a battery whose cells in series no BATTERY_INFO has stated yet")
-        if self._cells.cells and len(volts) == self._cells.cells:
-            for k, volt in enumerate(volts):
-                self._cells.take(k, volt, message._timestamp)
+        at_s = message._timestamp
         known_A = message.current_battery != NO_CURRENT_CA
         known_C = message.temperature != NO_TEMPERATURE_CDEG
-        sample = self._scale.sample(
-            message._timestamp,
-            0.01 * message.current_battery if known_A else math.nan,
-            sum(volts) if volts else math.nan,
-            0.01 * message.temperature if known_C else math.nan,
-            time.time() if self._ends else message._timestamp,
-        )
-        return self._cells.added_to(sample)
+        said: dict[str | int, float] = {
+            "current_A": 0.01 * message.current_battery if known_A else math.nan,
+            "voltage_V": sum(volts) if volts else math.nan,
+            "temperature_C": 0.01 * message.temperature if known_C else math.nan,
+        }
+        if len(volts) == self._cells:
+            said |= dict(enumerate(volts))
+        for field, value in said.items():
+            self._readings.take(field, value, at_s)
+        return self._readings.sample(at_s, time.time() if self._ends else at_s)
 
 
 class MavlinkSender:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from cellwise.errors import InputError
-from cellwise.live.samples import HELD_S, POLL_S, ObjectReader, Sample, Stray
+from cellwise.live.samples import HELD_S, POLL_S, ObjectReader, Readings, Sample, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 
@@ -161,9 +161,8 @@ class MqttStream(_Link):
     def __init__(self, url: str, options: ReadOptions, sign: str, cells: int = 0) -> None:
         super().__init__(broker_of(url), "MQTT")
         self.name = f"MQTT {self.broker.topic} of {self.broker.host}"
-        self._reader = ObjectReader(options, sign, cells)
-        self._volts = {n for n in self._reader.names if self._reader.field_of(n) == "voltage_V"}
-        self._held: dict[str, tuple[float, float]] = {}
+        readings = Readings(options, sign, cells, held_s=HELD_S)
+        self._reader = ObjectReader(readings, options.channels)
         self._came: queue.Queue[tuple[str, bytes, float]] = queue.Queue(MOST_WAITING)
         self.client.on_message = self._message
         self.open()
@@ -195,11 +194,10 @@ class MqttStream(_Link):
         name = topic.rpartition("/")[2]
         if name not in self._reader.names:
             return Stray("a number of another topic")
-        self._held[name] = float(found), arrived_s
-        if name not in self._volts:
-            return None
-        known = {n: x for n, (x, at) in self._held.items() if arrived_s - at <= HELD_S}
-        return self._reader.read(known, arrived_s)
+        field, unit = self._reader.names[name]
+        readings = self._reader.readings
+        readings.take(field, found * unit.factor + unit.offset, arrived_s)
+        return readings.sample(arrived_s, arrived_s) if field == "voltage_V" else None
 
 
 class MqttSender(_Link):

@@ -8,27 +8,21 @@ import re
 import select
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import MOST_CELLS
-from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
+from cellwise.logs.files.columns import TIDY_NAMES, Unit, tidy_name
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.packs.cells import known_cell
+from cellwise.logs.packs.cells import known_column
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
-# Tidy name to field and unit.
-TIDY_NAMES = {
-    name: (channel.field, unit)
-    for channel in TIDY_CHANNELS
-    if channel.field in FIELDS
-    for name, unit in channel.names.items()
-}
 # A cell is polled every few seconds at the slowest; an older voltage is that of another current.
 HELD_S = 5.0
+CURRENT_HELD_S, TEMPERATURE_HELD_S = 1.0, 60.0  # older ones are missing
 POLL_S = 0.2  # a source that nothing comes from says so as often
 FAILURES = 25  # in a row, of a bus or a device, and it is given up
 # Of signals on a bus, whose unit the database says: CellVoltage01, VCell_12, Cell3_Volt.
@@ -80,19 +74,38 @@ def cell_number(signal: str) -> int | None:
     return int(match[1]) if match else None
 
 
-class CellReadings:
-    """The last voltage of every cell, held for some seconds; positions count from 0.
+class Readings:
+    """What the sensors of a pack have said, to samples of its mean cell, positive = discharge.
+
+    The current of a sample is the mean of the currents since the sample before, so that none is
+    lost where it comes faster; where none has come it is the last one. The temperature is the last
+    one, the voltage that of the sample alone, or the mean of the cells' where it has none.
 
     Parameters
     ----------
-    cells : int      in series; 0: none is asked for
+    options : ReadOptions   series, parallel
+    sign : str              ``charge-positive`` turns the current round
+    cells : int             voltages of so many cells in series, held for some seconds; 0: none
+    held_s : float          a current older than this is missing [s]
 
     Raises
     ------
-    InputError       one cell, or more than a thousand
+    InputError              no number of cells in series; one cell, or more than a thousand
     """
 
-    def __init__(self, cells: int) -> None:
+    def __init__(
+        self,
+        options: ReadOptions,
+        sign: str,
+        cells: int = 0,
+        held_s: float = CURRENT_HELD_S,
+    ) -> None:
+        if options.series == "auto":
+            raise InputError(
+                "`series='auto'` for a stream",
+                "the number of cells in series",
+                "Give it: `series=4`, say.",
+            )
         if cells and not 2 <= cells <= MOST_CELLS:
             raise InputError(
                 f"{cells} cells in a stream",
@@ -100,119 +113,95 @@ class CellReadings:
                 "Leave `cells` out for one cell.",
             )
         self.cells = cells
-        self._volts = [math.nan] * cells
-        self._at = [-math.inf] * cells
+        self._factors = {
+            "current_A": (-1.0 if sign == "charge-positive" else 1.0) / options.parallel,
+            "voltage_V": 1.0 / options.series,
+        }
+        self._held_s = {"current_A": held_s, "temperature_C": TEMPERATURE_HELD_S}
+        self._last: dict[str | int, tuple[float, float]] = {}
+        self._currents: list[float] = []
 
-    def take(self, position: int, voltage_V: float, time_s: float) -> None:
-        """A reading; one of a cell beyond the pack is passed over."""
-        if 0 <= position < self.cells:
-            self._volts[position], self._at[position] = voltage_V, time_s
+    @property
+    def waiting(self) -> bool:
+        """A current has come since the last sample."""
+        return bool(self._currents)
 
-    def take_object(self, found: dict[str, object], time_s: float) -> None:
-        """The readings of an object with tidy names: ``cell_01_V`` or ``cell_01_mV``."""
-        for name, value in found.items() if self.cells else ():
-            known = known_cell(name)
-            if known is not None and isinstance(value, (int, float)):
-                number, unit = known
-                self.take(number - 1, float(value) * unit.factor + unit.offset, time_s)
+    def take(self, field: str | int, value: float, time_s: float) -> None:
+        """A reading of a field of `CELL_FIELDS` or of a cell, whose positions count from 0."""
+        if isinstance(field, str):
+            value *= self._factors.get(field, 1.0)
+        self._last[field] = value, time_s
+        if field == "current_A":
+            self._currents.append(value)
 
-    def now(self, time_s: float) -> tuple[float, ...]:
-        """Voltage of every cell [V]; NaN for one that has not come for a while."""
-        return tuple(
-            v if time_s - at <= HELD_S else math.nan
-            for v, at in zip(self._volts, self._at, strict=True)
-        )
+    def sample(self, time_s: float, arrived_s: float) -> Sample:
+        """A sample of what has come up to now."""
+        known = [x for x in self._currents if not math.isnan(x)]
+        current = sum(known) / len(known) if known else math.nan
+        if not self._currents:
+            current = self._held("current_A", time_s)
+        self._currents.clear()
+        voltage, _ = self._last.pop("voltage_V", (math.nan, 0.0))
+        cell_V = tuple(self._held(k, time_s) for k in range(self.cells))
+        measured = [v for v in cell_V if math.isfinite(v)]
+        if math.isnan(voltage) and measured:
+            voltage = sum(measured) / len(measured)
+        warm = self._held("temperature_C", time_s)
+        return Sample(time_s, current, voltage, warm, arrived_s, cell_V)
 
-    def added_to(self, sample: Sample) -> Sample:
-        """The sample with the cells' voltages; their mean where it has no voltage of its own."""
-        if not self.cells:
-            return sample
-        cell_V = self.now(sample.time_s)
-        known = [v for v in cell_V if math.isfinite(v)]
-        voltage = sample.voltage_V
-        if math.isnan(voltage) and known:
-            voltage = sum(known) / len(known)
-        return sample._replace(voltage_V=voltage, cell_V=cell_V)
-
-
-class CellScale:
-    """From what a pack's sensors say to one cell, positive = discharge."""
-
-    def __init__(self, options: ReadOptions, sign: str) -> None:
-        if options.series == "auto":
-            raise InputError(
-                "`series='auto'` for a stream",
-                "the number of cells in series",
-                "Give it: `series=4`, say.",
-            )
-        self.current = (-1.0 if sign == "charge-positive" else 1.0) / options.parallel
-        self.voltage = 1.0 / options.series
-
-    def sample(
-        self,
-        time_s: float,
-        current_A: float,
-        voltage_V: float,
-        temperature_C: float,
-        arrived_s: float,
-    ) -> Sample:
-        """One sample of the mean cell."""
-        return Sample(
-            time_s, current_A * self.current, voltage_V * self.voltage, temperature_C, arrived_s
-        )
+    def _held(self, field: str | int, time_s: float) -> float:
+        value, at_s = self._last.get(field, (math.nan, -math.inf))
+        return value if time_s - at_s <= self._held_s.get(str(field), HELD_S) else math.nan
 
 
 class ObjectReader:
-    """JSON objects with tidy names, which give the unit, to samples."""
+    """JSON objects with tidy names, which give the unit, to samples.
 
-    def __init__(self, options: ReadOptions, sign: str, cells: int = 0) -> None:
-        self._scale = CellScale(options, sign)
-        self._cells = CellReadings(cells)
-        self._names: dict[str, tuple[str, Unit]] = dict(TIDY_NAMES)
-        for tidy, name in options.channels.items():
-            if tidy not in TIDY_NAMES:
-                raise InputError(
-                    f"a channel '{tidy}'", f"one of {', '.join(TIDY_NAMES)}", "Correct the name."
-                )
-            self._names[name] = TIDY_NAMES[tidy]
-        self.names = frozenset(self._names)
+    Parameters
+    ----------
+    readings : Readings         what they are taken into
+    channels : mapping          tidy name to another one that stands for it
+    """
 
-    def field_of(self, name: str) -> str:
-        """The field of a sample that a name is of."""
-        return self._names[name][0]
+    def __init__(self, readings: Readings, channels: Mapping[str, str]) -> None:
+        self.readings = readings
+        self.names: dict[str, tuple[str, Unit]] = {
+            name: known for name, known in TIDY_NAMES.items() if known[0] in FIELDS
+        }
+        self.names |= {name: tidy_name(tidy, FIELDS) for tidy, name in channels.items()}
 
     def read(self, found: Any, arrived_s: float) -> Sample | Stray:
         """A sample; a value that is missing or null is NaN, a missing time is that of arrival."""
         if not isinstance(found, dict):
             return Stray("not an object")
-        values = {"time_s": arrived_s, "current_A": math.nan, "voltage_V": math.nan}
-        known = 0
+        # What was not said now is not known now.
+        values: dict[str | int, float] = {
+            "time_s": arrived_s, **dict.fromkeys(CELL_FIELDS, math.nan)
+        }  # fmt: skip
+        known = bool(self.readings.cells)
         for name, value in found.items():
-            meaning = self._names.get(name)
-            if meaning is None:
+            cell = known_column(name) if self.readings.cells else None
+            if cell is not None and cell.kind == "cell":
+                field: str | int = cell.number - 1
+                unit = cell.unit
+            elif name in self.names:
+                field, unit = self.names[name]
+            else:
                 continue
-            field, unit = meaning
-            if value is None:
-                value = math.nan
-            elif isinstance(value, bool) or not isinstance(value, (int, float)):
+            number = math.nan if value is None else value
+            if isinstance(number, bool) or not isinstance(number, (int, float)):
                 return Stray(f"{name} is no number")
-            known += field != "time_s"
             try:
-                values[field] = value * unit.factor + unit.offset
+                values[field] = number * unit.factor + unit.offset
             except OverflowError:
                 return Stray(f"{name} is no number")
-        self._cells.take_object(found, values["time_s"])
-        if not known and not self._cells.cells:
+            known |= field != "time_s"
+        if not known:
             return Stray(f"none of {', '.join(CELL_FIELDS)}")
-        return self._cells.added_to(
-            self._scale.sample(
-                values["time_s"],
-                values["current_A"],
-                values["voltage_V"],
-                values.get("temperature_C", math.nan),
-                arrived_s,
-            )
-        )
+        time_s = values.pop("time_s")
+        for field, number in values.items():
+            self.readings.take(field, number, time_s)
+        return self.readings.sample(time_s, arrived_s)
 
 
 PIECE_BYTES = 65_536

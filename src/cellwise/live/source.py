@@ -5,16 +5,28 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol
+from importlib import import_module
+from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.live.live_filter import Update
-from cellwise.live.samples import STDIN, ObjectReader, Pieces, Sample, Source, Stray
+from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample, Source, Stray
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
 WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK, "
 WAYS += "mqtt://HOST/TOPIC, ble:DEVICE"
+
+# By the word before the colon: the module and the class of a stream.
+STREAMS = {
+    "json": ("source", "JsonLines"),
+    "can": ("can_stream", "CanStream"),
+    "ulog": ("ulog_stream", "UlogStream"),
+    "mavlink": ("mavlink", "MavlinkStream"),
+    "mqtt": ("mqtt", "MqttStream"),
+    "mqtts": ("mqtt", "MqttStream"),
+    "ble": ("ble", "BleStream"),
+}
 
 
 def open_source(
@@ -50,31 +62,19 @@ def open_source(
     if cells and kind == "ulog":
         raise InputError("cells of a pack in a ULog stream", "json:... or can:...", "Omit them.")
     if name in ("stdin", STDIN):
-        return JsonLines(Pieces(STDIN), options, sign, cells)
-    if kind == "json" and rest:
-        return JsonLines(Pieces(rest, follow=follow), options, sign, cells)
-    if kind == "can" and rest.count(":") >= 1:
-        from cellwise.live.can_stream import CanStream
-
-        interface, _, channel = rest.partition(":")
-        return CanStream(interface, channel, options, sign, cells)
-    if kind == "ulog" and rest:
-        from cellwise.live.ulog_stream import UlogStream
-
-        return UlogStream(Pieces(rest, follow=follow), options, sign)
-    if kind == "mavlink" and rest:
-        from cellwise.live.mavlink import MavlinkStream
-
-        return MavlinkStream(rest, options, sign, cells)
-    if kind in ("mqtt", "mqtts"):
-        from cellwise.live.mqtt import MqttStream
-
-        return MqttStream(name, options, sign, cells)
-    if kind == "ble" and rest:
-        from cellwise.live.ble import BleStream
-
-        return BleStream(rest, options, sign, cells)
-    raise InputError(f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from.")
+        kind, rest = "json", STDIN
+    if kind not in STREAMS or not rest:
+        raise InputError(
+            f"a source '{name}'", f"one of {WAYS}", "Name where the samples come from."
+        )
+    module, made = STREAMS[kind]
+    place: str | Pieces = name if kind.startswith("mqtt") else rest
+    if kind in ("json", "ulog"):
+        place = Pieces(rest, follow=follow)
+    stream: Source = getattr(import_module(f"cellwise.live.{module}"), made)(
+        place, options, sign, cells
+    )
+    return stream
 
 
 class JsonLines:
@@ -83,7 +83,7 @@ class JsonLines:
     def __init__(self, pieces: Pieces, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self.name = f"JSON lines from {pieces.name}"
         self._pieces = pieces
-        self._reader = ObjectReader(options, sign, cells)
+        self._reader = ObjectReader(Readings(options, sign, cells), options.channels)
 
     def __iter__(self) -> Iterator[Sample | Stray | None]:
         kept = b""
@@ -119,51 +119,26 @@ BUS_EVERY_S = 0.1
 Row = Callable[[Update], Mapping[str, Any]]
 
 
-class Sender(Protocol):
-    """What is sent rows of `cellwise live`."""
-
-    def send(self, row: Mapping[str, Any]) -> None:
-        """One row."""
-        ...
-
-    def close(self) -> None:
-        """Let go of whatever is open."""
-        ...
-
-
 class Sending:
-    """Rows to a sender, at most one in ``every_s`` of this machine's time."""
+    """What is known after a sample to whoever is sent it, at most once in ``every_s``."""
 
-    def __init__(self, sender: Sender, every_s: float) -> None:
-        self._sender, self._every_s = sender, every_s
+    def __init__(
+        self, send: Callable[[Update, Row], None], close: Callable[[], None], every_s: float
+    ) -> None:
+        self._send, self.close, self._every_s = send, close, every_s
         self._sent_s = float("-inf")
-        self.close = sender.close
 
     def take(self, update: Update, row: Row) -> None:
-        """Send the row of an update if it is time."""
+        """Send if it is time, by this machine's clock."""
         now_s = time.monotonic()
         if now_s - self._sent_s >= self._every_s:
             self._sent_s = now_s
-            self._sender.send(row(update))
-
-
-class OnBus:
-    """SOC alone, into one signal of a CAN bus."""
-
-    def __init__(self, take: Callable[[float, float], None]) -> None:
-        self._take = take
-
-    def take(self, update: Update, row: Row) -> None:
-        """Send if it is time, by the clock at which samples arrive."""
-        self._take(update.info.soc, update.sample.arrived_s)
-
-    def close(self) -> None:
-        """The bus is the source's."""
+            self._send(update, row)
 
 
 def sender_to(
     name: str, every_s: float | None, source: Source, options: ReadOptions, least_A: float
-) -> Sending | OnBus:
+) -> Sending:
     """Where state goes, by its name.
 
     Parameters
@@ -179,21 +154,26 @@ def sender_to(
     InputError               none of these, or what it names cannot be opened
     """
     kind, _, place = name.partition(":")
+    sender: Any
     if kind == "mavlink":
         from cellwise.live.mavlink import MavlinkSender
 
         sender = MavlinkSender(place, source, options, least_A)
-        return Sending(sender, EVERY_S if every_s is None else every_s)
-    if kind in ("mqtt", "mqtts"):
+    elif kind in ("mqtt", "mqtts"):
         from cellwise.live.mqtt import MqttSender
 
-        return Sending(MqttSender(name), EVERY_S if every_s is None else every_s)
-    from cellwise.live.can_stream import CanStream, SocSender
+        sender = MqttSender(name)
+    else:
+        from cellwise.live.can_stream import CanStream, SocSender
 
-    if not isinstance(source, CanStream):
-        raise InputError(
-            f"a bus signal '{name}' to send to, and a source that is no CAN bus",
-            "mavlink:LINK, mqtt://HOST/PACK, or a source can:INTERFACE:CHANNEL",
-            "Omit it, or name the bus.",
-        )
-    return OnBus(SocSender(source, name, BUS_EVERY_S if every_s is None else every_s).send)
+        if not isinstance(source, CanStream):
+            raise InputError(
+                f"a bus signal '{name}' to send to, and a source that is no CAN bus",
+                "mavlink:LINK, mqtt://HOST/PACK, or a source can:INTERFACE:CHANNEL",
+                "Omit it, or name the bus.",
+            )
+        bus = SocSender(source, name)
+        every_s = BUS_EVERY_S if every_s is None else every_s
+        return Sending(lambda update, _: bus.send(update.info.soc), lambda: None, every_s)
+    every_s = EVERY_S if every_s is None else every_s
+    return Sending(lambda update, row: sender.send(row(update)), sender.close, every_s)

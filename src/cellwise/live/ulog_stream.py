@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from cellwise.live.samples import CellScale, Pieces, Sample, Stray
+from cellwise.live.samples import Pieces, Readings, Sample, Stray
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.vehicle_logs import MAGIC, TOPIC, UNKNOWN
 
@@ -28,7 +28,8 @@ TYPES = {
     "char": "c",
 }  # fmt: skip
 FIELD = re.compile(r"(\w+)(?:\[(\d+)\])? (\w+)")
-WANTED = ("timestamp", "voltage_v", "current_a", "temperature", "connected")
+FIELDS = {"current_A": "current_a", "voltage_V": "voltage_v", "temperature_C": "temperature"}
+WANTED = ("timestamp", "connected", *FIELDS.values())
 NEEDED = ("timestamp", "voltage_v", "current_a")
 
 
@@ -42,10 +43,10 @@ class Layout(NamedTuple):
 class UlogStream:
     """Samples of one battery of a ULog that is still being written."""
 
-    def __init__(self, pieces: Pieces, options: ReadOptions, sign: str) -> None:
+    def __init__(self, pieces: Pieces, options: ReadOptions, sign: str, cells: int = 0) -> None:
         self.name = f"ULog from {pieces.name}"
         self._pieces = pieces
-        self._scale = CellScale(options, sign)
+        self._readings = Readings(options, sign, cells)
         self._instance = options.instance
         self._layout: Layout | None = None
         self._batteries: dict[int, int] = {}  # message id to instance
@@ -146,13 +147,10 @@ class UlogStream:
             if not values.get("connected", 1.0) or math.isnan(_known("voltage_v", values)):
                 return None
             self._instance = instance
-        return self._scale.sample(
-            1e-6 * values["timestamp"],
-            _known("current_a", values),
-            _known("voltage_v", values),
-            _known("temperature", values),
-            arrived_s,
-        )
+        time_s = 1e-6 * values["timestamp"]
+        for field, name in FIELDS.items():
+            self._readings.take(field, _known(name, values), time_s)
+        return self._readings.sample(time_s, arrived_s)
 
 
 def layout_of(fields: str) -> Layout | None:

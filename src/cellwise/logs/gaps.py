@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.typing import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from cellwise.logs.cell_log import CellLog
 
 
 class GapRule(NamedTuple):
@@ -114,3 +118,46 @@ def run_edges(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last row of every run of True."""
     edges = np.diff(np.concatenate(([False], flags, [False])).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+
+
+class Uncounted(NamedTuple):
+    """When a pause cuts a log: what flows unseen for less than ``least_s`` hardly moves the SOC.
+
+    A stretch of fewer ``voltages`` says less than it costs to find where it begins.
+    """
+
+    least_s: float = 300.0
+    voltages: int = 30
+
+
+UNCOUNTED = Uncounted()
+
+
+def uncounted_pauses(log: CellLog) -> tuple[int, ...]:
+    """Rows that end a pause of minutes over which no counter went on.
+
+    A car that is switched off may be charged meanwhile: where its SOC is then, nobody knows.
+    """
+    long = np.flatnonzero(log.gap_rows & (log.interval_s > UNCOUNTED.least_s))
+    if log.charge_Ah is None:
+        return tuple(map(int, long))
+    return tuple(int(k) for k in long if not np.isfinite(log.charge_Ah[k - 1 : k + 1]).all())
+
+
+def cut_at_pauses(log: CellLog) -> tuple[CellLog, ...]:
+    """The stretches between such pauses, as logs with their time in the name; the log without one.
+
+    What is too short to say anything is left away; a stated start and the notices of reading
+    stay with the first stretch.
+    """
+    rows = uncounted_pauses(log)
+    if not rows:
+        return (log,)
+    found: list[CellLog] = []
+    for first, stop in pairwise((0, *rows, len(log))):
+        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < UNCOUNTED.voltages:
+            continue
+        part = log.part(first, stop)
+        name = f"{log.name}, {log.time_s[first]:.0f} s" if first else log.name
+        found.append(replace(part, name=name, notices=() if found else log.notices))
+    return tuple(found) or (log,)

@@ -19,7 +19,6 @@ from cellwise.logs.checks.grave import grave_notices, is_grave
 from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
 from cellwise.logs.checks.units import COUNTER, compare_counter
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
-from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -284,14 +283,14 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
-def is_quiet(log: MeasuredLog) -> BoolArray:
+def is_quiet(log: CellLog) -> BoolArray:
     """Rows whose interval is without current: up to 0.5 % of the log's largest, shape (n,)."""
     current = np.abs(log.known_current_A())
     quiet: BoolArray = current <= QUIET.share * float(np.max(current))
     return quiet
 
 
-def find_rests(log: MeasuredLog) -> list[Rest]:
+def find_rests(log: CellLog) -> list[Rest]:
     """Times of at least a minute without current; a gap ends a rest."""
     first, last = run_edges(is_quiet(log) & ~log.gap_rows)
     begins = np.maximum(first - 1, 0)  # the interval that ends at the first quiet row is at rest

@@ -11,7 +11,6 @@ from __future__ import annotations
 import atexit
 import os
 import pickle
-import queue
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Literal, NamedTuple
+from typing import IO, Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
@@ -35,11 +34,10 @@ from cellwise.logs.files.source import (
     open_source,
 )
 from cellwise.logs.formats import FORMATS
-from cellwise.logs.packs.cells import CellColumn
+from cellwise.logs.packs.cells import to_cell
 from cellwise.logs.packs.pack_log import columns_of_table, pack_of
 from cellwise.logs.stated import Stated, plain_name
 
-TIDY = ("tidy-parquet", "tidy-csv")
 AS_MEAN_CELL = "read as their mean cell"  # marks the notice
 
 
@@ -92,9 +90,7 @@ def read_log(
     ------
     InputError          the file cannot be read as a log: see the message for what to do
     """
-    stated = path if isinstance(path, Stated) else Stated(str(path))
-    if isinstance(path, str):
-        stated = Stated.parse(path)
+    stated = Stated.of(path)
     options = ReadOptions(
         series=series,
         parallel=parallel,
@@ -106,99 +102,31 @@ def read_log(
     )
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
-    pack = columns_of_table(source, known)
-    counts = (FROM_FILE, sum(c.kind == "cell" for c in pack)) if known.name in TIDY else ()
-    if pack and options.series in (1, *counts):
-        mean = _mean_of_pack(source, known, pack, sign, name, check_sign)
-        return stated.applied(mean)
+    named = plain_name(source.path) if name is None else name
+    columns = columns_of_table(source, known)
+    cells = sum(c.kind == "cell" for c in columns)
+    if cells and series in (1, FROM_FILE, cells):
+        pack = pack_of(source, known, columns, sign=sign, name=named, check_sign=check_sign)
+        warm = sum(c.kind == "temperature" for c in columns)
+        what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
+        said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
+        return stated.applied(pack.mean.with_notices((*pack.notices, said)))
     raw = complete(read_channels(source, known), known.sign, source.where)
-    raw = to_cell(raw, options, source.where)
-    origin = Origin(
-        name=plain_name(source.path) if name is None else name,
-        source=str(source.path),
-        format=known.name,
-        sign=known.sign,
-        current_meaning=known.current_meaning,
-    )
-    log = assemble(CellLog, raw, origin, sign, check_sign=check_sign)
+    origin = Origin.of(source, known, named)
+    log = assemble(to_cell(raw, options, source.where), origin, sign, check_sign=check_sign)
     return stated.applied(log)
 
 
-def _mean_of_pack(
-    source: LogSource,
-    known: Format,
-    columns: tuple[CellColumn, ...],
-    sign: str,
-    name: str | None,
-    check_sign: bool,
-) -> CellLog:
-    """The mean cell of a table with a voltage for each cell, and a notice that says so."""
-    name = plain_name(source.path) if name is None else name
-    pack = pack_of(source, known, columns, sign=sign, name=name, check_sign=check_sign)
-    warm = sum(c.kind == "temperature" for c in columns)
-    cells = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
-    said = f"a table of {cells}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
-    return pack.mean.with_notices((*pack.notices, said))
-
-
-def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
-    """Divide a pack's voltage by the cells in series, current and counter by those in parallel.
-
-    Raises
-    ------
-    InputError        the file does not state the cells in series
-    """
-    series = options.series
-    if series == FROM_FILE:
-        if raw.cells is None:
-            raise InputError(
-                f"`series='auto'` for {where}, which does not state its cells in series",
-                "a number of cells",
-                "Give it: `series=4`, say.",
-            )
-        series = raw.cells
-    notices = list(raw.notices)
-    if raw.cells is not None and raw.cells > 1 and options.series == 1:
-        notices.append(
-            f"the file states {raw.cells} cells in series: `series='auto'` reads their mean cell"
-        )
-    elif raw.cells is not None and raw.cells != series:
-        notices.append(
-            f"the file states {raw.cells} cells in series, {series} were stated by the user"
-        )
-    channels = dict(raw.channels)
-    if series > 1:
-        channels["voltage_V"] = channels["voltage_V"] / series
-    if options.parallel > 1:
-        for field in ("current_A", "charge_Ah"):
-            if field in channels:
-                channels[field] = channels[field] / options.parallel
-    if series > 1 or options.parallel > 1:
-        notices.append(
-            f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
-        )
-    return RawLog(channels, tuple(notices), raw.cells)
-
-
 GRACE_S = 5.0  # of processor time, beyond what the asking side waits
-KEPT_BYTES = 300_000_000  # a process that has grown beyond gives its memory back by ending
+KEPT_BYTES = 20_000_000  # what a library has taken for a larger file is given back
 
 _SERVE = "from cellwise.logs.reading import serve; serve()"
 _FOR_MEMORY = {-int(getattr(signal, name, 0)) for name in ("SIGABRT", "SIGKILL")} - {0}
 _FOR_TIME = -int(getattr(signal, "SIGXCPU", 0))
 
 _idle: list[_Process] = []
-
-
-class Request(NamedTuple):
-    """One file to read: how, as which format, within which limits, from which folder."""
-
-    path: Path
-    options: ReadOptions
-    format: str
-    limits: Limits
-    wants_progress: bool
-    folder: str
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_idle.clear)  # they are the parent's
 
 
 def read_channels(source: LogSource, known: Format) -> RawLog:
@@ -213,39 +141,35 @@ def read_channels(source: LogSource, known: Format) -> RawLog:
     can_start = bool(sys.executable) and not getattr(sys, "frozen", False)
     if not (known.isolated and can_start):
         return known.read(source, known)
-    limits = Limits.of(source.size)
     process = _taken()
     try:
-        answer = process.ask(source, known, limits)
+        answer = process.ask(source, known)
     except BaseException:
         process.end()
         raise
-    if answer["last"]:
+    if source.size > KEPT_BYTES:
         process.end()
     else:
         _idle.append(process)
-    if "refusal" in answer:
-        raise answer["refusal"]
-    raw: RawLog = answer["raw"]
-    return raw
+    if isinstance(answer, RawLog):
+        return answer
+    raise answer
 
 
 def _taken() -> _Process:
     """An idle process, else a new one; each thread has its own."""
-    while True:
-        try:
+    with suppress(IndexError):
+        while True:
             process = _idle.pop()
-        except IndexError:
-            return _Process()
-        if process.owner == os.getpid() and process.alive():
-            return process
+            if process.alive():
+                return process
+    return _Process()
 
 
 class _Process:
     """One process that reads files, one at a time."""
 
     def __init__(self) -> None:
-        self.owner = os.getpid()
         paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
         self._child = subprocess.Popen(
             [sys.executable, "-c", _SERVE],
@@ -255,48 +179,47 @@ class _Process:
             env={**os.environ, "PYTHONPATH": paths},
             start_new_session=True,  # an interrupt is this side's to handle
         )
-        self._expired = False
 
     def alive(self) -> bool:
         """It has not ended."""
         return self._child.poll() is None
 
-    def ask(self, source: LogSource, known: Format, limits: Limits) -> dict[str, Any]:
-        """What came of a file: ``raw`` or ``refusal``, and whether it was the ``last``."""
-        wants_progress = source.progress is not None
-        request = Request(
-            source.path, source.options, known.name, limits, wants_progress, os.getcwd()
-        )
-        timer = threading.Timer(limits.seconds, self._expire)
+    def ask(self, source: LogSource, known: Format) -> RawLog | InputError:
+        """What came of a file.
+
+        Raises
+        ------
+        InputError        the process has ended: why
+        """
+        limits = Limits.of(source.size)
+        expired = threading.Event()
+
+        def expire() -> None:
+            expired.set()
+            self._child.kill()
+
+        timer = threading.Timer(limits.seconds, expire)
         timer.daemon = True
         timer.start()
         into: IO[bytes] = self._child.stdin  # type: ignore[assignment]
         out: IO[bytes] = self._child.stdout  # type: ignore[assignment]
         try:
             with suppress(BrokenPipeError):
-                _send(request, into)
-            while "done" in (answer := pickle.load(out)):
-                source.report(answer["done"], answer["total"])
-            found: dict[str, Any] = answer
+                _send((os.getcwd(), source.path, source.options, known.name, limits), into)
+            while isinstance(answer := pickle.load(out), tuple):
+                source.report(*answer)
+            found: RawLog | InputError = answer
             return found
         except (EOFError, pickle.UnpicklingError, OSError):
-            raise self._ended(source, known, limits) from None
+            self.end()
         finally:
             timer.cancel()
-
-    def _ended(self, source: LogSource, known: Format, limits: Limits) -> InputError:
-        """Why there is no answer."""
-        self.end()
         code = self._child.returncode
-        if self._expired or code == _FOR_TIME:
-            return limits.too_slow(source.where)
+        if expired.is_set() or code == _FOR_TIME:
+            raise limits.too_slow(source.where)
         if code in _FOR_MEMORY:
-            return limits.too_big(source.where)
-        return damaged(source, f"{known.name} file", f"its library ended with code {code}")
-
-    def _expire(self) -> None:
-        self._expired = True
-        self._child.kill()
+            raise limits.too_big(source.where)
+        raise damaged(source, f"{known.name} file", f"its library ended with code {code}")
 
     def end(self) -> None:
         """End it, whatever it is doing."""
@@ -310,55 +233,36 @@ class _Process:
 
 @atexit.register
 def _end_idle() -> None:
-    for process in _idle:
-        if process.owner == os.getpid():
-            process.end()
-    _idle.clear()
+    while _idle:
+        _idle.pop().end()
 
 
 def serve() -> None:
     """The other side: read what is asked for on standard input until nobody asks any more."""
     out = os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)  # what a library prints is no answer
-    requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
-    last = False
-    while not last:
-        answer = _answer(requests.get(), out)
-        answer["last"] = last = _peak_bytes() > KEPT_BYTES
-        _send(answer, out)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a library prints is no answer
+    with suppress(EOFError, BrokenPipeError):
+        while True:
+            _send(_answer(out, *pickle.load(sys.stdin.buffer)), out)
 
 
-def _listen(requests: queue.SimpleQueue[Request]) -> None:
-    """Pass requests on; end the process when the asking side has ended."""
-    while True:
-        try:
-            requests.put(pickle.load(sys.stdin.buffer))
-        except BaseException:
-            os._exit(0)
-
-
-def _answer(request: Request, out: IO[bytes]) -> dict[str, Any]:
-    known = next(known for known in FORMATS if known.name == request.format)
-
-    def progress(done: int, total: int) -> None:
-        _send({"done": done, "total": total}, out)
-
+def _answer(
+    out: IO[bytes], folder: str, path: Path, options: ReadOptions, name: str, limits: Limits
+) -> RawLog | InputError:
+    known = next(known for known in FORMATS if known.name == name)
     try:
         with suppress(OSError):
-            os.chdir(request.folder)
-        _confine(request.limits)
-        wanted = progress if request.wants_progress else None
-        source = open_source(request.path, wanted, request.options)
+            os.chdir(folder)
+        _confine(limits)
+        source = open_source(path, lambda *done: _send(done, out), options)
         raw = known.read(source, known)
         rows = max((values.size for values in raw.channels.values()), default=0)
-        request.limits.check_rows(rows, source.where)
+        limits.check_rows(rows, source.where)
     except InputError as refusal:
-        return {"refusal": refusal}
+        return refusal
     except MemoryError:
-        return {"refusal": request.limits.too_big(f"'{request.path}'")}
-    return {"raw": raw}
+        return limits.too_big(f"'{path}'")
+    return raw
 
 
 def _send(message: Any, out: IO[bytes]) -> None:
@@ -380,15 +284,3 @@ def _confine(limits: Limits) -> None:
         _, hard = resource.getrlimit(kind)
         most = bound if hard == resource.RLIM_INFINITY else min(bound, hard)
         resource.setrlimit(kind, (most, hard))
-
-
-def _peak_bytes() -> int:
-    """Most memory that this process has held; 0 where the system does not say.
-
-    Not by ``getrusage``, which on Linux begins with the peak of the process that started this one.
-    """
-    with suppress(OSError, StopIteration, ValueError):
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        peak = next(line for line in lines if line.startswith("VmHWM:"))
-        return 1024 * int(peak.split()[1])
-    return 0

@@ -88,6 +88,13 @@ class Stated:
                 ) from None
         return cls(path, **values)
 
+    @classmethod
+    def of(cls, path: str | Path | Stated) -> Stated:
+        """What is stated of a log: by a text behind its path; a Path is taken as it is."""
+        if isinstance(path, Stated):
+            return path
+        return cls.parse(path) if isinstance(path, str) else cls(str(path))
+
     @property
     def says_nothing(self) -> bool:
         """Nothing is stated."""

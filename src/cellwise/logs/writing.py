@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
+from cellwise.logs.cell_log import CHANNELS, CellLog
 from cellwise.logs.files.cells import from_numpy
-from cellwise.logs.files.columns import tidy_header
-from cellwise.logs.measured_log import MeasuredLog
 
 if TYPE_CHECKING:
     import pyarrow
@@ -22,7 +21,6 @@ SUFFIXES = (
     *(".parquet", ".csv", ".csv.gz", ".mat", ".bdf", ".bdf.gz", ".bdf.csv", ".bdf.csv.gz"),
     ".bdf.parquet",
 )
-FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "step")
 # Battery Data Format 1.0, preferred labels: https://github.com/battery-data-alliance
 BDF_LABELS = (
     *("Test Time / s", "Current / A", "Voltage / V", "Surface Temperature T1 / degC"),
@@ -38,7 +36,7 @@ GZIP_LEVEL = 4
 Columns = Mapping[str, "NDArray[Any]"]
 
 
-def write_log(log: MeasuredLog, path: str | Path) -> Path:
+def write_log(log: CellLog, path: str | Path) -> Path:
     """Write a log, whole or not at all; the suffix says in which form.
 
     The tidy form as ``.csv``, ``.csv.gz`` or ``.parquet``; the Battery Data Format as ``.bdf``,
@@ -59,34 +57,21 @@ def write_log(log: MeasuredLog, path: str | Path) -> Path:
     if name.endswith(".mat"):
         return write_atomically(place, lambda target: _write_matlab(log, target))
     standard = name.endswith(tuple(s for s in SUFFIXES if s.startswith(BDF)))
-    columns = _turned(log, BDF_LABELS) if standard else _tidy(log)
+    columns = _turned(log, BDF_LABELS) if standard else log.columns()
     return _written(_table(columns), place, SUFFIXES)
 
 
-def arrow_table(log: MeasuredLog) -> pyarrow.Table:
-    """The log as a pyarrow table in the tidy form: `CellLog.to_arrow`."""
-    return _table(_tidy(log))
-
-
-def _tidy(log: MeasuredLog) -> Columns:
-    """The tidy form's columns by name; it has one meaning of a row's current."""
-    channels = {"time_s": log.time_s, "current_A": log.interval_current_A}
-    fields = {**{field: getattr(log, field) for field in FIELDS}, **channels}
-    there = {field: values for field, values in fields.items() if values is not None}
-    return dict(zip(tidy_header(list(there)), there.values(), strict=True))
-
-
-def _turned(log: MeasuredLog, labels: Sequence[str]) -> Columns:
+def _turned(log: CellLog, labels: Sequence[str]) -> Columns:
     """The same by other labels, current and counter positive on charge."""
     found: dict[str, NDArray[Any]] = {}
-    for field, label in zip(FIELDS, labels, strict=True):
+    for field, label in zip(CHANNELS, labels, strict=True):
         values = log.interval_current_A if field == "current_A" else getattr(log, field)
         if values is not None:
             found[label] = 0.0 - values if field in CHARGE_POSITIVE else values
     return found
 
 
-def _write_matlab(log: MeasuredLog, target: Path) -> None:
+def _write_matlab(log: CellLog, target: Path) -> None:
     from scipy.io import savemat
 
     structure = {MATLAB_STRUCTURE: dict(_turned(log, MATLAB_NAMES))}

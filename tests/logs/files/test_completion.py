@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cellwise.errors import InputError
 from cellwise.logs.files.assembly import accumulated, complete
 from cellwise.logs.files.source import RawLog, ReadOptions
-from cellwise.logs.reading import to_cell
+from cellwise.logs.packs.cells import to_cell
 from log_files import pulse_channels
 
 TRUTH = pulse_channels()

@@ -40,7 +40,7 @@ from cellwise.cell.simulate import (
     start_hysteresis,
 )
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.measured_log import uncounted_pauses
+from cellwise.logs.gaps import uncounted_pauses
 from cellwise.typing import FloatArray
 
 STATED_STD = 0.005  # a start that is known: full and empty of two tests differ by about this

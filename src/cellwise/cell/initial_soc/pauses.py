@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.logs.measured_log import uncounted_pauses
+from cellwise.logs.gaps import uncounted_pauses
 
 FEWEST_VOLTAGES = 3  # fewer say nothing of where a stretch begins
 

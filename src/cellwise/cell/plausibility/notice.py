@@ -17,8 +17,8 @@ from cellwise.cell.metrics import band_metrics, error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
+from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.grave import is_grave
-from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
@@ -95,7 +95,7 @@ WITHHELD = "remaining time and health would be made of it: withheld (`anyway=Tru
 
 
 def times_stated(
-    model: CellModel, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+    model: CellModel, log: CellLog, error_V: FloatArray, soc: FloatArray
 ) -> tuple[float, float]:
     """Median error of the rows, in standard deviations that the model states there, and in volts.
 
@@ -115,7 +115,7 @@ def times_stated(
 
 
 def far_off_text(
-    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+    model: CellModel | None, log: CellLog, error_V: FloatArray, soc: FloatArray
 ) -> str | None:
     """What is said first of a log that is far off; None of one that is not, or without a model."""
     if model is None:
@@ -164,7 +164,7 @@ def far_off_notices(text: str | None) -> list[Notice]:
     return [] if text is None else [Notice(ORDER.first, text)]
 
 
-def ends_forecasts(far_off: str | None, log: MeasuredLog) -> str | None:
+def ends_forecasts(far_off: str | None, log: CellLog) -> str | None:
     """Why nothing is foreseen from a log: a channel is not what it is taken for, or far off."""
     grave = next((n for n in log.notices if is_grave(n)), None)
     if grave is not None:
@@ -180,7 +180,7 @@ def withheld(far_off: str) -> str:
 WARMED = (TemperatureDependence, Entropy)  # effects that follow the temperature
 
 
-def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> list[Notice]:
+def outside_notices(validity: Validity, log: CellLog, soc: FloatArray) -> list[Notice]:
     """Which rows of a log lie outside what the model's data covered, and how far.
 
     A hair outside is inside (see :mod:`cellwise.cell.plausibility.validity`); what is not known,
@@ -203,9 +203,7 @@ def outside_notices(validity: Validity, log: MeasuredLog, soc: FloatArray) -> li
     return [Notice(math.inf if by_itself else ORDER.outside, text)]
 
 
-def assumed_temperature_notices(
-    model: CellModel, log: MeasuredLog, assumed_C: float
-) -> list[Notice]:
+def assumed_temperature_notices(model: CellModel, log: CellLog, assumed_C: float) -> list[Notice]:
     """That nobody measured the temperature on which the model depends, and what is assumed."""
     measured = log.temperature_C
     if measured is not None and bool(np.any(np.isfinite(measured))):
@@ -237,7 +235,7 @@ def outside_moment(
     return ", ".join(found) or None
 
 
-def _parts(validity: Validity, log: MeasuredLog, soc: FloatArray) -> Iterator[str]:
+def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[str]:
     """The text for each side of a range that is left."""
     bounds = validity.bounds()
     if validity.temperature_C is not None and log.temperature_C is not None:
@@ -275,7 +273,7 @@ def _left(
     )
 
 
-def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
+def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     """A SOC outside 0..1, and more charge than such a cell holds.
 
     Parameters
@@ -310,7 +308,7 @@ def soc_notices(log: MeasuredLog, soc: FloatArray) -> list[Notice]:
 
 
 def error_notices(
-    model: CellModel | None, log: MeasuredLog, error_V: FloatArray, soc: FloatArray
+    model: CellModel | None, log: CellLog, error_V: FloatArray, soc: FloatArray
 ) -> list[Notice]:
     """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
 
@@ -345,7 +343,7 @@ def error_notices(
     return [Notice(all_rows.rmse_V, text)]
 
 
-def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list[Notice]:
+def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Notice]:
     """A filter that used no voltage, or refuses many.
 
     Parameters
@@ -370,7 +368,7 @@ def prediction_notices(log: MeasuredLog, rmse_V: float, rejected: float) -> list
 
 def stated_error_V(
     model: CellModel,
-    log: MeasuredLog,
+    log: CellLog,
     soc: FloatArray,
     voltage_V: FloatArray,
     *,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.measured_log import MeasuredLog
+from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ class OneCell(NamedTuple):
 ONE_CELL = OneCell()
 
 
-def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
+def check_cells_in_series(model: CellModel, log: CellLog) -> None:
     """Refuse a log whose voltage is no single cell's of the model's kind.
 
     Raises
@@ -196,7 +196,7 @@ def check_cells_in_series(model: CellModel, log: MeasuredLog) -> None:
     )
 
 
-def check_one_cell(log: MeasuredLog) -> None:
+def check_one_cell(log: CellLog) -> None:
     """Refuse a log whose voltage is above that of any cell.
 
     Raises
@@ -212,12 +212,12 @@ def check_one_cell(log: MeasuredLog) -> None:
         )
 
 
-def cells_in_series(log: MeasuredLog, full_V: float) -> int:
+def cells_in_series(log: CellLog, full_V: float) -> int:
     """The fewest cells of which none is above full at the log's highest voltage."""
     return math.ceil(float(np.nanmax(log.voltage_V)) / (full_V + ONE_CELL.overcharged_V))
 
 
-def _question(log: MeasuredLog, full_V: float) -> str:
+def _question(log: CellLog, full_V: float) -> str:
     if log.typical_voltage_V > ONE_CELL.millivolt_from:
         return "Millivolts? Name the column voltage_mV."
     cells = cells_in_series(log, full_V)

@@ -14,7 +14,7 @@ from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.measured_log import cut_at_pauses
+from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
 
 if TYPE_CHECKING:

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import Run, run_edges, runs_of
-from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import BoolArray, FloatArray
-
-Log = TypeVar("Log", bound=MeasuredLog)
 
 
 class Impossible(NamedTuple):
@@ -83,7 +81,7 @@ class Stretch(NamedTuple):
     duration_s: float
 
 
-def impossible_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+def impossible_runs(log: CellLog) -> dict[str, list[Run]]:
     """Rows that are impossible, by channel; none where there are too many to be a fault."""
     found = {"voltage_V": _impossible_voltages(log), "current_A": _impossible_currents(log)}
     if log.temperature_C is not None:
@@ -93,12 +91,12 @@ def impossible_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     return {name: runs_of(bad) for name, bad in few.items()}
 
 
-def possible_part(log: Log) -> Log:
+def possible_part(log: CellLog) -> CellLog:
     """The log with its impossible values missing; the log itself where there are none."""
     return without(log, impossible_runs(log))
 
 
-def without(log: Log, runs: dict[str, list[Run]]) -> Log:
+def without(log: CellLog, runs: dict[str, list[Run]]) -> CellLog:
     """The log with the values of some rows missing."""
     if not runs:
         return log
@@ -111,7 +109,7 @@ def without(log: Log, runs: dict[str, list[Run]]) -> Log:
     return replace(log, **channels)
 
 
-def _impossible_voltages(log: MeasuredLog) -> BoolArray:
+def _impossible_voltages(log: CellLog) -> BoolArray:
     voltage = log.voltage_V
     known = voltage[np.isfinite(voltage)]
     if known.size == 0 or not (usual := float(np.median(known))) > 0.0:
@@ -136,7 +134,7 @@ def _impossible_voltages(log: MeasuredLog) -> BoolArray:
     return np.asarray(bad)
 
 
-def _impossible_currents(log: MeasuredLog) -> BoolArray:
+def _impossible_currents(log: CellLog) -> BoolArray:
     size = np.abs(log.current_A)
     finite = size[np.isfinite(size)]
     bad = np.zeros(size.size, dtype=bool)
@@ -159,7 +157,7 @@ def _impossible_currents(log: MeasuredLog) -> BoolArray:
     return np.asarray(bad)
 
 
-def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+def stuck_runs(log: CellLog) -> dict[str, list[Run]]:
     """Rows in which a channel stood still while the other one moved to and fro, by channel.
 
     A voltage held by the tester stands still too, but the current then only dies away; a constant
@@ -169,20 +167,20 @@ def stuck_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     return {name: runs for name, runs in found.items() if runs}
 
 
-def longest(log: MeasuredLog, runs: list[Run]) -> Stretch | None:
+def longest(log: CellLog, runs: list[Run]) -> Stretch | None:
     """The longest time of some runs of rows; None of none."""
     times = [(float(log.time_s[max(r.first - 1, 0)]), float(log.time_s[r.last])) for r in runs]
     stretches = [Stretch(begins, ends - begins) for begins, ends in times]
     return max(stretches, key=lambda s: s.duration_s, default=None)
 
 
-def stuck_voltage(log: MeasuredLog) -> list[Run]:
+def stuck_voltage(log: CellLog) -> list[Run]:
     """Rows in which the voltage stood still while the current moved to and fro."""
     still = _standstills(log.voltage_V)
     return _moved(still, log.current_A, STILL.share * _swing(log.current_A)) if still else []
 
 
-def _stuck_current(log: MeasuredLog) -> list[Run]:
+def _stuck_current(log: CellLog) -> list[Run]:
     """Rows in which the current stood still while the voltage moved to and fro.
 
     The load before or after a rest is still in a voltage, or already, that is logged late or early.
@@ -217,7 +215,7 @@ def _moved(runs: list[Run], other: FloatArray, jump: float, late: int = 0) -> li
     return [run for run, enough in zip(runs, moves >= STILL.moves, strict=True) if enough]
 
 
-def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+def clipped_runs(log: CellLog) -> dict[str, list[Run]]:
     """Rows at which a sensor is at its end while the other one shows that the truth moves on.
 
     A tester at its limit stands there, too, but then the voltage only drifts, or the current dies
@@ -243,7 +241,7 @@ def clipped_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     return runs
 
 
-def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
+def find_spikes(log: CellLog) -> NDArray[np.intp]:
     """Single rows whose voltage is far from both neighbours', further than the current explains.
 
     The current of some rows around counts, since a channel may be logged late.
@@ -269,7 +267,7 @@ def find_spikes(log: MeasuredLog) -> NDArray[np.intp]:
     return np.flatnonzero(alone) + 1
 
 
-def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
+def lost_runs(log: CellLog) -> dict[str, list[Run]]:
     """Stretches of many rows without a value, by channel; of a temperature that most rows have."""
     missing = {"voltage_V": np.isnan(log.voltage_V), "current_A": np.isnan(log.current_A)}
     if log.temperature_C is not None:
@@ -284,7 +282,7 @@ def lost_runs(log: MeasuredLog) -> dict[str, list[Run]]:
     return found
 
 
-def step_resistance(log: MeasuredLog) -> float:
+def step_resistance(log: CellLog) -> float:
     """Size of the voltage's larger steps over that of the current's, at whatever delay [ohm]."""
     by_current, by_voltage = np.abs(np.diff(log.known_current_A())), np.abs(np.diff(log.voltage_V))
     known = by_voltage[np.isfinite(by_voltage)]
@@ -296,7 +294,7 @@ def step_resistance(log: MeasuredLog) -> float:
     return float(np.quantile(known, 0.98)) / step_A
 
 
-def _current_jump(log: MeasuredLog) -> float:
+def _current_jump(log: CellLog) -> float:
     """A step of the voltage that only a current makes [V].
 
     The way from full to empty is no part of it, and neither is what the voltage usually does from
@@ -318,7 +316,7 @@ def _swing(values: FloatArray) -> float:
     return float(np.fmax.reduce(values) - np.fmin.reduce(values))
 
 
-def _late_rows(log: MeasuredLog) -> int:
+def _late_rows(log: CellLog) -> int:
     """Rows that one channel may be late by."""
     steps = np.diff(log.time_s)
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else STILL.late_s

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import Run
-from cellwise.logs.measured_log import MeasuredLog
 from cellwise.typing import FloatArray
 
 MARK = "LOOKS WRONG"
@@ -111,7 +111,7 @@ def check_time_moves(time_s: FloatArray, where: str) -> None:
         )
 
 
-def grave_notices(log: MeasuredLog) -> list[str]:
+def grave_notices(log: CellLog) -> list[str]:
     """What would turn every figure about this log into nonsense."""
     notices = []
     rows = len(log)
@@ -144,7 +144,7 @@ def grave_notices(log: MeasuredLog) -> list[str]:
     return notices
 
 
-def _impossible(log: MeasuredLog, channel: str, runs: list[Run]) -> str:
+def _impossible(log: CellLog, channel: str, runs: list[Run]) -> str:
     """What no cell has, with its rows (people count from 1)."""
     quantity, _, unit = channel.partition("_")
     values = getattr(log, channel)

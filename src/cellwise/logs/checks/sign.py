@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.logs.measured_log import MeasuredLog
+from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 Verdict = Literal["verified", "contradicted", "undetermined"]
@@ -87,7 +87,7 @@ class SignCheck:
     score: float = 0.0
 
 
-def verify_sign(log: MeasuredLog) -> SignCheck:
+def verify_sign(log: CellLog) -> SignCheck:
     """Determine from voltage and current whether positive current discharges the cell.
 
     A cell is passive: after a step of discharge current its voltage falls, and does not come back
@@ -100,7 +100,7 @@ def verify_sign(log: MeasuredLog) -> SignCheck:
 
     Parameters
     ----------
-    log : MeasuredLog
+    log : CellLog
 
     Returns
     -------

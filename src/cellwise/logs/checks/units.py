@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog, typical
 from cellwise.logs.files.columns import KELVIN_OFFSET
-from cellwise.logs.measured_log import MeasuredLog, typical
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -54,7 +54,7 @@ class CounterCheck(NamedTuple):
     throughput_Ah: float
 
 
-def compare_counter(log: MeasuredLog) -> CounterCheck | None:
+def compare_counter(log: CellLog) -> CounterCheck | None:
     """Compare the tester's counter with the sum of the current.
 
     The current of a row is held over the interval it belongs to; the trapezoid would be wrong
@@ -88,7 +88,7 @@ def compare_steps(drawn: FloatArray, counted: FloatArray) -> CounterCheck | None
     )
 
 
-def charge_steps(log: MeasuredLog) -> tuple[FloatArray, FloatArray]:
+def charge_steps(log: CellLog) -> tuple[FloatArray, FloatArray]:
     """Charge of every interval [Ah] by the current and by the counter, shape (n,), zero over gaps.
 
     Where the counter is missing its steps are gathered in the next row that has one.
@@ -177,7 +177,7 @@ SLIPS = {
 }
 
 
-def check_voltage(log: MeasuredLog, where: str) -> list[str]:
+def check_voltage(log: CellLog, where: str) -> list[str]:
     """Refuse millivolts; note when the voltage is that of a string.
 
     Raises
@@ -214,7 +214,7 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
     return [f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"]
 
 
-def check_charge(log: MeasuredLog) -> list[str]:
+def check_charge(log: CellLog) -> list[str]:
     """Note a charge that no cell holds: milliamperes, or milliseconds, under a plain name."""
     swing = float(np.ptp(np.cumsum(log.known_current_A() * log.interval_s))) / 3600.0
     if swing <= CELL.largest_Ah:
@@ -225,7 +225,7 @@ def check_charge(log: MeasuredLog) -> list[str]:
     ]
 
 
-def counter_factor(log: MeasuredLog, check: CounterCheck, where: str) -> tuple[float, list[str]]:
+def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float, list[str]]:
     """Factor that turns the counter into ampere hours, from its ratio to the summed current.
 
     Raises

@@ -12,11 +12,12 @@ A reader may give, beside the fields of `CellLog`, what testers write in pieces:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeVar, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.cell_log import CellLog, CurrentMeaning
 from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.grave import (
     MARK,
@@ -41,11 +42,8 @@ from cellwise.logs.checks.units import (
     time_from_start,
     volts_of_millivolts,
 )
-from cellwise.logs.files.columns import TIDY_CHANNELS
-from cellwise.logs.files.format import SignConvention
-from cellwise.logs.files.named_columns import NamedColumns, table_channels
-from cellwise.logs.files.source import RawLog
-from cellwise.logs.measured_log import CurrentMeaning, MeasuredLog
+from cellwise.logs.files.format import Format, SignConvention
+from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
@@ -105,6 +103,7 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
     if "current_A" not in channels:
         channels["current_A"] = _counted_current(channels, sign, where)
         notices.append("there is no current; it was taken from the counter's steps")
+    notices += _drop_rows_without_time(channels, where)
     return RawLog(channels, tuple(notices), raw.cells)
 
 
@@ -215,7 +214,6 @@ def _counted_current(
 
 
 SignOption = Literal["auto", "discharge-positive", "charge-positive"]
-Log = TypeVar("Log", bound=MeasuredLog)
 
 
 NO_STEP = -1
@@ -236,15 +234,19 @@ class Origin:
         """For messages."""
         return f"'{self.source or self.name}'" if self.source or self.name else "the table"
 
+    @classmethod
+    def of(cls, source: LogSource, known: Format, name: str) -> Origin:
+        """Of a file that was read as this format."""
+        return cls(name, str(source.path), known.name, known.sign, known.current_meaning)
+
 
 def assemble(
-    kind: type[Log], raw: RawLog, origin: Origin, sign: str = "auto", *, check_sign: bool = True
-) -> Log:
+    raw: RawLog, origin: Origin, sign: str = "auto", *, check_sign: bool = True
+) -> CellLog:
     """Make a log of a reader's channels.
 
     Parameters
     ----------
-    kind : type           the class of the log, `CellLog`
     raw : RawLog          channels with the format's sign
     origin : Origin       where they come from
     sign : str            ``auto`` trusts the format, verifies, and notes; the other two override it
@@ -260,7 +262,6 @@ def assemble(
         )
     channels = dict(raw.channels)
     notices = list(raw.notices)
-    notices += _drop_rows_without_time(channels, origin.where)
     check_time_moves(channels["time_s"], origin.where)
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
@@ -275,7 +276,7 @@ def assemble(
     if (origin.sign if sign == "auto" else sign) == "charge-positive":
         channels["current_A"] = -channels["current_A"]
         notices.append("positive current was read as charge and inverted")
-    log = kind(
+    log = CellLog(
         time_s=channels["time_s"],
         current_A=channels["current_A"],
         voltage_V=channels["voltage_V"],
@@ -297,14 +298,6 @@ def assemble(
         return log.with_notices(graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
     return log.with_notices(graves_first([*noted, *notices]))
-
-
-def log_from_table(
-    kind: type[Log], table: NamedColumns, *, sign: str, name: str, source: str
-) -> Log:
-    """`CellLog.from_table`: a log from named columns in memory."""
-    origin = Origin(name=name, source=source, format="table")
-    return assemble(kind, table_channels(table, TIDY_CHANNELS, origin.where), origin, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:
@@ -333,7 +326,9 @@ def _steps(step: FloatArray | None) -> IntArray | None:
     return np.where(known, step, NO_STEP).astype(np.int32)
 
 
-def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | None, list[str]]:
+def _with_checked_counter(
+    log: CellLog, where: str
+) -> tuple[CellLog, CounterCheck | None, list[str]]:
     """Counter in ampere hours, joined up over restarts; left out where it is of no use."""
     if log.charge_Ah is None:
         return log, None, []
@@ -367,7 +362,7 @@ def _with_checked_counter(log: Log, where: str) -> tuple[Log, CounterCheck | Non
     return log, check, notices
 
 
-def _with_checked_sign(log: Log, sign: str, *, opposite: bool) -> tuple[Log, list[str]]:
+def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:
     """Verify the sign and bring the counter in line with a current that is right."""
     notices: list[str] = []
     check = verify_sign(possible_part(log))

@@ -6,13 +6,14 @@ most logs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import Unit
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pyarrow
@@ -34,10 +35,6 @@ _DATE_MARKS = "-./"
 LAST_MONTH = 12
 
 
-class DayFirstError(Exception):
-    """Dates with slashes were read month first, and one of them has its day first."""
-
-
 def arrow_type(unit: Unit) -> pyarrow.DataType:
     """The type as which a column of this unit is read from text."""
     import pyarrow as pa
@@ -49,32 +46,32 @@ def arrow_type(unit: Unit) -> pyarrow.DataType:
     return pa.float64()
 
 
-def arrow_values(
-    unit: Unit, column: pyarrow.Array, *, day_first: bool = False
-) -> tuple[FloatArray, str]:
-    """A chunk as float64 with missing values as NaN, and the first cell that could not be read.
-
-    The unit's factor is not applied yet. ``day_first`` is the order of dates with slashes that
-    could be read either way.
+def arrow_values(unit: Unit, column: pyarrow.ChunkedArray, name: str, where: str) -> FloatArray:
+    """A column as float64 with missing values as NaN; the unit's factor is not applied yet.
 
     Raises
     ------
-    DayFirstError        a date with slashes whose first number is no month, without ``day_first``
+    InputError        a cell that holds no time
     """
-    if unit.kind == "clock":
-        return _clock_seconds(column, day_first=day_first)
-    if unit.kind == "label":
-        return _word_values(unit, column), ""
-    return to_numpy(column), ""
+    import pyarrow as pa
+
+    if unit.kind != "number" and is_text(column.type):
+        if unit.kind == "clock":
+            return _clock_seconds(column.cast(pa.string()).combine_chunks(), name, where)
+        parts = [_word_values(unit, chunk) for chunk in column.chunks]
+    else:
+        column = column if column.type == pa.float64() else column.cast(pa.float64())
+        parts = [to_numpy(chunk) for chunk in column.chunks]
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])
 
 
-def no_clock(text: str, name: str, where: str) -> InputError:
-    """The refusal of a cell that holds no time."""
-    return InputError(
-        f"'{text[:40]}' in column '{name}' of {where}",
-        "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
-        "Correct the cell, or export the time in seconds.",
-    )
+def is_text(kind: pyarrow.DataType) -> bool:
+    """Cells of this type are texts, each by itself or by a dictionary."""
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def label_value(unit: Unit, label: str) -> float:
@@ -82,20 +79,36 @@ def label_value(unit: Unit, label: str) -> float:
     return unit.labels.get(" ".join(label.replace("_", " ").split()).casefold(), np.nan)
 
 
-def _clock_seconds(column: pyarrow.Array, *, day_first: bool) -> tuple[FloatArray, str]:
-    """Seconds of clock texts and dates; a plain number is a number of seconds."""
+def _clock_seconds(column: pyarrow.Array, name: str, where: str) -> FloatArray:
+    """Seconds of clock texts and of dates (since 1970); a plain number is a number of seconds."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    if _first_is_date(column):
-        return _date_seconds(column, day_first=day_first)
-    parts = pc.extract_regex(column, pattern=_CLOCK)
-    total = np.zeros(len(column))
-    for name, seconds in _SECONDS.items():
-        text = pc.replace_substring(pc.struct_field(parts, name), ",", ".")
-        number = pc.cast(pc.if_else(pc.equal(text, ""), "0", text), pa.float64())
-        total += seconds * to_numpy(number)
-    return total, _unread(total, column, parts)
+    dates = _first_is_date(column)
+    parts = pc.extract_regex(column, pattern=_DATE if dates else _CLOCK)
+
+    def numbers(part: str) -> FloatArray:
+        text = pc.replace_substring(pc.struct_field(parts, part), ",", ".")
+        return to_numpy(pc.cast(pc.if_else(pc.equal(text, ""), "0", text), pa.float64()))
+
+    def says(part: str, text: str) -> BoolArray:
+        equal = pc.equal(pc.utf8_lower(pc.struct_field(parts, part)), text)
+        return np.asarray(to_numpy(pc.cast(equal, pa.float64())) == 1.0)
+
+    if dates:
+        total = _date_seconds(numbers, says)
+    else:
+        total = np.sum([seconds * numbers(part) for part, seconds in _SECONDS.items()], axis=0)
+    unread = np.isnan(total)
+    if unread.any() and column.null_count < np.count_nonzero(unread):
+        bad = column.filter(pc.and_(pc.is_valid(column), pc.is_null(parts)))
+        if text := next((text for text in bad.to_pylist() if text.strip()), ""):
+            raise InputError(
+                f"'{text[:40]}' in column '{name}' of {where}",
+                "a time as 12.5, 02:03:04.5, 1d 02:03:04 or 2024-05-31 02:03:04",
+                "Correct the cell, or export the time in seconds.",
+            )
+    return total
 
 
 def _first_is_date(column: pyarrow.Array) -> bool:
@@ -103,41 +116,30 @@ def _first_is_date(column: pyarrow.Array) -> bool:
     return ":" in first and sum(first.count(mark) for mark in _DATE_MARKS) >= 2
 
 
-def _date_seconds(column: pyarrow.Array, *, day_first: bool) -> tuple[FloatArray, str]:
-    """Seconds since 1970 of dates with a time."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
+def _date_seconds(
+    numbers: Callable[[str], FloatArray], says: Callable[[str, str], BoolArray]
+) -> FloatArray:
+    """Seconds since 1970 of dates with a time, by their parts.
 
-    parts = pc.extract_regex(column, pattern=_DATE)
-
-    def numbers(name: str) -> FloatArray:
-        text = pc.replace_substring(pc.struct_field(parts, name), ",", ".")
-        return to_numpy(pc.cast(pc.if_else(pc.equal(text, ""), "0", text), pa.float64()))
-
-    first, second, third = (numbers(name) for name in ("a", "b", "c"))
+    Dates with slashes are month first, unless a number is no month or the log would be longer.
+    """
+    first, second, third = (numbers(part) for part in ("a", "b", "c"))
     known = np.isfinite(first)
     year_first = first > 31
-    slashes = to_numpy(pc.cast(pc.equal(pc.struct_field(parts, "sep"), "/"), pa.float64())) == 1.0
-    by_slash = known & slashes & ~year_first
-    if not day_first and by_slash.any() and _is_day_first(first[by_slash], second[by_slash]):
-        raise DayFirstError
-    month_first = by_slash & (not day_first)
+    slashes = known & says("sep", "/") & ~year_first
+    day, month = np.where(year_first, third, first), second
+    if slashes.any() and not _is_day_first(first[slashes], second[slashes]):
+        day, month = np.where(slashes, second, day), np.where(slashes, first, month)
     year = np.where(year_first, first, third)
-    month = np.where(month_first, first, second)
-    day = np.where(year_first, third, np.where(month_first, second, first))
     year = np.where(year < 100, year + 2000, year)
-    half = pc.utf8_lower(pc.struct_field(parts, "half"))
-    afternoon = to_numpy(pc.cast(pc.equal(half, "pm"), pa.float64())) == 1.0
-    twelve_hours = afternoon | (to_numpy(pc.cast(pc.equal(half, "am"), pa.float64())) == 1.0)
-    hour = numbers("h")
-    hour = np.where(twelve_hours, hour % 12 + 12 * afternoon, hour)
+    hour, afternoon = numbers("h"), says("half", "pm")
+    hour = np.where(afternoon | says("half", "am"), hour % 12 + 12 * afternoon, hour)
     months = (np.where(known, year, 1970) - 1970) * 12 + np.where(known, month, 1) - 1
     days = months.astype(np.int64).astype("datetime64[M]").astype("datetime64[D]")
     total = 86_400.0 * (days.astype(np.int64) + day - 1) + 3600.0 * hour
     total += 60.0 * numbers("m") + numbers("s")
     possible = (month >= 1) & (month <= LAST_MONTH) & (day >= 1) & (day <= 31)
-    total = np.where(possible, total, np.nan)
-    return total, _unread(total, column, parts)
+    return np.where(possible, total, np.nan)
 
 
 def _is_day_first(first: FloatArray, second: FloatArray) -> bool:
@@ -145,18 +147,6 @@ def _is_day_first(first: FloatArray, second: FloatArray) -> bool:
     if np.any(first > LAST_MONTH) or np.any(second > LAST_MONTH):
         return bool(np.any(first > LAST_MONTH))
     return bool(np.ptp(31 * second + first) < np.ptp(31 * first + second))
-
-
-def _unread(total: FloatArray, column: pyarrow.Array, parts: pyarrow.Array) -> str:
-    """The first cell that holds something else."""
-    import pyarrow.compute as pc
-
-    unread = np.isnan(total)
-    if not unread.any() or column.null_count >= np.count_nonzero(unread):
-        return ""
-    bad = column.filter(pc.and_(pc.is_valid(column), pc.is_null(parts)))
-    kept = [text for text in bad.to_pylist() if text.strip()]
-    return kept[0] if kept else ""
 
 
 def _word_values(unit: Unit, column: pyarrow.Array) -> FloatArray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Literal
 
 from cellwise.errors import InputError
+from cellwise.logs.files.quantities import nearest, unit_of
 from cellwise.typing import FloatArray
 
 KELVIN_OFFSET = -273.15
@@ -113,31 +114,29 @@ TIDY_CHANNELS = (
     Channel("step", {"step": OWN}),
 )
 
-# Other names of the same thing, for the suggestion when a column is missing.
-_SYNONYMS = {
-    "time_s": (
-        *("time", "test_time", "testtime", "t", "timestamp", "seconds", "zeit", "elapsed"),
-        *("testzeit", "laufzeit", "versuchszeit", "datum", "uhrzeit", "zeitstempel", "datetime"),
-    ),
-    "current_A": ("current", "i", "amps", "ampere", "strom", "curr", "ibat", "batteriestrom"),
-    "voltage_V": (
-        *("voltage", "v", "u", "volts", "ewe", "spannung", "potential", "volt", "vbat"),
-        *("batteriespannung", "zellspannung", "klemmenspannung"),
-    ),
-}
-
-
-# A unit at the end of a column's name, in brackets or behind a stroke.
-_UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$")
+# The tidy form's names, each with its field and unit.
+TIDY_NAMES = {n: (c.field, unit) for c in TIDY_CHANNELS for n, unit in c.names.items()}
 _NUMBERS = re.compile(r"\d+")
 MOST_LISTED = 12
 LONGEST_LISTED = 60  # characters of a name
-_UNIT_WORDS = {
-    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek"), "s"),
-    **dict.fromkeys(("µs", "μs"), "us"),
-    **dict.fromkeys(("hr", "hrs", "hour", "hours", "std"), "h"),
-    **dict.fromkeys(("minute", "minutes"), "min"),
-}
+
+
+def tidy_name(name: str, fields: Collection[str] = ()) -> tuple[str, Unit]:
+    """Field and unit of a name that the user stated a channel by.
+
+    Raises
+    ------
+    InputError        no name of the tidy form, or of other fields than these
+    """
+    known = [n for n, (field, _) in TIDY_NAMES.items() if not fields or field in fields]
+    if name in known:
+        return TIDY_NAMES[name]
+    near = get_close_matches(name, known, n=1)
+    raise InputError(
+        f"a channel '{name}'",
+        f"one of {', '.join(known)}",
+        f"Did you mean {near[0]}?" if near else "The name gives the unit.",
+    )
 
 
 def choose_columns(
@@ -194,20 +193,11 @@ def choose_columns(
 
 def _stated(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
     """The column that the user named for a channel."""
-    fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
-    if not fields:
-        known = [n for c in TIDY_CHANNELS for n in c.names]
-        near = get_close_matches(tidy, known, n=1)
-        raise InputError(
-            f"a channel '{tidy}'",
-            f"one of {', '.join(known)}",
-            f"Did you mean {near[0]}?" if near else "The name gives the unit.",
-        )
+    field, unit = tidy_name(tidy)
     places = [k for k, text in enumerate(header) if text.strip() == name.strip()]
     places = places or [k for k, text in enumerate(keys) if text == folded(name)]
     if not places:
         raise no_such_name(name, [text.strip() for text in header], where)
-    field, unit = fields[0]
     if tidy == "time_s":
         unit = CLOCK  # a number of seconds, a clock or a date, whichever the cells hold
     return Column(field, places[0], header[places[0]].strip(), unit)
@@ -290,12 +280,10 @@ def _missing_columns(
     hints: list[str] = []
     lines: list[str] = []
     for channel in missing:
-        near = _nearest(channel, names)
-        if near:
+        if near := nearest(channel.field, names):
             tidy = _with_unit(_tidy_name(channel), near)
-            if tidy in channel.names or tidy == _tidy_name(channel):
-                name = tidy if tidy in channel.names else channel.usual_name
-                hints.append(f"rename '{near}' to '{name}' if that is what it holds")
+            name = tidy if tidy in channel.names else channel.usual_name
+            hints.append(f"rename '{near}' to '{name}' if that is what it holds")
             lines.append(f"{tidy!r}: {near!r}")
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
@@ -305,63 +293,22 @@ def _missing_columns(
     )
     if hints:
         action += f": {'; '.join(hints)}"
+    said = ", ".join(lines) or "..."
     return InputError(
         f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}, or say it with `channels={{{', '.join(lines)}}}`."
-        if lines
-        else f"{action}, or name the columns with `channels={{...}}`.",
+        f"{action}, or name the columns with `channels={{{said}}}`.",
     )
-
-
-def _nearest(channel: Channel, names: Sequence[str]) -> str:
-    """The column that most likely holds a missing channel, empty if none does."""
-    plain = {_plain(name): name for name in reversed(names) if _plain(name)}
-    words = [*(_plain(name) for name in channel.names), *_SYNONYMS.get(channel.field, ())]
-    for word in words:
-        if word in plain:
-            return plain[word]
-    for word in words:
-        near = get_close_matches(word, plain, n=1, cutoff=0.75) if len(word) > 2 else []
-        if near:
-            return plain[near[0]]
-    for word in words:  # 'Pack Current', 'Cell Volts'
-        for text, name in plain.items():
-            if len(word) > 2 and word in text.split("_"):
-                return name
-    return ""
 
 
 def _with_unit(tidy: str, name: str) -> str:
     """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``."""
-    found = _UNIT.search(name.strip().casefold())
-    if found is None:
-        return tidy
-    unit = _UNIT_WORDS.get(found[1], found[1])
-    quantity = tidy.rpartition("_")[0]
-    known = (n for c in TIDY_CHANNELS for n in c.names if n.rpartition("_")[0] == quantity)
-    return next((n for n in known if n.rpartition("_")[2].casefold() == unit), tidy)
-
-
-def _plain(name: str) -> str:
-    """A column name without its unit and decoration: 'Current (A)' -> 'current'."""
-    text = name.strip().casefold()
-    for mark in "([{/<":
-        text = text.split(mark)[0]
-    text = text.strip(" _-.\t").replace(" ", "_")
-    base, _, unit = text.rpartition("_")
-    units = ("s", "ms", "min", "h", "a", "ma", "v", "mv", "sec", "amp", "volt")
-    return base if base and unit in units else text
+    quantity, unit = tidy.rpartition("_")[0], unit_of(name)
+    return next((n for n in TIDY_NAMES if n.casefold() == f"{quantity}_{unit}"), tidy)
 
 
 def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
     """Names in quotes, the first dozen."""
     shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def tidy_header(fields: Sequence[str]) -> list[str]:
-    """Column names of the tidy form for fields of `CellLog`."""
-    names = {channel.field: channel.usual_name for channel in TIDY_CHANNELS}
-    return [names[field] for field in fields]

@@ -14,9 +14,11 @@ from cellwise.logs.files.source import FROM_FILE, LogSource, decoded
 DELIMITERS = ",;\t|"
 MOST_UNIT_ROWS = 2
 MOST_FOOTER_LINES = 20
+FOOTER_BYTES = 8192
+LOOKED_AT = 50  # rows below the header
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
-DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
+_DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
 
@@ -24,151 +26,108 @@ _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 class CsvLayout:
     """How one CSV file is laid out.
 
-    ``offset`` is the first byte of the rows, ``line`` the (1-based) line they begin in.
+    ``offset`` is the first byte of the rows; ``cells`` are those of the first rows, as text.
     """
 
     header: tuple[str, ...]
     delimiter: str
     decimal: str
     offset: int
-    line: int
+    cells: tuple[tuple[str, ...], ...]
 
 
-def csv_layout(source: LogSource) -> CsvLayout:
+def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
     """Find header, delimiter and decimal sign in the first bytes of a file.
 
-    A byte order mark, blank lines and comment lines beginning with ``#`` may stand before the
-    header; where there is no header but a commented one, that is taken.
+    The header is the line with most of ``names``, which a program's own export has below whatever
+    preamble, and rows of units below it are passed over. Without two of these it is the first line
+    that is not blank and no comment (``#``), or the comment above rows of numbers.
 
     Raises
     ------
     InputError        no line with column names
     """
     lines = _head_lines(source.head)
-    offset, number, comment = 0, 0, ""
-    for raw in lines:
-        text = raw.decode("utf-8", errors="replace").lstrip("\ufeff").strip()
-        if text and not text.startswith("#"):
-            break
-        comment = text or comment
-        offset += len(raw)
-        number += 1
-    else:
+    texts = [decoded(raw.removeprefix(b"\xef\xbb\xbf")) for raw in lines]
+    at, line = _first_names(texts)
+    if (best := _most_names(texts, names)) is not None:
+        at, line = best, texts[best]
+    if at is None or not line:
+        shown = next((text.strip() for text in texts if text.strip("# \r\n")), "")
         raise InputError(
-            f"only blank lines and comments at the beginning of '{source.path}'",
-            "a line with column names and rows of numbers",
-            "Check the export that wrote it.",
+            f"no column names in '{source.path}', which begins with '{shown[:60]}'"
+            if shown and not shown.startswith("#")
+            else f"only blank lines and comments at the beginning of '{source.path}'",
+            "a line with the names time_s, current_A, voltage_V and rows of numbers",
+            "Put a line with the column names at the top, or check the export that wrote it.",
         )
-    header_line, rows = text, lines[number:]
-    if is_numeric(text):
-        header_line = comment.lstrip("# ")
-        if not header_line or is_numeric(header_line):
-            raise InputError(
-                f"no column names in '{source.path}': its first row reads '{text[:60]}'",
-                "a first line with the names time_s, current_A, voltage_V",
-                "Put a line with the column names at the top.",
-            )
-    else:
-        offset += len(lines[number])
-        number += 1
-        rows = lines[number:]
-    delimiter = _delimiter(header_line)
-    header = next(csv.reader([header_line], delimiter=delimiter, skipinitialspace=True))
-    cells = [row for row in _cells(rows[:50], delimiter) if row]
-    decimal = _decimal(cells, delimiter, source.options.decimal)
-    return CsvLayout(_as_wide(header, cells), delimiter, decimal, offset, number + 1)
-
-
-def native_layout(source: LogSource, names: Collection[str]) -> CsvLayout:
-    """Find the header below a program's own preamble: the line with most of the names it knows.
-
-    Rows between the header and the first row with a digit (units) are passed over.
-
-    Parameters
-    ----------
-    source : LogSource
-    names : collection of str       column names of the format
-
-    Raises
-    ------
-    InputError        no line holds two of them
-    """
-    wanted = {folded(name) for name in names}
-    lines = _head_lines(source.head)
-    best, found, header = 1, -1, list[str]()
-    for k, raw in enumerate(lines):
-        names_there = header_cells(decoded(raw))
-        score = len(wanted.intersection(folded(name) for name in names_there))
-        if score > best:
-            best, found, header = score, k, names_there
-    if found < 0:
-        raise InputError(
-            f"no line with column names at the beginning of '{source.path}'",
-            "a header line",
-            "Check the export that wrote it.",
-        )
-    first = found + 1
-    units = 0
-    while first < len(lines) and units <= MOST_UNIT_ROWS and not _has_digit(lines[first]):
-        units += bool(lines[first].strip())
+    first = at + 1
+    while names and first < min(len(lines), at + 2 + MOST_UNIT_ROWS) and not _digits(texts[first]):
         first += 1
-    delimiter = _delimiter(decoded(lines[found]))
-    cells = [row for row in _cells(lines[first : first + 50], delimiter) if any(row)]
-    offset = sum(len(raw) for raw in lines[:first])
-    decimal = _decimal(cells, delimiter, source.options.decimal)
-    return CsvLayout(_as_wide(header, cells), delimiter, decimal, offset, first + 1)
+    delimiter = _delimiter(line)
+    rows = csv.reader(texts[first : first + LOOKED_AT], delimiter=delimiter)
+    cells = tuple(tuple(row) for row in rows if any(row))
+    return CsvLayout(
+        _as_wide(header_cells(line), cells),
+        delimiter,
+        _decimal(cells, source.options.decimal),
+        sum(len(raw) for raw in lines[:first]),
+        cells,
+    )
 
 
-def first_cells(source: LogSource, layout: CsvLayout) -> list[list[str]]:
-    """Cells of the first rows below the header, as text."""
-    rows = _head_lines(source.head[layout.offset :])[:50]
-    return [row for row in _cells(rows, layout.delimiter) if any(row)]
+def _most_names(texts: Sequence[str], names: Collection[str]) -> int | None:
+    """The line with most of the names, two at least."""
+    wanted = {folded(name) for name in names}
+    scores = [len(wanted.intersection(map(folded, header_cells(text)))) for text in texts]
+    best = max(scores, default=0)
+    return scores.index(best) if best > 1 else None
 
 
-def footer_below(
-    source: LogSource, layout: CsvLayout, place: int, text: str
-) -> tuple[int, str] | None:
-    """Where lines below the data begin, of which the first has this text in its cell ``place``.
+def _first_names(texts: Sequence[str]) -> tuple[int | None, str]:
+    """The line above the rows, and the names: its own, or the comment's that it is."""
+    comment = ""
+    for k, line in enumerate(texts):
+        text = line.strip()
+        if text and not text.startswith("#"):
+            if not is_numeric(text):
+                return k, text
+            name = comment.lstrip("# ")
+            return k - 1, "" if is_numeric(name) else name
+        comment = text or comment
+    return None, ""
 
-    Returns
-    -------
-    (int, str)      first byte of that line, and the line
-    None            it is not there, or numbers follow: a row among the data
+
+def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | None, str]:
+    """Where lines below the data begin [byte], and the first of them; None: there are none.
+
+    They begin with no number and have none in the cell ``place``, which is that of the time. Of a
+    packed file the end is not known beforehand.
     """
-    sought = text.strip().encode()
-    end, first, lines = 0, "", 0
-    with source.open() as file:
-        file.read(layout.offset)
-        at = layout.offset
-        for raw in file:
-            if first or sought in raw:
-                cells = next(csv.reader([decoded(raw)], delimiter=layout.delimiter), [])
-                cell = cells[place].strip() if place < len(cells) else ""
-                if DIGIT_FIRST.match(decoded(raw)):
-                    if first or cell == text.strip():
-                        return None  # a row of the data
-                elif not first and cell == text.strip():
-                    end, first = at, decoded(raw).strip()
-                elif lines == MOST_FOOTER_LINES:
-                    return None
-                lines += bool(first)
-            at += len(raw)
-    return (end, first) if first else None
+    if source.gzipped:
+        return None, ""
+    with source.path.open("rb") as file:
+        file.seek(max(layout.offset, source.size - FOOTER_BYTES))
+        lines = file.read().splitlines(keepends=True)
+    end, first, count = source.size, "", 0
+    for raw in reversed(lines):
+        text = decoded(raw)
+        cells = next(csv.reader([text], delimiter=layout.delimiter), [])
+        time = cells[place] if place < len(cells) else ""
+        if _DIGIT_FIRST.match(text) or _DIGIT_FIRST.match(time):
+            return (end, first) if first else (None, "")
+        end -= len(raw)
+        count += bool(text.strip())
+        first = text.strip() or first
+        if count > MOST_FOOTER_LINES:
+            break
+    return None, ""
 
 
 def header_cells(line: str) -> list[str]:
     """The cells of a line, by the delimiter it has most of."""
     text = line.rstrip("\r\n").lstrip("\ufeff")
     return next(csv.reader([text], delimiter=_delimiter(text), skipinitialspace=True), [])
-
-
-def header_names(source: LogSource, names: Collection[str]) -> int:
-    """Most of these names that one of a text's first lines holds."""
-    wanted = {folded(name) for name in names}
-    return max(
-        (len(wanted.intersection(map(folded, header_cells(line)))) for line in source.first_lines),
-        default=0,
-    )
 
 
 def has_names(source: LogSource, *groups: Collection[str]) -> bool:
@@ -197,24 +156,18 @@ def _delimiter(line: str) -> str:
     return max(DELIMITERS, key=line.count)
 
 
-def _has_digit(line: bytes) -> bool:
-    return any(48 <= byte <= 57 for byte in line)
+def _digits(line: str) -> bool:
+    return any(character in "0123456789" for character in line)
 
 
 def _head_lines(head: bytes) -> list[bytes]:
     """Lines with their ends; a cut off last one only if it is the only one."""
     lines = head.splitlines(keepends=True)
-    if len(lines) > 1 and not lines[-1].endswith((b"\n", b"\r")):
-        return lines[:-1] if len(lines) > 2 else lines
-    return lines
+    cut = len(lines) > 2 and not lines[-1].endswith((b"\n", b"\r"))
+    return lines[:-1] if cut else lines
 
 
-def _cells(rows: Sequence[bytes], delimiter: str) -> list[list[str]]:
-    text = [row.decode("utf-8", errors="replace") for row in rows]
-    return list(csv.reader(text, delimiter=delimiter))
-
-
-def _decimal(cells: Sequence[Sequence[str]], delimiter: str, stated: str) -> str:
+def _decimal(cells: Sequence[Sequence[str]], stated: str) -> str:
     """As stated, else a comma where cells are written so and none has a decimal point.
 
     Between commas a cell can only hold one in quotation marks.

@@ -10,9 +10,9 @@ from importlib import import_module
 from typing import Any, Literal
 
 from cellwise.errors import InputError
+from cellwise.logs.cell_log import CurrentMeaning
 from cellwise.logs.files.columns import Channel
 from cellwise.logs.files.source import LogSource, RawLog
-from cellwise.logs.measured_log import CurrentMeaning
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
 Reader = Callable[[LogSource, "Format"], RawLog]
@@ -49,11 +49,16 @@ class Format:
     isolated: bool = False
 
 
+_OF_ACCESS = "Print its table: mdb-export FILE.res Channel_Normal_Table > FILE.csv (mdbtools)."
 # Content that is given to a log reader by mistake, and what to do about it.
 _OTHER_CONTENT = (
     (b"PK\x03\x04", "a zip archive or an Excel workbook", "Export the sheet as CSV, or unpack it."),
     (b"\xd0\xcf\x11\xe0", "an old Excel workbook", "Export the sheet as CSV."),
     (b"\x89HDF", "an HDF5 file", "Export time, current and voltage as CSV."),
+    *(
+        (b"\0\1\0\0Standard " + name, "an Access database (Arbin .res)", _OF_ACCESS)
+        for name in (b"Jet DB", b"ACE DB")
+    ),
     (b"BZh", "a bzip2 file", "Decompress it first."),
     (b"\xfd7zXZ", "an xz file", "Decompress it first."),
     (b"\x28\xb5\x2f\xfd", "a zstd file", "Decompress it first."),

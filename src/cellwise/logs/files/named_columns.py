@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.cells import DayFirstError, arrow_values, no_clock, to_numpy
-from cellwise.logs.files.columns import Channel, Column, Unit, choose_columns, folded
+from cellwise.logs.files.cells import arrow_values, is_text
+from cellwise.logs.files.columns import Channel, Column, choose_columns, folded
 from cellwise.logs.files.format import Format, damaged
 from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.typing import FloatArray
@@ -93,7 +93,10 @@ def _values(values: Any, column: Column, where: str) -> FloatArray:
     if column.field == "time_s" and (seconds := _seconds(array)) is not None:
         return unit.convert(seconds)
     if unit.kind == "label" or (unit.kind == "clock" and array.dtype.kind in "UO"):
-        return unit.convert(_texts(array, unit, column.name, where))
+        import pyarrow as pa
+
+        texts = pa.chunked_array([[str(text) for text in array.tolist()]], pa.string())
+        return unit.convert(arrow_values(unit, texts, column.name, where))
     try:
         numbers: FloatArray = np.asarray(array, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:
@@ -103,20 +106,6 @@ def _values(values: Any, column: Column, where: str) -> FloatArray:
             "Convert it (missing values are nan), or choose another with `channels={...}`.",
         ) from None
     return unit.convert(numbers)
-
-
-def _texts(array: Any, unit: Unit, name: str, where: str) -> FloatArray:
-    """Values of a column of clocks, dates or labels."""
-    import pyarrow as pa
-
-    texts = pa.array([str(text) for text in array.tolist()])
-    try:
-        values, unread = arrow_values(unit, texts)
-    except DayFirstError:
-        values, unread = arrow_values(unit, texts, day_first=True)
-    if unread:
-        raise no_clock(unread, name, where)
-    return values
 
 
 def _seconds(array: Any) -> FloatArray | None:
@@ -194,7 +183,9 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
             table = file.read(columns=wanted, use_threads=False) if rows <= SMALL_ROWS else None
             for k, (name, column) in enumerate(zip(wanted, columns, strict=True)):
                 read = table if table is not None else file.read(columns=[name])
-                arrays[column.field] = column.unit.convert(_arrow(read.column(name), column.unit))
+                arrays[column.field] = column.unit.convert(
+                    arrow_values(column.unit, read.column(name), column.name, where)
+                )
                 source.report(k + 1, len(columns))
     except (pa.ArrowException, OSError) as error:
         raise damaged(source, "parquet file", str(error).splitlines()[0]) from None
@@ -205,7 +196,7 @@ def _check_type(kind: pyarrow.DataType, column: Column, where: str) -> None:
     """Refuse a column of something else before it is read, however large it is."""
     import pyarrow as pa
 
-    if column.unit.kind != "number" and _is_text(kind):
+    if column.unit.kind != "number" and is_text(kind):
         return
     if pa.types.is_dictionary(kind):
         kind = kind.value_type
@@ -216,23 +207,3 @@ def _check_type(kind: pyarrow.DataType, column: Column, where: str) -> None:
             "a column of numbers",
             "Write the time as seconds from the log's start, and quantities as floating point.",
         )
-
-
-def _is_text(kind: pyarrow.DataType) -> bool:
-    import pyarrow as pa
-
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
-
-
-def _arrow(column: pyarrow.ChunkedArray, unit: Unit) -> FloatArray:
-    """A column of arrow as float64, missing values as NaN."""
-    import pyarrow as pa
-
-    if unit.kind != "number" and _is_text(column.type):
-        parts = [arrow_values(unit, chunk.cast(pa.string()))[0] for chunk in column.chunks]
-    else:
-        column = column if column.type == pa.float64() else column.cast(pa.float64())
-        parts = [to_numpy(chunk) for chunk in column.chunks]
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)

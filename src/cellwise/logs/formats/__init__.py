@@ -12,23 +12,18 @@ from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.ros_bag import ROS_BAG
 from cellwise.logs.formats.tester_files import (
     ARBIN_EXCEL,
-    ARBIN_RES,
     BASYTEC_TEXT,
     BIOLOGIC_MPR,
-    BIOLOGIC_MPT,
     DIGATRON_MAT,
     NEWARE_LEVELS,
     NEWARE_STORED,
 )
-from cellwise.logs.formats.vehicle_logs import ARDUPILOT_DATAFLASH, ASAM_MDF, LEAFSPY_CSV, PX4_ULOG
+from cellwise.logs.formats.vehicle_logs import ARDUPILOT_DATAFLASH, ASAM_MDF, PX4_ULOG
 
 
 def _is_bdf_parquet(source: LogSource) -> bool:
     return parquet_has(source, marks("bdf-csv"))
 
-
-# Texts of the file whose content or reader takes more than their marks and columns.
-_BY_CODE = {one.name: one for one in (LEAFSPY_CSV, BIOLOGIC_MPT)}
 
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
@@ -40,12 +35,11 @@ FORMATS: tuple[Format, ...] = (
     DIGATRON_MAT,
     ASAM_MDF,
     ARBIN_EXCEL,
-    ARBIN_RES,
     CAN_LOG,
     mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
     Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
     BASYTEC_TEXT,
     NEWARE_LEVELS,
-    *(_BY_CODE.get(name) or mapped(name) for name in marked_tables()),
+    *map(mapped, marked_tables()),
     Format("tidy-csv", lambda s: s.is_text, TIDY_CHANNELS, read_csv, "discharge-positive"),
 )

@@ -1,15 +1,12 @@
 """Files of testers that are more than a table: texts with levels, and what their programs store.
 
 Basytec between blanks, Neware's levels; by the libraries that others keep for them also
-BioLogic ``.mpr``, Neware ``.nda`` and ``.ndax``, Digatron's MATLAB structures, Arbin's workbooks
-and Access databases.
+BioLogic ``.mpr``, Neware ``.nda`` and ``.ndax``, Digatron's MATLAB structures, Arbin's workbooks.
 """
 
 from __future__ import annotations
 
 import csv
-import shutil
-import subprocess
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
@@ -22,10 +19,10 @@ from cellwise.errors import InputError
 from cellwise.logs.files.columns import folded
 from cellwise.logs.files.csv_layout import has_names, header_cells
 from cellwise.logs.files.csv_text import read_csv
-from cellwise.logs.files.format import Format, damaged, library_at_work, need
+from cellwise.logs.files.format import Format, library_at_work, need
 from cellwise.logs.files.named_columns import channels_of
-from cellwise.logs.files.source import Limits, LogSource, RawLog, decoded, open_source
-from cellwise.logs.formats.column_maps import mapped, marks
+from cellwise.logs.files.source import Limits, LogSource, RawLog, decoded
+from cellwise.logs.formats.column_maps import mapped
 
 LOOK_ROWS = 10_000  # between two looks at the limits
 
@@ -161,26 +158,12 @@ NEWARE_LEVELS = mapped(
 )
 
 
-def _is_mpt(source: LogSource) -> bool:
-    lines = source.first_lines
-    begins = ("EC-Lab ASCII FILE", "BT-Lab ASCII FILE")
-    if lines and lines[0].lstrip("\ufeff").startswith(begins):
-        return True
-    return has_names(source, *marks("biologic-mpt"))
-
-
-BIOLOGIC_MPT = mapped("biologic-mpt", matches=_is_mpt)
-
-
 _ZIP = b"PK\x03\x04"
 _MATLAB_5, _MATLAB_7 = b"MATLAB 5.0", b"MATLAB 7.3"
 _NEWARE = b"NEWARE"
 _NEWARE_IN_ZIP = (b".ndc", b"VersionInfo.xml", b"TestInfo.xml", b"Step.xml")
 _XLS = b"\xd0\xcf\x11\xe0"
 _INSIDE_XLSX = (b"xl/", b"[Content_Types].xml")
-_ACCESS = b"\x00\x01\x00\x00Standard Jet DB", b"\x00\x01\x00\x00Standard ACE DB"
-_ARBIN_TABLE = "Channel_Normal_Table"
-_MDB_EXPORT = "mdb-export"
 
 
 def _read_mpr(source: LogSource, known: Format) -> RawLog:
@@ -331,49 +314,4 @@ def _number(cell: Any) -> float:
 
 ARBIN_EXCEL = mapped(
     "arbin-csv", "arbin-excel", matches=_is_workbook, read=_read_workbook, isolated=True
-)
-
-
-def _read_access(source: LogSource, known: Format) -> RawLog:
-    """The table of the channel, printed by mdbtools and read as Arbin's CSV."""
-    program = shutil.which(_MDB_EXPORT)
-    if program is None:
-        raise InputError(
-            f"an Access database (Arbin .res) {source.where}, for which {_MDB_EXPORT} of mdbtools "
-            "is not installed",
-            f"the program {_MDB_EXPORT}",
-            "Install mdbtools (apt install mdbtools, brew install mdbtools), or export as CSV.",
-        )
-    limits = Limits.of(source.size)
-    with tempfile.TemporaryDirectory() as folder:
-        text = Path(folder) / "table.csv"
-        try:
-            with text.open("wb") as into:
-                done = subprocess.run(
-                    [program, str(source.path.resolve()), _ARBIN_TABLE],
-                    stdout=into,
-                    stderr=subprocess.PIPE,
-                    stdin=subprocess.DEVNULL,
-                    timeout=limits.seconds,
-                    check=False,
-                )
-        except subprocess.TimeoutExpired:
-            raise limits.too_slow(source.where) from None
-        if done.returncode != 0 or text.stat().st_size == 0:
-            said = done.stderr.decode("utf-8", errors="replace").strip().splitlines()
-            raise damaged(
-                source, "Arbin .res file", said[0] if said else f"no table {_ARBIN_TABLE}"
-            )
-        try:
-            return read_csv(open_source(text, source.progress, source.options), known)
-        except InputError as error:
-            found = error.found.replace(f"'{text}'", source.where)
-            raise InputError(found, error.expected, error.action) from None
-
-
-ARBIN_RES = mapped(
-    "arbin-csv",
-    "arbin-res",
-    matches=lambda source: source.head.startswith(_ACCESS),
-    read=_read_access,
 )

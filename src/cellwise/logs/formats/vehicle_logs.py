@@ -6,17 +6,13 @@ name, each group on its own clock, or CAN frames that a DBC file describes.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import IO, Any
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.csv_layout import header_cells
-from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
 from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
@@ -290,14 +286,3 @@ ASAM_MDF = Format(
     uses_dbc=True,
     isolated=True,
 )
-
-
-def _read_leafspy(source: LogSource, known: Format) -> RawLog:
-    """The pack's channels, and how many cells in series the header names."""
-    raw = read_csv(source, known)
-    header = next(line for line in source.first_lines if "Pack Amps" in line or "Pack amps" in line)
-    cells = sum(bool(re.fullmatch(r"CP\d+", name.strip())) for name in header_cells(header))
-    return replace(raw, cells=cells or None)
-
-
-LEAFSPY_CSV = mapped("leafspy-csv", read=_read_leafspy)

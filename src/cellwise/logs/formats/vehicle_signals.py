@@ -6,7 +6,6 @@ Names of signals differ by maker, so they are only taken when units and names le
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,8 +23,10 @@ from cellwise.logs.files.columns import (
     folded,
     listed,
     no_such_name,
+    tidy_name,
 )
 from cellwise.logs.files.format import need
+from cellwise.logs.files.quantities import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
 from cellwise.typing import BoolArray, FloatArray
 
@@ -43,19 +44,12 @@ UNITS: Mapping[str, Mapping[str, Unit]] = {
     "charge_Ah": {"ah": OWN, "mah": MILLI, "as": Unit(1.0 / 3600.0)},
 }
 _REQUIRED = ("current_A", "voltage_V")
-_OWN_WORDS = {
-    "current_A": ("current", "curr", "amps", "strom", "ibat", "i"),
-    "voltage_V": ("voltage", "volt", "spannung", "ubat", "vbat", "u", "v"),
-    "temperature_C": ("temperature", "temp", "tbat"),
-    "charge_Ah": ("charge", "ah", "discharged", "consumed"),
-}
 _OF_PACK = ("battery", "batt", "bat", "pack", "hv", "bms", "traction", "string", "total")
 _OTHERWISE = (
     *("max", "min", "limit", "lim", "target", "setpoint", "set", "request", "req", "cmd", "avail"),
     *("motor", "phase", "aux", "lv", "12v", "dcdc", "charger", "inverter", "allowed", "nominal"),
     *("offset", "error", "fault", "status", "ref", "reference", "ambient", "coolant", "inlet"),
 )
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+[a-z]*")
 
 
 class Signal(NamedTuple):
@@ -117,10 +111,7 @@ def choose_signals(
 
 
 def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen:
-    fields = [(c.field, u) for c in TIDY_CHANNELS for n, u in c.names.items() if n == tidy]
-    if not fields or fields[0][0] not in UNITS:
-        known = [n for c in TIDY_CHANNELS if c.field in UNITS for n in c.names]
-        raise InputError(f"a channel '{tidy}'", f"one of {', '.join(known)}", "Correct the name.")
+    field, unit = tidy_name(tidy, UNITS)
     found = [s for s in signals if s.name == name] or [
         s for s in signals if folded(name) in (folded(s.name), folded(s.short))
     ]
@@ -132,7 +123,7 @@ def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chos
             "one signal",
             "Name it with its message or group.",
         )
-    return Chosen(fields[0][0], found[0], fields[0][1])
+    return Chosen(field, found[0], unit)
 
 
 def _best(field: str, signals: Sequence[Signal]) -> list[Signal]:
@@ -145,8 +136,8 @@ def _best(field: str, signals: Sequence[Signal]) -> list[Signal]:
 
 
 def _score(field: str, name: str) -> int:
-    words = {word.casefold() for word in _WORD.findall(name)}
-    own = 1 if words.intersection(_OWN_WORDS[field]) else 0
+    words = words_of(name)
+    own = 1 if words.intersection(WORDS[field]) else 0
     pack = 2 if words.intersection(_OF_PACK) else 0
     other = -3 if words.intersection(_OTHERWISE) else 0
     return own + pack + other
@@ -160,8 +151,8 @@ def _unit(signal: Signal, field: str) -> str:
     unit = signal.unit.strip().strip("[]()").casefold()
     if unit and unit != "-":
         return unit
-    words = {word.casefold() for word in _WORD.findall(signal.short)}
-    if not words.intersection(_OWN_WORDS[field]):
+    words = words_of(signal.short)
+    if not words.intersection(WORDS[field]):
         return ""
     last = signal.short.rpartition("_")[2].casefold()
     return last if last in UNITS[field] else next(iter(UNITS[field]))

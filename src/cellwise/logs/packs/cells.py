@@ -13,11 +13,11 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
 from cellwise.typing import BoolArray, FloatArray
 
 Kind = Literal["cell", "balancing", "temperature"]
 
-MOST_CELLS = 2000
 # Pattern of a column's name, what it holds, its unit, and what its number counts from.
 _PATTERNS: tuple[tuple[re.Pattern[str], Kind, Unit, int], ...] = (
     (re.compile(r"cell_?(\d+)_?V", re.IGNORECASE), "cell", OWN, 1),
@@ -54,57 +54,31 @@ def cell_columns(header: Sequence[str], where: str) -> tuple[CellColumn, ...]:
 
     Raises
     ------
-    InputError        no cell voltage; two columns for one cell
+    InputError        two columns for one cell
     """
-    found = []
-    for name in header:
-        for pattern, kind, unit, first in _PATTERNS:
-            match = pattern.fullmatch(name.strip())
-            if match:
-                found.append(CellColumn(name.strip(), kind, int(match[1]) + 1 - first, unit))
-                break
+    found = [c for name in header if (c := known_column(name.strip())) is not None]
     found.sort(key=lambda c: (c.kind, c.number))
-    _check(found, header, where)
-    return tuple(found)
-
-
-def known_cell(name: str) -> tuple[int, Unit] | None:
-    """Number from 1 and unit of the cell whose voltage a column of this name holds, if any."""
-    for pattern, kind, unit, first in _PATTERNS:
-        match = pattern.fullmatch(name)
-        if match and kind == "cell":
-            return int(match[1]) + 1 - first, unit
-    return None
-
-
-def cells_named(header: Sequence[str]) -> int:
-    """For how many cells a table has a column with the voltage."""
-    return sum(known_cell(name.strip()) is not None for name in header)
-
-
-def cell_name(number: int, cells: int) -> str:
-    """``cell_01``: the number with as many digits as the largest one needs, two at least."""
-    return f"cell_{number:0{max(2, len(str(cells)))}d}"
-
-
-def _check(found: Sequence[CellColumn], header: Sequence[str], where: str) -> None:
-    cells = [c for c in found if c.kind == "cell"]
-    if len(cells) < 2:
-        named = ", ".join(f"'{name.strip()}'" for name in header[:12])
-        raise InputError(
-            f"{len(cells)} cell voltage(s) in {where}, whose columns are {named}",
-            "at least two columns cell_01_V, cell_02_V, ... (or cell_01_mV, ...)",
-            "Name the cells' columns so; a log of one cell goes to `cellwise replay`.",
-        )
-    if len(cells) > MOST_CELLS:
-        raise InputError(f"{len(cells)} cells in {where}", f"at most {MOST_CELLS}", "Split it.")
     for a, b in pairwise(found):
-        if (a.kind, a.number) == (b.kind, b.number):
+        if a.field == b.field:
             raise InputError(
                 f"columns '{a.name}' and '{b.name}' for the {a.kind} number {a.number} in {where}",
                 "one column for each",
                 "Remove or rename the one that is not meant.",
             )
+    return tuple(found)
+
+
+def known_column(name: str) -> CellColumn | None:
+    """What a column of this name holds of a pack; None: nothing."""
+    for pattern, kind, unit, first in _PATTERNS:
+        if match := pattern.fullmatch(name):
+            return CellColumn(name, kind, int(match[1]) + 1 - first, unit)
+    return None
+
+
+def cell_name(number: int, cells: int) -> str:
+    """``cell_01``: the number with as many digits as the largest one needs, two at least."""
+    return f"cell_{number:0{max(2, len(str(cells)))}d}"
 
 
 FlagKind = Literal["missing", "dead", "frozen", "balancing", "count"]
@@ -340,3 +314,42 @@ def _count(volts: FloatArray, pack_V: FloatArray | None) -> list[CellFlag]:
         return []
     text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a column"
     return [CellFlag("", "count", text)]
+
+
+def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
+    """Divide a pack's voltage by the cells in series, current and counter by those in parallel.
+
+    Raises
+    ------
+    InputError        the file does not state the cells in series
+    """
+    series = options.series
+    if series == FROM_FILE:
+        if raw.cells is None:
+            raise InputError(
+                f"`series='auto'` for {where}, which does not state its cells in series",
+                "a number of cells",
+                "Give it: `series=4`, say.",
+            )
+        series = raw.cells
+    notices = list(raw.notices)
+    if raw.cells is not None and raw.cells > 1 and options.series == 1:
+        notices.append(
+            f"the file states {raw.cells} cells in series: `series='auto'` reads their mean cell"
+        )
+    elif raw.cells is not None and raw.cells != series:
+        notices.append(
+            f"the file states {raw.cells} cells in series, {series} were stated by the user"
+        )
+    channels = dict(raw.channels)
+    if series > 1:
+        channels["voltage_V"] = channels["voltage_V"] / series
+    if options.parallel > 1:
+        for field in ("current_A", "charge_Ah"):
+            if field in channels:
+                channels[field] = channels[field] / options.parallel
+    if series > 1 or options.parallel > 1:
+        notices.append(
+            f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
+        )
+    return RawLog(channels, tuple(notices), raw.cells)

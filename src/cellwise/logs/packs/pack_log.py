@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import Origin, assemble, complete
-from cellwise.logs.files.columns import TIDY_CHANNELS, Channel
+from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
 from cellwise.logs.files.named_columns import is_parquet, parquet_names
@@ -24,10 +24,10 @@ from cellwise.logs.packs.cells import (
     CellFlag,
     cell_columns,
     cell_name,
-    cells_named,
     checked_cells,
     mean_of_known,
     mean_voltage_V,
+    to_cell,
 )
 from cellwise.logs.stated import Stated
 from cellwise.typing import BoolArray, FloatArray
@@ -58,7 +58,7 @@ class PackLog:
     names: tuple[str, ...]
     balancing: BoolArray | None = None
     pack_V: FloatArray | None = None
-    flags: tuple[CellFlag, ...] = field(default=())
+    flags: tuple[CellFlag, ...] = ()
     parallel: int = 1
 
     def __len__(self) -> int:
@@ -95,13 +95,9 @@ class PackLog:
         cell_V: ArrayLike,
         *,
         names: Sequence[str] | None = None,
-        temperature_C: ArrayLike | None = None,
-        charge_Ah: ArrayLike | None = None,
         pack_V: ArrayLike | None = None,
         balancing: ArrayLike | None = None,
-        name: str = "",
-        source: str = "",
-        notices: Sequence[str] = (),
+        **more: Any,
     ) -> Self:
         """A pack from arrays, checked.
 
@@ -110,22 +106,22 @@ class PackLog:
         time_s, current_A : (n,) float       positive current is discharge
         cell_V : (n, cells) float            a negative voltage is that of a cell being balanced
         names : sequence of str              None: ``cell_01``, ...
-        temperature_C : (n,) float           of the pack
-        charge_Ah : (n,) float               counter of the pack's current
         pack_V : (n,) float                  of the whole pack
         balancing : (n, cells) bool
+        more                                 fields of `CellLog`: ``temperature_C`` and
+                                             ``charge_Ah`` of the pack, ``name``, ...
 
         Raises
         ------
         InputError        shapes that do not agree, cells in millivolts, not two cells that measure
         """
-        time = np.asarray(time_s, dtype=np.float64)
         volts = np.array(cell_V, dtype=np.float64)
-        where = f"'{source or name}'" if source or name else "the pack"
-        if volts.ndim != 2 or volts.shape[0] != time.size:
+        rows = np.size(time_s)
+        where = f"'{more.get('source') or more.get('name') or 'the pack'}'"
+        if volts.ndim != 2 or volts.shape[0] != rows:
             raise InputError(
-                f"cell voltages of shape {volts.shape} with {time.size} rows in {where}",
-                f"shape ({time.size}, cells)",
+                f"cell voltages of shape {volts.shape} with {rows} rows in {where}",
+                f"shape ({rows}, cells)",
                 "Give one column for each cell and one row for each time.",
             )
         count = volts.shape[1]
@@ -139,18 +135,8 @@ class PackLog:
         bypass = None if balancing is None else np.array(balancing, dtype=np.bool_)
         pack = None if pack_V is None else np.asarray(pack_V, dtype=np.float64)
         volts, bypass, flags = checked_cells(volts, bypass, named, pack, where)
-        mean = CellLog(
-            time_s=time,
-            current_A=np.asarray(current_A, dtype=np.float64),
-            voltage_V=mean_voltage_V(volts),
-            temperature_C=None if temperature_C is None else np.asarray(temperature_C, np.float64),
-            charge_Ah=None if charge_Ah is None else np.asarray(charge_Ah, np.float64),
-            name=name,
-            source=source,
-            format="pack",
-            notices=tuple(notices),
-        )
-        return cls(mean, volts, named, bypass, pack, flags)
+        channels = {"time_s": time_s, "current_A": current_A, "voltage_V": mean_voltage_V(volts)}
+        return cls(CellLog(**{**more, **channels}), volts, named, bypass, pack, flags)
 
     def rows(self, rows: Any) -> Self:
         """The chosen rows, time kept."""
@@ -168,20 +154,9 @@ class PackLog:
 
     def with_cells(self, cell_V: FloatArray) -> Self:
         """The same log with other cell voltages, shape (n, cells): mean and checks again."""
-        mean = self.mean
-        return type(self).from_arrays(
-            mean.time_s,
-            mean.current_A,
-            cell_V,
-            names=self.names,
-            temperature_C=mean.temperature_C,
-            charge_Ah=mean.charge_Ah,
-            pack_V=self.pack_V,
-            balancing=self.balancing,
-            name=mean.name,
-            source=mean.source,
-            notices=mean.notices,
-        )
+        mean = {one.name: getattr(self.mean, one.name) for one in fields(self.mean)}
+        pack = {name: getattr(self, name) for name in ("names", "pack_V", "balancing")}
+        return type(self).from_arrays(cell_V=cell_V, **pack, **mean)
 
     def columns(self) -> Mapping[str, FloatArray]:
         """The tidy form's columns: time, current, temperature, ``cell_01_V``, ..."""
@@ -196,6 +171,7 @@ class PackLog:
 
 ULOG_CELLS = 16
 TABLES = ("tidy-parquet", "tidy-csv", "leafspy-csv")  # formats with a column for each cell
+FIELDS = tuple(channel.field for channel in TIDY_CHANNELS)
 
 
 def read_pack(
@@ -226,14 +202,16 @@ def read_pack(
     ------
     InputError        no cell voltages, or whatever `read_log` refuses
     """
-    stated = path if isinstance(path, Stated) else Stated(str(path))
-    if isinstance(path, str):
-        stated = Stated.parse(path)
+    stated = Stated.of(path)
     options = ReadOptions(parallel=parallel, channels=dict(channels or {}), instance=instance)
     source = open_source(stated.path, None, options)
     known = detect_format(source, FORMATS)
     names = _names(source, known)
-    pack = pack_of(source, known, cell_columns(names, source.where), sign=sign, name=name)
+    columns = cell_columns(names, source.where)
+    if sum(c.kind == "cell" for c in columns) < 2:
+        raise _no_pack(source, f"columns are {listed(names)}")
+    name = source.path.name.split(".")[0] if name is None else name
+    pack = pack_of(source, known, columns, sign=sign, name=name)
     return replace(pack, mean=stated.applied(pack.mean))
 
 
@@ -241,35 +219,57 @@ def columns_of_table(source: LogSource, known: Format) -> tuple[CellColumn, ...]
     """The pack's columns of a table that holds a voltage for each of several cells; else none."""
     if known.name not in TABLES:
         return ()
-    names = _names(source, known)
-    return cell_columns(names, source.where) if cells_named(names) > 1 else ()
+    columns = cell_columns(_names(source, known), source.where)
+    return columns if sum(c.kind == "cell" for c in columns) > 1 else ()
 
 
 def pack_of(
     source: LogSource,
     known: Format,
-    columns: tuple[CellColumn, ...],
+    columns: Sequence[CellColumn],
     *,
-    sign: str = "auto",
-    name: str | None = None,
+    sign: str,
+    name: str,
     check_sign: bool = True,
 ) -> PackLog:
     """The pack of a file that has been looked at.
 
     Raises
     ------
-    InputError        no cell voltages, or whatever `read_log` refuses
+    InputError        two columns for one cell, no two cells that were measured, or whatever
+                      `read_log` refuses
     """
-    raw = known.read(source, _with_cells(known, columns))
-    raw = complete(raw, known.sign, source.where)
-    origin = Origin(
-        name=source.path.name.split(".")[0] if name is None else name,
-        source=str(source.path),
-        format=known.name,
-        sign=known.sign,
-        current_meaning=known.current_meaning,
-    )
-    return _assembled(raw, columns, source, origin, sign, check_sign)
+    # The pack's own voltage is not required.
+    own = tuple(replace(c, required=c.required and c.field != "voltage_V") for c in known.channels)
+    wide = replace(known, channels=(*own, *(c.channel for c in columns)))
+    raw = complete(known.read(source, wide), known.sign, source.where)
+    found = raw.channels
+
+    def of_kind(kind: str) -> list[CellColumn]:
+        return [c for c in columns if c.kind == kind and c.field in found]
+
+    # A short string never fills the last places of a ULog.
+    ulog = known.name == "px4-ulog"
+    cells = [c for c in of_kind("cell") if not ulog or np.nanmax(found[c.field]) > 0.0]
+    if len(cells) < 2:
+        raise _no_pack(source, f"cells with a voltage are {len(cells)}")
+    names = tuple(cell_name(c.number, cells[-1].number) for c in cells)
+    volts = np.stack([found[c.field] for c in cells], axis=1)
+    balancing = None
+    if bypasses := {c.number: found[c.field] > 0.0 for c in of_kind("balancing")}:
+        never = np.zeros(len(volts), dtype=np.bool_)
+        balancing = np.stack([bypasses.get(c.number, never) for c in cells], axis=1)
+    pack_V = found.get("voltage_V")
+    volts, balancing, flags = checked_cells(volts, balancing, names, pack_V, source.where)
+    mean = {field: found[field] for field in FIELDS if field in found}
+    mean["voltage_V"] = mean_voltage_V(volts)
+    if warm := [found[c.field] for c in of_kind("temperature")]:
+        mean.setdefault("temperature_C", mean_of_known(np.stack(warm, axis=1)))
+    # A conversion of each cell's column is not news.
+    notices = [n for n in raw.notices if not any(f"'{c.name}' was converted" in n for c in cells)]
+    one = to_cell(RawLog(mean, tuple(notices)), replace(source.options, series=1), source.where)
+    log = assemble(one, Origin.of(source, known, name), sign, check_sign=check_sign)
+    return PackLog(log, volts, names, balancing, pack_V, flags, source.options.parallel)
 
 
 def _names(source: LogSource, known: Format) -> list[str]:
@@ -281,81 +281,9 @@ def _names(source: LogSource, known: Format) -> list[str]:
     return list(csv_layout(source).header) if source.is_text else []
 
 
-def _with_cells(known: Format, columns: tuple[CellColumn, ...]) -> Format:
-    """The format with the pack's columns; a pack's own voltage is not required."""
-    base: tuple[Channel, ...] = tuple(
-        replace(c, required=False) if c.field == "voltage_V" else c for c in known.channels
+def _no_pack(source: LogSource, found: str) -> InputError:
+    return InputError(
+        f"no pack in {source.where}, whose {found}",
+        "at least two columns cell_01_V, cell_02_V, ... (or cell_01_mV, ...)",
+        "Name the cells' columns so; a log of one cell goes to `cellwise replay`.",
     )
-    return replace(known, channels=(*base, *(c.channel for c in columns)))
-
-
-def _assembled(
-    raw: RawLog,
-    columns: tuple[CellColumn, ...],
-    source: LogSource,
-    origin: Origin,
-    sign: str,
-    check_sign: bool,
-) -> PackLog:
-    channels = dict(raw.channels)
-    timed = np.isfinite(channels["time_s"])
-    if not timed.any():
-        raise InputError(f"no time in {source.where}", "seconds in every row", "Check the column.")
-    notices = [n for n in raw.notices if not _of_cells(n, columns)]
-    if not timed.all():
-        channels = {field: values[timed] for field, values in channels.items()}
-        notices.append(f"{np.count_nonzero(~timed)} row(s) without a time left out")
-    cells = _there(channels, columns)
-    if len(cells) < 2:
-        raise InputError(
-            f"{len(cells)} cell(s) with a voltage in {source.where}",
-            "at least two",
-            "A log of one cell goes to `cellwise replay`.",
-        )
-    count = max(c.number for c in cells)
-    names = tuple(cell_name(c.number, count) for c in cells)
-    volts = np.stack([channels.pop(c.field) for c in cells], axis=1)
-    pack_V = channels.pop("voltage_V", None)
-    balancing = _balancing(channels, cells, columns)
-    warm = [channels.pop(c.field) for c in columns if c.kind == "temperature"]
-    if warm and "temperature_C" not in channels:
-        channels["temperature_C"] = mean_of_known(np.stack(warm, axis=1))
-    volts, balancing, flags = checked_cells(volts, balancing, names, pack_V, source.where)
-    channels["voltage_V"] = mean_voltage_V(volts)
-    if source.options.parallel > 1:
-        for field in ("current_A", "charge_Ah"):
-            if field in channels:
-                channels[field] = channels[field] / source.options.parallel
-        notices.append(f"current of {source.options.parallel} in parallel, read as that of one")
-    fields = {c.field for c in TIDY_CHANNELS}
-    kept = {field: values for field, values in channels.items() if field in fields}
-    mean = assemble(CellLog, RawLog(kept, tuple(notices)), origin, sign, check_sign=check_sign)
-    return PackLog(mean, volts, names, balancing, pack_V, flags, source.options.parallel)
-
-
-def _there(
-    channels: dict[str, FloatArray], columns: tuple[CellColumn, ...]
-) -> tuple[CellColumn, ...]:
-    """The cells' columns that the reader found, without those that a short string never fills."""
-    return tuple(
-        c
-        for c in columns
-        if c.kind == "cell"
-        and c.field in channels
-        and not (c.name.startswith("voltage_cell_v") and not np.nanmax(channels[c.field]) > 0.0)
-    )
-
-
-def _balancing(
-    channels: dict[str, FloatArray], cells: tuple[CellColumn, ...], columns: tuple[CellColumn, ...]
-) -> BoolArray | None:
-    flagged = {c.number: channels.pop(c.field) for c in columns if c.kind == "balancing"}
-    if not flagged:
-        return None
-    none = np.zeros(channels["time_s"].size)
-    return np.stack([flagged.get(c.number, none) > 0.0 for c in cells], axis=1)
-
-
-def _of_cells(notice: str, columns: tuple[CellColumn, ...]) -> bool:
-    """A notice about the unit of a cell's column, or one that only lists them."""
-    return any(f"column '{c.name}' was converted" in notice for c in columns)
