@@ -133,7 +133,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.cli.replay_output import print_runs, write_rows
     from cellwise.estimate.estimators import make_estimator
     from cellwise.forecast.remaining import check_load
-    from cellwise.logs.measured_log import cut_at_pauses
+    from cellwise.logs.gaps import cut_at_pauses
 
     options.check_places(arguments.output, arguments.plotjuggler)
     if arguments.plotjuggler and not str(arguments.output or "").endswith(".csv"):

@@ -193,7 +193,7 @@ def fixed_and_float(
     reference = Ekf(model, noise).run(even, start.soc, start.std)
     found = []
     for points in sorted({*grids, model.points}):
-        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=not lean, watch=not lean)
+        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=not lean)
         soc = step.run(even, start.soc, start.std).soc
         flash_bytes = step.stepper(dt_s).tables.flash_bytes
         found.append(FixedAndFloat(points, flash_bytes, even, reference, soc))
