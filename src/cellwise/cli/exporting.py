@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
     from cellwise.estimate.fixed.tables import FixedStepTables
     from cellwise.estimate.noise import Noise
+    from cellwise.export.accuracy import FixedAndFloat
     from cellwise.logs import CellLog
 
 STEPS_TO_MEASURE = 4000
@@ -97,12 +98,14 @@ def run_export(arguments: argparse.Namespace) -> None:
     report["sockets"] = sockets.write(model, tables_at, noise, report, arguments)
     if arguments.output and tables is not None:
         report["targets"] = target_costs(model, tables, log, arguments)
-        report["accuracy"] = [] if log is None else lost_accuracy(model, noise, log, arguments)
+        runs = [] if log is None else beside_float64(model, noise, log, arguments)
+        report["accuracy"] = [run.to_dict() for run in runs]
         folder = Path(arguments.output)
         report["files"] = write_package(
             model, tables, folder, report, arguments.prefix, arguments.layout
         )
-        write_pages(model, noise, report, log, arguments)
+        mine = tables.options.points
+        write_pages(report, next((run for run in runs if run.points == mine), None), arguments)
     if arguments.json:
         printing.print_json(report)
         return
@@ -165,31 +168,14 @@ def noise_of(model: CellModel, stated: list[str]) -> Noise:
 
 
 def write_pages(
-    model: CellModel,
-    noise: Noise,
-    report: dict[str, Any],
-    log: CellLog | None,
-    arguments: argparse.Namespace,
+    report: dict[str, Any], run: FixedAndFloat | None, arguments: argparse.Namespace
 ) -> None:
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as pages:
-        if pages is None:
-            return
-        from cellwise.export.accuracy import fixed_and_float
-        from cellwise.report.export_page import export_page
+        if pages is not None:
+            from cellwise.report.export_page import export_page
 
-        both = None
-        if log is not None:
-            both = fixed_and_float(
-                model,
-                log,
-                arguments.dt,
-                soc0=options.start_of(log.soc0, arguments.soc0),
-                points=arguments.points,
-                lean=arguments.lean,
-                noise=noise,
-            )
-        export_page(report, pages.page, both, figures=pages.figures)
+            export_page(report, pages.page, run, figures=pages.figures)
 
 
 def target_costs(
@@ -232,24 +218,21 @@ def target_costs(
     return costs
 
 
-def lost_accuracy(
+def beside_float64(
     model: CellModel, noise: Noise, log: CellLog, arguments: argparse.Namespace
-) -> list[dict[str, Any]]:
-    """Accuracy by number of SOC points."""
-    from dataclasses import asdict
+) -> list[FixedAndFloat]:
+    """What is exported and the float64 EKF on the log, by number of SOC points."""
+    from cellwise.export.accuracy import GRIDS, fixed_and_float
 
-    from cellwise.export.accuracy import GRIDS, accuracy_by_grid
-
-    found = accuracy_by_grid(
+    return fixed_and_float(
         model,
         log,
         arguments.dt,
         soc0=options.start_of(log.soc0, arguments.soc0),
-        wide=not arguments.lean,
-        grids=sorted({*GRIDS, arguments.points or model.points}),
+        lean=arguments.lean,
+        grids=(*GRIDS, arguments.points or model.points),
         noise=noise,
     )
-    return [asdict(row) for row in found]
 
 
 def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
