@@ -35,14 +35,12 @@ def build_parser() -> argparse.ArgumentParser:
         estimating,
         exporting,
         fleet,
+        health,
         identifying,
         live,
-        lives,
-        logs,
-        packs,
+        start,
         studies,
     )
-    from cellwise.cli.start import command as starting
 
     parser = argparse.ArgumentParser(
         prog="cellwise",
@@ -52,8 +50,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        starting, logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
-        benchmarking, fleet, data,
+        start, data, identifying, estimating, live, diagnosing, health, exporting, studies,
+        benchmarking, fleet,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)
