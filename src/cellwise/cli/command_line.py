@@ -12,9 +12,9 @@ from difflib import get_close_matches
 from types import FrameType
 from typing import Any
 
+from cellwise.cli.common.examples import guide_of
 from cellwise.cli.common.options import check_overwriting
 from cellwise.cli.common.printing import in_options
-from cellwise.cli.examples import guide_of
 from cellwise.errors import InputError
 
 REFUSED = 2
