@@ -6,126 +6,85 @@ TYPE_CHECKING = False  # `typing` takes longer than all that stands here
 if TYPE_CHECKING:
     from typing import Any
 
-    from cellwise.cell.initial_soc.pauses import simulate
-    from cellwise.cell.metrics import ErrorMetrics
-    from cellwise.cell.model import CellModel
-    from cellwise.cell.model_error import ModelError
-    from cellwise.cell.model_file import read_model, write_model
-    from cellwise.cell.plausibility.validity import Validity
-    from cellwise.cell.simulate import Simulation
-    from cellwise.data import list_datasets, load_dataset
-    from cellwise.diagnose import Diagnosis, diagnose
-    from cellwise.errors import InputError
-    from cellwise.estimate.adaptive.adaptive import Adaptive
-    from cellwise.estimate.filters.coulomb import Coulomb
-    from cellwise.estimate.filters.kalman import Ekf, SigmaPoints, Ukf
-    from cellwise.estimate.lockstep import LockstepEkf
-    from cellwise.estimate.noise import Noise
-    from cellwise.estimate.power.limits import OperatingLimits
-    from cellwise.estimate.power.state_of_power import power_limits, power_settings
-    from cellwise.estimate.replay import Replay, replay
-    from cellwise.estimate.status import Status
-    from cellwise.estimate.tune_noise import tune_noise
-    from cellwise.forecast import forecast
-    from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
-    from cellwise.logs import CellLog, Stated, inspect_log, read_log, write_log
-    from cellwise.logs.cell_log import resample
-    from cellwise.progress import progress_bar
+    from cellwise.cell.initial_soc.pauses import simulate as simulate
+    from cellwise.cell.metrics import ErrorMetrics as ErrorMetrics
+    from cellwise.cell.model import CellModel as CellModel
+    from cellwise.cell.model_error import ModelError as ModelError
+    from cellwise.cell.model_file import read_model as read_model, write_model as write_model
+    from cellwise.cell.plausibility.validity import Validity as Validity
+    from cellwise.cell.simulate import Simulation as Simulation
+    from cellwise.data import list_datasets as list_datasets, load_dataset as load_dataset
+    from cellwise.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
+    from cellwise.errors import InputError as InputError
+    from cellwise.estimate.adaptive.adaptive import Adaptive as Adaptive
+    from cellwise.estimate.filters.coulomb import Coulomb as Coulomb
+    from cellwise.estimate.filters.kalman import Ekf as Ekf, SigmaPoints as SigmaPoints, Ukf as Ukf
+    from cellwise.estimate.lockstep import LockstepEkf as LockstepEkf
+    from cellwise.estimate.noise import Noise as Noise
+    from cellwise.estimate.power.limits import OperatingLimits as OperatingLimits
+    from cellwise.estimate.power.state_of_power import (
+        power_limits as power_limits,
+        power_settings as power_settings,
+    )
+    from cellwise.estimate.replay import Replay as Replay, replay as replay
+    from cellwise.estimate.status import Status as Status
+    from cellwise.estimate.tune_noise import tune_noise as tune_noise
+    from cellwise.forecast import forecast as forecast
+    from cellwise.identify import (
+        Identification as Identification,
+        IdentifySettings as IdentifySettings,
+        TestLogs as TestLogs,
+        identify_cell as identify_cell,
+    )
+    from cellwise.logs import (
+        CellLog as CellLog,
+        Stated as Stated,
+        inspect_log as inspect_log,
+        read_log as read_log,
+        write_log as write_log,
+    )
+    from cellwise.logs.cell_log import resample as resample
+    from cellwise.progress import progress_bar as progress_bar
 
 # Loaded on first use: importing cellwise must not wait for compilers.
-_HOMES = {
-    "CellLog": "cellwise.logs",
-    "Stated": "cellwise.logs",
-    "inspect_log": "cellwise.logs",
-    "read_log": "cellwise.logs",
-    "write_log": "cellwise.logs",
-    "CellModel": "cellwise.cell.model",
-    "ModelError": "cellwise.cell.model_error",
-    "read_model": "cellwise.cell.model_file",
-    "write_model": "cellwise.cell.model_file",
-    "Validity": "cellwise.cell.plausibility.validity",
-    "ErrorMetrics": "cellwise.cell.metrics",
-    "Simulation": "cellwise.cell.simulate",
-    "simulate": "cellwise.cell.initial_soc.pauses",
-    "Identification": "cellwise.identify",
-    "IdentifySettings": "cellwise.identify",
-    "TestLogs": "cellwise.identify",
-    "identify_cell": "cellwise.identify",
-    "Diagnosis": "cellwise.diagnose",
-    "diagnose": "cellwise.diagnose",
-    "Adaptive": "cellwise.estimate.adaptive.adaptive",
-    "forecast": "cellwise.forecast",
-    "progress_bar": "cellwise.progress",
-    "resample": "cellwise.logs.cell_log",
-    "tune_noise": "cellwise.estimate.tune_noise",
-    "Coulomb": "cellwise.estimate.filters.coulomb",
-    "Ekf": "cellwise.estimate.filters.kalman",
-    "LockstepEkf": "cellwise.estimate.lockstep",
-    "Noise": "cellwise.estimate.noise",
-    "OperatingLimits": "cellwise.estimate.power.limits",
-    "power_limits": "cellwise.estimate.power.state_of_power",
-    "power_settings": "cellwise.estimate.power.state_of_power",
-    "Replay": "cellwise.estimate.replay",
-    "replay": "cellwise.estimate.replay",
-    "Status": "cellwise.estimate.status",
-    "SigmaPoints": "cellwise.estimate.filters.kalman",
-    "Ukf": "cellwise.estimate.filters.kalman",
-    "list_datasets": "cellwise.data",
-    "load_dataset": "cellwise.data",
-    "InputError": "cellwise.errors",
+_NAMES = {
+    "cellwise.cell.initial_soc.pauses": "simulate",
+    "cellwise.cell.metrics": "ErrorMetrics",
+    "cellwise.cell.model": "CellModel",
+    "cellwise.cell.model_error": "ModelError",
+    "cellwise.cell.model_file": "read_model write_model",
+    "cellwise.cell.plausibility.validity": "Validity",
+    "cellwise.cell.simulate": "Simulation",
+    "cellwise.data": "list_datasets load_dataset",
+    "cellwise.diagnose": "Diagnosis diagnose",
+    "cellwise.errors": "InputError",
+    "cellwise.estimate.adaptive.adaptive": "Adaptive",
+    "cellwise.estimate.filters.coulomb": "Coulomb",
+    "cellwise.estimate.filters.kalman": "Ekf SigmaPoints Ukf",
+    "cellwise.estimate.lockstep": "LockstepEkf",
+    "cellwise.estimate.noise": "Noise",
+    "cellwise.estimate.power.limits": "OperatingLimits",
+    "cellwise.estimate.power.state_of_power": "power_limits power_settings",
+    "cellwise.estimate.replay": "Replay replay",
+    "cellwise.estimate.status": "Status",
+    "cellwise.estimate.tune_noise": "tune_noise",
+    "cellwise.forecast": "forecast",
+    "cellwise.identify": "Identification IdentifySettings TestLogs identify_cell",
+    "cellwise.logs": "CellLog Stated inspect_log read_log write_log",
+    "cellwise.logs.cell_log": "resample",
+    "cellwise.progress": "progress_bar",
 }
-
-__all__ = [
-    "Adaptive",
-    "CellLog",
-    "CellModel",
-    "Coulomb",
-    "Diagnosis",
-    "Ekf",
-    "ErrorMetrics",
-    "Identification",
-    "IdentifySettings",
-    "InputError",
-    "LockstepEkf",
-    "ModelError",
-    "Noise",
-    "OperatingLimits",
-    "Replay",
-    "SigmaPoints",
-    "Simulation",
-    "Stated",
-    "Status",
-    "TestLogs",
-    "Ukf",
-    "Validity",
-    "diagnose",
-    "forecast",
-    "identify_cell",
-    "inspect_log",
-    "list_datasets",
-    "load_dataset",
-    "power_limits",
-    "power_settings",
-    "progress_bar",
-    "read_log",
-    "read_model",
-    "replay",
-    "resample",
-    "simulate",
-    "tune_noise",
-    "write_log",
-    "write_model",
-]
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_HOMES, key=lambda name: (name[0].islower(), name))
 
 
 def __getattr__(name: str) -> Any:
     from importlib import import_module
 
-    if name in _HOMES:
-        value = getattr(import_module(_HOMES[name]), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module 'cellwise' has no attribute '{name}'")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cellwise' has no attribute '{name}'")
+    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return value
 
 
 def __dir__() -> list[str]:

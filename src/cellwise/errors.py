@@ -25,7 +25,7 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
         """What another process needs to raise it again."""
-        return InputError, (self.found, self.expected, self.action)
+        return type(self), (self.found, self.expected, self.action)
 
 
 class MachineError(InputError):
@@ -34,7 +34,3 @@ class MachineError(InputError):
     The same parts as :class:`InputError`, and the same exit code; but the same input may do
     another time, so a fleet tries it again.
     """
-
-    def __reduce__(self) -> tuple[type[MachineError], tuple[str, str, str]]:
-        """What another process needs to raise it again."""
-        return MachineError, (self.found, self.expected, self.action)

@@ -51,6 +51,30 @@ def made_folder(path: str | Path, content: str = "") -> Path:
     return place
 
 
+def file_place(path: str | Path) -> Path:
+    """Where a file is to be written: a link keeps pointing to what it points to.
+
+    Raises
+    ------
+    InputError        a folder is there, or none to stand in; a name that the system refuses
+    """
+    place = Path(path)
+    try:
+        target, is_folder = place.resolve(), place.is_dir()
+        has_folder, _ = target.parent.is_dir(), place.exists()
+    except (OSError, ValueError) as error:
+        raise _not_written(place, error) from None
+    if is_folder:
+        raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
+    if not has_folder:
+        raise InputError(
+            f"no folder '{target.parent}' to write '{target.name}' into",
+            "an existing folder",
+            "Create it first.",
+        )
+    return target
+
+
 def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], object]) -> Path:
     """Write a file so that it appears whole or not at all.
 
@@ -74,21 +98,12 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], o
     """
     place = Path(path)
     try:
-        folder, device = place.is_dir(), place.exists() and not place.is_file()
-        if device and not folder:  # a device or a pipe has no whole
-            _write(place, content)
+        if place.exists() and not (place.is_file() or place.is_dir()):
+            _write(place, content)  # a device or a pipe has no whole
             return place
     except OSError as error:
         raise _not_written(place, error) from error
-    if folder:
-        raise InputError(f"a folder at '{place}'", "a file to write", "Give a file name.")
-    target = place.resolve()  # a link keeps pointing to what it points to
-    if not target.parent.is_dir():
-        raise InputError(
-            f"no folder '{target.parent}' to write '{target.name}' into",
-            "an existing folder",
-            "Create it first.",
-        )
+    target = file_place(place)
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(6)}{target.suffix}")
     try:
         _write(temporary, content)
@@ -101,11 +116,11 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[Path], o
     return target
 
 
-def _not_written(place: Path, error: OSError) -> MachineError:
+def _not_written(place: Path, error: Exception) -> MachineError:
     name = str(place)
     return MachineError(
         f"'{name if len(name) < LONGEST_SHOWN else name[:LONGEST_SHOWN] + '...'}', which cannot be "
-        f"written ({error.strerror or error})",
+        f"written ({getattr(error, 'strerror', None) or error})",
         "a folder with write permission and space left",
         "Check permissions and disk space, or choose another place.",
     )

@@ -42,7 +42,7 @@ def test_no_health_and_no_power_of_a_log_that_is_far_off(drive, run_json, capsys
     assert main(list(adaptive)) == 0
     said = capsys.readouterr().out
     assert "state of health" not in said
-    assert "discharge W" not in said
+    assert "power of each cell" not in said
     anyway = run_json(*adaptive, "--anyway")
     assert anyway["parameters"]["capacity_Ah"]["value"] > 0.0
     assert anyway["power"] is not None

@@ -192,7 +192,7 @@ def test_a_bus_with_soc_back(model, lines, tmp_path, run_json):
 
 
 def test_the_view_shows_what_a_person_asks_for(model, stream_file):
-    from cellwise.cli.live_view import LiveView
+    from cellwise.cli.live_output import Followed, live_panel, panel
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import LiveFilter, open_source, run_live
 
@@ -201,10 +201,10 @@ def test_the_view_shows_what_a_person_asks_for(model, stream_file):
     outlook = Outlook(cell, 2.6)
     written = io.StringIO()
     console = Console(file=written, force_terminal=True, width=100)
-    with LiveView(source, live, outlook, console) as view:
-        counts = run_live(source, live, outlook.take, look=view.look)
-        shown = view.panel(counts, silent_s=5.0)
-    console.print(shown)
+    followed = Followed(live, outlook)
+    with live_panel(source.name, followed, console) as look:
+        counts = run_live(source, live, followed.take, look=look)
+    console.print(panel(source.name, followed, counts, silent_s=5.0))
     text = written.getvalue()
     assert f"{100 * counts.last.info.soc:.2f} %" in text
     for word in ("current", "voltage", "remaining", "latency", "1,500 samples", "nothing for 5 s"):

@@ -42,7 +42,8 @@ MAY_IMPORT = {
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
     "cli": BASE
     | TOOLS
-    | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets", "first_use"},
+    | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets", "first_use"}
+    | {"progress"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
     PACKAGE / f"{name}.py" for name in (*BASE, "data")

@@ -89,8 +89,9 @@ def coulomb_call(rows):
 
 def profile_call(rows):
     current = np.random.default_rng(1).normal(0, 9, rows)
-    return (protocol_kernels.profile_rows, MODEL.parameters(), empty_state(0.5),
-            0.1 * np.arange(1.0, rows + 1), current, 3.4, 3.8, 25.0,
+    supply = protocol_kernels.Supply(3.4, 3.8, np.nan, 25.0)
+    return (protocol_kernels.supply_rows, MODEL.parameters(), empty_state(0.5), supply, 0.0,
+            0.1 * np.arange(1.0, rows + 1), np.minimum(current, 0.0), np.maximum(current, 0.0),
             np.empty((protocol_kernels.ROW, rows)))  # fmt: skip
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from cellwise.cell.model_file import write_model
 from cellwise.cli import main
-from cellwise.cli.common.socket_options import LAYOUT_NAMES
+from cellwise.cli.exporting import LAYOUT_NAMES
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
 from cellwise.export.package import LAYOUTS
 from example_cells import curved_cell

@@ -27,12 +27,12 @@ from cellwise.cell.effects import (
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.cell.packed import place_of
+from cellwise.estimate.adaptive.adaptive import Adaptive
 from cellwise.estimate.adaptive.settings import AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.lockstep import LockstepEkf
 from cellwise.estimate.lockstep_kernels import FIELDS, LANES
 from cellwise.estimate.noise import Noise

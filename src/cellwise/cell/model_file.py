@@ -5,39 +5,23 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
 from cellwise.cell.model import TABLES, CellModel, ModelTables
 from cellwise.cell.model_error import ModelError
-from cellwise.cell.plausibility.validity import NAMES as VALIDITY_NAMES
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
+T = TypeVar("T")
 SCHEMA_VERSION = 1
-# Of a model's error.
-MAY_BE_UNKNOWN = ("charge_share", "unseen_charge_share", "correlation_soc", "activation_std_K")
-# How files of before stated an error: see ModelError.of_white_and_slow.
-OLD_ERROR = (
-    "white_V",
-    "slow_V",
-    "correlation_s",
-    "resistance_share",
-    "charge_share",
-    "temperature_C",
-    "temperature_factor",
-    "correlation_soc",
-    "unseen_share",
-    "unseen_charge_share",
-    "activation_std_K",
-)
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
 
 
@@ -136,10 +120,10 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             temperature_C=_array(data["temperature_C"]),
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
             charge_efficiency=_number(data["charge_efficiency"]),
-            error=_error_from_dict(data["error"], where),
-            validity=_validity_from_dict(data.get("validity"), where),
-            voltage_min_V=_limit(data["voltage_min_V"]),
-            voltage_max_V=_limit(data["voltage_max_V"]),
+            error=_record(ModelError, data["error"], f"the error of {where}", "soc"),
+            validity=_record(Validity, data.get("validity", {}), f"the validity of {where}"),
+            voltage_min_V=_maybe(_number, data["voltage_min_V"]),
+            voltage_max_V=_maybe(_number, data["voltage_max_V"]),
             name=str(data["name"]),
             chemistry=str(data["chemistry"]),
             provenance=dict(data["provenance"]),
@@ -186,12 +170,12 @@ def read_model(path: str | Path) -> CellModel:
         ) from error
     try:
         data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_double)
-    except json.JSONDecodeError as error:
-        raise _not_json(path, f"line {error.lineno}: {error.msg}") from error
-    except RecursionError:
-        raise _not_json(path, "nested deeper than any model") from None
-    except ValueError as error:
-        raise _not_json(path, str(error)) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path} that is not JSON ({error})",
+            "a JSON file written by `cellwise identify`",
+            "Check that the file is complete.",
+        ) from None
     return model_from_dict(data, str(path))
 
 
@@ -252,14 +236,6 @@ def _span(low: float, high: float) -> str:
     return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
 
 
-def _not_json(path: Path, why: str) -> InputError:
-    return InputError(
-        f"{path} that is not JSON ({why})",
-        "a JSON file written by `cellwise identify`",
-        "Check that the file is complete.",
-    )
-
-
 def _no_constant(name: str) -> NoReturn:
     raise ValueError(f"it holds {name}, which is no number")
 
@@ -299,66 +275,43 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _limit(value: Any) -> float | None:
-    return None if value is None else _number(value)
-
-
-def _error_from_dict(data: dict[str, Any], where: str) -> ModelError:
-    """The error by time scale; a file of before has one slow error with one memory."""
-    old = "slow_V" in data
-    known = OLD_ERROR if old else ("soc", *(f.name for f in fields(ModelError)))
-    _check_entries(data, known, f"the error of {where}")
-    values: dict[str, Any] = {
-        key: None if key in MAY_BE_UNKNOWN and value is None else _numbers(value)
-        for key, value in data.items()
-        if key != "soc"
-    }
-    if not old:
-        return ModelError(**values)
-    if not isinstance(values["slow_V"], tuple):
-        raise TypeError("slow_V is no list")
-    return ModelError.of_white_and_slow(**values)
-
-
 def _numbers(value: Any) -> Any:
     """A number, or lists of lists of them as tuples."""
-    return tuple(_numbers(v) for v in value) if isinstance(value, list | tuple) else _number(value)
+    return tuple(map(_numbers, value)) if isinstance(value, list | tuple) else _number(value)
 
 
-def _validity_from_dict(data: Any, where: str) -> Validity:
-    """Where the model holds; a file of before has no such entry, and nothing is known."""
-    if data is None:
-        return Validity()
-    _check_entries(data, VALIDITY_NAMES, f"the validity of {where}")
-    found = {}
-    for name, pair in data.items():
-        if pair is not None:
-            low, high = (_number(v) for v in pair)
-            found[name] = (low, high)
-    return Validity(**found)
+def _table(value: Any) -> FloatArray | float:
+    return _array(value) if isinstance(value, list) else _number(value)
+
+
+def _maybe(read: Callable[[Any], Any], value: Any) -> Any:
+    return None if value is None else read(value)
+
+
+def _record(
+    kind: type[T], data: Any, where: str, beside: str = "", read: Callable[[Any], Any] = _numbers
+) -> T:
+    """A record of numbers; null where its default is, and one entry ``beside`` that is not its."""
+    if not isinstance(data, Mapping):
+        raise TypeError(f"{str(data)[:40]} where the entries of {kind.__name__} belong")
+    known = {f.name: f.default is None for f in fields(kind)}  # type: ignore[arg-type]
+    _check_entries(data, (beside, *known), where)
+    return kind(
+        **{k: _maybe(read, v) if known[k] else read(v) for k, v in data.items() if k != beside}
+    )
 
 
 def _effect_to_dict(effect: Effect) -> dict[str, Any]:
-    values = {
-        f.name: np.asarray(getattr(effect, f.name), dtype=np.float64).tolist()
-        for f in fields(effect)
-    }
-    return {"name": effect.name, **values}
+    values = {f.name: np.asarray(getattr(effect, f.name), np.float64) for f in fields(effect)}
+    return {"name": effect.name, **{name: value.tolist() for name, value in values.items()}}
 
 
 def _effect_from_dict(data: dict[str, Any], where: str) -> Effect:
-    kind = EFFECTS.get(str(data.get("name")))
-    if kind is None:
+    name = str(data.get("name"))
+    if name not in EFFECTS:
         raise InputError(
             f"effect {data.get('name')!r} in {where}",
             f"one of {', '.join(EFFECTS)}",
             "Use the cellwise that wrote the model.",
         )
-    known = ("name", *(f.name for f in fields(kind)))
-    _check_entries(data, known, f"effect {data['name']} of {where}")
-    values: dict[str, Any] = {
-        key: _array(value) if isinstance(value, list) else _number(value)
-        for key, value in data.items()
-        if key != "name"
-    }
-    return kind(**values)
+    return _record(EFFECTS[name], data, f"effect {name} of {where}", "name", _table)

@@ -140,7 +140,7 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
             page=not arguments.no_page,
             figures=page_options.figure_files(arguments),
             adapters=None if arguments.rows is None else Path(arguments.rows),
-            progress=lambda what, done, all_: follow(f"{what} ({done} of {all_})", done, all_),
+            progress=follow,
         )
     if arguments.json:
         printing.print_json(found.to_dict())
@@ -268,7 +268,7 @@ def run_certify(arguments: argparse.Namespace) -> None:
             scheduler=arguments.scheduler,
             folder=arguments.output,
             keep_logs=arguments.keep_logs,
-            follow=lambda done, of: follow(f"cell {done} of {of}", done, of),
+            follow=lambda done, of: follow("cells", done, of),
         )
     data = found.to_dict()
     if arguments.output is not None:

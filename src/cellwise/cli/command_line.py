@@ -10,11 +10,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from types import FrameType
-from typing import Any
 
+from cellwise.cli.common.examples import guide_of
 from cellwise.cli.common.options import check_overwriting
 from cellwise.cli.common.printing import in_options
-from cellwise.cli.examples import guide_of
 from cellwise.errors import InputError
 
 REFUSED = 2
@@ -35,14 +34,12 @@ def build_parser() -> argparse.ArgumentParser:
         estimating,
         exporting,
         fleet,
+        health,
         identifying,
         live,
-        lives,
-        logs,
-        packs,
+        start,
         studies,
     )
-    from cellwise.cli.start import command as starting
 
     parser = argparse.ArgumentParser(
         prog="cellwise",
@@ -52,8 +49,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     modules = (
-        starting, logs, identifying, estimating, live, diagnosing, packs, lives, exporting, studies,
-        benchmarking, fleet, data,
+        start, data, identifying, estimating, live, diagnosing, health, exporting, studies,
+        benchmarking, fleet,
     )  # fmt: skip
     for module in modules:
         module.add_commands(commands)
@@ -95,42 +92,29 @@ def _complete(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
             _complete(inner)
 
 
-class Interrupts:
-    """Whether the command was interrupted.
+@contextmanager
+def watched() -> Iterator[list[int]]:
+    """Interrupts so far; what cannot be raised after one is not printed either.
 
-    An interrupt inside the import of a compiled library or a compiler's callback may come out as
-    any error, or as none that can be caught.
+    One inside the import of a compiled library or a compiler's callback may come out as any error,
+    or as none that can be caught.
     """
+    struck: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield struck  # signals are the main thread's
+        return
 
-    def __init__(self) -> None:
-        self.struck = False
-
-    def strike(self, number: int, frame: FrameType | None) -> None:
-        """Remember it and raise it, as Python does."""
-        self.struck = True
+    def strike(number: int, frame: FrameType | None) -> None:
+        struck.append(number)
         raise KeyboardInterrupt
 
-
-@contextmanager
-def watched() -> Iterator[Interrupts]:
-    """Watch for interrupts; what cannot be raised after one is not printed either."""
-    interrupts = Interrupts()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupts  # signals are the main thread's
-        return
-    before = signal.signal(signal.SIGINT, interrupts.strike)
-    hook = sys.unraisablehook
-
-    def quiet(error: Any) -> None:
-        if not interrupts.struck:
-            hook(error)
-
-    sys.unraisablehook = quiet
+    before, hook = signal.signal(signal.SIGINT, strike), sys.unraisablehook
+    sys.unraisablehook = lambda error: None if struck else hook(error)
     try:
-        yield interrupts
+        yield struck
     finally:
         signal.signal(signal.SIGINT, before)
-        if not interrupts.struck:  # else what is torn down at exit would be printed
+        if not struck:  # else what is torn down at exit would be printed
             sys.unraisablehook = hook
 
 
@@ -142,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int       0 done; 2 the input or the arguments were refused; 130 interrupted; anything else is a
               bug
     """
-    with watched() as interrupts:
+    with watched() as struck:
         try:
             parsed = _parsed(build_parser(), arguments)
             code, said = _run(parsed)
@@ -155,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except OSError as error:  # of standard output alone: those of files were refused
             sys.stdout = None  # not to be tried again at exit
             code, said = REFUSED, str(_of_system(error, "standard output"))
-        if interrupts.struck:
+        if struck:
             code, said = INTERRUPTED, "interrupted; no file was left half written"
         if said:
             print(f"cellwise: {said}" if code == INTERRUPTED else said, file=sys.stderr)
@@ -167,7 +151,9 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
     try:
         check_overwriting(parsed)
         if parsed.command in COMPUTING and not parsed.debug:
-            begin_compiling()
+            from cellwise.first_use import begin
+
+            begin()  # in a process of its own, where nothing has been compiled yet
         parsed.run(parsed)
     except (BrokenPipeError, KeyboardInterrupt):
         raise
@@ -184,13 +170,6 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
     return 0, ""
 
 
-def begin_compiling() -> None:
-    """In a process of its own, where nothing has been compiled yet."""
-    from cellwise.first_use import begin
-
-    begin()
-
-
 def _refusal(error: Exception) -> InputError | None:
     """What was refused, in the end by the machine; None for a bug."""
     if isinstance(error, InputError):
@@ -198,17 +177,11 @@ def _refusal(error: Exception) -> InputError | None:
     if isinstance(error, OSError) and error.errno is not None:
         return _of_system(error, str(error.filename or "standard output"))
     if isinstance(error, MemoryError):
-        return InputError(
-            "an input that needs more memory than there is",
-            "one that fits",
-            "Give a smaller one, or more memory.",
-        )
+        found, expected = "an input that needs more memory than there is", "one that fits"
+        return InputError(found, expected, "Give a smaller one, or more memory.")
     if isinstance(error, RecursionError):
-        return InputError(
-            "an input that is nested too deeply",
-            "a file that cellwise or its programs wrote",
-            "Check which file was given.",
-        )
+        found, expected = "an input that is nested too deeply", "a file that cellwise wrote"
+        return InputError(found, expected, "Check which file was given.")
     return None
 
 

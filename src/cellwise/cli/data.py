@@ -1,40 +1,101 @@
-"""cellwise data list, generate, fetch, import."""
+"""cellwise inspect, convert; data list, generate, fetch, import."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from pathlib import Path
+from typing import Any
 
-from cellwise.cli.common import options, printing
+from cellwise.cli.common import log_options, options, printing
 
 
 def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands about data sets."""
+    """Add the commands about logs as they are, and about data sets."""
+    inspect = commands.add_parser("inspect", help="say what is in a log")
+    convert = commands.add_parser("convert", help="write a log in the tidy form")
     data = commands.add_parser("data", help="embedded data sets and public originals")
     actions = data.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="what there is, with DOI and licence")
-    options.add_json(listing)
-    listing.set_defaults(run=run_list)
     text = "generate the embedded data again (needs PyBaMM)"
     generate = actions.add_parser("generate", help=text)
-    generate.add_argument("-o", "--output", required=True, metavar="DIR")
-    options.several(generate, "--only", "NAME", "a test or a cell", default=None)
-    options.add_json(generate)
-    generate.set_defaults(run=run_generate)
     fetch = actions.add_parser("fetch", help="download a public original, checksums verified")
-    fetch.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
-    fetch.add_argument("-o", "--output", required=True, metavar="DIR")
+    bring = actions.add_parser("import", help="a downloaded original to tidy parquet")
+    for command in (inspect, convert):
+        log_options.add_log(command)
+    for command in (fetch, bring):
+        command.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
+    bring.add_argument("source", metavar="SOURCE", help="folder or zip archive as downloaded")
     text = "list of files with checksums [the registry's]"
     fetch.add_argument("--listing", metavar="URL", help=text)
-    options.add_json(fetch)
-    fetch.set_defaults(run=run_fetch)
-    bring = actions.add_parser("import", help="a downloaded original to tidy parquet")
-    bring.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
-    bring.add_argument("source", metavar="SOURCE", help="folder or zip archive as downloaded")
-    bring.add_argument("-o", "--output", required=True, metavar="DIR")
-    options.add_json(bring)
-    bring.set_defaults(run=run_import)
+    options.several(generate, "--only", "NAME", "a test or a cell", default=None)
+    for command, place in ((convert, "OUT"), (generate, "DIR"), (fetch, "DIR"), (bring, "DIR")):
+        command.add_argument("-o", "--output", required=True, metavar=place)
+    runs = {inspect: run_inspect, convert: run_convert, listing: run_list,
+            generate: run_generate, fetch: run_fetch, bring: run_import}  # fmt: skip
+    for command, run in runs.items():
+        options.add_json(command)
+        command.set_defaults(run=run)
+
+
+def run_inspect(arguments: argparse.Namespace) -> None:
+    """Print what is in a log."""
+    from cellwise.logs import inspect_log
+
+    found = inspect_log(log_options.read(arguments.log, arguments)).to_dict()
+    if arguments.json:
+        printing.print_json(found)
+        return
+    print_inspection(found)
+
+
+def run_convert(arguments: argparse.Namespace) -> None:
+    """Write a log in the tidy form."""
+    from cellwise.logs import write_log
+
+    options.check_places(arguments.output)
+    log = log_options.read(arguments.log, arguments)
+    if log.soc0 is not None:
+        said = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"
+        log = log.with_notices((*log.notices, said))
+    path = write_log(log, arguments.output)
+    if arguments.json:
+        printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})
+        return
+    printing.say(f"{len(log)} rows written to {path}")
+    printing.say_notices(log.notices)
+
+
+def print_inspection(found: dict[str, Any]) -> None:
+    """An inspection for people."""
+
+    def span(key: str, unit: str) -> str:
+        value = found[key]
+        return "not measured" if value is None else f"{value['min']:g} to {value['max']:g} {unit}"
+
+    sampling = found["sampling"]
+    rows = [
+        ("format", str(found["format"])),
+        ("samples", f"{found['samples']:,}"),
+        ("duration", f"{found['duration_s'] / 3600:.3f} h"),
+        ("interval", f"{sampling['median_s']:g} s median, {sampling['max_s']:g} s longest"),
+        ("current", span("current_A", "A")),
+        ("voltage", span("voltage_V", "V")),
+        ("temperature", span("temperature_C", "degC")),
+        ("net charge out", f"{found['charge_Ah']:.4f} Ah"),
+        ("sign (positive = discharge)", str(found["sign"])),
+        ("rests", str(len(found["rests"]))),
+        ("gaps", str(len(found["gaps"]))),
+        ("repeated stamps", str(found["duplicates"])),
+    ]
+    if found["soc0"] is not None:
+        rows.append(("initial SOC", f"{found['soc0']:g}, as stated"))
+    if found["counter_mismatch_percent"] is not None:
+        rows.append(("counter against current", f"{found['counter_mismatch_percent']:.3f} %"))
+    printing.table(str(found["name"]), ("what", "found"), rows)
+    for gap in found["gaps"]:
+        printing.say(f"  gap of {gap['duration_s']:.0f} s after {gap['start_s']:.0f} s")
+    printing.say_notices(found["notices"])
 
 
 def run_list(arguments: argparse.Namespace) -> None:

@@ -67,7 +67,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             "auto" if soc0 is None else soc0,
             causes=arguments.cause,
             reference_capacity_Ah=arguments.reference_capacity_ah,
-            progress=lambda share, what: follow(what, share, 1.0),
+            progress=lambda share, what: follow(what, share),
         )
     seconds = time.perf_counter() - began
     written = _write(found, arguments)

@@ -103,8 +103,9 @@ def run_demo(arguments: argparse.Namespace) -> None:
     if arguments.json:
         printing.print_json(found.to_dict())
         return
-    from cellwise.cli.estimating import print_replay, print_simulation
+    from cellwise.cli.estimating import print_simulation
     from cellwise.cli.identifying import print_identification
+    from cellwise.cli.replay_output import print_replay
 
     print_identification(found.identification)
     for simulation, start in found.simulations:

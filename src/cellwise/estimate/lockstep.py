@@ -11,12 +11,13 @@ from cellwise.arguments import number, numbers
 from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.errors import InputError
+from cellwise.estimate import lockstep_kernels as layout
 from cellwise.estimate.filters.filter_state import OUTPUTS, EkfState, ekf_start
 from cellwise.estimate.filters.kalman import Ekf, check_state
-from cellwise.estimate import lockstep_kernels as layout
 from cellwise.estimate.lockstep_kernels import LockstepRules, lockstep
 from cellwise.estimate.noise import Noise
 from cellwise.typing import BoolArray, FloatArray, IntArray
+
 
 class LockstepState(NamedTuple):
     """What must be carried of ``cells`` cells; ``blocks`` holds them side by side."""

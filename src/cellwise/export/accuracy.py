@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
@@ -117,59 +117,54 @@ def worst_case(model: CellModel, tables: FixedStepTables, core: str) -> WorstCas
     ------
     InputError        no tools, or a core that is not known
     """
+    faults, empty = stress_of(model), lock_out(model)
     cost = run_on_target(
-        tables, core, stress_of(model), STRESS.soc, STRESS.variance, measure_every=STRESS.every
+        tables, core, faults, STRESS.soc, STRESS.variance, measure_every=STRESS.every
     ).cost
     most, stack = cost.instructions_most or 0.0, cost.stack_bytes or 0
-    samples = lock_out(model)
-    run = run_on_target(tables, core, samples, STRESS.soc, STRESS.narrow)
+    run = run_on_target(tables, core, empty, STRESS.soc, STRESS.narrow)
     found = np.flatnonzero(run.outputs["status"] & GATE_RECOVERY)
     if found.size == 0:
         return WorstCase(most, None, stack)
-    at = int(found[0])
+    at, rows = int(found[0]), empty[: int(found[0]) + 1]
     once = run_on_target(
-        tables,
-        core,
-        samples[: at + 1],
-        STRESS.soc,
-        STRESS.narrow,
-        measure_every=at + 1,
-        measure_first=at,
+        tables, core, rows, STRESS.soc, STRESS.narrow, measure_every=at + 1, measure_first=at
     ).cost
     reset = once.instructions_most or 0.0
     return WorstCase(max(most, reset), reset, max(stack, once.stack_bytes or 0))
 
 
-GRIDS = (11, 21, 51, 101, 201)
-
-
-@dataclass(frozen=True)
-class GridAccuracy:
-    """SOC of the fixed step minus SOC of the float64 EKF, for one number of SOC points."""
-
-    points: int
-    flash_bytes: int
-    soc_rmse: float
-    soc_max: float
+GRIDS = (11, 21, 51, 101, 201)  # SOC points to choose from
 
 
 @dataclass(frozen=True, eq=False)
 class FixedAndFloat(Plottable):
-    """Both filters over a log at the target's time step, from the same start; shapes (n,)."""
+    """What is exported beside the float64 EKF over a log, from the same start; shapes (n,)."""
 
+    points: int
+    flash_bytes: int
     log: CellLog
-    float_soc: FloatArray
-    float_soc_std: FloatArray
-    fixed_soc: FloatArray
+    reference: Trace
+    soc: FloatArray
+
+    def to_dict(self) -> dict[str, Any]:
+        """SOC lost, exported minus float64, as JSON values."""
+        error = self.soc - self.reference.soc
+        return {
+            "points": self.points,
+            "flash_bytes": self.flash_bytes,
+            "soc_rmse": float(np.sqrt(np.mean(error * error))),
+            "soc_max": float(np.max(np.abs(error))),
+        }
 
     def panels(self) -> tuple[str, tuple[Panel, ...]]:
         """Both SOCs, their difference, and what the filters see."""
-        hours = self.log.time_s / 3600.0
+        hours, float64 = self.log.time_s / 3600.0, self.reference
         both = (
-            Line("float64 EKF", hours, self.float_soc, 2.0 * self.float_soc_std),
-            Line("exported", hours, self.fixed_soc),
+            Line("float64 EKF", hours, float64.soc, 2.0 * float64.soc_std),
+            Line("exported", hours, self.soc),
         )
-        lost = Line("exported - float64", hours, 100.0 * (self.fixed_soc - self.float_soc))
+        lost = Line("exported - float64", hours, 100.0 * (self.soc - float64.soc))
         return "time [h]", (
             Panel("SOC", both),
             Panel("difference [points]", (lost,)),
@@ -178,67 +173,28 @@ class FixedAndFloat(Plottable):
         )
 
 
-def accuracy_by_grid(
-    model: CellModel,
-    log: CellLog,
-    dt_s: float,
-    *,
-    soc0: float | None = None,
-    wide: bool = True,
-    grids: Sequence[int] = GRIDS,
-    noise: Noise | None = None,
-) -> list[GridAccuracy]:
-    """Accuracy lost by every grid, the model's own among them.
-
-    Both filters take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the
-    log's start. wide False: as with ``--lean``. noise None: the model's.
-    """
-    even, start, reference = _float_ekf(model, log, dt_s, soc0, noise)
-    found = []
-    for points in sorted({*grids, model.points}):
-        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=wide)
-        error = step.run(even, start.soc, start.std).soc - reference.soc
-        found.append(
-            GridAccuracy(
-                points,
-                step.stepper(dt_s).tables.flash_bytes,
-                float(np.sqrt(np.mean(error * error))),
-                float(np.max(np.abs(error))),
-            )
-        )
-    return found
-
-
 def fixed_and_float(
     model: CellModel,
     log: CellLog,
     dt_s: float,
     *,
     soc0: float | None = None,
-    points: int | None = None,
     lean: bool = False,
+    grids: Sequence[int] = GRIDS,
     noise: Noise | None = None,
-) -> FixedAndFloat:
-    """Run what is exported (in Python, the same bits) and the float64 EKF over a log.
+) -> list[FixedAndFloat]:
+    """Run what is exported (in Python, the same bits) by every grid, and the float64 EKF.
 
-    Parameters as of `accuracy_by_grid` and of `FixedStep`; soc0 None: as found at the log's start.
+    Both take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the log's
+    start. noise None: the model's.
     """
-    even, start, reference = _float_ekf(model, log, dt_s, soc0, noise)
-    step = FixedStep(
-        model,
-        noise,
-        dt_s=dt_s,
-        points=points,
-        wide=not lean,
-    )
-    exported = step.run(even, start.soc, start.std)
-    return FixedAndFloat(even, reference.soc, reference.soc_std, exported.soc)
-
-
-def _float_ekf(
-    model: CellModel, log: CellLog, dt_s: float, soc0: float | None, noise: Noise | None
-) -> tuple[CellLog, InitialSoc, Trace]:
-    """The log at the target's time step, its start, and the float64 EKF over it."""
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
-    return even, start, Ekf(model, noise).run(even, start.soc, start.std)
+    reference = Ekf(model, noise).run(even, start.soc, start.std)
+    found = []
+    for points in sorted({*grids, model.points}):
+        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=not lean)
+        soc = step.run(even, start.soc, start.std).soc
+        flash_bytes = step.stepper(dt_s).tables.flash_bytes
+        found.append(FixedAndFloat(points, flash_bytes, even, reference, soc))
+    return found

@@ -24,6 +24,7 @@ from cellwise.estimate.status import VOLTAGE_INVALID, VOLTAGE_LOST
 from cellwise.export.c_tables import (
     STRICT_FLAGS,
     comment,
+    filled,
     firmware_folder,
     put,
     write_sources,
@@ -33,17 +34,8 @@ from cellwise.export.firmware import compile_c, host_compiler, need_package
 from cellwise.files import write_atomically
 
 What = Literal["estimator", "cell"]
-# Exponents of SI base units, and what is added for the base unit.
-UNITS = {
-    "A": 'A="1"',
-    "V": 'kg="1" m="2" s="-3" A="-1"',
-    "degC": 'K="1" offset="273.15"',
-    "W": 'kg="1" m="2" s="-3"',
-    "s": 's="1"',
-}
 STATUS, FIRST_SET, FIRST_PARAMETER = 12, 20, 23  # value references, as in cellwise_fmu.c
 CELL_STD = 1e-3  # of a cell's initial SOC, which is known: nothing follows from it
-ADAPTER = "cellwise_fmu.c"
 
 
 class Variable(NamedTuple):
@@ -124,18 +116,39 @@ def write_fmu(
     name, start = identifier(model, what), starts(model, what)
     variables = variables_of(what, tables.options)
     state = json.dumps(description, sort_keys=True, default=str) + what
-    token = hashlib.sha256(state.encode()).hexdigest()
+    outputs = sorted([v.reference for v in variables if v.causality == "output"] + [STATUS])
     sources = dict(write_sources(tables, str(description["model_sha256"]), model.name))
     sources = {k: v for k, v in sources.items() if "store" not in k}
-    sources["fmu_variables.h"] = variables_header(start, what, token, tables.dt_s)
-    sources[ADAPTER] = (firmware_folder() / "fmu" / ADAPTER).read_text(encoding="utf-8")
+    c_files = [*(k for k in sources if k.endswith(".c")), "cellwise_fmu.c"]
+    marks = {
+        "@TITLE@": quoteattr(f"cellwise {what}: {comment(model.name) or 'unnamed cell'}"),
+        "@IDENTIFIER@": name,
+        "@TOKEN@": hashlib.sha256(state.encode()).hexdigest(),
+        "@DT_S@": repr(tables.dt_s),
+        "@STOP_S@": repr(3600 * tables.dt_s),
+        "@STATUS@": str(STATUS),
+        "@VARIABLES@": "\n".join(variable_text(v, start) for v in variables),
+        "@STRUCTURE@": "\n".join(
+            f'    <{kind} valueReference="{r}"/>'
+            for kind in ("Output", "InitialUnknown")
+            for r in outputs
+        ),
+        "@FILES@": "".join(f'<SourceFile name="{file}"/>' for file in c_files),
+        "@CELL@": str(int(what == "cell")),
+        "@HIDDEN@": str(VOLTAGE_INVALID | VOLTAGE_LOST if what == "cell" else 0),
+        "@START@": ", ".join(map(repr, start)),
+    }
+    made = {
+        place.name: filled(place.read_text(encoding="utf-8"), marks)
+        for place in sorted((firmware_folder() / "fmu").iterdir())
+    }
+    sources |= {k: v for k, v in made.items() if k.endswith((".c", ".h"))}
     with tempfile.TemporaryDirectory(prefix="cellwise-") as folder:
         binary = built(sources, Path(folder))
-    description_xml = model_description(model, variables, start, what, token, tables.dt_s)
     files: dict[str, str | bytes] = {
-        "modelDescription.xml": description_xml,
+        "modelDescription.xml": made["modelDescription.xml"],
         **{f"sources/{file}": text for file, text in sources.items()},
-        "sources/buildDescription.xml": build_description(name, sources),
+        "sources/buildDescription.xml": made["buildDescription.xml"],
         binary_place(name): binary,
         "extra/org.cellwise/cellwise_export.json": json.dumps(dict(description), indent=1) + "\n",
     }
@@ -147,69 +160,6 @@ def identifier(model: CellModel, what: What) -> str:
     return re.sub(r"\W", "_", f"cellwise_{what}_{comment(model.name)}".strip("_"))
 
 
-def variables_header(start: tuple[float, ...], what: What, token: str, dt_s: float) -> str:
-    """fmu_variables.h: which of the two it is, its time step, start values."""
-    hidden = VOLTAGE_INVALID | VOLTAGE_LOST if what == "cell" else 0
-    return f"""\
-/* Written by `cellwise export`; do not edit. */
-#ifndef FMU_VARIABLES_H
-#define FMU_VARIABLES_H
-
-#define CELLWISE_FMU_CELL {int(what == "cell")}
-#define FMU_TOKEN "{token}"
-#define FMU_DT_S {dt_s!r}
-#define FMU_STATUS_NOT_SHOWN {hidden}u
-#define FMU_START {{{", ".join(map(repr, start))}}}
-
-#endif
-"""
-
-
-def model_description(
-    model: CellModel,
-    variables: list[Variable],
-    start: tuple[float, ...],
-    what: What,
-    token: str,
-    dt_s: float,
-) -> str:
-    """modelDescription.xml."""
-    title = f"cellwise {what}: {comment(model.name) or 'unnamed cell'}"
-    said = (
-        "A sample is taken every time step, with the inputs as they were set before the step; "
-        "current is positive on discharge."
-    )
-    outputs = sorted([v.reference for v in variables if v.causality == "output"] + [STATUS])
-    return "\n".join(
-        [
-            '<?xml version="1.0" encoding="UTF-8"?>',
-            f'<fmiModelDescription fmiVersion="3.0" modelName={quoteattr(title)}',
-            f'  instantiationToken="{token}" description={quoteattr(said)}',
-            '  generationTool="cellwise" variableNamingConvention="flat">',
-            f'  <CoSimulation modelIdentifier="{identifier(model, what)}"',
-            '    canHandleVariableCommunicationStepSize="true" canGetAndSetFMUState="true"',
-            f'    canSerializeFMUState="true" fixedInternalStepSize="{dt_s!r}"/>',
-            "  <UnitDefinitions>",
-            *(f'    <Unit name="{u}"><BaseUnit {base}/></Unit>' for u, base in UNITS.items()),
-            "  </UnitDefinitions>",
-            f'  <DefaultExperiment startTime="0" stopTime="{3600 * dt_s!r}" stepSize="{dt_s!r}"/>',
-            "  <ModelVariables>",
-            '    <Float64 name="time" valueReference="0" causality="independent"',
-            '      variability="continuous" unit="s"/>',
-            *(variable_text(v, start) for v in variables),
-            f'    <UInt32 name="status" valueReference="{STATUS}" causality="output"',
-            '      variability="discrete" description="bits as in cellwise_ekf.h"/>',
-            "  </ModelVariables>",
-            "  <ModelStructure>",
-            *(f'    <Output valueReference="{r}"/>' for r in outputs),
-            *(f'    <InitialUnknown valueReference="{r}"/>' for r in outputs),
-            "  </ModelStructure>",
-            "</fmiModelDescription>",
-            "",
-        ]
-    )
-
-
 def variable_text(v: Variable, start: tuple[float, ...]) -> str:
     """A variable of modelDescription.xml."""
     more = f' unit="{v.unit}"' if v.unit else ""
@@ -219,18 +169,6 @@ def variable_text(v: Variable, start: tuple[float, ...]) -> str:
     return (
         f'    <Float64 name="{v.name}" valueReference="{v.reference}" causality="{v.causality}"\n'
         f'      variability="{kind}"{more} description={quoteattr(v.meaning)}/>'
-    )
-
-
-def build_description(name: str, sources: Mapping[str, str]) -> str:
-    """sources/buildDescription.xml."""
-    files = "".join(f'<SourceFile name="{f}"/>' for f in sources if f.endswith(".c"))
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
-        f'  <BuildConfiguration modelIdentifier="{name}">\n'
-        f'    <SourceFileSet language="C99" compilerOptions="-ffp-contract=off">{files}'
-        '</SourceFileSet>\n    <Library name="m" external="true"/>\n  </BuildConfiguration>\n'
-        "</fmiBuildDescription>\n"
     )
 
 

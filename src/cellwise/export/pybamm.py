@@ -22,101 +22,14 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.resolved import over_temperature
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import ROWS_C
-from cellwise.export.c_tables import comment, filled
+from cellwise.export.c_tables import comment, filled, firmware_folder
 from cellwise.export.firmware import need_package
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
 KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating)
 HELD_J_PER_K = 1e12  # thermal mass of what keeps its temperature
-
-FILE = '''\
-"""PyBaMM's Thevenin model of the cell "@NAME@", written by `cellwise export`.
-
-    import pybamm
-    model = pybamm.equivalent_circuit.Thevenin(options=OPTIONS)
-    simulation = pybamm.Simulation(model, parameter_values=get_parameter_values())
-
-Current is positive on discharge. @NOTICES@
-"""
-
-import numpy as np
-import pybamm
-
-OPTIONS = {"number of rc elements": @BRANCHES@}
-SCALARS = @SCALARS@
-RATE_PER_A = @RATE@  # R0, R1 and R2 fall with the current as 1 / (1 + RATE_PER_A |I|)
-CHARGE_SCALE = @CHARGE@  # factor on every resistance on charge
-SOC = np.linspace(0.0, 1.0, @POINTS@)
-# Rows of the tables: temperatures; columns: SOC.
-OCV_TEMPERATURE_C = np.array(@OCV_TEMPERATURES@)
-OCV_V = np.array([
-@OCV@
-])
-TEMPERATURE_C = np.array(@TEMPERATURES@)
-TABLES = {
-@TABLES@
-}
-ACTIVATION_K = @ACTIVATIONS@
-REFERENCE_K = @REFERENCE@
-
-
-def looked_up(name, temperature_C, soc):
-    """A table, linear in SOC and temperature, by its Arrhenius factor; held beyond its rows."""
-    table = np.array(TABLES[name])
-    axes, at = SOC, soc
-    if len(TEMPERATURE_C) > 1:
-        warm = pybamm.maximum(pybamm.minimum(temperature_C, TEMPERATURE_C[-1]), TEMPERATURE_C[0])
-        axes, at = (TEMPERATURE_C, SOC), (warm, soc)
-    else:
-        table = table[0]
-    found = pybamm.Interpolant(axes, table, at, name=name, interpolator="linear")
-    if ACTIVATION_K[name]:
-        colder = 1.0 / (temperature_C + 273.15) - 1.0 / REFERENCE_K
-        found = found * pybamm.exp(ACTIVATION_K[name] * colder)
-    return found
-
-
-def resistance(branch):
-    def r_ohm(temperature_C, current_A, soc):
-        found = looked_up(f"r{branch}_ohm", temperature_C, soc)
-        if RATE_PER_A and branch < 3:
-            found = found / (1.0 + RATE_PER_A * abs(current_A))
-        if CHARGE_SCALE != 1.0:
-            found = found * (1.0 + (CHARGE_SCALE - 1.0) * (current_A < 0))
-        return found
-
-    return r_ohm
-
-
-def capacitance(branch):
-    def c_F(temperature_C, current_A, soc):
-        r_ohm = resistance(branch)(temperature_C, current_A, soc)
-        return looked_up(f"tau{branch}_s", temperature_C, soc) / r_ohm
-
-    return c_F
-
-
-def get_parameter_values(temperature_C=@USUAL@):
-    """Everything that the model asks for; Initial SoC and the current function are to be set.
-
-    PyBaMM's OCV knows no temperature: it is that of ``temperature_C``, where the cell begins.
-    """
-    ocv_V = [np.interp(temperature_C, OCV_TEMPERATURE_C, at_soc) for at_soc in OCV_V.T]
-
-    def open_circuit_voltage(soc):
-        return pybamm.Interpolant(SOC, np.array(ocv_V), soc, name="ocv_V", interpolator="linear")
-
-    values = {**SCALARS, "R0 [Ohm]": resistance(0)}
-    values["Open-circuit voltage [V]"] = open_circuit_voltage
-    for name in ("Initial temperature [K]", "Ambient temperature [K]"):
-        values[name] = temperature_C + 273.15
-    for branch in range(1, @BRANCHES@ + 1):
-        values[f"R{branch} [Ohm]"] = resistance(branch)
-        values[f"C{branch} [F]"] = capacitance(branch)
-        values[f"Element-{branch} initial overpotential [V]"] = 0.0
-    return pybamm.ParameterValues(values)
-'''
+TEMPLATE = "pybamm/parameters.py.in"
 
 
 def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
@@ -193,7 +106,8 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
         "@REFERENCE@": repr(warmth.reference_C + ZERO_CELSIUS_K),
         "@USUAL@": repr(usual_C),
     }
-    return filled(FILE, marks), notices
+    template = (firmware_folder() / TEMPLATE).read_text(encoding="utf-8")
+    return filled(template, marks), notices
 
 
 def _rows(table: FloatArray) -> str:

@@ -8,7 +8,7 @@ import shlex
 import pytest
 
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.examples import GUIDES
+from cellwise.cli.common.examples import GUIDES
 
 
 def leaves(parser):

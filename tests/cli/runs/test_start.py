@@ -13,7 +13,7 @@ import pytest
 
 from cellwise import load_dataset
 from cellwise.cli import main
-from cellwise.cli.start import command
+from cellwise.cli import start as command
 from cellwise.data import datasets_folder
 from cellwise.logs.writing import write_columns
 

@@ -242,9 +242,9 @@ def _played(pybamm: Any, step: Step, dt_s: float, full_Ah: float) -> Any:
                 step.voltage_V, termination=ends, duration=POROUS.longest_s, period=period
             )
         case ConstantCurrent():
-            limit_V = step.limit_V
-            sign = ">" if step.current_A < 0.0 else "<"
-            ends = [] if limit_V is None else [f"{sign}{limit_V} V"]
+            charges = step.current_A < 0.0
+            limit_V = step.voltage_max_V if charges else step.voltage_min_V
+            ends = [] if limit_V is None else [f"{'>' if charges else '<'}{limit_V} V"]
             duration = step.duration_s
             if step.charge_Ah is not None:
                 duration = 3600.0 * step.charge_Ah / abs(step.current_A)

@@ -27,7 +27,7 @@ from cellwise.typing import FloatArray
 
 LONGEST_S = 30 * 86400.0  # a step that has not ended by then ends, and the log says so
 CHUNK_ROWS = 4096
-MOST_ROWS = 50_000_000
+SLIVER = 1e-9  # intervals shorter than this share of a period are rounding
 
 
 def run_protocol(
@@ -66,56 +66,57 @@ def run_protocol(
             "seconds above zero and a finite temperature",
             "Correct them.",
         )
-    start = empty_state(soc0, start_hysteresis(soc0))
-    supply = _Supply(model, start, dt_s, temperature_C)
+    run = _Run(model, empty_state(soc0, start_hysteresis(soc0)), dt_s, temperature_C)
     for step in steps:
-        supply.run(step)
-    return supply.log()
+        run.step(step)
+    return run.log()
 
 
-class _Supply:
-    """Runs steps and keeps the rows: time, current, voltage, step."""
+class _Run:
+    """A cell on a supply, and the rows so far: time, current, voltage, step."""
 
     def __init__(
         self, model: CellModel, state: CellState, dt_s: float, temperature_C: float
     ) -> None:
-        self.tables = model.parameters()
-        self.limits = (model.voltage_min_V, model.voltage_max_V)
-        self.state = state
-        self.dt_s = dt_s
-        self.temperature_C = temperature_C
-        self.clock_s = 0.0
-        self.number = 0
+        self.tables, self.state = model.parameters(), state
+        self.limits = (
+            -np.inf if model.voltage_min_V is None else model.voltage_min_V,
+            np.inf if model.voltage_max_V is None else model.voltage_max_V,
+        )
+        self.dt_s, self.temperature_C = dt_s, temperature_C
+        self.clock_s, self.number = 0.0, 0
         self.notices: list[str] = []
-        _, voltage = kernel.interval(self.tables, state, 0.0, 0.0, temperature_C)
-        self.parts: list[FloatArray] = [np.array([[0.0], [0.0], [voltage], [1.0]])]
-        self.rows = 1
+        start_V = kernel.interval(self.tables, state, 0.0, 0.0, temperature_C).voltage_V
+        self.parts: list[FloatArray] = [np.array([[0.0], [0.0], [start_V], [1.0]])]
 
-    def run(self, step: Step) -> None:
+    def step(self, step: Step) -> None:
         """One step, from where the cell is."""
         self.number += 1
-        rows = self.rows
+        parts, asked = len(self.parts), True
         match step:
             case Rest():
-                progress = self._current(0.0, step.duration_s, self._period(step), np.nan)
+                done = self._even(step, (0.0, 0.0), step.duration_s, (-np.inf, np.inf))
             case ConstantCurrent():
-                progress = self._constant_current(step)
+                end_s, asked = self._end_of_current(step)
+                done = self._current(step, step.current_A, end_s, self._limits(step))
             case ConstantVoltage():
-                progress = self._constant_voltage(step)
+                end_s, asked = step.duration_s or LONGEST_S, step.duration_s is not None
+                done = self._voltage(step, end_s)
             case DriveProfile():
-                progress = self._profile(step)
-        self.clock_s += progress.elapsed_s
-        if progress.reason == kernel.OUT_OF_RANGE:
+                flows = step.time_s > 0
+                done = self._rows(step.time_s[flows], step.current_A[flows], self._limits(step))
+        self.clock_s += done.elapsed_s
+        if done.reason == kernel.OUT_OF_RANGE or (done.reason == kernel.ENDED and not asked):
             self._notice(
-                f"ended at SOC {self.state.soc:.3f} or after {progress.elapsed_s / 3600:.1f} h "
+                f"ended at SOC {self.state.soc:.3f} or after {done.elapsed_s / 3600:.1f} h "
                 "with no limit reached"
             )
-        elif self.rows == rows:
+        elif len(self.parts) == parts:
             self._notice("at its limit from the start, so it has no row")
 
     def log(self) -> CellLog:
         """What was recorded."""
-        if self.number == 0 or self.rows == 1:
+        if len(self.parts) == 1:
             raise InputError(
                 f"{self.number} step(s) of which none lasts",
                 "at least one step that lasts",
@@ -133,127 +134,95 @@ class _Supply:
             notices=tuple(self.notices),
         )
 
-    def _constant_current(self, step: ConstantCurrent) -> kernel.Progress:
-        limit = _limit(step.limit_V, self.limits[0] if step.current_A > 0 else self.limits[1])
-        end_s, in_range = self._end_of_current(step)
-        progress = self._current(step.current_A, end_s, self._period(step), limit)
-        if progress.reason == kernel.ENDED and not in_range:
-            return progress._replace(reason=kernel.OUT_OF_RANGE)
-        return progress
-
     def _end_of_current(self, step: ConstantCurrent) -> tuple[float, bool]:
         """When the first limit but the voltage's is reached, and whether the step asked for it."""
-        current = step.current_A
+        cell, current = self.tables.cell, step.current_A
         asked = [] if step.duration_s is None else [step.duration_s]
         if step.charge_Ah is not None and current:
             asked.append(3600.0 * step.charge_Ah / abs(current))
         if step.soc is not None and current:
-            asked.append(max(self._time_to_soc(current, step.soc), 0.0))
-        end = min([*asked, self._time_in_range(current), LONGEST_S])
-        return end, end in asked
+            used = current if current > 0.0 else current * cell.charge_efficiency
+            asked.append(max((self.state.soc - step.soc) * cell.charge_As / used, 0.0))
+        return min([*asked, LONGEST_S]), bool(asked)
 
-    def _time_to_soc(self, current_A: float, soc: float) -> float:
-        scalars = self.tables.cell
-        used = current_A if current_A > 0.0 else current_A * scalars.charge_efficiency
-        return (self.state.soc - soc) * scalars.charge_As / used
-
-    def _time_in_range(self, current_A: float) -> float:
-        """How long a current can flow before the tables say nothing any more [s]."""
-        if current_A == 0.0:
-            return np.inf
-        edge = -kernel.SOC_MARGIN if current_A > 0 else 1.0 + kernel.SOC_MARGIN
-        return max(self._time_to_soc(current_A, edge), 0.0)
-
-    def _constant_voltage(self, step: ConstantVoltage) -> kernel.Progress:
-        end_s = LONGEST_S if step.duration_s is None else step.duration_s
-        most = np.inf if step.current_limit_A is None else step.current_limit_A
-        until = np.nan if step.until_current_A is None else step.until_current_A
-        period = self._period(step)
-        asked = kernel.holding_current(
-            self.tables, self.state, step.voltage_V, 0.0, self.temperature_C, -np.inf, np.inf, 0.0
-        )
-        elapsed = 0.0
-        if abs(asked) > most:
-            current = float(np.copysign(most, asked))
-            in_range_s = self._time_in_range(current)
-            first = self._current(current, min(end_s, in_range_s), period, step.voltage_V)
-            if first.reason == kernel.ENDED:
-                out = in_range_s < end_s
-                return first._replace(reason=kernel.OUT_OF_RANGE if out else kernel.ENDED)
-            elapsed = first.elapsed_s
-        progress = self._voltage((step.voltage_V, -most, most, until), end_s, period, elapsed)
-        if progress.reason == kernel.ENDED and step.duration_s is None:
-            return progress._replace(reason=kernel.OUT_OF_RANGE)
-        return progress
-
-    def _profile(self, step: DriveProfile) -> kernel.Progress:
-        flows = step.time_s > 0
-        end = np.ascontiguousarray(step.time_s[flows])
-        out = np.empty((kernel.ROW, end.size))
-        low = _limit(step.voltage_min_V, self.limits[0])
-        high = _limit(step.voltage_max_V, self.limits[1])
-        current = np.ascontiguousarray(step.current_A[flows])
-        progress: kernel.Progress = kernel.profile_rows(
-            self.tables, self.state, end, current, low, high, self.temperature_C, out
-        )
-        self._keep(out, progress)
-        return progress
+    def _limits(self, step: ConstantCurrent | DriveProfile) -> tuple[float, float]:
+        """The step's voltages, else the model's, else none."""
+        own = (step.voltage_min_V, step.voltage_max_V)
+        low, high = (o if s is None else s for s, o in zip(own, self.limits, strict=True))
+        return low, high
 
     def _current(
-        self, current_A: float, end_s: float, period_s: float, limit_V: float
-    ) -> kernel.Progress:
-        progress = kernel.Progress(self.state, 0.0, 0, kernel.FULL)
-        while progress.reason == kernel.FULL:
-            out = np.empty((kernel.ROW, CHUNK_ROWS))
-            progress = kernel.constant_current_rows(
-                self.tables, self.state, current_A, self.temperature_C, progress.elapsed_s, end_s,
-                period_s, limit_V, out,
-            )  # fmt: skip
-            self._keep(out, progress)
-        return progress
-
-    def _voltage(
         self,
-        bounds: tuple[float, float, float, float],
+        step: ConstantCurrent | ConstantVoltage,
+        current_A: float,
         end_s: float,
-        period_s: float,
-        elapsed_s: float,
+        limits_V: tuple[float, float],
     ) -> kernel.Progress:
-        progress = kernel.Progress(self.state, elapsed_s, 0, kernel.FULL)
-        while progress.reason == kernel.FULL:
-            out = np.empty((kernel.ROW, CHUNK_ROWS))
-            progress = kernel.constant_voltage_rows(
-                self.tables, self.state, *bounds, self.temperature_C, progress.elapsed_s, end_s,
-                period_s, out,
-            )  # fmt: skip
-            self._keep(out, progress)
-        return progress
+        """A constant current to the instant at which the supply would have to lower it."""
+        bounds = min(current_A, 0.0), max(current_A, 0.0)
+        return self._even(step, bounds, end_s, limits_V, abs(current_A))
 
-    def _keep(self, out: FloatArray, progress: kernel.Progress) -> None:
-        self.state = progress.state
-        self.rows += progress.rows
-        if self.rows > MOST_ROWS:
-            raise InputError(
-                f"a protocol of more than {MOST_ROWS} rows",
-                "fewer rows",
-                "Give a longer period_s or dt_s.",
-            )
-        if progress.rows:
-            part = np.empty((kernel.ROW + 1, progress.rows))
-            part[:-1] = out[:, : progress.rows]
-            part[kernel.TIME] += self.clock_s
-            part[-1] = self.number
-            self.parts.append(part)
+    def _voltage(self, step: ConstantVoltage, end_s: float) -> kernel.Progress:
+        """A held voltage; before it, where the supply gives no more, its largest current."""
+        at, most = (step.voltage_V, step.voltage_V), step.current_limit_A or np.inf
+        supply = kernel.Supply(*at, np.nan, self.temperature_C)
+        asked_A = kernel.held(self.tables, self.state, supply, 0.0, -np.inf, np.inf, 0.0).current_A
+        elapsed_s = 0.0
+        if abs(asked_A) > most:
+            first = self._current(step, float(np.copysign(most, asked_A)), end_s, at)
+            if first.reason != kernel.AT_LIMIT:
+                return first
+            elapsed_s = first.elapsed_s
+        until_A = np.nan if step.until_current_A is None else step.until_current_A
+        return self._even(step, (-most, most), end_s, at, until_A, elapsed_s)
 
-    def _period(self, step: Rest | ConstantCurrent | ConstantVoltage) -> float:
-        return self.dt_s if step.period_s is None else step.period_s
+    def _even(
+        self,
+        step: Rest | ConstantCurrent | ConstantVoltage,
+        bounds_A: tuple[float, float],
+        end_s: float,
+        limits_V: tuple[float, float],
+        until_A: float = np.nan,
+        elapsed_s: float = 0.0,
+    ) -> kernel.Progress:
+        """Rows at the multiples of the step's period and at its end."""
+        period = self.dt_s if step.period_s is None else step.period_s
+        supply = kernel.Supply(*limits_V, until_A, self.temperature_C)
+        done = kernel.Progress(self.state, elapsed_s, 0, kernel.ENDED)
+        while done.reason == kernel.ENDED and done.elapsed_s < end_s:
+            first = np.floor(done.elapsed_s / period + SLIVER) + 1.0
+            ends = period * (first + np.arange(CHUNK_ROWS))
+            ends = np.append(ends[ends <= end_s - SLIVER * period], end_s)[:CHUNK_ROWS]
+            low, high = (np.full(ends.size, bound) for bound in bounds_A)
+            done = self._supplied(supply, done.elapsed_s, ends, low, high)
+        return done
+
+    def _rows(
+        self, end_s: FloatArray, current_A: FloatArray, limits_V: tuple[float, float]
+    ) -> kernel.Progress:
+        """A row for each current; where a limit would be passed, it is held."""
+        supply = kernel.Supply(*limits_V, np.nan, self.temperature_C)
+        low, high = np.minimum(current_A, 0.0), np.maximum(current_A, 0.0)
+        return self._supplied(supply, 0.0, end_s, low, high)
+
+    def _supplied(
+        self,
+        supply: kernel.Supply,
+        elapsed_s: float,
+        end_s: FloatArray,
+        low_A: FloatArray,
+        high_A: FloatArray,
+    ) -> kernel.Progress:
+        out = np.empty((kernel.ROW, end_s.size))
+        done: kernel.Progress = kernel.supply_rows(
+            self.tables, self.state, supply, elapsed_s, end_s, low_A, high_A, out
+        )
+        self.state = done.state
+        if done.rows:
+            made = end_s[: done.rows], out[:, : done.rows]
+            number = np.full(done.rows, float(self.number))
+            self.parts.append(np.vstack((self.clock_s + made[0], made[1], number)))
+        return done
 
     def _notice(self, text: str) -> None:
         self.notices.append(f"step {self.number}: {text}")
-
-
-def _limit(own: float | None, of_model: float | None) -> float:
-    """The step's limit, else the model's, else none (NaN)."""
-    if own is not None:
-        return own
-    return np.nan if of_model is None else of_model

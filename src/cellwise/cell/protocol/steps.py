@@ -18,7 +18,7 @@ class Rest:
     period_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check_positive(self, "duration_s", "period_s")
+        _check(self, positive="duration_s period_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,19 +48,14 @@ class ConstantCurrent:
     period_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check_finite(self, "current_A", "voltage_min_V", "voltage_max_V", "soc")
-        _check_positive(self, "duration_s", "charge_Ah", "period_s")
+        limits = "current_A voltage_min_V voltage_max_V soc"
+        _check(self, finite=limits, positive="duration_s charge_Ah period_s")
         if self.current_A == 0.0 and self.duration_s is None:
             raise InputError(
                 "a constant current of 0 A without a duration",
                 "something that ends the step",
                 "Use Rest(duration_s).",
             )
-
-    @property
-    def limit_V(self) -> float | None:
-        """The voltage limit that lies in the current's direction."""
-        return self.voltage_min_V if self.current_A > 0 else self.voltage_max_V
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +78,8 @@ class ConstantVoltage:
     period_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check_finite(self, "voltage_V")
-        _check_positive(self, "until_current_A", "duration_s", "current_limit_A", "period_s")
+        ends = "until_current_A duration_s current_limit_A period_s"
+        _check(self, finite="voltage_V", positive=ends)
         if self.until_current_A is None and self.duration_s is None:
             raise InputError(
                 "a constant voltage without until_current_A or duration_s",
@@ -124,7 +119,7 @@ class DriveProfile:
     def __post_init__(self) -> None:
         for name in ("time_s", "current_A"):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
-        _check_finite(self, "time_s", "current_A", "voltage_min_V", "voltage_max_V")
+        _check(self, finite="time_s current_A voltage_min_V voltage_max_V")
         rising = self.time_s.ndim == 1 and np.all(np.diff(self.time_s) > 0)
         if (
             not rising
@@ -144,19 +139,11 @@ class DriveProfile:
 Step = Rest | ConstantCurrent | ConstantVoltage | DriveProfile
 
 
-def _check_finite(step: object, *names: str) -> None:
-    for name in names:
-        value = getattr(step, name)
-        if value is not None and not np.all(np.isfinite(value)):
-            raise InputError(
-                f"{type(step).__name__} with {name} = {value}", "a finite number", "Correct it."
-            )
-
-
-def _check_positive(step: object, *names: str) -> None:
-    for name in names:
-        value = getattr(step, name)
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise InputError(
-                f"{type(step).__name__} with {name} = {value}", "a number above zero", "Correct it."
-            )
+def _check(step: object, *, finite: str = "", positive: str = "") -> None:
+    """Refuse parameters, named in a text, that are not finite or not above zero; None is none."""
+    for name in (*finite.split(), *positive.split()):
+        value, above = getattr(step, name), name in positive.split()
+        if value is not None and not (np.all(np.isfinite(value)) and (not above or value > 0)):
+            expected = "a number above zero" if above else "a finite number"
+            found = f"{type(step).__name__} with {name} = {value}"
+            raise InputError(found, expected, "Correct it.")

@@ -1,7 +1,7 @@
-"""A CC/CV supply on the cell's own equations: the limit's instant and the holding current, solved.
+"""A supply on the cell's own equations: follows a current, holds a voltage, finds the instant.
 
-Every function adds rows to ``out``, shape (ROW, rows), and says why it stopped. A row holds for
-the interval that ends there, so that simulating the rows again gives the same voltages.
+A row holds for the interval that ends there, so that simulating the rows again gives the same
+voltages.
 """
 
 from __future__ import annotations
@@ -13,19 +13,34 @@ from cellwise.cell.compiled import kernel, rows
 from cellwise.cell.equations import BEYOND, CellState, CellTables, advance, voltage_of
 from cellwise.typing import FloatArray
 
-# Rows of the output: time since the step's start, current, voltage.
-TIME, CURRENT, VOLTAGE = range(3)
-ROW = 3
-
-# Why a kernel stopped; FULL: no room for another row, call again with a new output.
-FULL, ENDED, AT_LIMIT, OUT_OF_RANGE = range(4)
-
-# The OCV goes no further: a step that gets here will not reach its limit.
-SOC_MARGIN = BEYOND
+# Rows of the output: current, voltage.
+CURRENT, VOLTAGE = range(2)
+ROW = 2
+# Why it stopped: all rows done; the current came down to what was asked; the OCV goes no further.
+ENDED, AT_LIMIT, OUT_OF_RANGE = range(3)
 
 BISECTIONS = 60
 VOLTAGE_TOLERANCE_V = 1e-12
-SLIVER = 1e-9  # intervals shorter than this share of a period are rounding
+
+
+class Supply(NamedTuple):
+    """What a supply keeps to: voltage on discharge and on charge, and the current that ends it.
+
+    ``until_A`` is a magnitude, NaN where no current ends the step.
+    """
+
+    low_V: float
+    high_V: float
+    until_A: float
+    temperature_C: float
+
+
+class Held(NamedTuple):
+    """A current over an interval, and where it takes the cell."""
+
+    current_A: float
+    state: CellState
+    voltage_V: float
 
 
 class Progress(NamedTuple):
@@ -39,15 +54,11 @@ class Progress(NamedTuple):
 
 @kernel
 def interval(
-    tables: CellTables,
-    state: CellState,
-    current_A: float,
-    dt_s: float,
-    temperature_C: float,
-) -> tuple[CellState, float]:
-    """State and terminal voltage at the end of an interval of constant current."""
+    tables: CellTables, state: CellState, current_A: float, dt_s: float, temperature_C: float
+) -> Held:
+    """An interval of constant current."""
     after, point = advance(tables, state, current_A, dt_s, temperature_C)
-    return after, voltage_of(point, after, current_A)
+    return Held(current_A, after, voltage_of(point, after, current_A))
 
 
 @kernel
@@ -65,12 +76,10 @@ def time_to_voltage(
     far side of it, by less than rounding.
     """
     near, far = 0.0, dt_s
-    beyond = interval(tables, state, current_A, far, temperature_C)[1] > voltage_V
+    beyond = interval(tables, state, current_A, far, temperature_C).voltage_V > voltage_V
     for _ in range(BISECTIONS):
         middle = 0.5 * (near + far)
-        v = interval(tables, state, current_A, middle, temperature_C)[1]
-        if v == voltage_V:
-            return middle
+        v = interval(tables, state, current_A, middle, temperature_C).voltage_V
         if (v > voltage_V) == beyond:
             far = middle
         else:
@@ -79,44 +88,56 @@ def time_to_voltage(
 
 
 @kernel
-def holding_current(
+def kept_voltage(supply: Supply, high_A: float) -> float:
+    """The voltage that is kept where the current may go up to this."""
+    return supply.low_V if high_A > 0.0 else supply.high_V
+
+
+@kernel
+def held(
     tables: CellTables,
     state: CellState,
-    voltage_V: float,
+    supply: Supply,
     dt_s: float,
-    temperature_C: float,
     low_A: float,
     high_A: float,
     guess_A: float,
-) -> float:
-    """Current within [low, high] that makes the voltage at the interval's end the one asked for.
+) -> Held:
+    """The current within [low, high] with which the interval ends at the supply's voltage.
 
     The end voltage falls with the current. It is solved by bracketing, then false position
     (Illinois); where even a bound does not get there, the bound is the answer.
     """
+    voltage_V, warm = kept_voltage(supply, high_A), supply.temperature_C
+    if low_A >= 0.0:
+        guess_A = high_A
+    elif high_A <= 0.0:
+        guess_A = low_A
     a = min(max(guess_A, low_A), high_A)
-    after, point = advance(tables, state, a, dt_s, temperature_C)
-    fa = voltage_of(point, after, a) - voltage_V
-    if abs(fa) <= VOLTAGE_TOLERANCE_V:
-        return a
+    after, point = advance(tables, state, a, dt_s, warm)
+    at_a = Held(a, after, voltage_of(point, after, a))
+    fa = at_a.voltage_V - voltage_V
+    if abs(fa) <= VOLTAGE_TOLERANCE_V or a == (high_A if fa > 0.0 else low_A):
+        return at_a
     # Bracket: step outwards, at first by what R0 alone would ask for.
     step = fa / point.r0_ohm
-    b, fb = a, fa
     while True:
         b = min(max(a + step, low_A), high_A)
-        fb = interval(tables, state, b, dt_s, temperature_C)[1] - voltage_V
+        at_b = interval(tables, state, b, dt_s, warm)
+        fb = at_b.voltage_V - voltage_V
         if (fb > 0.0) != (fa > 0.0):
             break
         if b in (low_A, high_A) or not math.isfinite(fb):
-            return b
+            return at_b
         a, fa = b, fb
         step *= 2.0
     side = 0
     for _ in range(2 * BISECTIONS):
         c = (a * fb - b * fa) / (fb - fa)
-        fc = interval(tables, state, c, dt_s, temperature_C)[1] - voltage_V
+        at_c = interval(tables, state, c, dt_s, warm)
+        fc = at_c.voltage_V - voltage_V
         if abs(fc) <= VOLTAGE_TOLERANCE_V or c in (a, b):
-            return c
+            return at_c
         if (fc > 0.0) == (fb > 0.0):
             b, fb = c, fc
             if side == 1:
@@ -127,148 +148,58 @@ def holding_current(
             if side == -1:
                 fb *= 0.5
             side = -1
-    return b
+    return interval(tables, state, b, dt_s, warm)
 
 
 @kernel
-def next_row(elapsed_s: float, period_s: float, end_s: float) -> float:
-    """Instant of the next row: the next multiple of the period, or the end."""
-    k = math.floor(elapsed_s / period_s + SLIVER) + 1.0
-    following = k * period_s
-    if following > end_s - SLIVER * period_s:
-        return end_s
-    return following
+def at_limit(supply: Supply, now: Held, until_A: float, high_A: float) -> bool:
+    """Whether an interval ends at the voltage with the very current that ends the step."""
+    beside_V = abs(now.voltage_V - kept_voltage(supply, high_A))
+    return now.current_A == until_A and beside_V <= VOLTAGE_TOLERANCE_V
 
 
 @rows
-def constant_current_rows(
+def supply_rows(
     tables: CellTables,
     state: CellState,
-    current_A: float,
-    temperature_C: float,
+    supply: Supply,
     elapsed_s: float,
-    end_s: float,
-    period_s: float,
-    limit_V: float,
-    out: FloatArray,
-) -> Progress:
-    """Constant current until ``end_s`` or until the voltage passes ``limit_V`` (NaN: none).
-
-    On discharge the limit is a lower one, on charge an upper one; the last row is at its instant.
-    """
-    sign = 1.0 if current_A > 0.0 else -1.0
-    _, v = interval(tables, state, current_A, 0.0, temperature_C)
-    if sign * (v - limit_V) <= 0.0:
-        return Progress(state, elapsed_s, 0, AT_LIMIT)
-    rows = 0
-    while elapsed_s < end_s:
-        if rows == out.shape[1]:
-            return Progress(state, elapsed_s, rows, FULL)
-        stop = next_row(elapsed_s, period_s, end_s)
-        dt = stop - elapsed_s
-        after, v = interval(tables, state, current_A, dt, temperature_C)
-        reached = sign * (v - limit_V) <= 0.0
-        if reached:
-            dt = time_to_voltage(tables, state, current_A, dt, temperature_C, limit_V)
-            after, v = interval(tables, state, current_A, dt, temperature_C)
-            stop = elapsed_s + dt
-        state = after
-        elapsed_s = stop
-        out[TIME, rows] = elapsed_s
-        out[CURRENT, rows] = current_A
-        out[VOLTAGE, rows] = v
-        rows += 1
-        if reached:
-            return Progress(state, elapsed_s, rows, AT_LIMIT)
-    return Progress(state, elapsed_s, rows, ENDED)
-
-
-@rows
-def constant_voltage_rows(
-    tables: CellTables,
-    state: CellState,
-    voltage_V: float,
-    low_A: float,
-    high_A: float,
-    until_A: float,
-    temperature_C: float,
-    elapsed_s: float,
-    end_s: float,
-    period_s: float,
-    out: FloatArray,
-) -> Progress:
-    """Hold a voltage by a current within [low, high] until ``end_s``, or to ``until_A`` (NaN: no).
-
-    The last row is at the instant at which the current has come down to ``until_A``.
-    """
-    # What the supply would deliver at this instant gives the direction.
-    current = holding_current(tables, state, voltage_V, 0.0, temperature_C, low_A, high_A, 0.0)
-    sign = 1.0 if current > 0.0 else -1.0
-    if sign * current <= until_A:
-        return Progress(state, elapsed_s, 0, AT_LIMIT)
-    rows = 0
-    while elapsed_s < end_s:
-        if rows == out.shape[1]:
-            return Progress(state, elapsed_s, rows, FULL)
-        stop = next_row(elapsed_s, period_s, end_s)
-        dt = stop - elapsed_s
-        current = holding_current(
-            tables, state, voltage_V, dt, temperature_C, low_A, high_A, current
-        )
-        reached = sign * current <= until_A
-        if reached:
-            current = sign * until_A
-            dt = time_to_voltage(tables, state, current, dt, temperature_C, voltage_V)
-            stop = elapsed_s + dt
-        state, v = interval(tables, state, current, dt, temperature_C)
-        elapsed_s = stop
-        out[TIME, rows] = elapsed_s
-        out[CURRENT, rows] = current
-        out[VOLTAGE, rows] = v
-        rows += 1
-        if reached:
-            return Progress(state, elapsed_s, rows, AT_LIMIT)
-        if abs(state.soc - 0.5) > 0.5 + SOC_MARGIN:
-            return Progress(state, elapsed_s, rows, OUT_OF_RANGE)
-    return Progress(state, elapsed_s, rows, ENDED)
-
-
-@rows
-def profile_rows(
-    tables: CellTables,
-    state: CellState,
     end_s: FloatArray,
-    current_A: FloatArray,
-    low_V: float,
-    high_V: float,
-    temperature_C: float,
+    low_A: FloatArray,
+    high_A: FloatArray,
     out: FloatArray,
 ) -> Progress:
-    """Follow a current; where a limit would be passed, hold it (``out`` has a row for each end).
+    """A row for each instant of ``end_s``, the current within [low, high] and the voltage kept.
 
-    The held current lies between zero and the one asked for: a supply that trims a discharge
-    pulse does not charge.
+    A constant current has one bound at zero, as a drive has: a supply that trims a discharge does
+    not charge. Where the current has come down to ``until_A``, the last row is at that instant,
+    which is written into ``end_s``.
+
+    Parameters
+    ----------
+    end_s, low_A, high_A : (n,) float      ends since the step's start [s], bounds [A]
+    out : (ROW, n) float                   current [A], voltage [V]
     """
-    elapsed = 0.0
+    now = held(tables, state, supply, 0.0, low_A[0], high_A[0], 0.0)
+    sign = 1.0 if now.current_A > 0.0 else -1.0
+    until_A, warm = sign * supply.until_A, supply.temperature_C
+    if sign * now.current_A < supply.until_A or at_limit(supply, now, until_A, high_A[0]):
+        return Progress(state, elapsed_s, 0, AT_LIMIT)
     for k in range(end_s.size):
-        dt = end_s[k] - elapsed
-        current = current_A[k]
-        after, v = interval(tables, state, current, dt, temperature_C)
-        if current > 0.0 and v < low_V:
-            current = holding_current(
-                tables, state, low_V, dt, temperature_C, 0.0, current, current
-            )
-            after, v = interval(tables, state, current, dt, temperature_C)
-        elif current < 0.0 and v > high_V:
-            current = holding_current(
-                tables, state, high_V, dt, temperature_C, current, 0.0, current
-            )
-            after, v = interval(tables, state, current, dt, temperature_C)
-        state = after
-        elapsed = end_s[k]
-        out[TIME, k] = elapsed
-        out[CURRENT, k] = current
-        out[VOLTAGE, k] = v
-        if abs(state.soc - 0.5) > 0.5 + SOC_MARGIN:
-            return Progress(state, elapsed, k + 1, OUT_OF_RANGE)
-    return Progress(state, elapsed, end_s.size, ENDED)
+        dt = end_s[k] - elapsed_s
+        now = held(tables, state, supply, dt, low_A[k], high_A[k], now.current_A)
+        early = sign * now.current_A < supply.until_A
+        if early:
+            limit_V = kept_voltage(supply, high_A[k])
+            dt = time_to_voltage(tables, state, until_A, dt, warm, limit_V)
+            now = interval(tables, state, until_A, dt, warm)
+            end_s[k] = elapsed_s + dt
+        state, elapsed_s = now.state, end_s[k]
+        out[CURRENT, k] = now.current_A
+        out[VOLTAGE, k] = now.voltage_V
+        if early or at_limit(supply, now, until_A, high_A[k]):
+            return Progress(state, elapsed_s, k + 1, AT_LIMIT)
+        off = state.soc - 0.5
+        if abs(off) > 0.5 + BEYOND and now.current_A * off < 0.0:
+            return Progress(state, elapsed_s, k + 1, OUT_OF_RANGE)
+    return Progress(state, elapsed_s, end_s.size, ENDED)

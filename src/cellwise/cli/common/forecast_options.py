@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from cellwise.cli.common import log_options, options, printing
+from cellwise.cli.common import log_options, options
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
@@ -191,27 +191,3 @@ def display_of(
     from cellwise.forecast.display import display_along
 
     return display_along(how, found, flight, charge)
-
-
-def say(row: Mapping[str, Any]) -> None:
-    """What of a replay's object is ahead, for people."""
-    charge, plan = row["forecast_charge"], row["forecast_plan"]
-    if charge is not None:
-        low, high = (x / 60.0 for x in charge["full_s_band"])
-        printing.say(
-            f"full in {charge['full_s'] / 60.0:.0f} min ({low:.0f} to {high:.0f}) from "
-            f"{charge['time_s']:.0f} s, with {charge['full_Wh']:.2f} Wh for each cell: "
-            f"{charge['charge_A']:.2f} A to {charge['limit_V']:.2f} V, held down to "
-            f"{charge['taper_A']:.3g} A"
-        )
-    if plan is not None:
-        low, high = (100.0 * x for x in plan["end_soc_band"])
-        printing.say(
-            f"{plan['plans']} plan(s) of {plan['seconds'] / 60.0:.0f} min end at SOC "
-            f"{100.0 * plan['end_soc']:.1f} % ({low:.1f} to {high:.1f}, 95 %), with "
-            f"{plan['energy_Wh']:.2f} Wh from each cell; at {100.0 * plan['above']:.0f} % or more "
-            f"with a chance of {100.0 * plan['chance']:.0f} %, {plan['cutoff_V']:.2f} V is reached "
-            f"with one of {100.0 * plan['chance_cutoff']:.0f} %"
-        )
-    if row["displayed_percent"] is not None:
-        printing.say(f"displayed: {row['displayed_percent']:.0f} %")

@@ -15,8 +15,9 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from cellwise.progress import progress_bar
 
 T = TypeVar("T")
 # A message names an argument as Python has it, between backticks.
@@ -52,30 +53,10 @@ def _option(argument: str, value: str) -> str:
 
 
 @contextmanager
-def bar() -> Iterator[Progress]:
-    """A progress bar on standard error that leaves nothing behind; none without a terminal."""
-    console = Console(stderr=True)
-    with Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as progress:
-        yield progress
-
-
-@contextmanager
 def working(what: str) -> Iterator[Callable[..., None]]:
-    """A bar, and what moves it: what is done now, how much of it, of how much."""
-    with bar() as progress:
-        task = progress.add_task(what, total=None)
-
-        def follow(now: str, done: float | None = None, total: float | None = None) -> None:
-            progress.update(task, description=now, completed=done, total=total)
-
+    """A line on standard error while it works, and what moves it; none without a terminal."""
+    with progress_bar() as follow:
+        follow(what)
         yield follow
 
 

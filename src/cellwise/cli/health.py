@@ -1,0 +1,164 @@
+"""cellwise pack, cellwise history: how every cell is, and how one has aged."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellwise.cli.common import log_options, options, page_options, printing
+
+if TYPE_CHECKING:
+    from cellwise.history.life import Life
+    from cellwise.pack.pack_estimate import PackEstimate
+
+SHOWN_CELLS = 6
+ROWS = ".csv, .csv.gz or .parquet"
+
+
+def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
+    """Add the commands that look at packs and at lives."""
+    pack = commands.add_parser("pack", help="logs with cell voltages to every cell's state")
+    text = "one pack, in the order of time; a folder or a pattern"
+    pack.add_argument("logs", nargs="+", metavar="PACKLOG", help=text)
+    text = "capacity, resistance and odd cells of logs far off the model, too"
+    options.flag(pack, "--anyway", text)
+    text = "go on from this file where it exists, and write it"
+    pack.add_argument("--state", metavar="FILE", help=text)
+    pack.add_argument("-o", "--output", metavar="OUT", help=f"cells as {ROWS}")
+    log_options.add_cells_options(pack)
+    history = commands.add_parser("history", help="a cell's logs in order to its ageing")
+    text = "of one cell, in the order of time; a folder or a pattern"
+    history.add_argument("logs", nargs="+", metavar="LOG", help=text)
+    text = "write the model as the cell is now, for every command"
+    history.add_argument("--save-model", metavar="MODEL", help=text)
+    options.flag(history, "--anyway", "capacity and resistance by logs far off the model, too")
+    history.add_argument("-o", "--output", metavar="OUT", help=f"logs as {ROWS}")
+    log_options.add_log_options(history)
+    for command, run in ((pack, run_pack), (history, run_history)):
+        options.add_model(command, scalable=True)
+        page_options.add_page_options(command)
+        options.add_json(command)
+        command.set_defaults(run=run)
+
+
+def run_pack(arguments: argparse.Namespace) -> None:
+    """Estimate every cell of a pack."""
+    from cellwise.logs.packs.pack_log import read_pack
+    from cellwise.logs.writing import write_columns
+    from cellwise.pack.pack_estimate import estimate_pack
+    from cellwise.pack.pack_state import read_state, write_state
+    from cellwise.report import pack_page
+
+    options.check_places(arguments.output, arguments.state)
+    page_options.check_page_options(arguments)
+    model = options.read_model(arguments)
+    known = arguments.state is not None and Path(arguments.state).exists()
+    state = read_state(arguments.state) if known else None
+    stated = {"sign": arguments.sign, **log_options.pack_arguments(arguments)}
+    each = log_options.read_each(arguments.logs, lambda one: read_pack(one, **stated))
+    logs = [log for log, _ in each]
+    with printing.working(f"{logs[0].cells} cells in {len(logs)} log(s)"):
+        whole = estimate_pack(model, logs, state)
+    found = whole if arguments.anyway else whole.without_health()
+    if arguments.output:
+        write_columns(found.columns(), Path(arguments.output))
+    if arguments.state and found.withheld is not None:
+        printing.warn(f"cellwise pack: '{arguments.state}' stays as it was: logs far off the model")
+    elif arguments.state:
+        write_state(found.state, arguments.state)
+    page_options.hand_over(arguments, found, pack_page, print_pack)
+
+
+def print_pack(found: PackEstimate) -> None:
+    """A pack for people: the whole, the cells at the ends, what is odd."""
+    import numpy as np
+
+    percent, data = printing.percent, found.to_dict()
+    soc, weakest = data["soc"], data["weakest"]
+    first = data["notices"][:1] if found.far_off else []
+    printing.say_notices(first)
+    printing.table(
+        f"{data['cells']} cells, {len(found.days)} log(s)",
+        ("what", "found"),
+        [
+            ("SOC, lowest / mean / highest",
+             " / ".join(f"{percent(soc[k], 1)} %" for k in ("min", "mean", "max"))),
+            ("usable as the cells are", f"{data['usable_Ah']:.2f} Ah, {data['usable_Wh']:.0f} Wh"),
+            ("left until the first cell is empty", f"{data['left_Ah']:.2f} Ah"),
+            ("balancing would bring", f"{data['balancing_gain_Ah']:.2f} Ah"),
+            ("least SOC", weakest["by_soc"]),
+            ("least capacity", weakest["by_capacity"]),
+            ("most resistance", weakest["by_resistance"]),
+            ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
+        ],
+    )  # fmt: skip
+    # What is not known comes last: NaN is no order.
+    rows = sorted(data["per_cell"], key=lambda row: np.nan_to_num(row["capacity_Ah"], nan=np.inf))
+    rows = rows[:SHOWN_CELLS]
+    printing.record_table(
+        f"the {len(rows)} cells of least capacity",
+        rows,
+        ("cell", lambda row: row["name"]),
+        ("SOC %", lambda row: f"{percent(row['soc'], 1)} +- {percent(2 * row['soc_std'], 1)}"),
+        ("capacity Ah", lambda row: _with_band(row["capacity_Ah"], row["capacity_std_Ah"], 2)),
+        ("resistance", lambda row: _with_band(row["resistance_scale"], row["resistance_std"])),
+        ("left mV", lambda row: printing.millivolt(row["voltage_rmse_V"])),
+    )
+    for cause in data["causes"]:
+        said = "; ".join(cause["evidence"])
+        other = f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else ""
+        printing.say(f"  {cause['name']}: {said}{other}")
+    printing.say_notices(n for n in data["notices"] if n not in first)
+
+
+def run_history(arguments: argparse.Namespace) -> None:
+    """Follow a cell over its life."""
+    from cellwise.cell.model_file import write_model
+    from cellwise.history.life import life_of
+    from cellwise.logs.writing import write_columns
+    from cellwise.report import history_page
+
+    options.check_places(arguments.output, arguments.save_model)
+    page_options.check_page_options(arguments)
+    model = options.read_model(arguments)
+    logs = log_options.read_cut(arguments.logs, arguments)
+    with printing.working("comparing"):
+        found = life_of(model, logs, anyway=arguments.anyway)
+    if arguments.output:
+        write_columns(found.columns(), Path(arguments.output))
+    if arguments.save_model and found.withheld:
+        printing.warn("cellwise history: no model was written: all logs are far off the one given")
+    elif arguments.save_model:
+        write_model(found.aged_model, arguments.save_model)
+    page_options.hand_over(arguments, found, history_page, print_life)
+
+
+def print_life(found: Life) -> None:
+    """A life for people."""
+    data = found.to_dict()
+    printing.say_notices(found.far_off)
+    printing.record_table(
+        f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
+        zip(data["logs"], found.trend.share, found.trend.std, strict=True),
+        ("log", lambda o: o[0]["log"]),
+        ("capacity Ah", lambda o: _with_band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
+        ("resistance", lambda o: _with_band(o[0]["resistance_scale"], o[0]["resistance_std"])),
+        ("trend %", lambda o: _with_band(100 * float(o[1]), 100 * float(o[2]), 1)),
+        ("by", lambda o: o[0]["how"]),
+    )
+    trend, use = data["trend"], data["trend"]["use"]
+    if not found.withheld:
+        printing.say(
+            f"use now: {use['capacity_Ah']:.3f} +- {2 * use['capacity_std_Ah']:.3f} Ah, resistance "
+            f"{use['resistance_scale']:.2f} +- {2 * use['resistance_std']:.2f} of the model's"
+        )
+    if trend["knee"] is not None:
+        printing.say(f"the fade is faster from '{trend['knee']}' on")
+    printing.say(f"next reference test: {trend['next_reference']}")
+    notices = (*data["notices"], *(n for o in data["logs"] for n in o["notices"]))
+    printing.say_notices(n for n in notices if n not in found.far_off)
+
+
+def _with_band(value: float, std: float, digits: int = 3) -> str:
+    return "-" if value != value else f"{value:.{digits}f} +- {2 * std:.{digits}f}"

@@ -1,1 +1,0 @@
-"""cellwise start: what lies in a folder, and what to do with it."""
