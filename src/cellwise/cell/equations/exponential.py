@@ -58,4 +58,4 @@ def exponential(x: float) -> float:
 
 
 if config.DISABLE_JIT:  # type: ignore[attr-defined]
-    exponential = math.exp
+    exponential = math.exp  # type: ignore[assignment]
