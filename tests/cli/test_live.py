@@ -79,7 +79,7 @@ def test_a_line_comes_out_while_the_stream_goes_on(model, lines):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
-@pytest.mark.parametrize("number", ["SIGTERM", "SIGINT"])
+@pytest.mark.parametrize("number", ["SIGTERM", pytest.param("SIGINT", marks=pytest.mark.slow)])
 def test_a_program_that_is_asked_to_stop_keeps_its_state(model, lines, tmp_path, number):
     state = tmp_path / "state.json"
     run = started("--model", model, "--source", "stdin", "--state", str(state))
@@ -96,6 +96,7 @@ def test_a_program_that_is_asked_to_stop_keeps_its_state(model, lines, tmp_path,
     assert json.loads(state.read_text())["state"]["cell"]["soc"] == last["soc"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal of POSIX")
 def test_a_killed_program_goes_on_from_what_it_last_kept(model, lines, tmp_path, run_json):
     state, rest = tmp_path / "state.json", tmp_path / "rest.jsonl"

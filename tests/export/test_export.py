@@ -102,7 +102,9 @@ def built(folder, sources, program, *options):
 
 
 @needs_gcc
-@pytest.mark.parametrize("case", ["plain", "lean", "remaining"])
+@pytest.mark.parametrize(
+    "case", ["lean", *(pytest.param(c, marks=pytest.mark.slow) for c in ("plain", "remaining"))]
+)
 def test_the_example_compiles_and_prints_what_is_expected(tmp_path, case):
     """With the remaining time its vector holds a plan of loads, too."""
     out = tmp_path / "out"

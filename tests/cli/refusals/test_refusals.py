@@ -130,6 +130,7 @@ def test_identify_arguments(refused, tmp_path, arguments, says):
     assert written(tmp_path) == set()
 
 
+@pytest.mark.slow
 def test_a_log_that_never_rests_gives_no_model_of_its_own_and_that_is_said_first(
     run_json, tmp_path
 ):
