@@ -12,12 +12,11 @@ from numba.core.runtime import _nrt_python, rtsys
 from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
 from cellwise.cell.simulate import simulate_rows
-from cellwise.estimate.adaptive.adaptive_kernels import ADAPTIVE_OUTPUTS, adaptive_rows
-from cellwise.estimate.adaptive.settings import AdaptiveSettings
+from cellwise.estimate.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import CoulombState, CountRules, coulomb_rows
-from cellwise.estimate.filters.filter_state import OUTPUTS, LogArrays, TraceArrays
+from cellwise.estimate.filters.filter_state import ADAPTIVE_OUTPUTS, OUTPUTS, LogArrays, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints
-from cellwise.estimate.filters.kalman_kernels import kalman_rows
+from cellwise.estimate.filters.kalman_kernels import adaptive_rows, kalman_rows
 from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)

@@ -395,7 +395,6 @@ ESTIMATED = {
     "gain": ("gain of the current sensor", ""),
     "capacity_Ah": ("capacity", "Ah"),
     "resistance_scale": ("R0 and R1, times the model's", ""),
-    "polarisation_scale": ("R2, times the model's", ""),
 }
 
 
