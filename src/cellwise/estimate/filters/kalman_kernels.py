@@ -80,13 +80,13 @@ def kalman_step_of_rows(
     -------
     int       the status
     """
-    tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0))
-    noise = record_at(NoiseScalars, constants, NOISE_AT)
-    unknown = record_at(EkfStart, constants, UNKNOWN_AT)
+    tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0, 1))
+    noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
+    unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
     reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
-    old = record_at(EkfState, state, 0)
+    old = record_at(EkfState, state, 0, 1)
     after, info = kalman_step(tables, noise, sigma, unknown, old, reading)
-    put_record(state, 0, after)
+    put_record(state, 0, 1, after, True)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
 
