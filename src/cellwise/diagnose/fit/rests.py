@@ -179,7 +179,8 @@ class RestVoltages:
     ) -> float:
         """Standard deviations between the OCV at a SOC and where the rest puts it."""
         ocv, std = self._ocv(rest, soc, coordinates, z)
-        beyond = rest.direction * (ocv + z.get("offset_V", 0.0) - rest.voltage_V)
+        offset_V = z.get("offset_V", 0.0) + z.get(f"offset_V:{rest.log}", 0.0)
+        beyond = rest.direction * (ocv + offset_V - rest.voltage_V)
         return beyond / (math.hypot(std, rest.left_V) if beyond > 0.0 else std)
 
     def _ocv(
