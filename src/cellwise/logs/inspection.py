@@ -24,20 +24,17 @@ from cellwise.logs.checks.sign import (
     verify_sign,
 )
 from cellwise.logs.checks.units import COUNTER, compare_counter
-from cellwise.logs.gaps import Gap, find_gaps, run_edges
+from cellwise.logs.gaps import Gap, run_edges
 from cellwise.typing import BoolArray, FloatArray
 
 
 class Noted(NamedTuple):
     """From where on something is noted.
 
-    Intervals that differ by the share ``jitter`` from the one before, if ``jittering`` of them do;
-    so many ``gaps`` one by one. A current of up to the share ``quiet`` of the log's largest is
+    So many ``gaps`` one by one. A current of up to the share ``quiet`` of the largest is
     none, and after ``rest_s`` of it a voltage is an OCV.
     """
 
-    jitter: float = 0.25
-    jittering: float = 0.2
     gaps: int = 5
     quiet: float = 0.005
     rest_s: float = 60.0
@@ -62,16 +59,11 @@ class Range(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """Logging intervals [s]; ``jitter_share`` of them differ by over a quarter from the one before.
-
-    ``late`` rows come after more than ten times the intervals around, yet too soon for a gap.
-    """
+    """Logging intervals [s]."""
 
     median_s: float
     min_s: float
     max_s: float
-    jitter_share: float
-    late: int
 
 
 @dataclass(frozen=True)
@@ -140,7 +132,6 @@ def inspect_log(log: CellLog) -> Inspection:
         for name, runs in stuck_runs(possible).items()
         if (stretch := longest(log, runs)) is not None
     }
-    sampling = _sampling(log)
     missing = {
         field: int(np.count_nonzero(np.isnan(values)))
         for field in ("current_A", "voltage_V", "temperature_C", "charge_Ah")
@@ -149,7 +140,7 @@ def inspect_log(log: CellLog) -> Inspection:
     notices = [
         *graves_first([*log.notices, *grave_notices(log)]),
         *_sign_notices(log, check),
-        *_time_notices(log, sampling),
+        *_time_notices(log),
         *_channel_notices(log, missing, stuck, find_spikes(possible).size, mismatch),
     ]
     if not rests:
@@ -172,7 +163,7 @@ def inspect_log(log: CellLog) -> Inspection:
         voltage_V=_range(log.voltage_V),
         temperature_C=None if log.temperature_C is None else _range(log.temperature_C),
         charge_Ah=float(log.counted_charge_Ah()[-1]),
-        sampling=sampling,
+        sampling=_sampling(log),
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
@@ -190,17 +181,8 @@ def _sampling(log: CellLog) -> Sampling:
     interval = np.diff(log.time_s)
     moving = interval[interval > 0]
     if moving.size == 0:
-        return Sampling(0.0, 0.0, 0.0, 0.0, 0)
-    median = float(np.median(moving))
-    late = find_gaps(log.time_s, minimum_s=0.0) & ~log.gap_rows
-    change = np.abs(np.diff(interval))
-    return Sampling(
-        median_s=median,
-        min_s=float(np.min(interval)),
-        max_s=float(np.max(interval)),
-        jitter_share=float(np.mean(change > NOTED.jitter * interval[:-1])) if change.size else 0.0,
-        late=int(np.count_nonzero(late)),
-    )
+        return Sampling(0.0, 0.0, 0.0)
+    return Sampling(float(np.median(moving)), float(np.min(interval)), float(np.max(interval)))
 
 
 def _sign_notices(log: CellLog, check: SignCheck) -> list[str]:
@@ -212,7 +194,7 @@ def _sign_notices(log: CellLog, check: SignCheck) -> list[str]:
     return []
 
 
-def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
+def _time_notices(log: CellLog) -> list[str]:
     notices = []
     gaps = log.gaps
     for gap in gaps[: NOTED.gaps]:
@@ -228,17 +210,6 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
         notices.append(f"{len(gaps) - NOTED.gaps} more gaps")
     if log.repeated_stamps:
         notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
-    if sampling.late:
-        notices.append(
-            f"{sampling.late} row(s) come after more than ten times the usual interval of "
-            f"{sampling.median_s:.3g} s, yet too soon for a gap: their current is taken to have "
-            "flowed all that time"
-        )
-    if sampling.jitter_share > NOTED.jittering:
-        notices.append(
-            f"{100 * sampling.jitter_share:.0f} % of the intervals differ by over a quarter "
-            f"from the one before (median {sampling.median_s:.3g} s)"
-        )
     return notices
 
 

@@ -172,7 +172,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
     rows = source.parquet_metadata.num_rows
     if rows == 0:
         raise InputError(f"no rows in {where}", "rows of numbers", "Check the export.")
-    Limits.of(source.size).check_rows(rows, where)
+    Limits.of(source.size).check(where, rows)
     arrays: dict[str, FloatArray] = {}
     try:
         with parquet.ParquetFile(source.path, metadata=source.parquet_metadata) as file:
