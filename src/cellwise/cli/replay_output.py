@@ -84,7 +84,7 @@ class Run:
 
 
 def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
-    """The rows of a log's stretches as a file, and the layout that PlotJuggler shows them in."""
+    """The rows of a log's stretches as a file: a table, or topics with a layout for Foxglove."""
     import numpy as np
 
     from cellwise.logs.writing import write_columns
@@ -106,10 +106,6 @@ def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
         write_foxglove(Path(arguments.output).with_suffix(".foxglove.json"))
         return
     write_columns(columns, Path(arguments.output))
-    if arguments.plotjuggler:
-        from cellwise.report.viewer_files import write_layout
-
-        write_layout(arguments.plotjuggler, arguments.output, columns)
 
 
 def rows_of(run: Run) -> dict[str, Any]:

@@ -41,7 +41,6 @@ def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> 
     options.number(own, "--nominal-ah", "X", "rated capacity")
     options.number(own, "--reference-capacity-ah", "X", "of the reference")
     options.number(own, "--reference-soc0", "X", "[as stated, else 1]")
-    options.several(p, "--choice", "C", "only these choices [all]", default=None)
     options.several(p, "--estimator", "E", "only these [all four]", default=None)
     page_options.add_page_options(p)
     log_options.add_log_options(p)
@@ -132,7 +131,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
     data = options.data_folder(arguments)
     cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
     with printing.working("capacity study") as follow:
-        studies = [study_cell(cell, arguments.choice, estimators, follow) for cell in cells]
+        studies = [study_cell(cell, None, estimators, follow) for cell in cells]
         with page_options.page_places(arguments) as pages:
             if pages is not None:
                 from cellwise.report.capacity_study_page import capacity_study_page
