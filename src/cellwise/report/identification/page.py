@@ -5,37 +5,27 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import (
-    ChargeTransfer,
-    Hysteresis,
-    SelfHeating,
-    SurfaceSoc,
-    TemperatureDependence,
-    TimeSkew,
-)
 from cellwise.identify.identification import Identification, OwnLog
 from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
     ocv_content,
-    ocv_picture,
+    ocv_pictures,
 )
 from cellwise.report.identification.parameter_section import (
     NAMES,
     model_table,
     parameter_content,
-    parameter_picture,
+    parameter_pictures,
 )
-from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.identification.simulation_section import (
-    simulation_content,
-    simulation_pictures,
-)
+from cellwise.report.identification.pulse_section import pulse_content, pulse_pictures, pulse_sets
+from cellwise.report.identification.simulation_section import simulation_blocks
 from cellwise.report.page.markup import (
     Markup,
     bullets,
@@ -62,13 +52,8 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import (
-    Blocks,
-    Section,
-    simulation_traces,
-    trace_section,
-    write_page,
-)
+from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.typing import FloatArray
 
 NOT_JUDGED = (
     "Every log here took part in the fit: judge the model on another one "
@@ -148,28 +133,21 @@ def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
 
 
 def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
-    model = identification.model
-    held_out = "the loads; accepted on logs held out"
-    rows: dict[str, tuple[object, ...]] = {}
-    h = model.effect(Hysteresis)
-    text = f"M up to {millivolt(float(np.max(h.m_V)))}, γ {significant(float(h.gamma))}"
-    note = listed([millivolt(e) for e in _errors(identification, "m_V")])
-    rows[h.name] = ("hysteresis", text, note, "gap of the branches")
-    t = model.effect(TemperatureDependence)
-    text = f"{significant(float(t.activation_K))} K at {celsius(t.reference_C)}"
-    rows[t.name] = ("Arrhenius activation", text, "", "measured temperatures")
-    skew = model.effect(TimeSkew)
-    rows[skew.name] = ("sampling delay", f"{significant(skew.skew_s)} s", "", "the drives")
-    transfer = model.effect(ChargeTransfer)
-    text = f"k = {significant(transfer.asinh_per_V)} / V"
-    rows[transfer.name] = ("charge transfer", text, "", held_out)
-    surface = model.effect(SurfaceSoc)
-    text = f"{percent(surface.depth_h)} of SOC at 1C, after {significant(surface.tau_s)} s"
-    rows[surface.name] = ("surface SOC", text, "", held_out)
-    heat = model.effect(SelfHeating)
-    text = f"{significant(heat.rth_K_per_W)} K/W, {significant(heat.thermal_s)} s"
-    rows[heat.name] = ("self-heating", text, "", held_out)
-    return [row for name, row in rows.items() if name in {e.name for e in model.effects}]
+    """Every effect of the model with its parameters, whose names carry their units."""
+    rows: list[tuple[object, ...]] = []
+    for effect in identification.model.effects:
+        told = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
+        known = {name: values for name, values in told if values.dtype.kind == "f"}
+        text = ", ".join(f"{name} {_spread(values)}" for name, values in known.items())
+        sure = [significant(e, 2) for e in _errors(identification, next(iter(known), ""))]
+        rows.append((effect.name.replace("_", " "), text, listed(sure), "the loads"))
+    return rows
+
+
+def _spread(values: FloatArray) -> str:
+    """One value, or the lowest and the highest of a table."""
+    ends = dict.fromkeys((significant(float(values.min())), significant(float(values.max()))))
+    return " to ".join(ends)
 
 
 def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
@@ -303,27 +281,22 @@ def identify_page(
 
 def identify_sections(identification: Identification) -> tuple[Section, ...]:
     """The parts of an identification's page."""
-    simulations = identification.simulations
-    ocv = (ocv_picture(identification), ocv_content(identification))
+    ocv: Blocks = (*ocv_pictures(identification), ocv_content(identification))
     capacity = (capacity_content(identification),)
-    parameters = (parameter_picture(identification), parameter_content(identification))
-    fit: Blocks = (simulation_content(simulations), *simulation_pictures(simulations, "fit"))
+    parameters: Blocks = (parameter_content(identification), *parameter_pictures(identification))
+    fit = simulation_blocks(identification.simulations, "fit")
     scope = (scope_content(identification),)
     provenance = (provenance_content(identification),)
-    traces = [
-        (f"{clock_of(s.log)}, measured and simulated", simulation_traces(s)) for s in simulations
-    ]
     sections = [
         Section("scope", "What the model explains, and where it ends", scope, "Scope"),
         Section("ocv", "Open-circuit voltage", ocv),
         Section("capacity", "Capacity", capacity),
         Section("parameters", "Parameters", parameters),
         Section("fit", "Measured and simulated", fit),
-        trace_section(traces),
         Section("provenance", "Where every number came from", provenance, "Provenance"),
     ]
     if any(s.pulses for _, s in pulse_sets(identification)):
-        pulses = (pulse_picture(identification), pulse_content(identification))
+        pulses: Blocks = (*pulse_pictures(identification), pulse_content(identification))
         sections.insert(3, Section("pulses", "Pulses", pulses))
     return tuple(sections)
 
