@@ -46,10 +46,8 @@ def pack_page(
         + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
         for cause in data["causes"]
     ]
-    sections = [
-        Section("cells", "Cells over time", (cells_picture(found),), "Over time"),
-        Section("load", "At rest and under load", (rest_and_load_picture(found),), "Rest and load"),
-    ]
+    cells = (cells_picture(found), *([rest_and_load_picture(found)] if means_of(found) else []))
+    sections = [Section("cells", "Cells over time", cells, "Over time")]
     if found.withheld is None:
         health = _pictures(found, estimates_of(found), ESTIMATES)
         sensors = _pictures(found, sensors_of(found), SENSORS)
@@ -184,6 +182,16 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
     return np.concatenate(parts).T, edges, names
 
 
+def means_of(found: PackEstimate) -> dict[str, FloatArray]:
+    """Mean difference of every cell [V], shape (cells,), at rest and under load where it was so."""
+    rates = [day.log.mean.current_A / found.model.capacity_Ah for day in found.days]
+    means = {
+        "at rest": _mean_where(found, [np.abs(rate) < REST_RATE for rate in rates]),
+        "under load": _mean_where(found, [rate > LOAD_RATE for rate in rates]),
+    }
+    return {name: mean for name, mean in means.items() if np.isfinite(mean).any()}
+
+
 @pictured(
     "pack_rest_and_load",
     "The same difference, averaged where the pack rests and where it is under load. "
@@ -192,29 +200,18 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
 def rest_and_load_picture(found: PackEstimate) -> style.Figure:
     """Mean difference of every cell at rest and under load."""
     figure, axes = style.new_axes(2.9)
-    number = np.arange(1, len(found.names) + 1)
-    capacity = found.model.capacity_Ah
-    shown = {}
-    heights = np.zeros(len(found.names))
-    rates = [day.log.mean.current_A / capacity for day in found.days]
-    for label, colour, marker, inside in (
-        ("at rest", style.BLUE, "o", [np.abs(rate) < REST_RATE for rate in rates]),
-        ("under load", style.VERMILLION, "s", [rate > LOAD_RATE for rate in rates]),
-    ):
-        mean = _mean_where(found, inside)
-        if np.isfinite(mean).any():
-            shown[label] = float(np.nanstd(mean))
-            heights = 1e3 * mean
-            axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=label)
+    looks = {"at rest": (style.BLUE, "o"), "under load": (style.VERMILLION, "s")}
+    means = means_of(found)
+    for name, mean in means.items():
+        colour, marker = looks[name]
+        number = np.arange(1, mean.size + 1)
+        axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=name)
+        _point_at(axes, found, 1e3 * mean)
     style.zero_line(axes)
-    _point_at(axes, found, heights)
-    said = ", ".join(f"{millivolt(v)} {k}" for k, v in shown.items())
-    style.finding(
-        axes, f"Standard deviation between cells: {said or 'no row at rest or under load'}"
-    )
+    said = ", ".join(f"{millivolt(float(np.nanstd(v)))} {k}" for k, v in means.items())
+    style.finding(axes, f"Standard deviation between cells: {said}")
     style.labels(axes, "cell", "cell minus mean [mV]")
-    if shown:
-        style.legend(axes, columns=2)
+    style.legend(axes, columns=2)
     return figure
 
 

@@ -96,7 +96,12 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
     explained = bool(diagnosis.causes)
     shown = list(enumerate(runs[: MOST.diagnosed], start=1))
     plots = tuple(before_after_plot(r, explained, f"before-after-{k}") for k, r in shown)
-    by_soc = tuple(by_soc_picture(r, explained)._replace(key=f"by-soc-{k}") for k, r in shown)
+    by_soc = tuple(
+        by_soc_picture(r, explained)._replace(
+            key=f"by-soc-{k}", caption="" if k > 1 else "RMSE by tenth of SOC."
+        )
+        for k, r in shown
+    )
     title = "Before and after" if explained else "Measured and simulated"
     first: Blocks = (*plots[:1], runs_table(runs, explained), *by_soc)
     sections = [Section("before-after", title, first)]

@@ -37,7 +37,7 @@ def before_after_plot(run: LogRun, explained: bool, key: str) -> Plot:
     return simulation_plot(key, title, run.log, models, caption=BEFORE_AFTER_CAPTION)
 
 
-@pictured("by-soc", "RMSE by tenth of SOC.")
+@pictured("by-soc")
 def by_soc_picture(run: LogRun, explained: bool) -> style.Figure:
     """RMSE by tenth of SOC, before and after side by side."""
     figure, axes = style.new_axes(2.3)

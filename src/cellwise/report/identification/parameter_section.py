@@ -292,7 +292,7 @@ def _draw_key(axes: style.Axes, identification: Identification) -> None:
             looks: dict[str, Any] = {"color": style.MEASURED, "alpha": alpha, "linestyle": "none"}
             keys.append(Line2D([], [], marker=marker, markersize=4, label=name, **looks))
     if len(keys) > 1:
-        axes.legend(handles=keys, ncols=1 + len(keys) // 6).set_zorder(6)
+        style.key_below(axes, keys)
 
 
 def temperature_colours(count: int) -> tuple[str, ...]:

@@ -144,5 +144,5 @@ def pulse_picture(found: PulseSet, temperature_C: float, capacity_Ah: float) -> 
     style.finding(axes, f"{name}, {_warm(found, temperature_C)}: {verdict_counts(counted)}")
     style.soc_axis(axes, "current [A]")
     axes.margins(y=0.15)
-    style.legend(axes)
+    style.key_below(axes)
     return figure

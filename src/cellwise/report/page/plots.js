@@ -83,6 +83,9 @@
     return { low, high };
   }
 
+  const least = (values) => values.reduce((a, b) => (b < a ? b : a), Infinity);
+  const most = (values) => values.reduce((a, b) => (b > a ? b : a), -Infinity);
+
   function start(root, plot) {
     const whole = [at(plot.x, 0), at(plot.x, plot.n - 1)];
     let view = whole.slice(), pointer = null, grip = null, waiting = false, marked = null;
@@ -150,17 +153,14 @@
         seen: columns(plot, line, view, width),
         band: line.band && line.band.map((edge) => columns(plot, edge, view, width)),
       }));
-      let low = Infinity, high = -Infinity;
-      for (const { seen } of drawn)
-        for (let c = 0; c < width; c++) {
-          if (seen.low[c] < low) low = seen.low[c];
-          if (seen.high[c] > high) high = seen.high[c];
-        }
+      const ends = (of) => [Math.min(...of.map((s) => least(s.low))), Math.max(...of.map((s) => most(s.high)))];
+      const [lowest, highest] = ends(drawn.map(({ seen }) => seen));
+      let [low, high] = ends(drawn.flatMap(({ seen, band }) => [seen, ...(band || [])]));
       if (!(low <= high)) { low = 0; high = 1; }
-      // Of the whole log a few peaks do not set the axis; zoomed in, they do.
-      const all = view[0] === whole[0] && view[1] === whole[1];
-      const beyond = all && panel.most ? [low < panel.most[0] && low, high > panel.most[1] && high] : [];
-      if (beyond[0] !== undefined) [low, high] = [Math.max(low, panel.most[0]), Math.min(high, panel.most[1])];
+      // Of the whole log a few peaks or a wide band do not set the axis; zoomed in, they do.
+      const all = view[0] === whole[0] && view[1] === whole[1], limits = (all && panel.most) || [-Infinity, Infinity];
+      [low, high] = [Math.max(low, limits[0]), Math.min(high, limits[1])];
+      const beyond = [lowest, highest].filter((v) => v < limits[0] || v > limits[1]);
       const room = 0.06 * (high - low) || 0.05 * Math.abs(high) || 0.5;
       low -= room;
       high += room;
@@ -177,11 +177,14 @@
         trace(pen, seen, frame.y, inked[k]);
       });
       pen.restore();
-      const said = beyond.filter((v) => v || v === 0).map((v) => signed(v.toPrecision(3)));
-      pen.fillStyle = colour("--muted");
-      pen.textAlign = "right";
-      if (said.length) pen.fillText(`off scale: up to ${said.join(" and ")}`, LEFT + width, above + 12);
-      pen.textAlign = "left";
+      if (beyond.length) {
+        const said = `off scale: up to ${beyond.map((v) => signed(v.toPrecision(3))).join(" and ")}`;
+        const from = LEFT + width - pen.measureText(said).width;
+        pen.fillStyle = colour("--paper");
+        pen.fillRect(from - 4, above, LEFT + width - from + 4, 16);
+        pen.fillStyle = colour("--muted");
+        pen.fillText(said, from, above + 12);
+      }
       let along = LEFT + 2;
       if (panel.lines.length > 1) panel.lines.forEach(({ label }, k) => {
         pen.fillStyle = inked[k];

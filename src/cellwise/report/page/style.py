@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any, cast
@@ -13,6 +13,7 @@ from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     # Named so that pages outside this folder can say what they draw on.
+    from matplotlib.artist import Artist as Artist
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis as Axis
     from matplotlib.figure import Figure as Figure
@@ -126,6 +127,15 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
     handles, names = axes.get_legend_handles_labels()
     if handles:
         axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
+
+
+def key_below(axes: Axes, keys: Sequence[Artist] = ()) -> None:
+    """A legend below the axes, of ``keys`` or else of what is drawn."""
+    handles = list(keys) or axes.get_legend_handles_labels()[0]
+    names = [str(one.get_label()) for one in handles]
+    if handles:
+        place = cast(Any, "outside lower left")
+        cast("Figure", axes.figure).legend(handles, names, loc=place, ncols=3, columnspacing=1.0)
 
 
 def zero_line(axes: Axes) -> None:

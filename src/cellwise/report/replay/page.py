@@ -265,10 +265,10 @@ def replay_page(
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections([*last, *before], simulations))
+    if any(r.power is not None for r in replays):
+        sections.insert(0, power_section([*last, *before]))
     if flights:
         sections.insert(0, flight_section(flights))
-    if any(r.power is not None for r in replays):
-        sections.insert(0, power_section(replays))
     data: dict[str, object] = {**replay_data(replays, simulations)}
     if flights:
         data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]

@@ -52,7 +52,9 @@ def replay_plot(replay: Replay, key: str) -> Plot:
     """SOC and its error, voltage and innovation with their bands, current, temperature."""
     log, trace = replay.log, replay.trace
     t, label = time_axis(log)
-    soc = [Line(replay.estimator, t, 100.0 * trace.soc, 200.0 * trace.soc_std)]
+    ends = (trace.soc + sign * 2.0 * trace.soc_std for sign in (-1.0, 1.0))
+    band = 100.0 * np.clip(np.column_stack(list(ends)), 0.0, 1.0)
+    soc = [Line(replay.estimator, t, 100.0 * trace.soc, band)]
     panels = []
     if replay.reference_soc is not None and replay.soc_error is not None:
         soc.insert(0, Line("reference", t, 100.0 * replay.reference_soc))
@@ -75,7 +77,10 @@ def replay_plot(replay: Replay, key: str) -> Plot:
 def _within(name: str, t: FloatArray, value: FloatArray, std: FloatArray) -> Panel:
     """A difference around zero with the band that two deviations leave it."""
     band = np.column_stack((-2.0 * std, 2.0 * std))
-    return Panel(name, (Line(name.partition(" [")[0], t, value, band),), robust_limits(value))
+    line = Line(name.partition(" [")[0], t, value, band)
+    largest = (robust_limits(value) or (0.0, float(np.nanmax(np.abs(value)))))[1]
+    limit = 1.1 * max(largest, 2.0 * float(np.nanmedian(std)))
+    return Panel(name, (line,), (-limit, limit) if limit > 0.0 else None)
 
 
 def _title(replay: Replay) -> str:
