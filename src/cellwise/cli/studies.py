@@ -57,9 +57,9 @@ def run_papers(arguments: argparse.Namespace) -> None:
     with printing.working("papers") as follow:
         found = paper_tables(datasets_folder(), follow)
     if arguments.json:
-        printing.print_json(found.to_dict())
+        printing.print_json(found)
         return
-    for paper, tables in found.to_dict().items():
+    for paper, tables in found.items():
         if isinstance(tables, dict):
             printing.say(f"{paper} on {tables['cell']}; published: measured on another cell, "
                          f"{tables['published_cell']}")  # fmt: skip

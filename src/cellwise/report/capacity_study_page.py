@@ -13,7 +13,7 @@ from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Winner
 from cellwise.studies.capacity_study_cells import published_orders
-from cellwise.studies.papers import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
+from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
 
 MOSTLY = 0.5
 ITSELF = 1e-3

@@ -13,7 +13,7 @@ from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 from cellwise.studies.capacity_study import JudgedLog, StudyCell
-from cellwise.studies.papers import LFP_ERRORS, NCA_RESIDUALS
+from cellwise.studies.published import LFP_ERRORS, NCA_RESIDUALS
 
 NMC_RATES = {"rate:C/20": "c20", "rate:C/5": "c5", "rate:C/3": "c3"}
 NMC_DRIVES = ("nmc_drive_b", "nmc_drive_c")
