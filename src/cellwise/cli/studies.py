@@ -31,10 +31,8 @@ def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> 
     p = commands.add_parser(
         "capacity-study", help="what each choice of the capacity does to voltage and SOC"
     )
-    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
-    text += "[all embedded ones, and the measured ones with --data]"
+    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp [all]"
     options.several(p, "--cell", "NAME", text)
-    options.add_data(p)
     own = p.add_argument_group("a cell of your own")
     log_options.add_test_options(own)
     options.several(own, "--judge", "LOG", "log with a charge counter to judge the choices on")
@@ -129,8 +127,7 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
                 f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
             )
     own = own_cell(arguments)
-    data = options.data_folder(arguments)
-    cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
+    cells = (own,) if own is not None else study_cells(tuple(arguments.cell))
     with printing.working("capacity study") as follow:
         studies = [study_cell(cell, arguments.choice, estimators, follow) for cell in cells]
         with page_options.page_places(arguments) as pages:
