@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,cold,leaf,lfp,power] [--json]
+python -m benchmarks.accuracy [--only panasonic,leaf,lfp,power] [--json]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from benchmarks.figures import Figure, Progress, judged_run, missing
 from benchmarks.measured_data import HOW, data_folder
 
-PARTS = ("panasonic", "cold", "leaf", "lfp", "power")
+PARTS = ("panasonic", "leaf", "lfp", "power")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,7 +20,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(parts: list[str], say: Progress) -> list[Figure]:
     """Figures of the cells, in order; a row that says so where the data are not there."""
-    from benchmarks.accuracy.cold import cold_figures
     from benchmarks.accuracy.leaf import leaf_figures
     from benchmarks.accuracy.lfp import lfp_figures
     from benchmarks.accuracy.panasonic import panasonic_figures
@@ -28,7 +27,6 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
 
     measured = {
         "panasonic": panasonic_figures,
-        "cold": cold_figures,
         "leaf": leaf_figures,
         "lfp": lfp_figures,
         "power": power_figures,

@@ -15,10 +15,6 @@ from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Wi
 from cellwise.studies.capacity_study_cells import published_orders
 from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
 
-MOSTLY = 0.5
-ITSELF = 1e-3
-COUNTED = "counting divides by it."
-LED = "the filter is led by an OCV over that scale and cannot know of another."
 NAMES = {
     VOLTAGE: "simulated voltage",
     "coulomb": "coulomb counting",
@@ -102,34 +98,18 @@ def _verdict(study: CellStudy, winner: Winner) -> str:
 
 
 def _why(study: CellStudy, winner: Winner) -> str:
-    best = _result(study, winner.choice)
     worst = _result(study, study.order(winner.kind)[-1])
     off = 100 * (worst.capacity_Ah / study.reference_Ah - 1.0)
-    near = 100 * (best.capacity_Ah / study.reference_Ah - 1.0)
     if winner.kind == VOLTAGE:
         return (
             "OCV and tables are fitted over the choice's own SOC, so a scale that is off hardly "
             f"shows in the voltage until it ends before the cell does ({worst.choice}, {off:+.1f} "
             f"% of the reference: {amount(VOLTAGE, worst.voltage_rmse_V)})."
         )
-    share = worst.axis_share[winner.kind]
-    if share > MOSTLY:
-        return (
-            f"{100 * share:.0f} % of the squared error of {worst.choice} is its SOC scale, "
-            f"{off:+.1f} % off the reference ({winner.choice}: {near:+.1f} %): "
-            + (COUNTED if winner.kind == "coulomb" else LED)
-            + _itself(study, best)
-        )
-    return "The SOC scale is not what the choices differ by here; the fit of the tables is."
-
-
-def _itself(study: CellStudy, best: ChoiceResult) -> str:
-    """A warning where the winner is the reference by another name."""
-    if abs(best.capacity_Ah / study.reference_Ah - 1.0) > ITSELF:
-        return ""
     return (
-        f" {best.choice} is the reference here, so that it wins says that SOC follows the "
-        "capacity that is called whole, not that this one is."
+        f"Of the squared error of {worst.choice} {100 * worst.axis_share[winner.kind]:.0f} % is "
+        f"its SOC scale, {off:+.1f} % off the reference: counting divides by it, and a filter is "
+        "led by an OCV over it."
     )
 
 
