@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cellwise.cell.model import CellModel
 from cellwise.identify.identification import Identification, OwnLog
 from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
@@ -19,8 +20,6 @@ from cellwise.report.identification.capacity_and_ocv import (
     ocv_pictures,
 )
 from cellwise.report.identification.parameter_section import (
-    NAMES,
-    model_table,
     parameter_content,
     parameter_pictures,
 )
@@ -59,88 +58,39 @@ NOT_JUDGED = (
     "Every log here took part in the fit: judge the model on another one "
     "(cellwise simulate, replay or diagnose)."
 )
-TABLES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s", "r3_ohm", "tau3_s")
 
 
 def provenance_content(identification: Identification) -> Markup:
-    """One row per quantity of the model: value, how sure, where from."""
-    rows = [
-        *_capacity_rows(identification),
-        *_ocv_rows(identification),
-        *_table_rows(identification),
-        *_effect_rows(identification),
-        *_error_rows(identification),
-    ]
+    """How the tables came about, the effects, what the model may be off by, its own record."""
+    model = identification.model
     found = table(
-        ("quantity", "value", "standard error", "from"),
-        rows,
-        caption=_how(identification) + " Standard errors are medians over SOC, a temperature each.",
-        text_columns=range(4),
+        ("of the model", "value"),
+        [*_effect_rows(model), *_error_rows(model)],
+        caption=f"{_how(identification)} Voltage errors are from logs left out of the fit.",
+        text_columns=(0, 1),
     )
-    record = json.dumps(
-        finite(identification.model.provenance), indent=2, ensure_ascii=False, allow_nan=False
-    )
+    record = json.dumps(finite(model.provenance), indent=2, ensure_ascii=False, allow_nan=False)
     full = Markup(f"<pre>{escape(record)}</pre>")
     return Markup(found + details("The model's own record", full))
 
 
 def _how(identification: Identification) -> str:
     """How the tables came about, and of which logs."""
-    provenance = _mapping(identification.model.provenance.get("pulses"))
     sets = [s for t in identification.temperatures for s in t.pulse_sets]
     fitted = sum(len(s.fits) for s in sets)
     logs = [p.name for t in identification.temperatures if t.refinement for p in t.refinement.logs]
-    how = []
-    if fitted:
-        how.append(f"{plural(fitted, 'pulse')} by {provenance.get('method', 'fit')}")
-    if logs:
-        how.append("least squares over whole logs")
+    how = [plural(fitted, "pulse")] * bool(fitted) + ["least squares over whole logs"] * bool(logs)
     names = listed(list(dict.fromkeys(logs or [s.log.name for s in sets])))
     return f"Resistances and time constants: {', then '.join(how)}, of {names}." if how else ""
 
 
-def _capacity_rows(identification: Identification) -> list[tuple[object, ...]]:
-    choice = identification.capacity_choice
-    tests = [t.name for t in identification.capacity_tests if t.complete]
-    source = {"nominal": "the user", "hppc-total": "the HPPC log"}.get(
-        choice, listed(list(dict.fromkeys(tests))) or "the capacity tests"
-    )
-    value = ampere_hours(identification.model.capacity_Ah)
-    return [("capacity", value, "", f"{source}; choice {choice}")]
-
-
-def _ocv_rows(identification: Identification) -> list[tuple[object, ...]]:
-    curve, model = identification.ocv, identification.model
-    value = f"{model.ocv_V.min():.3f} to {model.ocv_V.max():.3f} V"
-    how = f"{curve.source}; {plural(curve.points_soc.size, 'point')}"
-    errors = _errors(identification, "ocv_V")
-    text = listed([millivolt(e) for e in errors])
-    return [("OCV", value, text, how + (", corrected by refinement" if errors else ""))]
-
-
-def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
-    model = identification.model
-    rows: list[tuple[object, ...]] = []
-    for name in TABLES:
-        lines = [model_table(model, name, k) for k in range(model.temperature_C.size)]
-        known = np.concatenate([line for line in lines if line is not None] or [np.empty(0)])
-        if known.size:
-            factor, unit = (1e3, "mΩ") if name.endswith("ohm") else (1.0, "s")
-            text = f"{significant(factor * known.min())} to {significant(factor * known.max())}"
-            note = listed([percent(e, 1) for e in _errors(identification, name)])
-            rows.append((NAMES[name], f"{text} {unit}", note, ""))
-    return rows
-
-
-def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
+def _effect_rows(model: CellModel) -> list[tuple[str, str]]:
     """Every effect of the model with its parameters, whose names carry their units."""
-    rows: list[tuple[object, ...]] = []
-    for effect in identification.model.effects:
+    rows = []
+    for effect in model.effects:
         told = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
-        known = {name: values for name, values in told if values.dtype.kind == "f"}
-        text = ", ".join(f"{name} {_spread(values)}" for name, values in known.items())
-        sure = [significant(e, 2) for e in _errors(identification, next(iter(known), ""))]
-        rows.append((effect.name.replace("_", " "), text, listed(sure), "the loads"))
+        known = (f"{name} {_spread(v)}" for name, v in told if v.dtype.kind == "f")
+        rows.append((effect.name.replace("_", " "), ", ".join(known)))
     return rows
 
 
@@ -150,30 +100,17 @@ def _spread(values: FloatArray) -> str:
     return " to ".join(ends)
 
 
-def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
+def _error_rows(model: CellModel) -> list[tuple[str, str]]:
     """What the model may be off by, a row for each time scale."""
-    error = identification.model.error
     soc = np.linspace(0.05, 0.95, 19)
-    rows: list[tuple[object, ...]] = []
-    for k, scale in enumerate(error.scales_s):
-        size = np.sqrt(error.variance_V2(k, soc))
+    rows = []
+    for k, scale in enumerate(model.error.scales_s):
+        size = np.sqrt(model.error.variance_V2(k, soc))
         text = f"{millivolt(float(np.median(size)))}, at most {millivolt(float(size.max()))}"
-        share = error.shares()[k]
+        share = model.error.shares()[k]
         more = f", and {percent(share, 1)} of the polarisation" if share > 5e-4 else ""
-        name = f"voltage error over {duration(scale)}"
-        rows.append((name, text + more, "", "logs left out of the fit"))
+        rows.append((f"voltage error over {duration(scale)}", text + more))
     return rows
-
-
-def _errors(identification: Identification, name: str) -> list[float]:
-    """Median standard errors of a quantity, one per refined temperature."""
-    stages: Sequence[Any] = identification.model.provenance.get("refinement", ())
-    found = [_mapping(_mapping(stage).get("standard_error")).get(name) for stage in stages]
-    return [float(v) for v in found if v is not None]
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
 
 
 ROLES = {"hppc": "HPPC", "ocv": "low rate", "capacity": "capacity", "drive": "drive"}

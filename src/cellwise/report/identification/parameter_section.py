@@ -132,31 +132,13 @@ def vague_names(identification: Identification) -> list[str]:
     ]
 
 
-def _explained(identification: Identification) -> str:
-    """What is drawn: bands where they are narrow enough, marks where pulses were fitted."""
-    model = identification.model
-    slow = model_table(model, "r3_ohm", 0) is not None
-    branches = "seconds (1), minutes (2) and longer (3)" if slow else "seconds (1) and minutes (2)"
-    text = (
-        f"R₀ is the drop at once, the branches are what follows within {branches}. Lines are the "
-        "model's tables at the temperatures of the tests"
-    )
-    errors = [
-        error
-        for found in identification.temperatures
-        for name in shown_names(identification)
-        if (error := table_error(found, name, model.soc)) is not None
-    ]
-    if any(np.any(2.0 * e <= VAGUE) for e in errors):
-        text += ", their bands two standard errors, left out beyond 50 % (≈ in a title)"
-    elif errors:
-        text += ", each of them by itself known to no better than 50 % (≈ in a title)"
-    if has_pulses(identification):
-        text += (
-            ". Marks are single pulses; they need not meet the lines, for a short pulse sees only "
-            "the beginning of what a whole log shows"
-        )
-    return f"{text}.{style.no_data_text(model.validity.soc)}"
+EXPLAINED = (
+    "R₀ is the drop at once, the branches are what follows within seconds (1), minutes (2) and "
+    "longer (3, where there is one). Lines are the model's tables at the temperatures of the tests "
+    "with two standard errors, which are left out beyond 50 % (≈ in a title). Marks are single "
+    "pulses; they need not meet the lines, for a short pulse sees only the beginning of what a "
+    "whole log shows."
+)
 
 
 def has_pulses(identification: Identification) -> bool:
@@ -182,7 +164,9 @@ def parameter_content(identification: Identification) -> Markup:
     said = f"{listed(vague)} {'is' if len(vague) == 1 else 'are'} hardly determined alone (two "
     said += "standard errors are more than half of the value): other values do nearly as well "
     said += "together. Rely on the sum and on the simulated voltage, not on one of them."
-    parts = [paragraph(_explained(identification), "note")] + [paragraph(said)] * bool(vague)
+    parts = [paragraph(EXPLAINED + style.no_data_text(model.validity.soc), "note")] + [
+        paragraph(said)
+    ] * bool(vague)
     tables = []
     for row, temperature in enumerate(model.temperature_C):
         named = ((n, model_table(model, n, row)) for n in NAMES if n != "dc_ohm")
