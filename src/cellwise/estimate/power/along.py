@@ -10,10 +10,10 @@ import numpy as np
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.estimators import Estimator
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import KalmanFilter
+from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.load_kernels import Correction

@@ -54,7 +54,7 @@ def kalman_states(
         memory = remembered_after(tables, memory, state, start, reading_of(log, k), info.status)
         variance = info.soc_std * info.soc_std
         now = Present(state.cell, state.p, variance, state.mismatch, math.nan, memory.but)
-        put_record(out[k], 0, now)
+        put_record(out[k], 0, 1, now, True)
 
 
 @rows
@@ -83,13 +83,14 @@ def carried_states(
         memory = remembered(tables, memory, state, reading, temperature_C[k], status[k])
         variance = soc_std[k] * soc_std[k]
         known = uncorrelated(variance, 0.0, 0.0, 0.0, 0.0)
-        put_record(out[k], 0, Present(state, known, variance, 1.0, temperature_C[k], memory.but))
+        now = Present(state, known, variance, 1.0, temperature_C[k], memory.but)
+        put_record(out[k], 0, 1, now, True)
 
 
 @kernel
 def present_at(values: FloatArray, k: int) -> Present:
     """One row as it was put."""
-    now: Present = record_at(Present, values[k], 0)
+    now: Present = record_at(Present, values[k], 0, 1)
     return now
 
 
