@@ -42,8 +42,7 @@ deep: $(STAMP)
 # Other people's implementations as oracle: PyBaMM, thevenin, importers, checks of manifests.
 oracles: $(STAMP)
 	$(BIN)/pip install --quiet --editable '.[benchmark,checks]'
-	$(BIN)/pytest tests/cell/test_thevenin_oracle.py \
-	  tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py \
+	$(BIN)/pytest tests/benchmarks/test_benchmark_peers.py tests/datasets/test_generator.py \
 	  tests/export/test_pybamm_parameters.py tests/export/test_fmu.py \
 	  tests/export/test_layouts.py tests/logs/test_log_writing.py tests/benchmark/certify/test_lives.py
 
