@@ -1,4 +1,4 @@
-"""A filter over a stream, and over a pack's cells: stamps to intervals, start, step, saved state."""
+"""A filter over a stream, a pack's cells beside it: stamps to intervals, steps, saved state."""
 
 from __future__ import annotations
 
