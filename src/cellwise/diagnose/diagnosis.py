@@ -37,9 +37,6 @@ from cellwise.diagnose.checks import (
     too_little,
     unseen_temperature_C,
 )
-from cellwise.diagnose.decision.odds import NAMING, RARE, Rarity, probability_of
-from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
-from cellwise.diagnose.decision.search import Explanation, Explanations, Progress
 from cellwise.diagnose.extension import (
     correct_log,
     extended_validity,
@@ -51,11 +48,19 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.priors import GOOD
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.limits import Limits, limits
-from cellwise.diagnose.next_test import LONGER_LOG, next_test
+from cellwise.diagnose.limits import LONGER_LOG, Limits, limits, next_test
+from cellwise.diagnose.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
+from cellwise.diagnose.sets import (
+    Accepted,
+    Explanation,
+    Explanations,
+    Outcome,
+    Progress,
+    decide,
+)
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread

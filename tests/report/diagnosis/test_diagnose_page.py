@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import LogRun
-from cellwise.diagnose.decision.odds import Weighed
+from cellwise.diagnose.odds import Weighed
 from cellwise.report.diagnosis.page import (
     cause_content,
     diagnose_page,
