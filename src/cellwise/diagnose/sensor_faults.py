@@ -127,14 +127,14 @@ def without_faults(
     ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
     not known any more.
     """
-    told = iter(starts)
+    stated = iter(starts)
     kept: list[float | str] = []
     faults: list[SensorFault] = []
     cleaned: list[tuple[CellLog, ...]] = []
     for group in groups:
         left = [clean(log) for log in group]
         for log, (one, found) in zip(group, left, strict=True):
-            start = next(told, "auto")
+            start = next(stated, "auto")
             kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
             faults += found
         cleaned.append(tuple(one for one, _ in left))
