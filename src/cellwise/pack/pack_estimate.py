@@ -294,9 +294,9 @@ def estimate_pack(
             past = replace(deltas, covariance=deltas.covariance + np.diag(moves))
             found = suspicions(past, evidence, changed=True)
             if pair := exchanged_cells(past, evidence, found):
-                one, two = (names[k] for k in pair)
+                first, second = (names[k] for k in pair)
                 exchanged.append(
-                    f"{one} and {two} have exchanged their voltages from "
+                    f"{first} and {second} have exchanged their voltages from "
                     f"'{part[0].log.name}' on: each is now what the other was"
                 )
                 evidence = with_exchanged(evidence, pair)
