@@ -89,7 +89,7 @@ def _effect_rows(model: CellModel) -> list[tuple[str, str]]:
     rows = []
     for effect in model.effects:
         told = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
-        known = (f"{name} {_spread(v)}" for name, v in told if v.dtype.kind == "f")
+        known = (f"{name} {_spread(v)}" for name, v in told if v.dtype.kind == "f" and v.any())
         rows.append((effect.name.replace("_", " "), ", ".join(known)))
     return rows
 
