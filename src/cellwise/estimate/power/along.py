@@ -7,29 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.estimators import Estimator
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import KalmanFilter
-from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.load_kernels import Correction
 from cellwise.estimate.power.memory_kernels import no_memory, remembered
 from cellwise.estimate.power.present_kernels import (
-    CHARGE_LOW_W,
-    CHARGE_W,
-    DISCHARGE_LOW_W,
-    DISCHARGE_W,
-    POWERS,
     PRESENT,
     TEMPERATURE_AT,
     carried_states,
     kalman_states,
-    power_rows,
-    present_at,
 )
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower, present_of
 from cellwise.estimate.sensing_kernels import Reading
@@ -106,25 +97,12 @@ def power_along(
     ----------
     soc0, soc0_std : float      where the estimator began
     """
-    announce(power_rows, "the state of power")
-    present = presents_along(settings, estimator, log, trace, soc0, soc0_std)
-    horizons = np.array(settings.horizons_s)
-    out = np.empty((POWERS, horizons.size, len(log)))
-    limits: LimitScalars = settings.known.scalars()
-    power_rows(
-        settings.tables, settings.noise.scalars(settings.model), limits, settings.hold == "power",
-        horizons, present, np.zeros((POWERS, horizons.size)), out,
-    )  # fmt: skip
+    found = settings.rows(presents_along(settings, estimator, log, trace, soc0, soc0_std))
+    (give, give_low), (take, take_low) = found[..., :2].transpose(2, 3, 1, 0)
     return PowerTrace(
-        settings.horizons_s,
-        settings.hold,
-        settings.known,
-        out[DISCHARGE_W],
-        np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
-        out[CHARGE_W],
-        np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
-        settings.of(present_at(present, len(log) - 1)),
-    )
+        settings.horizons_s, settings.hold, settings.known, give, give_low, take, take_low,
+        settings.states(found[-1]),
+    )  # fmt: skip
 
 
 def presents_along(

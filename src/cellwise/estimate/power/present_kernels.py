@@ -20,9 +20,6 @@ from cellwise.typing import FloatArray, IntArray
 
 PRESENT = size_of(Present)
 TEMPERATURE_AT = place_of(Present, "temperature_C")
-# What is written for each horizon.
-DISCHARGE_W, DISCHARGE_LOW_W, CHARGE_W, CHARGE_LOW_W = range(4)
-POWERS = 4
 
 
 @inline
@@ -104,19 +101,26 @@ def power_rows(
     guess: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Power of every row, shape (POWERS, horizons, rows), from presents of shape (rows, PRESENT).
+    """Power of every row, shape (rows, horizons, ways, 5), from presents (rows, PRESENT).
 
-    ``guess``, shape (POWERS, horizons), are loads to begin at; it is written.
+    On discharge and on charge the power, its lower bound, current and voltage at the horizon's end
+    and what limits it. ``guess``, of the shape of a row, holds loads to begin at; it is written.
     """
     for k in range(present.shape[0]):
         now = present_at(present, k)
         for j in range(horizons_s.size):
-            for side in (1.0, -1.0):
-                for low in (False, True):
-                    i = (DISCHARGE_W if side > 0.0 else CHARGE_W) + (1 if low else 0)
-                    found = largest_load(
-                        tables, noise, limits, now, power, horizons_s[j], side,
-                        SUSTAINED_SIGMAS if low else 0.0, guess[i, j],
-                    )  # fmt: skip
-                    guess[i, j] = abs(found.load)
-                    out[i, j, k] = found.power_W
+            for way in range(2):
+                side = 1.0 - 2.0 * way
+                found = largest_load(
+                    tables, noise, limits, now, power, horizons_s[j], side, 0.0, guess[j, way, 0]
+                )
+                low = largest_load(
+                    tables, noise, limits, now, power, horizons_s[j], side, SUSTAINED_SIGMAS,
+                    guess[j, way, 1],
+                )  # fmt: skip
+                guess[j, way, 0], guess[j, way, 1] = abs(found.load), abs(low.load)
+                out[k, j, way, 0] = found.power_W
+                out[k, j, way, 1] = min(low.power_W, found.power_W)
+                out[k, j, way, 2] = found.current_A
+                out[k, j, way, 3] = found.voltage_V
+                out[k, j, way, 4] = found.reason

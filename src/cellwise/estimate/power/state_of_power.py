@@ -11,14 +11,16 @@ from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.packed import row_of
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.noise import Noise, noise_for
-from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present
+from cellwise.estimate.power.present_kernels import power_rows
+from cellwise.typing import FloatArray
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)
@@ -68,31 +70,32 @@ class PowerSettings(NamedTuple):
     noise: Noise
     model: CellModel
 
+    def rows(self, present: FloatArray) -> FloatArray:
+        """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
+
+        ``present`` are Presents in rows, shape (rows, PRESENT).
+        """
+        announce(power_rows, "the state of power")
+        out = np.empty((len(present), len(self.horizons_s), 2, len(PowerLimit._fields)))
+        power_rows(
+            self.tables, self.noise.scalars(self.model), self.known.scalars(),
+            self.hold == "power", np.array(self.horizons_s), present, np.zeros(out[0].shape), out,
+        )  # fmt: skip
+        return out
+
+    def states(self, row: FloatArray) -> tuple[StateOfPower, ...]:
+        """One row of these by name, at every horizon."""
+
+        def limit(numbers: FloatArray) -> PowerLimit:
+            power_W, low_W, current_A, voltage_V, reason = numbers.tolist()
+            return PowerLimit(power_W, low_W, current_A, voltage_V, REASONS[int(reason)])
+
+        pairs = zip(self.horizons_s, row, strict=True)
+        return tuple(StateOfPower(horizon_s, *map(limit, ways)) for horizon_s, ways in pairs)
+
     def of(self, now: Present) -> tuple[StateOfPower, ...]:
         """State of power of one moment, at every horizon."""
-        noise, limits = self.noise.scalars(self.model), self.known.scalars()
-        announce(largest_load, "the state of power")
-        found = []
-        for horizon_s in self.horizons_s:
-            ways = []
-            for side in (1.0, -1.0):
-                value, low = (
-                    Capability(
-                        *largest_load(
-                            self.tables, noise, limits, now, self.hold == "power", horizon_s,
-                            side, sigmas, 0.0,
-                        )
-                    )
-                    for sigmas in (0.0, SUSTAINED_SIGMAS)
-                )  # fmt: skip
-                ways.append(
-                    PowerLimit(
-                        value.power_W, min(low.power_W, value.power_W), value.current_A,
-                        value.voltage_V, REASONS[value.reason],
-                    )
-                )  # fmt: skip
-            found.append(StateOfPower(horizon_s, *ways))
-        return tuple(found)
+        return self.states(self.rows(row_of(now)[None])[0])
 
 
 def power_settings(
