@@ -13,7 +13,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import KalmanFilter
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import OperatingLimits
-from cellwise.estimate.power.state_of_power import power_limits, power_settings
+from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.estimate.replay import replay
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
@@ -68,10 +68,7 @@ def test_every_row_is_the_power_of_the_filter_s_state_there(name):
         reading = Reading(log.current_A[k], log.voltage_V[k], 25.0, dt, False)
         follower.take(reading, state, info.status)
         if k % 17 == 0:
-            now = power_limits(
-                CELL, state, horizons_s=(2.0, 10.0), hold="current", seen=follower.seen
-            )
-            for j, s in enumerate(now):
+            for j, s in enumerate(follower.now(state, 25.0)):
                 for way in ("discharge", "charge"):
                     limit = getattr(s, way)
                     values = [getattr(found.power, f"{way}{x}_W")[j, k] for x in ("", "_low")]

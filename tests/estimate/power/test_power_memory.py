@@ -35,7 +35,7 @@ def followed(current_A: np.ndarray, voltage_V: np.ndarray) -> Memory:
         dt_s = 1.0 if k else 0.0
         state, _ = advance(TABLES, state, current, dt_s, 25.0)
         reading = Reading(current, voltage, 25.0, dt_s, False)
-        memory = remembered(TABLES, memory, state, reading, 25.0, 0)
+        memory = remembered(TABLES, memory, state, reading, current, 0)
     return memory
 
 

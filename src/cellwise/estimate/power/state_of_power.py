@@ -14,12 +14,11 @@ from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import row_of
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
-from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.noise import Noise, noise_for
+from cellwise.estimate.power.limit_kernels import power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present
-from cellwise.estimate.power.present_kernels import power_rows
 from cellwise.typing import FloatArray
 
 Hold = Literal["power", "current"]
@@ -73,7 +72,7 @@ class PowerSettings(NamedTuple):
     def rows(self, present: FloatArray) -> FloatArray:
         """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
 
-        ``present`` are Presents in rows, shape (rows, PRESENT).
+        ``present`` are Presents in rows, shape (rows, numbers of a Present).
         """
         announce(power_rows, "the state of power")
         out = np.empty((len(present), len(self.horizons_s), 2, len(PowerLimit._fields)))
@@ -140,7 +139,6 @@ def power_limits(
     temperature_C: float | None = None,
     hold: Hold = "power",
     noise: Noise | None = None,
-    seen: Correction = AS_MODEL,
 ) -> tuple[StateOfPower, ...]:
     """Power that a cell can give and take for some seconds within its limits.
 
@@ -161,8 +159,6 @@ def power_limits(
                                       largest currents of its data
     temperature_C : float or None     of the surface now [degC]; None: the model's own
     noise : Noise or None             None: from the model's own validation error
-    seen : Correction                 what the cell has been seen to differ by of late; see
-                                      `PowerFollower`
 
     Returns
     -------
@@ -180,7 +176,7 @@ def power_limits(
             "Pass what `step` returns.",
         )
     warm = model.usual_temperature_C if temperature_C is None else float(temperature_C)
-    return settings.of(present_of(state, warm, seen))
+    return settings.of(present_of(state, warm))
 
 
 def present_of(
@@ -188,6 +184,5 @@ def present_of(
 ) -> Present:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
     if isinstance(state, CellState):
-        exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
-        return Present(state, exact, 0.0, 1.0, temperature_C, seen)
-    return Present(state.cell, state.p, state.soc_std**2, state.mismatch, temperature_C, seen)
+        return Present(state, 0.0, temperature_C, seen)
+    return Present(state.cell, state.soc_std**2, temperature_C, seen)
