@@ -15,13 +15,12 @@ from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
-from cellwise.printing.__main__ import PRINTED, SOURCE, main
+from cellwise.printing.__main__ import main
 from cellwise.printing.c.c99 import Function
 from cellwise.printing.c.chosen import chosen
 from cellwise.printing.c.firmware import EVERYTHING, print_header, print_source
 from cellwise.printing.c.reading import Program
 from cellwise.printing.c.text import broken, comment, float_literal
-from sources import tree_of
 
 PROGRAM = Program(
     structs={
@@ -45,19 +44,6 @@ def c_of(source, slow=0, wide=0):
 
 def test_the_tree_holds_what_is_printed(capsys):
     assert main(["--check"]) == 0, f"python -m cellwise.printing: {capsys.readouterr().out}"
-
-
-def test_printers_do_not_read_what_they_print():
-    """Else a new effect would have to be printed twice: the first run knows the old modules."""
-    kernels = {
-        name.removeprefix("src/").removesuffix(".py").replace("/", ".")
-        for name in PRINTED
-        if name.endswith(".py")
-    }
-    for path in (SOURCE / "src" / "cellwise" / "printing").rglob("*.py"):
-        tree = tree_of(path)
-        read = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
-        assert not kernels & read, path.name
 
 
 @pytest.mark.parametrize(

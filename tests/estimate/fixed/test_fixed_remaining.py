@@ -124,12 +124,6 @@ def test_half_of_the_capacity_lasts_half_as_long():
     assert fixed.remaining(state, 0.3)[0]["time_s"] == pytest.approx(0.5 * whole, rel=1e-4)
 
 
-def test_without_it_nothing_of_it_is_there():
-    plain, asked = tables_of("plain"), tables_of("remaining")
-    assert not [n for n in plain.constants.dtype.names if "remaining" in n]
-    assert plain.table.tobytes() == asked.table.tobytes()
-
-
 def test_what_is_not_one_cell_s_cutoff_is_refused():
     for cutoff_V in (14.0, -1.0, math.nan):
         with pytest.raises(InputError, match="not of the pack"):
