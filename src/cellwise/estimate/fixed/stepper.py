@@ -319,7 +319,7 @@ def sequence_number(sequence: object) -> int:
         return operator.index(sequence) % 2**32  # type: ignore[arg-type]
     except TypeError:
         raise InputError(
-            f"sequence = {shown(sequence)}", "a whole number", "Count the time steps from 0."
+            f"sequence = {shown(sequence)}", "a whole number", "int the time steps from 0."
         ) from None
 
 

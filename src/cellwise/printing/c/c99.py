@@ -111,7 +111,7 @@ class Function(Reading):
 
     def _for(self, node: ast.For, indent: int) -> None:
         name = ast.unparse(node.target).replace("_", "k")
-        self.types[name] = "Count"
+        self.types[name] = "int"
         (most,) = node.iter.args  # type: ignore[attr-defined]
         self._say(f"for (uint32_t {name} = 0u; {name} < {self.bare(most)}; {name}++) {{", indent)
         self._scope(node.body, indent)

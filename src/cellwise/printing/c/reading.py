@@ -8,7 +8,7 @@ from typing import Any
 
 from cellwise.printing.c.chosen import FLOATS
 
-SCALARS = {**dict.fromkeys(FLOATS, "float"), "Count": "uint32_t", "Flag": "bool"}
+SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
 RECORDS = {
     "Model": "const cellwise_model", "Constants": "const cellwise_constants",
     "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
@@ -18,14 +18,14 @@ RECORDS = {
     "Cells": "cellwise_pack_cell", "CellOutput": "cellwise_cell_output", "Floats": "const float",
     "Phases": "const cellwise_phase",
 }  # fmt: skip
-ELEMENTS = {"Cells": "Cell", "Floats": "Float", "Phases": "Phase"}  # of what is an array
+ELEMENTS = {"Cells": "Cell", "Floats": "float", "Phases": "Phase"}  # of what is an array
 KEPT = ("State", "Cell")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {
     "within", "size_within", "size_below", "not_negative", "positive_within", "positive_above",
     "is_number", "known_fraction",
 }  # fmt: skip
-BY_HAND = {**dict.fromkeys(MACROS, "Flag"), "known_fraction": "Float", "magnitude": "Float"}
+BY_HAND = {**dict.fromkeys(MACROS, "bool"), "known_fraction": "float", "magnitude": "float"}
 POINTS = "m.row.shape[1]"
 OPERATORS = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.Lt: "<",
@@ -114,19 +114,19 @@ class Reading:
     # ---- expressions ----
 
     def type_of(self, node: ast.expr) -> str:
-        """Float, Count, Flag or the name of a record."""
+        """float, int, bool or the name of a record."""
         match node:
             case ast.Name():
                 if node.id in self.renamed:
                     return self.renamed[node.id][1]
                 known = self.types.get(node.id) or self.program.constants.get(node.id, ("",))[0]
-                return known or "Count"
+                return known or "int"
             case ast.Attribute():
                 fields = self.program.structs.get(self.type_of(node.value), {})
-                return fields.get(node.attr, "Count")
+                return fields.get(node.attr, "int")
             case ast.Call():
                 name = ast.unparse(node.func)
-                made = {"F": "Float", "U": "Count", "read": "Float", "rise": "Float", **BY_HAND}
+                made = {"F": "float", "U": "int", "read": "float", "rise": "float", **BY_HAND}
                 called = self._called(node)
                 return called.returns if called else made[name]
             case ast.BinOp():
@@ -134,16 +134,16 @@ class Reading:
             case ast.IfExp():
                 return self.type_of(node.body)
             case ast.Compare() | ast.BoolOp():
-                return "Flag"
+                return "bool"
             case ast.UnaryOp():
-                return "Flag" if isinstance(node.op, ast.Not) else self.type_of(node.operand)
+                return "bool" if isinstance(node.op, ast.Not) else self.type_of(node.operand)
             case ast.Constant():
-                return "Flag" if isinstance(node.value, bool) else "Count"
+                return "bool" if isinstance(node.value, bool) else "int"
             case ast.Subscript():
                 if ast.unparse(node) == POINTS:
-                    return "Count"
-                return ELEMENTS.get(self.type_of(node.value), "Float")
-        return "Float"
+                    return "int"
+                return ELEMENTS.get(self.type_of(node.value), "float")
+        return "float"
 
     def expression(self, node: ast.expr) -> str:
         """An expression with the parentheses that it needs inside another."""
