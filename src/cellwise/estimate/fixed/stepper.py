@@ -65,7 +65,7 @@ MADE_WITH = {
         "state of power",
         "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
     ),
-    "remaining": ("remaining time", "FixedStep(...).with_remaining(3.0)"),
+    "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
 }
 
