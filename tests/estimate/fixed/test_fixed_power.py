@@ -78,7 +78,7 @@ def test_what_a_fixed_step_cannot_give_is_refused():
     limits = OperatingLimits(2.8, 4.2)
     for options, says in (
         ({"horizons_s": (2.0, 10.0), "hold": "current"}, "Give one"),
-        ({"horizons_s": (10.0,), "hold": "power"}, "hold 'current'"),
+        ({"horizons_s": (10.0,), "hold": "power"}, "hold='current'"),
     ):
         with pytest.raises(InputError, match=says):
             fixed_step_tables(CELL, 1.0, power=power_settings(CELL, limits=limits, **options))
