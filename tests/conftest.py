@@ -86,7 +86,7 @@ def datasets() -> Path:
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Every picture that a page takes in."""
+    """Every picture and plot that a page takes in."""
     from cellwise.report.page.markup import Markup
 
     taken = []
@@ -95,5 +95,6 @@ def drawn(monkeypatch):
         taken.append(picture)
         return Markup("<figure id='f'></figure>")
 
-    monkeypatch.setattr("cellwise.report.page.section.inline", take)
+    for how in ("inline", "trace"):
+        monkeypatch.setattr(f"cellwise.report.page.section.{how}", take)
     return taken

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.faults import gained, late, lifted, off_by, sized
 from benchmarks.accuracy.lfp import CHAMBER_C, chamber_log, drive, model_without
 from benchmarks.accuracy.lfp import REFERENCE_AH as LFP_AH
-from benchmarks.accuracy.panasonic import NOMINAL_AH
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise.benchmark.faults import Fault, faulty_log, faulty_model
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
@@ -36,15 +35,15 @@ KNOWN, GUESSED = 0.005, 0.15
 LOADED, RESTING = 0.35, 0.005  # of 1C
 RESTED_ROWS = 60
 LFP_TAGS = ("n15", "p05", "p25", "p45")
-FAULTS = {
-    "voltage +30 mV": lifted(0.03),
-    "voltage -30 mV": lifted(-0.03),
-    "current +3 % of 1C": off_by(0.03),
-    "current -3 % of 1C": off_by(-0.03),
-    "gain 3 %": gained(1.03),
-    "voltage 0.2 s late": late(0.2),
-    "capacity 10 % less": sized(0.9),
-}
+FAULTS = (
+    Fault("voltage +30 mV", voltage_offset_V=0.03),
+    Fault("voltage -30 mV", voltage_offset_V=-0.03),
+    Fault("current +3 % of 1C", current_offset_C=0.03),
+    Fault("current -3 % of 1C", current_offset_C=-0.03),
+    Fault("gain 3 %", current_gain=1.03),
+    Fault("voltage 0.2 s late", voltage_lag_samples=2),  # of 0.1 s
+    Fault("capacity 10 % less", capacity=0.9),
+)
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,14 @@ def kept(folder: Path, name: str, make: Callable[[], CellModel]) -> CellModel:
     if not file.exists():
         write_model(make(), file)
     return read_model(file)
+
+
+def with_fault(
+    fault: Fault, model: CellModel, log: CellLog, capacity_Ah: float
+) -> tuple[CellModel, CellLog]:
+    """Model and log as a filter has them."""
+    seen = faulty_log(fault, log, capacity_Ah, np.random.default_rng(0))
+    return faulty_model(fault, model), seen
 
 
 def counter(log: CellLog) -> FloatArray:
@@ -175,9 +182,9 @@ def faulty(data: Path, keep: Path) -> Iterator[Case]:
     model = kept(keep, "panasonic_all", lambda: of_all_temperatures(data))
     for n in ("p25_nn", "p25_hwfta", "p00_nn", "p00_la92"):
         log = named(data, PANASONIC, f"drive_{n}")
-        for fault, put in FAULTS.items():
-            wrong, seen = put(model, log)
-            group = f"Panasonic, {fault}"
+        for fault in FAULTS:
+            wrong, seen = with_fault(fault, model, log, PANASONIC_AH)
+            group = f"Panasonic, {fault.name}"
             truths = (PANASONIC_AH,)
             yield from from_middle(group, wrong, seen, truths, STARTS[1:])
             yield next(from_start(group, wrong, seen, truths))
@@ -239,14 +246,9 @@ def lfp(data: Path, keep: Path) -> Iterator[Case]:
         yield misled(next(from_start("LFP", model, log, truths)))
         yield from from_middle("LFP", model, log, truths, plateau)
         yield from at_rest("LFP", model, log, truths)
-        share = 0.03 * LFP_AH / NOMINAL_AH
-        for kind, put in (
-            ("voltage 30 mV", lifted(0.03)),
-            ("voltage 30 mV", lifted(-0.03)),
-            ("current 3 % of 1C", off_by(share)),
-            ("current 3 % of 1C", off_by(-share)),
-        ):
-            wrong, seen = put(model, log)
+        for fault in FAULTS[:4]:  # either sign is one group
+            wrong, seen = with_fault(fault, model, log, LFP_AH)
+            kind = fault.name.replace("+", "").replace("-", "")
             yield from from_start(f"LFP, {kind} off", wrong, seen, truths)
         slow = chamber_log(data, f"ocv_{tag}_s1", CHAMBER_C[tag], None)
         yield from from_start("LFP, C/30", model, slow, truths)

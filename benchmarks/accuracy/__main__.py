@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,cold,leaf,lfp,faults,power,embedded] [--json]
+python -m benchmarks.accuracy [--only panasonic,leaf,lfp,power] [--json]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 from benchmarks.figures import Figure, Progress, judged_run, missing
 from benchmarks.measured_data import HOW, data_folder
 
-PARTS = ("panasonic", "cold", "leaf", "lfp", "faults", "power", "embedded")
+PARTS = ("panasonic", "leaf", "lfp", "power")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -20,9 +20,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(parts: list[str], say: Progress) -> list[Figure]:
     """Figures of the cells, in order; a row that says so where the data are not there."""
-    from benchmarks.accuracy.cold import cold_figures
-    from benchmarks.accuracy.embedded import embedded_figures
-    from benchmarks.accuracy.faults import faults_figures
     from benchmarks.accuracy.leaf import leaf_figures
     from benchmarks.accuracy.lfp import lfp_figures
     from benchmarks.accuracy.panasonic import panasonic_figures
@@ -30,18 +27,14 @@ def measure(parts: list[str], say: Progress) -> list[Figure]:
 
     measured = {
         "panasonic": panasonic_figures,
-        "cold": cold_figures,
         "leaf": leaf_figures,
         "lfp": lfp_figures,
-        "faults": faults_figures,
         "power": power_figures,
     }
     data = data_folder()
     figures: list[Figure] = []
     for part in parts:
-        if part == "embedded":
-            figures += embedded_figures(say)
-        elif data is None:
+        if data is None:
             figures.append(
                 missing(f"{part}: measured cell", "not measured", "", f"no measured data: {HOW}")
             )

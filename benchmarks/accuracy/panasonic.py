@@ -15,6 +15,7 @@ from cellwise.cell.model import CellModel
 from cellwise.logs import CellLog
 
 CELL = "panasonic_18650pf"
+TAGS = {25.0: "p25", 10.0: "p10", 0.0: "p00", -10.0: "n10", -20.0: "n20"}
 NOMINAL_AH = 2.9
 REFERENCE_AH = 2.997
 HELD_OUT = ("us06", "hwfta", "nn", "cycle_4")
@@ -39,17 +40,20 @@ def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
     return figures + _soc(group, plain.model, held_out, after=1.2)
 
 
-def panasonic_tests(data: Path) -> TestLogs:
-    """Laboratory tests and drives cycle 2 and 3 at 25 degC, which began full (its README)."""
+def panasonic_tests(data: Path, tag: str = "p25") -> TestLogs:
+    """Laboratory tests and two drives of one temperature, which began full (its README)."""
 
     def log(name: str) -> CellLog:
         return measured_log(data, f"{CELL}/{name}")
 
+    warm = None if tag == "p25" else {name: t for t, name in TAGS.items()}[tag]
+    cycles = (2, 3) if tag == "p25" else (1, 2)  # there is no cycle 1 at 25 degC
+    drives = (replace(log(f"drive_{tag}_cycle_{k}"), soc0=1.0) for k in cycles)
     return TestLogs(
-        hppc=((log("hppc_p25"), None),),
+        hppc=((log(f"hppc_{tag}"), warm),),
         ocv=(log("ocv_c20_p25"),),
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
-        drive=tuple((replace(log(f"drive_p25_cycle_{k}"), soc0=1.0), None) for k in (2, 3)),
+        drive=tuple((one, warm) for one in drives),
     )
 
 

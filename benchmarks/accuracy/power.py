@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.cold import PANASONIC, TAGS, panasonic_tests
+from benchmarks.accuracy.panasonic import CELL, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import (
@@ -119,14 +119,12 @@ def panasonic_model(data: Path) -> tuple[CellModel, dict[float, tuple[Pulse, ...
     """
     hppc, drives, left_out = [], [], {}
     for temperature, tag in TAGS.items():
-        log, left_out[temperature] = withheld(measured_log(data, f"{PANASONIC}/hppc_{tag}"))
+        log, left_out[temperature] = withheld(measured_log(data, f"{CELL}/hppc_{tag}"))
         hppc.append((log, temperature))
         for name in DRIVES:
-            drive = measured_log(data, f"{PANASONIC}/drive_{tag}_{name}")
+            drive = measured_log(data, f"{CELL}/drive_{tag}_{name}")
             drives.append((replace(drive, soc0=1.0), temperature))
-    tests = TestLogs(
-        hppc=tuple(hppc), ocv=panasonic_tests(data, "p25", 25.0).ocv, drive=tuple(drives)
-    )
+    tests = TestLogs(hppc=tuple(hppc), ocv=panasonic_tests(data).ocv, drive=tuple(drives))
     settings = IdentifySettings(nominal_Ah=2.9, name="Panasonic 18650PF")
     return identify_cell(tests, settings).model, left_out
 
@@ -137,7 +135,7 @@ def power_figures(data: Path, say: Progress) -> list[Figure]:
     model, left_out = panasonic_model(data)
     figures: list[Figure] = []
     for temperature, pulses in left_out.items():
-        log = measured_log(data, f"{PANASONIC}/hppc_{TAGS[temperature]}")
+        log = measured_log(data, f"{CELL}/hppc_{TAGS[temperature]}")
         group = f"Panasonic {temperature:.0f} degC, one model of five temperatures"
         figures += _figures(group, model, log, pulses, targets=temperature >= -10.0)
     for cell, tags, names in (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.cold import PANASONIC, TAGS, panasonic_tests
+from benchmarks.accuracy.panasonic import CELL, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
@@ -28,7 +28,7 @@ def agreement_figures(data: Path, say: Progress) -> list[Figure]:
     The filter is the numba one; C gives the same bits.
     """
     settings = IdentifySettings(nominal_Ah=2.9, name="Panasonic 18650PF")
-    tests = {tag: panasonic_tests(data, tag, t) for t, tag in TAGS.items()}
+    tests = {tag: panasonic_tests(data, tag) for tag in TAGS.values()}
     models = {}
     for tag in tests:
         say(f"fixed step: model of {tag}")
@@ -42,10 +42,10 @@ def agreement_figures(data: Path, say: Progress) -> list[Figure]:
     )
     models["all"] = identify_cell(together, settings).model
     figures = []
-    for path in sorted((data / PANASONIC).glob("drive_*.csv.gz")):
+    for path in sorted((data / CELL).glob("drive_*.csv.gz")):
         name = path.name.removesuffix(".csv.gz")
         say(name)
-        log = measured_log(data, f"{PANASONIC}/{name}")
+        log = measured_log(data, f"{CELL}/{name}")
         for dt_s in STEPS_S:
             figures.append(_figure(name, resample(log, dt_s), dt_s, models))
     return figures

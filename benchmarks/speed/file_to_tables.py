@@ -1,4 +1,4 @@
-"""From a file of 1.4 million rows to tables: wall clock on two cores, and what came out."""
+"""From a file of 1.4 million rows to tables: wall clock on two cores."""
 
 from __future__ import annotations
 
@@ -10,37 +10,21 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import REPOSITORY
-from benchmarks.speed.synthetic_truth import (
-    CAPACITY_AH,
-    LEVELS,
-    PARAMETERS,
-    level_of,
-    relative_error,
-    synthetic_hppc,
-)
-from cellwise.identify.identification import Identification
-from cellwise.identify.pipeline import IdentifySettings, TestLogs, identify_cell
+from benchmarks.speed.synthetic_truth import CAPACITY_AH, synthetic_hppc
 from cellwise.logs import write_log
 
 TARGET_S = 5.0
-TARGET_PERCENT = 1.0
 CORES = 2
 
 
 def file_figures(say: Progress) -> list[Figure]:
-    """Times by format, cold and warm, then the errors by level."""
+    """Times by format, cold and warm."""
     say("synthetic HPPC test at 135 Hz")
     made = synthetic_hppc()
     with tempfile.TemporaryDirectory(prefix="cellwise-bench-") as folder:
-        figures = _times(made, Path(folder), say)
-    say("errors by level")
-    settings = IdentifySettings(nominal_Ah=CAPACITY_AH, capacity_choice="nominal", refine=False)
-    plain = identify_cell(TestLogs(hppc=((made.log, None),)), settings)
-    return figures + _errors(plain, made.cell)
+        return _times(made, Path(folder), say)
 
 
 def _times(made: Any, folder: Path, say: Progress) -> list[Figure]:
@@ -115,53 +99,3 @@ def _process(file: Path, cache: Path) -> dict[str, Any]:
 def _two_cores() -> None:
     usable = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, set(usable[:CORES]))
-
-
-def _errors(found: Identification, cell: Any) -> list[Figure]:
-    """Median error of the pulses' parameters at every level, and of the table there."""
-    group = "varpro against the truth, median error over the healthy pulses of a level"
-    fits = [f for t in found.temperatures for s in t.pulse_sets for f in s.fits]
-    level = level_of(np.array([f.soc for f in fits]))
-    figures = []
-    for at in LEVELS:
-        here = [f for f, x in zip(fits, level, strict=True) if x == at]
-        if not here:
-            figures.append(
-                Figure(
-                    group,
-                    f"SOC {at:.2f}",
-                    None,
-                    "%",
-                    target=TARGET_PERCENT,
-                    note="no healthy pulse",
-                )
-            )
-            continue
-        errors = {
-            name: 100.0
-            * float(
-                np.median([abs(relative_error(cell, name, f.soc, getattr(f, name))) for f in here])
-            )
-            for name in PARAMETERS
-        }
-        said = ", ".join(f"{n.split('_')[0]} {e:.2f}" for n, e in errors.items())
-        table = max(
-            100.0
-            * abs(
-                relative_error(
-                    cell, n, at, float(np.interp(at, found.model.soc, getattr(found.model, n)[0]))
-                )
-            )
-            for n in PARAMETERS
-        )
-        figures.append(
-            Figure(
-                group,
-                f"SOC {at:.2f}, the worst parameter",
-                max(errors.values()),
-                "%",
-                target=TARGET_PERCENT,
-                note=f"{said}; {len(here)} pulses; smooth table at most {table:.2f} off",
-            )
-        )
-    return figures

@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured_data import REPOSITORY
-from cellwise.typing import FloatArray
 
-PARAMETERS = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 CAPACITY_AH = 3.0
 LEVELS = tuple(round(0.95 - 0.1 * k, 2) for k in range(10))
 PULSE_HZ = 135.0
@@ -54,14 +52,3 @@ def synthetic_hppc(seed: int = 1) -> Any:
         noise_V=1e-3,
     )
     return made.hppc_log(made.nmc_cell(CAPACITY_AH), plan, rng=np.random.default_rng(seed))
-
-
-def relative_error(cell: Any, name: str, soc: float, value: float) -> float:
-    """Value over truth, minus one."""
-    return value / float(getattr(cell, name)(np.array([soc]))[0]) - 1.0
-
-
-def level_of(soc: FloatArray) -> FloatArray:
-    """The level nearest to each SOC."""
-    levels = np.array(LEVELS)
-    return levels[np.argmin(np.abs(np.asarray(soc)[:, None] - levels), axis=1)]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from cellwise.data import list_datasets as list_datasets, load_dataset as load_dataset
     from cellwise.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from cellwise.errors import InputError as InputError
-    from cellwise.estimate.adaptive.adaptive import Adaptive as Adaptive
+    from cellwise.estimate.adaptive import Adaptive as Adaptive
     from cellwise.estimate.filters.coulomb import Coulomb as Coulomb
     from cellwise.estimate.filters.kalman import Ekf as Ekf, SigmaPoints as SigmaPoints, Ukf as Ukf
     from cellwise.estimate.lockstep import LockstepEkf as LockstepEkf
@@ -58,7 +58,7 @@ _NAMES = {
     "cellwise.data": "list_datasets load_dataset",
     "cellwise.diagnose": "Diagnosis diagnose",
     "cellwise.errors": "InputError",
-    "cellwise.estimate.adaptive.adaptive": "Adaptive",
+    "cellwise.estimate.adaptive": "Adaptive",
     "cellwise.estimate.filters.coulomb": "Coulomb",
     "cellwise.estimate.filters.kalman": "Ekf SigmaPoints Ukf",
     "cellwise.estimate.lockstep": "LockstepEkf",

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.errors import InputError
-from cellwise.files import EMBEDDED_MARK, embedded_folder, made_folder
+from cellwise.files import EMBEDDED_MARK as CATALOGUE
+from cellwise.files import embedded_folder as datasets_folder
+from cellwise.files import made_folder
 from cellwise.logs import CellLog, read_log
 
-CATALOGUE = EMBEDDED_MARK
 REGISTRY = "registry.toml"
-
-
-def datasets_folder() -> Path:
-    """Folder of the embedded data; see :func:`cellwise.files.embedded_folder`."""
-    return embedded_folder()
+__all__ = ["CATALOGUE", "datasets_folder", "generate_datasets", "list_datasets", "list_originals"]
+__all__ += ["load_dataset"]
 
 
 def list_datasets(folder: Path | str | None = None) -> list[dict[str, Any]]:

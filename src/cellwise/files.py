@@ -14,22 +14,32 @@ EMBEDDED_MARK = "catalogue.toml"
 LONGEST_SHOWN = 200  # characters of a path, in messages
 
 
-def embedded_folder() -> Path:
-    """Folder of the embedded data: inside an installed package, else in the source tree.
+def shipped_folder(packaged: str, source: str, mark: str) -> Path:
+    """A folder that comes with cellwise: inside an installed package, else in the source tree.
+
+    Parameters
+    ----------
+    packaged, source : str    its name in the package, and in the source tree
+    mark : str                a file that it holds
 
     Raises
     ------
-    InputError        neither is there
+    InputError                neither is there
     """
     package = Path(__file__).resolve().parent
-    for folder in (package / "_datasets", package.parents[1] / "datasets"):
-        if (folder / EMBEDDED_MARK).is_file():
+    for folder in (package / packaged, package.parents[1] / source):
+        if (folder / mark).is_file():
             return folder
     raise InputError(
-        "no embedded data beside this installation of cellwise",
-        f"a folder with {EMBEDDED_MARK}",
+        f"no {source} beside this installation of cellwise",
+        f"a folder with {mark}",
         "Install cellwise from its wheel or its source tree.",
     )
+
+
+def embedded_folder() -> Path:
+    """Folder of the embedded data; raises as `shipped_folder`."""
+    return shipped_folder("_datasets", "datasets", EMBEDDED_MARK)
 
 
 def made_folder(path: str | Path, content: str = "") -> Path:

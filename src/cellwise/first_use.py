@@ -21,7 +21,7 @@ WAITED_FOR = ("kalman_rows", "adaptive_rows")
 
 def begin() -> bool:
     """Start that process where nothing was compiled before; whether it was started."""
-    from cellwise.estimate.adaptive.adaptive_kernels import adaptive_rows
+    from cellwise.estimate.filters.kalman_kernels import adaptive_rows
 
     if is_compiled(adaptive_rows) or not keeps_compiled(adaptive_rows):
         return False

@@ -7,7 +7,7 @@ when somebody asks for them.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from html import escape
 from importlib import import_module
@@ -30,19 +30,29 @@ MOST_POINTS = 20_000  # of a line: more than any screen has columns
 
 
 class Line(NamedTuple):
-    """One curve; ``band`` is half the height of the shade around it."""
+    """One curve; ``band`` is half the height of the shade around it (n,), or its ends (n, 2)."""
 
     label: str
     x: FloatArray
     y: FloatArray
     band: FloatArray | None = None
 
+    @property
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end of the shade."""
+        band = np.zeros_like(self.y) if self.band is None else self.band
+        return (self.y - band, self.y + band) if band.ndim == 1 else (band[:, 0], band[:, 1])
+
 
 class Panel(NamedTuple):
-    """Curves over one pair of axes; the name of the y axis carries its unit."""
+    """Curves over one pair of axes; the name of the y axis carries its unit.
+
+    ``limits`` of the axis leave out what is said to be off scale.
+    """
 
     y_label: str
     lines: tuple[Line, ...]
+    limits: tuple[float, float] | None = None
 
 
 class Plottable:
@@ -70,17 +80,25 @@ class Plottable:
         x_label, panels = self.panels()
         if figure is None:
             figure = _figure((8.0, 1.2 + 2.0 * len(panels)))
-        axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
-        for place, panel in zip(axes, panels, strict=True):
-            for line in panel.lines:
-                _draw(place, line)
-            place.set_ylabel(panel.y_label)
-            place.grid(visible=True, alpha=0.3)
-            if len(panel.lines) > 1:
-                place.legend(loc="best", fontsize="small")
-        axes[-1].set_xlabel(x_label)
+        draw_panels(figure, x_label, panels)
         figure.suptitle(repr(self), fontsize="small")
         return figure
+
+
+def draw_panels(figure: Figure, x_label: str, panels: Sequence[Panel]) -> Any:
+    """Draw panels one below the other into a figure; their axes from top to bottom."""
+    axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+    for place, panel in zip(axes, panels, strict=True):
+        for line in panel.lines:
+            _draw(place, line)
+        place.set_ylabel(panel.y_label)
+        place.grid(visible=True, alpha=0.3)
+        if panel.limits is not None:
+            place.set_ylim(*panel.limits)
+        if len(panel.lines) > 1:
+            place.legend(loc="best", fontsize="small")
+    axes[-1].set_xlabel(x_label)
+    return axes
 
 
 class Summarised:
@@ -179,8 +197,8 @@ def _draw(axes: Any, line: Line) -> None:
     x, y = line.x[rows], line.y[rows]
     (drawn,) = axes.plot(x, y, label=line.label, linewidth=1.0)
     if line.band is not None:
-        band = line.band[rows]
-        axes.fill_between(x, y - band, y + band, color=drawn.get_color(), alpha=0.2, linewidth=0)
+        low, high = (edge[rows] for edge in line.edges)
+        axes.fill_between(x, low, high, color=drawn.get_color(), alpha=0.2, linewidth=0)
 
 
 def _extreme_rows(y: FloatArray) -> Any:

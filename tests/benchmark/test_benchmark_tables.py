@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 import numpy as np
 import pytest
 
 from cellwise.benchmark.adapter import described, load_adapter
-from cellwise.benchmark.figures import COLUMNS, whole_row
-from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
+from cellwise.benchmark.figures import whole_row
+from cellwise.benchmark.paper_tables import differences, latex_text
 from cellwise.errors import InputError
 
 
@@ -54,16 +51,6 @@ def test_few_logs_have_no_interval_and_one_estimator_no_difference():
     assert np.isnan(one.low)
     assert np.isnan(one.high)
     assert differences(rows_of([0.02], [])) == ()
-
-
-def test_csv_reads_back():
-    rows = rows_of([0.02, 0.03, 0.04], [0.01, 0.01, 0.01])
-    found = list(csv.DictReader(io.StringIO(csv_text(rows, tuple(COLUMNS), 7))))
-    assert len(found) == len(rows)
-    assert [float(r["settled_rmse"]) for r in found] == [r["settled_rmse"] for r in rows]
-    assert found[0]["offset_A"] == ""
-    assert found[0]["seed"] == "7"
-    assert "numpy" in found[0]["made_with"]
 
 
 def test_latex_has_every_estimator_and_what_it_was_made_with():

@@ -13,7 +13,7 @@ from benchmarks import leaderboard as tool
 
 from cellwise import list_datasets, load_dataset
 from cellwise.benchmark.known_logs import differs, find_known, known_log
-from cellwise.benchmark.leaderboard import HEAD, leaderboard, standing_cells, standings
+from cellwise.benchmark.leaderboard import COLUMNS, leaderboard, standings
 from cellwise.benchmark.run_suite import run_suite
 from cellwise.benchmark.submission import standings_parts
 from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
@@ -147,7 +147,7 @@ def test_an_estimator_that_fails_somewhere_has_no_figure_over_all():
     found = leaderboard("suite", "0" * 64, rows)
     stand = {s.estimator: s for s in standings({r["estimator"]: r["runs"] for r in found["rows"]})}
     assert (stand["ekf"].rank, stand["mine"].rank, stand["mine"].failed) == (1, None, 1)
-    assert standing_cells(stand["mine"])[HEAD.index("hard runs")] == "-"
+    assert dict(COLUMNS)["hard runs"](stand["mine"]) == "-"
 
 
 def test_ranks_are_as_sure_as_the_logs_make_them():

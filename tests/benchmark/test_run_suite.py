@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 
@@ -257,7 +258,14 @@ def test_a_log_without_a_counter_cannot_be_judged(folder, tmp_path):
 
 def test_tables_for_papers_are_written(found):
     folder = found.parquet.parent
-    assert (folder / "results.csv").read_text().count("\n") == len(found.rows) + 1
+    with (folder / "results.csv").open(newline="") as file:
+        told = list(csv.DictReader(file))
+    assert [r["estimator"] for r in told] == [r["estimator"] for r in found.rows]
+    for read, row in zip(told, found.rows, strict=True):
+        figure = read["settled_rmse"]
+        np.testing.assert_equal(float(figure) if figure else np.nan, row["settled_rmse"])
+        assert int(read["seed"]) > 0
+        assert "numpy" in read["made_with"]
     text = (folder / "results.tex").read_text()
     assert r"\begin{tabular}" in text
     assert "Counter" in text  # somebody's own filter among the others

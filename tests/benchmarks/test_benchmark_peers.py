@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from benchmarks.example_cell import START_SOC, load_log, two_branches
 from benchmarks.speed import simulation_references as peers
-from benchmarks.speed.synthetic_truth import relative_error
 
 from cellwise.cell.simulate import simulate
 
@@ -45,12 +44,3 @@ def test_pybamm_agrees_within_its_linear_current(log, ours):
     pytest.importorskip("pybamm", reason="pip install pybamm")
     theirs, _ = peers.pybamm_thevenin(two_branches(), log, START_SOC)
     assert np.sqrt(np.mean((theirs - ours)[1:] ** 2)) < 3e-3
-
-
-def test_relative_error_is_signed():
-    class Cell:
-        @staticmethod
-        def r0_ohm(soc):
-            return 0.02 + 0.01 * soc
-
-    assert relative_error(Cell, "r0_ohm", 1.0, 0.033) == pytest.approx(0.1)

@@ -31,17 +31,6 @@ def test_rc_step_is_the_matrix_exponential(v, i, r, tau, dt):
     assert kernels.rc_step(v, i, r, tau, dt) == pytest.approx(exact[0], rel=1e-11, abs=1e-12)
 
 
-@settings(max_examples=50)
-@given(soc=st.floats(0.2, 0.8), h=st.floats(-1, 1), i=currents, dt=st.floats(0.01, 30.0))
-def test_one_step_of_2_dt_is_two_of_dt_with_constant_tables(soc, h, i, dt):
-    model = linear_cell(effects=EFFECTS)
-    start = CellState(soc, 0.01, -0.02, 0.005, h)
-    once, _ = advance(model, start, i, 2 * dt)
-    half, _ = advance(model, start, i, dt)
-    twice, _ = advance(model, half, i, dt)
-    np.testing.assert_allclose(once, twice, rtol=1e-12, atol=1e-14)
-
-
 def test_one_step_of_2_dt_differs_from_two_by_second_order_where_tables_depend_on_soc():
     # The tables are smooth within one segment of the grid; stay inside it.
     model = curved_cell(points=6)

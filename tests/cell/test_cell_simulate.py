@@ -14,7 +14,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import named_model, stock_names
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
+from example_cells import curved_cell, linear_cell, random_log, random_model
 
 
 def continuous(model, log, soc0):
@@ -71,29 +71,6 @@ def test_soc_dependent_parameters_converge_to_the_continuous_cell_with_the_time_
     assert errors[2] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.15)
     assert errors[1] / errors[2] == pytest.approx(2.0, rel=0.15)
-
-
-def test_charge_is_conserved():
-    rng = np.random.default_rng(3)
-    log = random_log(rng, 5000, jitter=0.8)
-    run = simulate(curved_cell(), log, 0.6)
-    moved = np.cumsum(log.current_A * log.interval_s) / 3600
-    np.testing.assert_allclose(run.soc, 0.6 - moved / 3.0, atol=1e-12)
-
-
-def test_a_row_may_be_split_without_changing_the_cell():
-    model = linear_cell(effects=EFFECTS[:3])  # skew looks at rows, so it is left out
-    log = random_log(np.random.default_rng(4), 200, temperature_C=(10.0, 30.0))
-    pairs = np.stack((log.time_s[1:] - 0.3, log.time_s[1:]), axis=1).ravel()
-    fine = CellLog(
-        np.append(log.time_s[0], pairs),
-        np.append(log.current_A[0], np.repeat(log.current_A[1:], 2)),
-        np.full(2 * len(log) - 1, 3.7),
-        temperature_C=np.append(log.temperature_C[0], np.repeat(log.temperature_C[1:], 2)),
-    )
-    # With an Arrhenius factor per row the split row has the same temperature, so it is exact.
-    split = simulate(model, fine, 0.5).voltage_V[::2]
-    np.testing.assert_allclose(split, simulate(model, log, 0.5).voltage_V, atol=1e-12)
 
 
 def test_interval_start_meaning_moves_the_current_one_row():

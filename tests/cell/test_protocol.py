@@ -256,28 +256,15 @@ def test_temperature_reaches_the_cell_and_the_log():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Rest(0.0),
-        lambda: Rest(-5.0),
         lambda: Rest(np.nan),
-        lambda: Rest(10.0, 0.0),
         lambda: ConstantCurrent(current_A=0.0),
-        lambda: ConstantCurrent(current_A=np.nan, duration_s=5.0),
-        lambda: ConstantCurrent(current_A=1.0, duration_s=-1.0),
         lambda: ConstantCurrent(current_A=1.0, charge_Ah=-0.1),
         lambda: ConstantCurrent(current_A=1.0, voltage_min_V=np.inf),
-        lambda: ConstantCurrent(current_A=1.0, duration_s=5.0, period_s=0.0),
         lambda: ConstantVoltage(voltage_V=4.2),
-        lambda: ConstantVoltage(voltage_V=np.nan, duration_s=5.0),
-        lambda: ConstantVoltage(voltage_V=4.2, until_current_A=0.0),
         lambda: ConstantVoltage(voltage_V=4.2, until_current_A=2.0, current_limit_A=1.0),
-        lambda: ConstantVoltage(voltage_V=4.2, until_current_A=0.1, current_limit_A=-1.0),
         lambda: DriveProfile(time_s=[], current_A=[]),
-        lambda: DriveProfile(time_s=[0.0], current_A=[1.0]),
-        lambda: DriveProfile(time_s=[1.0, 2.0], current_A=[1.0]),
         lambda: DriveProfile(time_s=[1.0, 1.0], current_A=[1.0, 2.0]),
-        lambda: DriveProfile(time_s=[-1.0, 1.0], current_A=[1.0, 2.0]),
         lambda: DriveProfile(time_s=[1.0, 2.0], current_A=[1.0, np.nan]),
-        lambda: DriveProfile(time_s=[[1.0, 2.0]], current_A=[[1.0, 2.0]]),
     ],
 )
 def test_refused_when_written_not_when_run(make):

@@ -67,30 +67,6 @@ def warming(points):
     return cell, replace(log, voltage_V=simulated.voltage_V), simulated
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("estimator", ["ekf", "ukf", "adaptive", "filterpy-ekf", "lockstep"])
-def test_every_filter_follows_them(estimator):
-    """A filter that knows the effects stays at the truth; without them it does not."""
-    cell, log, simulated = warming(101)
-    current = log.current_A
-
-    def error(model):
-        if estimator != "lockstep":
-            soc = cw.replay(model, log, estimator, soc0=0.7, soc0_std=0.05).trace.soc
-            return float(np.max(np.abs(soc - simulated.soc)))
-        fleet = cw.LockstepEkf(model, 3, 1.0)
-        state = fleet.init(0.7, 0.05)
-        worst = 0.0
-        for k in range(len(log)):
-            warm = float(log.temperature_C[k])
-            state, info = fleet.step(state, current[k], log.voltage_V[k], warm)
-            worst = max(worst, float(np.max(np.abs(info.soc - simulated.soc[k]))))
-        return worst
-
-    assert error(cell) < 2e-3
-    assert error(curved_cell()) > 5e-3
-
-
 def test_a_model_file_keeps_them_and_an_older_one_loads():
     cell = curved_cell(effects=(TemperatureDependence(1500.0, 25.0, r1_K=10.0), Entropy(1e-4)))
     again = model_from_dict(model_to_dict(cell))

@@ -61,40 +61,30 @@ def command(bench, *more):
     return ("diagnose", "--model", model, *logs, "--soc0", "0.9", *QUICK, *more)
 
 
+FOUND = "verdict causes candidates anatomy next_test extended_model logs limits competing"
+CAUSE = "name parameters ci95 train_rmse_before_V train_rmse_after_V holdout_rmse_before_V"
+CAUSE += " holdout_rmse_after_V gain gain_ci95 evidence confusable_with probability"
+
+
 def test_the_keys_of_the_contract(diagnosed):
     found, _ = diagnosed
-    assert {
-        "verdict",
-        "causes",
-        "candidates",
-        "anatomy",
-        "next_test",
-        "extended_model",
-        "logs",
-    } <= set(found)
+    assert set(FOUND.split()) <= set(found)
     (cause,) = found["causes"]
-    assert {
-        "name",
-        "parameters",
-        "ci95",
-        "train_rmse_before_V",
-        "train_rmse_after_V",
-        "holdout_rmse_before_V",
-        "holdout_rmse_after_V",
-        "gain",
-        "gain_ci95",
-        "evidence",
-        "confusable_with",
-    } <= set(cause)
+    assert set(CAUSE.split()) <= set(cause)
     assert found["verdict"] == cause["name"] == "current_offset"
     assert set(cause["ci95"]) == set(cause["parameters"])
-    low, high = cause["ci95"]["offset_A"]
-    assert low < cause["parameters"]["offset_A"] < high
+    (low, high), value = cause["ci95"]["offset_A"], cause["parameters"]["offset_A"]
+    assert low < value < high
+    assert value == pytest.approx(OFFSET_A, rel=0.2)
     before, after = cause["holdout_rmse_before_V"], cause["holdout_rmse_after_V"]
     assert cause["gain"] == pytest.approx(1.0 - after / before)
+    assert found["anatomy"]["rows"] == ROWS
     for tried in found["candidates"]:
         assert {"name", "holdout_rmse_V", "parameters"} <= set(tried)
         assert tried["name"] in CAUSES
+    for limits in found["limits"].values():  # what no cell could have limits nothing
+        for name, size in limits.items():
+            assert size is None or not name.endswith("_ohm") or size < 10.0
 
 
 @pytest.mark.parametrize("name", ["drive", "held"])
@@ -116,28 +106,6 @@ def test_logs_are_what_simulate_prints_with_both_models(diagnosed, bench, run_js
     assert row["rmse_corrected_V"] < 0.5 * row["rmse_before_V"]
 
 
-def test_a_card_says_what_the_logs_say(diagnosed):
-    found, _ = diagnosed
-    held = next(r for r in found["logs"] if r["used"] == "holdout")
-    (cause,) = found["causes"]
-    assert cause["holdout_rmse_before_V"] == pytest.approx(held["rmse_before_V"], rel=1e-9)
-    assert cause["holdout_rmse_after_V"] == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
-
-
-def test_the_hidden_offset_is_named_with_its_value(diagnosed):
-    found, _ = diagnosed
-    value = found["causes"][0]["parameters"]["offset_A"]
-    assert value == pytest.approx(OFFSET_A, rel=0.2)
-
-
-def test_anatomy_is_that_of_the_first_log(diagnosed, bench):
-    anatomy = diagnosed[0]["anatomy"]
-    log = read_log(bench / "drive.csv")
-    run = simulate(curved_cell(), log, 0.9)
-    assert anatomy["rows"] == ROWS
-    assert anatomy["rmse_V"] == pytest.approx(run.metrics.rmse_V, rel=1e-6)
-
-
 def test_the_corrected_log_is_explained_by_the_extended_model(diagnosed, bench):
     found, out = diagnosed
     (path,) = found["corrected"]
@@ -150,36 +118,28 @@ def test_the_corrected_log_is_explained_by_the_extended_model(diagnosed, bench):
     assert simulate(new, log, 0.9).metrics.rmse_V < 0.3 * before
 
 
-def test_the_page_is_written(diagnosed):
-    found, out = diagnosed
-    assert found["report"] == str(out / "page.html")
-    assert "current sensor" in (out / "page.html").read_text(encoding="utf-8")
-
-
-def test_for_people(bench, capsys):
-    assert main(list(command(bench))) == 0
-    said = capsys.readouterr().out
-    assert "current_offset" in said
-    assert "offset_A 0.1" in said
-    # What to do and what is open first, tables then.
-    places = [said.index(w) for w in ("Keep the model", "measure next", "  - ", "every log")]
-    assert places == sorted(places)
-    assert "extended model:" not in said
-
-
-def test_one_probability_and_one_error_everywhere(diagnosed, bench, capsys):
+def test_for_people_first_what_to_do_and_one_figure_everywhere(diagnosed, bench, capsys):
     """In the JSON, on the page and in the terminal; of a cause alone what its log has with it."""
     found, out = diagnosed
     (cause,) = found["causes"]
     assert 0.9 < cause["probability"] < 1.0
-    said = probability(cause["probability"])
     capsys.readouterr()
     assert main(list(command(bench))) == 0
-    assert said in capsys.readouterr().out
-    assert f"Current offset, probability {said}" in (out / "page.html").read_text("utf-8")
+    said = capsys.readouterr().out
+    assert "current_offset" in said
+    assert "offset_A 0.1" in said
+    assert "extended model:" not in said
+    places = [said.index(w) for w in ("Keep the model", "measure next", "  - ", "every log")]
+    assert places == sorted(places)
+    chance = probability(cause["probability"])
+    assert chance in said
+    assert found["report"] == str(out / "page.html")
+    assert f"Current offset, probability {chance}" in (out / "page.html").read_text("utf-8")
     (alone,) = (c for c in found["candidates"] if c["name"] == cause["name"])
     held = next(r for r in found["logs"] if r["used"] == "holdout")
-    assert alone["holdout_rmse_V"] == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
+    assert cause["holdout_rmse_before_V"] == pytest.approx(held["rmse_before_V"], rel=1e-9)
+    for one in (alone["holdout_rmse_V"], cause["holdout_rmse_after_V"]):
+        assert one == pytest.approx(held["rmse_corrected_V"], rel=1e-9)
 
 
 def test_simulate_by_itself_shows_what_the_logs_say_of_its_own_start(bench, run_json, tmp_path):

@@ -123,13 +123,6 @@ def test_no_health_of_a_pack_that_is_far_off(tmp_path, run_json, capsys):
     assert run_json("pack", *OTHER, str(place), "--anyway")["usable_Ah"] > 0.0
 
 
-def test_a_log_of_the_model_s_own_cell_is_not_far_off(model, drive, run_json, capsys):
-    found = run_json("replay", "--model", model, drive)
-    assert found["forecast"] is not None
-    assert not any("FAR OFF" in notice for notice in found["notices"])
-    assert "FAR OFF" not in first_line(capsys, "simulate", "--model", model, drive)
-
-
 @pytest.mark.parametrize(("name", "far"), [("lfp-26650", True), ("nmc-18650", False)])
 def test_what_a_run_prints_of_itself_says_it_too(name, far):
     log = load_dataset("nmc_drive_b")

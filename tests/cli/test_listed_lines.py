@@ -1,7 +1,4 @@
-"""What new users once listed as wrong, line by line, through the command.
-
-Those of the list that stand elsewhere are named in tests/docs/test_capabilities.py.
-"""
+"""What new users once listed as wrong, line by line, through the command."""
 
 from __future__ import annotations
 
@@ -9,14 +6,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import simulate
 from cellwise.cli import main
-from cellwise.logs import CellLog, write_log
-from example_cells import curved_cell
+from cellwise.logs import write_log
 from rich_cell import Logger, drive, rich_nmc, run
 
 UP = [(-3.0, 10.0), (0.0, 600.0), (-1.5, 720.0), (0.0, 3600.0)]  # of 3 Ah, a tenth each
@@ -79,60 +72,6 @@ def test_a_first_try_gives_a_model_within_bounds(
     run_json("identify", *words, "-o", model)
     found = run_json("simulate", "--model", model, str(folder / judge))
     assert found["rmse_above_10pct_V"] < most_V
-
-
-@pytest.fixture(scope="module")
-def bumpy(tmp_path_factory):
-    """A load whose last minute is ten times the usual one, and its model."""
-    folder = tmp_path_factory.mktemp("bumpy")
-    cell = curved_cell()
-    write_model(cell, folder / "cell.json")
-    current = np.repeat(np.tile([0.2, 2.0], 40), 60)
-    log = CellLog(np.arange(current.size) * 1.0, current, np.full(current.size, 3.7))
-    log = replace(log, voltage_V=simulate(cell, log, 0.95).voltage_V)
-    write_log(log, folder / "bumpy.csv")
-    return folder
-
-
-def test_the_page_begins_with_the_time_left_at_the_usual_load(bumpy, run_json, tmp_path):
-    page = tmp_path / "page.html"
-    found = run_json("replay", "--model", str(bumpy / "cell.json"), str(bumpy / "bumpy.csv"),
-                     "--soc0", "0.95", "--report", str(page))  # fmt: skip
-    last = found["forecast"]["typical"]
-    assert last["load_A"] == pytest.approx(1.1, rel=0.1)
-    text = page.read_text(encoding="utf-8")
-    first = text[text.index("<figure") :]
-    caption = first[first.index("<figcaption") : first.index("</figcaption")]
-    assert "usual load" in caption
-    assert "last minute" not in caption
-    assert re.search(r"left at (the usual )?1\.1", said_on(page)[:400])
-
-
-def test_a_diagnosis_has_one_figure_for_one_thing(bumpy, run_json, tmp_path):
-    """The cause's line, the table, the JSON and `simulate` with the model that was written."""
-    cell = curved_cell()
-    aged = replace(cell, r0_ohm=1.5 * cell.r0_ohm, r1_ohm=1.5 * cell.r1_ohm)
-    rng, logs = np.random.default_rng(4), []
-    for name in ("drive", "held"):
-        current = np.repeat(rng.uniform(-1.0, 3.0, 125), 20)
-        log = CellLog(np.arange(current.size) * 2.0, current, np.full(current.size, 3.7))
-        volts = simulate(aged, log, 0.9).voltage_V + rng.normal(0.0, 1e-3, current.size)
-        logs.append(str(write_log(replace(log, voltage_V=volts), tmp_path / f"{name}.csv")))
-    new, page = str(tmp_path / "new.json"), tmp_path / "page.html"
-    found = run_json("diagnose", "--model", str(bumpy / "cell.json"), logs[0], "--holdout", logs[1],
-                     "--soc0", "0.9", "--cause", "resistance_scale", "--cause", "slow_diffusion",
-                     "-o", new, "--report", str(page))  # fmt: skip
-    held = next(r for r in found["logs"] if r["used"] == "holdout")
-    after = run_json("simulate", "--model", new, logs[1], "--soc0", "0.9")["rmse_V"]
-    assert held["rmse_after_V"] == pytest.approx(after, rel=1e-6)
-    (cause,) = found["causes"]
-    assert cause["holdout_rmse_after_V"] == pytest.approx(after, rel=0.02)
-    ends = " → ".join(f"{1e3 * held[f'rmse_{k}_V']:.1f} mV" for k in ("before", "after"))
-    assert f"held (held out) {ends}" in said_on(page)
-    # What no cell could have is no limit of what these logs could show.
-    for limits in found["limits"].values():
-        for name, size in limits.items():
-            assert size is None or not name.endswith("_ohm") or size < 10.0
 
 
 def test_the_page_of_a_flight(real_data, tmp_path, run_json):

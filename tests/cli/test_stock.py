@@ -34,13 +34,6 @@ def test_little_known_is_said_by_the_deviation(run_json, flight, tmp_path):
     assert np.median(std) > 0.02
 
 
-def test_a_fleet_takes_a_stock_model(run_json, flight, tmp_path):
-    folder = flight.rsplit("/", 1)[0]
-    found = run_json("fleet", "replay", "--model", "nmc-18650", "--capacity-ah", "5", folder,
-                "-o", str(tmp_path / "out"))  # fmt: skip
-    assert found["done"] == 1
-
-
 @pytest.mark.parametrize("command", ["simulate", "replay", "diagnose"])
 def test_an_unknown_name_is_one_error_with_the_names(refused, flight, command):
     said = refused(command, "--model", "nmc-21700", flight)

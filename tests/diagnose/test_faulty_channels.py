@@ -11,7 +11,6 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.sensor_faults import clean, without_faults
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.inspection import inspect_log
 from cellwise.logs.reading import read_log
 from example_cells import curved_cell
 
@@ -134,23 +133,6 @@ GROSS = [
 ]
 
 
-@pytest.mark.parametrize(("channel", "value", "rows"), GROSS)
-def test_values_that_no_cell_has_are_named_with_their_rows_and_cut_out(drive, channel, value, rows):
-    warm = replace(drive, temperature_C=np.full(ROWS, 24.5) + 0.01 * np.sin(np.arange(ROWS)))
-    at = slice(1307, 1307 + rows)
-    bad = with_rows(warm, channel, at, value)
-    log, faults = clean(bad)
-    assert [(f.channel, f.kind, f.runs) for f in faults] == [
-        (channel, "impossible", ((1307, 1306 + rows),))
-    ]
-    assert np.abs(getattr(log, channel)[np.isfinite(getattr(log, channel))]).max() < 30.0
-    assert np.isfinite(log.voltage_V).sum() >= ROWS // 2
-    said = [n for n in inspect_log(bad).notices if "LOOKS WRONG" in n]
-    assert len(said) == 1
-    assert "1308" in said[0]
-    assert f"{1307 + rows}" in said[0]
-
-
 def test_a_current_that_reads_nothing_while_the_voltage_is_driven_is_stuck(drive):
     loaded = drive.current_A.copy()
     begin = 1310
@@ -184,7 +166,7 @@ def test_a_cell_at_rest_full_or_dead_and_a_heavy_pulse_are_no_faults(drive):
     assert not any(f.kind == "impossible" for f in clean(replace(drive, voltage_V=dying))[1])
 
 
-@pytest.mark.parametrize(("channel", "value", "rows"), [g for g in GROSS if g[2] > 1])
+@pytest.mark.parametrize(("channel", "value", "rows"), GROSS)
 def test_a_file_with_gross_faults_is_read_and_named_with_the_same_rows(
     drive, tmp_path, channel, value, rows
 ):
@@ -195,8 +177,11 @@ def test_a_file_with_gross_faults_is_read_and_named_with_the_same_rows(
     file = tmp_path / "drive.csv"
     np.savetxt(file, table, "%.7g", ",", header=",".join(names), comments="")
     log = read_log(file)
-    assert [(f.channel, f.runs) for f in clean(log)[1]] == [(channel, ((1307, 1306 + rows),))]
+    left, faults = clean(log)
+    if rows > 1:  # a single one was made missing where the file was read
+        assert [(f.channel, f.runs) for f in faults] == [(channel, ((1307, 1306 + rows),))]
     assert any("1308" in n for n in log.notices)
+    assert np.nanmax(np.abs(getattr(left, channel))) < 30.0
 
 
 @pytest.mark.parametrize("skew_s", [-2.0, 2.5])

@@ -17,7 +17,6 @@ from sources import tree_of
 
 TESTS = Path(__file__).resolve().parents[1]
 DOOR = "cli/test_door_twins.py"
-LINES = "cli/test_listed_lines.py"
 
 
 class Capability(NamedTuple):
@@ -87,79 +86,6 @@ CAPABILITIES = (
     Capability("a measured drive by a broker", "live/test_mqtt.py",
                "live/test_mqtt.py::test_a_measured_drive_by_a_broker_is_the_same_as_by_a_file"),
 )  # fmt: skip
-
-
-# What new users once tried in vain with files as they lie there, and the test that it works now.
-TRIED = {
-    "a month of drives of one car": (
-        f"{DOOR}::test_a_month_of_a_car_holds_for_the_next",
-        "cli/test_front_door.py::test_a_month_of_drives_is_identified_as_it_lies_there",
-    ),
-    "charge pulses from empty": (
-        "identify/test_one_test_alone.py::test_one_test_of_a_made_cell",
-        f"{LINES}::test_charge_pulses_from_empty_at_several_temperatures",
-    ),
-    "first tries": (
-        f"{LINES}::test_a_first_try_gives_a_model_within_bounds",
-        f"{LINES}::test_a_cell_of_no_kind_that_is_known_is_said_first",
-    ),
-    "a diagnosis leads with what to do": (
-        "cli/test_pages.py::test_an_extension_that_makes_soc_worse_is_not_to_be_adopted",
-        "cli/test_diagnose.py::test_what_only_repeats_its_prior_comes_last",
-        "cli/test_diagnose.py::test_for_people",
-    ),
-    "time left at the usual load": (
-        f"{LINES}::test_the_page_begins_with_the_time_left_at_the_usual_load",
-    ),
-    "one figure for one thing": (
-        f"{LINES}::test_a_diagnosis_has_one_figure_for_one_thing",
-        "cli/test_diagnose.py::test_one_probability_and_one_error_everywhere",
-    ),
-    "the page of a flight": (f"{LINES}::test_the_page_of_a_flight",),
-    "instruments as they write": (
-        "cli/refusals/test_instruments_as_they_write.py::test_milliamperes_of_a_tester",
-        "cli/refusals/test_instruments_as_they_write.py"
-        "::test_raw_frames_ask_for_their_database_and_are_read_with_it",
-    ),
-    "one log has one start": (
-        f"{DOOR}::test_one_flight_has_one_start_and_is_followed_from_it",
-        f"{DOOR}::test_a_log_cut_anywhere_has_one_start_in_every_command",
-        f"{DOOR}::test_a_pack_begins_where_every_command_says",
-        f"{DOOR}::test_a_measured_drive_as_a_stream_begins_as_the_log_does",
-    ),
-    "no answer beside an absurd error": (
-        "cli/test_far_off.py::test_lfp_for_a_measured_drive_of_nickel_is_said_by_every_command",
-        "cli/test_far_off.py::test_a_swapped_sign_is_said_first_and_forecasts_are_withheld",
-    ),
-    "history of a car, a counted capacity": (
-        f"{DOOR}::test_a_month_of_a_car_has_one_capacity_and_says_how_sure",
-        f"{DOOR}::test_a_capacity_counted_at_a_load_says_what_the_one_to_use_is",
-    ),
-    "windows of a healthy pack": (
-        f"{DOOR}::test_windows_of_a_healthy_pack_and_its_cells_in_parallel",
-    ),
-    "assumed is not measured": (
-        f"{DOOR}::test_a_temperature_that_nobody_measured_is_assumed_and_not_in_the_data",
-    ),
-    "nearly right options, pages, C without a warning": (
-        "cli/refusals/test_near_misses.py::test_an_option_that_is_nearly_one_is_named",
-        "cli/refusals/test_near_misses.py::test_a_page_that_is_no_html_is_refused_before_the_work",
-        "cli/refusals/test_near_misses.py::test_a_diagnosis_of_what_is_no_log_says_so",
-        "cli/refusals/test_near_misses.py::test_remaining_time_in_c_compiles_without_a_warning",
-    ),
-    "the fixed step by itself": (f"{DOOR}::test_the_fixed_step_is_the_ekf",),
-    "a fleet ends on a page, every result has a plot": (
-        "fleet/test_fleet_page.py::test_the_command_ends_on_the_page",
-        "test_plotting.py::test_every_result_has_a_plot_of_its_own_numbers",
-    ),
-}
-
-
-@pytest.mark.parametrize("tests", TRIED.values(), ids=list(TRIED))
-def test_what_was_tried_in_vain_has_its_test(tests):
-    for one in tests:
-        file, _, function = one.partition("::")
-        assert function in functions_of(TESTS / file)
 
 
 def functions_of(path: Path) -> set[str]:

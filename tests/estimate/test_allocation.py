@@ -12,12 +12,11 @@ from numba.core.runtime import _nrt_python, rtsys
 from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
 from cellwise.cell.simulate import simulate_rows
-from cellwise.estimate.adaptive.adaptive_kernels import ADAPTIVE_OUTPUTS, adaptive_rows
-from cellwise.estimate.adaptive.settings import AdaptiveSettings
-from cellwise.estimate.filters.coulomb import CoulombState, CountRules, coulomb_rows
-from cellwise.estimate.filters.filter_state import OUTPUTS, LogArrays, TraceArrays
+from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.filters.coulomb import CoulombState, CountRules, gauge_rows
+from cellwise.estimate.filters.filter_state import ADAPTIVE_OUTPUTS, OUTPUTS, LogArrays, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints
-from cellwise.estimate.filters.kalman_kernels import kalman_rows
+from cellwise.estimate.filters.kalman_kernels import adaptive_rows, kalman_rows
 from example_cells import EFFECTS, curved_cell
 
 MODEL = curved_cell(effects=EFFECTS)
@@ -79,12 +78,9 @@ def simulate_call(rows):
 
 
 def coulomb_call(rows):
-    current = np.random.default_rng(1).normal(0, 3, rows)
-    gap = np.zeros(rows, dtype=np.bool_)
-    cell = MODEL.parameters().cell
-    begin = CountRules(1e-5, 0.05), CoulombState(0.5, 0.01, 0.0)
-    return (coulomb_rows, cell, *begin, current, np.full(rows, 0.1), gap, np.empty((2, rows)),
-            np.empty(rows, dtype=np.int32))  # fmt: skip
+    _, tables, _, _, _, _, log, _ = ekf_call(rows)
+    begin = CountRules(1e-5, 0.05, 600.0), CoulombState(0.5, 0.01, 0.0, np.inf), 25.0
+    return gauge_rows, tables, *begin, log, np.empty((2, rows)), np.empty(rows, dtype=np.int32)
 
 
 def profile_call(rows):

@@ -19,7 +19,7 @@ from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import SEQUENCE_GAP
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
-from cellwise.export.package import check_flash, describe, write_package
+from cellwise.export.package import describe, write_package
 from example_cells import curved_cell
 from firmware_cases import tables_of
 
@@ -67,7 +67,6 @@ def test_what_is_written_compiles_and_is_described(model, tmp_path, capsys):
         (["--dt", 1, "--noise", "voltage_V=0"], "above zero"),
         (["--dt", 1, "--points", 2], "at least 3"),
         (["--dt", 1, "--points", 100_000], "SOC points"),
-        (["--dt", 1, "--flash", 100], "at most 100"),
     ],
 )
 def test_what_a_target_cannot_hold_is_refused(model, tmp_path, capsys, arguments, said):
@@ -80,9 +79,6 @@ def test_what_a_target_cannot_hold_is_refused(model, tmp_path, capsys, arguments
 def test_flash_counts_what_the_compiler_lays_out():
     tables = tables_of("full")
     assert describe(curved_cell(), tables)["model_bytes"] == len(tables.to_bytes())
-    check_flash(tables, len(tables.to_bytes()))
-    with pytest.raises(InputError):
-        check_flash(tables, len(tables.to_bytes()) - 1)
 
 
 FLAGS = ["-O2", *STRICT_FLAGS, *WARNING_FLAGS]

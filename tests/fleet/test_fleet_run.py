@@ -205,51 +205,32 @@ class _Never:
         pass
 
 
-class _WithoutWorkers:
-    """A client whose workers have gone for good."""
-
-    def submit(self, *_, **__):
-        return _Never()
-
-    def scheduler_info(self):
-        return {"workers": {}}
-
-
 def test_workers_that_never_come_back_end_the_run(model, folder, monkeypatch):
     from cellwise.errors import MachineError
 
     patience = engine.PATIENCE._replace(without_s=0.5, ask_s=0.1)
     monkeypatch.setattr(engine, "PATIENCE", patience)
+    gone = engine.Cluster(lambda *_: _Never(), lambda: 0)
     with pytest.raises(MachineError, match="no worker for"):
-        list(engine.rows_of(_WithoutWorkers(), ReplayTask(model), folder, ["a.parquet"], 1))
+        list(engine.rows_of(gone, ReplayTask(model), folder, ["a.parquet"], 1))
 
 
-def test_only_a_few_batches_are_in_hand(model, folder, tmp_path, monkeypatch):
+def test_only_some_batches_are_in_hand(model, folder, monkeypatch):
     """However many logs there are: what waits stays a name."""
-    from cellwise.fleet.engine import PATIENCE, Threads
+    monkeypatch.setattr(engine, "PATIENCE", engine.PATIENCE._replace(in_hand=3))
+    flying, most = set(), [0]
+    with engine.connected("local", 2) as threads:
 
-    flying, most = [0], [0]
-    submit = Threads.submit
+        def counted(*work):
+            flying.add(future := threads.submit(*work))
+            most[0] = max(most[0], sum(not one.done() for one in flying))
+            return future
 
-    def counted(self, work, *arguments, pure=False):
-        flying[0] += 1
-        most[0] = max(most[0], flying[0])
-        future = submit(self, work, *arguments)
-        result = future.result
-
-        def taken():
-            flying[0] -= 1
-            return result()
-
-        future.result = taken
-        return future
-
-    monkeypatch.setattr(Threads, "submit", counted)
-    for k in range(40):
-        shutil.copy(folder / "truck_1" / "day_0.parquet", folder / f"more_{k:02d}.parquet")
-    run_fleet(ReplayTask(model), folder, tmp_path / "out", workers=1, batch=1)
-    assert len(rows_in(tmp_path / "out")) == 48
-    assert most[0] <= PATIENCE.ahead
+        names = ["truck_1/day_0.parquet"] * 40
+        limited = threads._replace(submit=counted)
+        rows = list(engine.rows_of(limited, ReplayTask(model), folder, names, 1))
+    assert sum(map(len, rows)) == 40
+    assert most[0] <= 3
 
 
 def test_a_failure_of_the_machine_is_none_of_the_log(model, folder, tmp_path, monkeypatch):

@@ -120,30 +120,6 @@ def test_stuck_current_but_not_a_constant_current():
     assert inspect_log(falling).stuck == {}
 
 
-def test_sampling_tells_jitter_from_slow_logging():
-    rng = np.random.default_rng(13)
-    n = 3000
-    for dt, jittery in (
-        (rng.uniform(0.3, 1.7, n), True),
-        (np.where(np.arange(n) % 1000 < 500, 1.0, 60.0), False),
-    ):
-        time = np.cumsum(dt)
-        current = np.where(np.arange(n) % 100 < 50, 2.0, 0.0)
-        found = inspect_log(CellLog(time, current, 3.7 - 0.02 * current))
-        assert (found.sampling.jitter_share > 0.2) == jittery
-        assert any("intervals differ" in notice for notice in found.notices) == jittery
-        assert found.sampling.late == 0
-
-
-def test_late_rows_are_told():
-    columns = pulse_channels(6000)
-    time = 0.1 * columns["time_s"] + np.where(columns["time_s"] > 3000, 2.0, 0.0)
-    log = CellLog(time, columns["current_A"], columns["voltage_V"])
-    assert inspect_log(log).sampling.late == 1
-    assert not log.gaps
-    assert told(log, "1 row(s) come after more than ten times")
-
-
 ROW = re.compile(r"^\| ([a-z]\w+) \| (\d+) \| ([\d.]+) \| ([\d.]+) / ([\d.]+) \| (.*) \|$")
 FOLDERS = ["panasonic_18650pf", "plett_a123", "nissan_leaf", "lg_18650hg2", "lipo_5450"]
 

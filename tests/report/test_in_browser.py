@@ -13,7 +13,8 @@ import pytest
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
 from cellwise.report import replay_page
-from cellwise.report.page.section import trace_section, write_page
+from cellwise.report.page.plot import Plot
+from cellwise.report.page.section import Section, write_page
 from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page
 from report_cases import drive, replay, simulation
@@ -24,10 +25,9 @@ pytestmark = [
     pytest.mark.slow,
 ]
 TRACES = "document.documentElement.dataset.plots === 'ready'"
-PICTURES = "document.documentElement.dataset.pictures === 'ready'"
 MILLION = 1_000_000
 WITH_TRACES = ("identify", "replay", "diagnose", "export")
-DRAWN = tuple(kind for kind in KINDS if kind != "export")  # costs stand in tables
+DRAWN = ("identify", "diagnose", "capacity-study")  # beside plots over time
 
 
 def in_browser(folder, work):
@@ -47,9 +47,7 @@ def pages(tmp_path_factory):
 
 async def looked_at(browser, kind, page, folder):
     """What is on a page, in words and numbers."""
-    traces = kind in WITH_TRACES
-    pictures = PICTURES if kind in DRAWN else "true"
-    await browser.open(page, f"{pictures} && ({TRACES} || {json.dumps(not traces)})")
+    await browser.open(page, TRACES if kind in WITH_TRACES else "true")
     told = await browser.value(
         "({pictures: document.querySelectorAll('figure svg').length,"
         " canvases: document.querySelectorAll('div.trace canvas').length,"
@@ -58,45 +56,8 @@ async def looked_at(browser, kind, page, folder):
     )
     shot = await browser.screenshot(folder / f"{kind}.png")
     seen = float(matplotlib.image.imread(shot).std())
-    zoomed = await zoomed_by_a_drag(browser) if kind in DRAWN else None
-    return {**told, "seen": seen, "zoomed": zoomed, "complaints": list(browser.complaints),
+    return {**told, "seen": seen, "complaints": list(browser.complaints),
             "requests": list(browser.requests)}  # fmt: skip
-
-
-async def zoomed_by_a_drag(browser):
-    """Drags over the first picture's first axes, twice: to zoom in, and back by a double click."""
-    figure = "document.querySelector('figure[data-axes]')"
-    box = await browser.value(
-        f"(() => {{ const f = {figure}, s = f.querySelector('svg');"
-        " f.scrollIntoView({behavior: 'instant'});"
-        " const [x, y, w, h] = JSON.parse(f.dataset.axes)[0].box, m = s.getScreenCTM();"
-        " return [m.a * x + m.e, m.d * y + m.f, m.a * w, m.d * h]; })()"
-    )
-    left, top, wide, tall = box
-    drawn = (
-        f"[...{figure}.querySelectorAll('[data-plot=\"0\"] [clip-path]')]"
-        ".filter((e) => !e.closest('[data-tick]')).map((e) => e.outerHTML).join('')"
-    )
-    before = await browser.value(drawn)
-    y = top + 0.5 * tall
-    await browser.mouse("mouseMoved", left + 0.2 * wide, y)
-    await browser.mouse("mousePressed", left + 0.25 * wide, y, button="left", clickCount=1)
-    await browser.mouse("mouseMoved", left + 0.75 * wide, y, button="left")
-    await browser.mouse("mouseReleased", left + 0.75 * wide, y, button="left", clickCount=1)
-    await asyncio.sleep(0.3)
-    views = json.loads(await browser.value(f"{figure}.dataset.views"))
-    after = await browser.value(drawn)
-    own = await browser.value(
-        f"{figure}.querySelectorAll('.tick').length"
-        f" + {figure}.querySelectorAll('[data-tick][transform]').length"
-    )
-    for count in (1, 2):
-        for kind in ("mousePressed", "mouseReleased"):
-            await browser.mouse(kind, left + 0.5 * wide, y, button="left", clickCount=count)
-    await asyncio.sleep(0.3)
-    again = json.loads(await browser.value(f"{figure}.dataset.views"))
-    return {"x": views[0]["x"], "y": views[0]["y"], "moved": before != after, "ticks": own,
-            "back": again[0]}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -123,16 +84,6 @@ def test_a_page_opens_without_complaint_and_loads_nothing(pages, found, kind):
     assert told["seen"] > 0.05, "there is nothing to see"
 
 
-@pytest.mark.parametrize("kind", DRAWN)
-def test_a_picture_zooms_and_comes_back(found, kind):
-    told = found[kind]["zoomed"]
-    assert told["x"] == pytest.approx([0.25, 0.75], abs=0.01)
-    assert told["y"] == [0, 1]  # a level drag is of x alone
-    assert told["moved"]
-    assert told["ticks"] > 0, "an axis without numbers"
-    assert told["back"] == {"x": [0, 1], "y": [0, 1]}
-
-
 def spikes():
     """A million samples with one peak of a single sample, and times that are not even."""
     rng = np.random.default_rng(0)
@@ -149,9 +100,9 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                          features=[{"name": "prefers-color-scheme", "value": scheme}])  # fmt: skip
         await browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844,
                          deviceScaleFactor=1, mobile=True)  # fmt: skip
-        widths, unshaded, smallest, stacked = {}, {}, {}, {}
+        widths, unshaded, smallest = {}, {}, {}
         for kind, page in pages.items():
-            await browser.open(page, PICTURES if kind in DRAWN else "true")
+            await browser.open(page, TRACES if kind in WITH_TRACES else "true")
             widths[kind] = await browser.value("document.documentElement.scrollWidth")
             unshaded[kind] = await browser.value(
                 "[...document.querySelectorAll('.scroll, figure > div')].filter(e =>"
@@ -166,15 +117,9 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
                 " e.getScreenCTM ? e.getScreenCTM() : {a: 1, b: 0}])"
                 ".map(([size, m]) => size * Math.hypot(m.a, m.b)))"  # however it is turned
             )
-            stacked[kind] = await browser.value(
-                "[...document.querySelectorAll('figure[data-axes]')].every(f =>"
-                " JSON.parse(f.dataset.axes).every(({at: [x, y, w, h]}, k, all) => x >= 0 &&"
-                " x + w <= 390 && (k === 0 || y >= all[k - 1].at[1] + all[k - 1].at[3])))"
-            )
-        return widths, unshaded, smallest, stacked
+        return widths, unshaded, smallest
 
-    widths, unshaded, smallest, stacked = in_browser(tmp_path, work)
-    assert stacked == dict.fromkeys(KINDS, True), "axes one below the other"
+    widths, unshaded, smallest = in_browser(tmp_path, work)
     assert {kind: s for kind, s in smallest.items() if s is not None and s < 11.0} == {}
     assert {kind: w for kind, w in widths.items() if w > 390} == {}
     assert set(unshaded.values()) == {0}
@@ -182,7 +127,7 @@ def test_a_page_fits_a_phone_and_what_is_wider_is_shaded_at_its_edge(pages, tmp_
 
 def test_a_million_samples_open_in_three_seconds_and_zoom(tmp_path):
     log = spikes()
-    section = trace_section([("a million", log)])
+    section = Section("p", "p", (Plot("a-million", "a million", *log.panels()),))
     page = write_page(tmp_path / "big.html", "A million samples", "test", [section], {"n": 1})
     trace = "document.querySelector('div.trace')"
 
@@ -256,68 +201,40 @@ def suspicious():
 def test_one_cursor_in_all_plots_of_a_log_and_an_alert_shows_its_rows(tmp_path):
     log, other = suspicious(), drive(3000, name="another")
     page = replay_page([replay(other), replay(log)], tmp_path / "p.html", [simulation(log)])
-    # Where every visible cursor of a log stands [s from its first row], by kind of plot.
-    lines = (
-        "(name => [...document.querySelectorAll('figure')].filter(f => f.dataset.clock === name)"
-        " .flatMap(f => { const all = JSON.parse(f.dataset.axes);"
-        " const s = {s: 1, min: 60, h: 3600}[all.find(a => a.share === all[0].share && a.x.label)"
-        "  .x.label.match(/\\[(.*)\\]/)[1]];"
-        " return [...f.querySelectorAll('line.cursor')].map((line, k) => [line, all[k]])"
-        "  .filter(([line, a]) => line.style.display !== 'none' && a.share === all[0].share)"
-        "  .map(([line, a]) => { const [low, high] = a.x.limits;"
-        "   return s * (low + (high - low) * (line.x1.baseVal.value - a.box[0]) / a.box[2]); });"
-        "}))"
-    )
     traces = (
         "(name => [...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock === name)"
-        " .map(f => f.dataset.pointer ? 3600 * f.dataset.pointer : null))"
+        " .map(f => [f.dataset.pointer, f.dataset.from, f.dataset.to, f.dataset.marked]))"
     )
 
     async def work(browser):
-        await browser.open(page, f"{PICTURES} && {TRACES}")
+        await browser.open(page, TRACES)
         box = await browser.value(
-            "(() => { const f = document.querySelector('figure[id*=-soc]'),"
-            " s = f.querySelector('svg'); f.scrollIntoView({behavior: 'instant'});"
-            " const a = JSON.parse(f.dataset.axes)[0], [x, y, w, h] = a.box, m = s.getScreenCTM();"
-            " return [m.a * x + m.e, m.d * (y + h / 2) + m.f, m.a * w, f.dataset.clock]; })()"
+            "(() => { const f = document.querySelector('div.trace');"
+            " f.scrollIntoView({behavior: 'instant'}); const b = f.getBoundingClientRect();"
+            " return [b.left, b.top, b.width, f.dataset.clock]; })()"
         )
-        left, y, wide, name = box
+        left, top, wide, name = box
         for share in (0.4, 0.5):
-            await browser.mouse("mouseMoved", left + share * wide, y)
+            await browser.mouse("mouseMoved", left + 64 + share * (wide - 76), top + 60)
             await asyncio.sleep(0.3)
-        found = await browser.value(f"{lines}({json.dumps(name)})")
-        read = await browser.value(f"{traces}({json.dumps(name)})")
-        beside = await browser.value(f"{lines}('another')")
+        pointed = await browser.value(f"{traces}({json.dumps(name)})")
+        beside = await browser.value(f"{traces}('another')")
         # Away from it, then the alert's link.
         await browser.mouse("mouseMoved", 2, 2)
         await asyncio.sleep(0.3)
-        left_over = await browser.value(f"{lines}({json.dumps(name)})")
-        await browser.value("document.querySelector('a.jump').click()")
+        left_over = await browser.value(f"{traces}({json.dumps(name)})")
+        await browser.value("document.querySelector('button.jump').click()")
         await asyncio.sleep(0.5)
-        view = await browser.value(
-            f"[...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock ==="
-            f" {json.dumps(name)}).map(f => [3600 * f.dataset.from, 3600 * f.dataset.to])"
-        )
-        alarms = await browser.value(
-            "[...document.querySelectorAll('rect.alarm')]"
-            ".filter((r) => r.style.display !== 'none' && r.width.baseVal.value > 2).length"
-        )
-        whole = await browser.value(
-            "[...document.querySelectorAll('div.trace')].filter(f => f.dataset.clock === 'another')"
-            ".map(f => 3600 * f.dataset.to)"
-        )
-        return found, read, beside, left_over, view, alarms, whole, list(browser.complaints)
+        looked = await browser.value(f"{traces}({json.dumps(name)})")
+        whole = await browser.value(f"{traces}('another')")
+        return pointed, beside, left_over, looked, whole, list(browser.complaints)
 
-    found, read, beside, left_over, view, alarms, whole, complaints = in_browser(tmp_path, work)
+    pointed, beside, left_over, looked, whole, complaints = in_browser(tmp_path, work)
     assert complaints == []
-    # Above and below in SOC, in innovation and in voltage, current, residual: one time.
-    assert len(found) >= 7
-    assert found == pytest.approx([3600.0] * len(found), abs=20.0)
-    assert len(read) == 2, "the replay's samples and the log's"
-    assert read == pytest.approx([3600.0] * 2, abs=20.0)
-    assert beside == [], "another log has another time"
-    assert left_over == []
-    for low, high in view:
-        assert low < 3000.0 < 3060.0 < high < low + 600.0
-    assert alarms >= 7
-    assert whole == pytest.approx([2999.0] * 2, abs=1.0), "the other log stays as it is"
+    assert len(pointed) == 2, "the replay and the simulation of one log: one time"
+    assert [float(t[0]) for t in pointed] == pytest.approx([60.0] * 2, abs=0.5)  # minutes
+    assert {t[0] for t in (*beside, *left_over)} == {""}
+    for _, low, high, marked in looked:
+        assert float(low) < 50.0 < 51.0 < float(high) < float(low) + 10.0
+        assert [float(t) for t in marked.split(",")] == pytest.approx([50.0, 51.0])
+    assert [float(t[2]) for t in whole] == pytest.approx([2999.0 / 60.0]), "another log stays"

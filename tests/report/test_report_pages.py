@@ -15,12 +15,12 @@ from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
 from cellwise.report.findings import replay_finding
 from cellwise.report.identification.page import identify_sections
-from cellwise.report.identification.pulse_section import pulse_picture
-from cellwise.report.page.markup import MOST, finite, page, table
+from cellwise.report.identification.pulse_section import pulse_pictures
+from cellwise.report.page.markup import EMPTY, MOST, Markup, finite, table
 from cellwise.report.page.picture import inline
-from cellwise.report.page.section import pictures_of, rendered, script
+from cellwise.report.page.section import Section, page_text, pictures_of, program, rendered
 from cellwise.report.replay.page import replay_data, replay_sections
-from cellwise.report.replay.replay_section import replay_figures, soc_picture
+from cellwise.report.replay.replay_section import replay_figures
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"
@@ -84,11 +84,9 @@ def test_nothing_is_loaded_and_only_our_plots_run(pages, kind):
     text, parsed, _ = pages[kind]
     assert all(a.startswith(("#", "data:image/png;base64,")) for a in parsed.addresses)
     assert len(parsed.scripts) == 1
-    running = [program for attrs, program in parsed.programs if "type" not in attrs]
-    traces = ["interactive.js"] if kind in ("identify", "replay") else []
-    assert running == [script(name) for name in ("narrow.js", "zoom.js", *traces)]
-    for program in running:
-        assert "http" not in program.replace("http://www.w3.org", "")
+    running = [text for attrs, text in parsed.programs if "type" not in attrs]
+    assert running == [program()]
+    assert "http" not in program()
     assert not {"link", "iframe", "object", "embed", "img", "audio", "video"} & set(parsed.tags)
     assert "@import" not in text
     assert parsed.tags.count("style") == 1
@@ -180,7 +178,7 @@ def test_many_replays_are_rows_and_few_pictures():
     sections = {s.key: s for s in replay_sections(runs)}
     table_text = rendered(sections["figures"])
     assert table_text.count("<tr") == 9
-    assert len(pictures_of([sections["soc"]])) == 1 + 2 * MOST.replays
+    assert len(pictures_of([sections["soc"]])) == 1 + MOST.replays
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
@@ -204,12 +202,12 @@ def test_names_of_logs_are_escaped_everywhere(tmp_path, without_pictures):
     log = replace(drive(), name=NASTY)
     with without_pictures():
         said = "".join(rendered(s) for s in identify_sections(laboratory))
-    drawn = inline(pulse_picture(laboratory))
+    drawn = inline(pulse_pictures(laboratory)[0])
     assert "<script>alert" not in said + drawn
     text, parsed = written(replay_page, tmp_path, [replay(log)])
     assert "<script>alert" not in text
     assert len(parsed.scripts) == 1
-    assert not any(NASTY in program for _, program in parsed.programs)
+    assert not any(NASTY in text for _, text in parsed.programs)
     assert any(NASTY in t for _, t in parsed.texts)
     assert json.loads(parsed.scripts[0][1])["replays"][0]["log"] == NASTY
 
@@ -293,9 +291,8 @@ def test_no_replay_is_refused(tmp_path):
         replay_page([], tmp_path / "page.html")
 
 
-def test_equal_data_give_equal_pictures():
-    run = replay(drive())
-    first, second = (inline(soc_picture(run)) for _ in range(2))
+def test_equal_data_give_equal_pictures(laboratory):
+    first, second = (inline(pulse_pictures(laboratory)[0]) for _ in range(2))
     assert first == second
 
 
@@ -306,11 +303,11 @@ def test_missing_matplotlib_says_what_to_install(tmp_path, monkeypatch, laborato
     assert not list(tmp_path.iterdir())
 
 
-def test_settings_of_others_are_left_alone():
+def test_settings_of_others_are_left_alone(laboratory):
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         before = dict(matplotlib.rcParams)
-        inline(soc_picture(replay(drive(60))))
+        inline(pulse_pictures(laboratory)[0])
         assert dict(matplotlib.rcParams) == before
 
 
@@ -318,9 +315,9 @@ def test_settings_of_others_are_left_alone():
 def test_pictures_are_saved_beside_the_page(tmp_path):
     folder = tmp_path / "figures"
     replay_page([replay(drive())], tmp_path / "page.html", figures=folder)
-    names = {f"replay-1-ekf-drive-{what}" for what in ("soc", "voltage")}
-    assert {path.name for path in folder.iterdir()} == {
-        name + kind for name in names for kind in (".png", ".svg")
+    assert {p.name for p in folder.iterdir()} == {
+        "replay-1-ekf-drive.png",
+        "replay-1-ekf-drive.svg",
     }
 
 
@@ -344,9 +341,7 @@ def test_table_marks_its_row_and_escapes():
 
 
 def test_an_empty_section_is_left_out():
-    from cellwise.report.page.markup import Markup
-
-    text = page("f 1", "a", [("k", "t", "t", Markup("")), ("m", "u", "u", Markup("<p>v</p>"))], {})
-    parsed = Page(text)
+    sections = [Section("k", "t", (EMPTY,)), Section("m", "u", (Markup("<p>v</p>"),))]
+    parsed = Page(page_text("f 1", "a", sections, {}, EMPTY))
     assert "k" not in parsed.ids
     assert "m" in parsed.ids

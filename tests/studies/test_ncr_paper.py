@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.studies.paper_tables import relaxation_segments
+from cellwise.studies.papers import relaxation_segments
 
 R0, R1, TAU1, R2, TAU2 = 0.03, 0.02, 20.0, 0.01, 400.0
 OCV, SLOPE, CURRENT = 3.7, 0.0, 2.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.studies.papers import (
+from cellwise.studies.published import (
     LFP_CAPACITIES,
     LFP_ERRORS,
     LFP_POLYNOMIALS,

@@ -61,13 +61,10 @@ def test_tables_and_reasons_for_people(capsys):
     ("arguments", "said"),
     [
         (["--cell", "my-cell"], "embedded-nmc"),
-        (["--cell", "leaf"], "--data"),
         (["--estimator", "oracle"], "ekf"),
-        (["--data", "nowhere-at-all"], "nowhere-at-all"),
         (["--judge", "drive.csv"], "reference capacity"),
     ],
 )
-def test_refusals(arguments, said, capsys, monkeypatch):
-    monkeypatch.delenv("CELLWISE_DATA", raising=False)
+def test_refusals(arguments, said, capsys):
     assert main(["capacity-study", *arguments]) == 2
     assert said in capsys.readouterr().err

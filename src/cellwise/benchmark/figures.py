@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.estimate.adaptive.trace import AdaptiveTrace
+from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.replay import Replay, soc_errors
 from cellwise.typing import FloatArray
 

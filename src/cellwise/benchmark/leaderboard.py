@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +21,6 @@ from cellwise.benchmark.paper_tables import (
 
 AGAINST = "ekf"  # what every estimator is compared with
 ENDED = 0.03  # of SOC: gauge vendors count the discharges that end within three points
-HEAD = (
-    "rank [95 %]", "estimator", "hard runs", "wrong start", "with a fault", "worst",
-    "ended within 3 points", "within 2 points, after", "against ekf [95 %]", "failed", "easy runs",
-)  # fmt: skip
-BAND_HEAD = (
-    "estimator", "inside 2σ", "band ±", "interval score", "per row", "state", "process",
-    "made with", "by",
-)  # fmt: skip
 # What a row keeps of each of its runs.
 RUN_FIGURES: dict[str, type] = {
     "log": str, "fault": str, "start_error": float, "dt_s": float, "soc0_true": float,
@@ -69,6 +61,50 @@ class Standing(NamedTuple):
     ns_per_row: float | None
     state_bytes: int
     process_MB: float | None
+
+
+def _points(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.2f}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.0f} %"
+
+
+def _cost(ns: float | None) -> str:
+    if ns is None:
+        return "-"
+    return f"{ns:.0f} ns" if ns < 1e4 else f"{ns / 1e3:.0f} µs"
+
+
+def _after(seconds: float | None) -> str:
+    return "" if seconds is None else f", {seconds / 60.0:.0f} min"
+
+
+Columns = tuple[tuple[str, Callable[[Standing], str]], ...]
+# How a standing reads, figures in points of SOC; then its band and its cost.
+COLUMNS: Columns = (
+    ("rank [95 %]", lambda s: "-" if s.rank is None else f"{s.rank} [{s.low}, {s.high}]"),
+    ("estimator", lambda s: s.estimator),
+    ("hard runs", lambda s: _points(s.hard)),
+    ("wrong start", lambda s: _points(s.wrong_start)),
+    ("with a fault", lambda s: _points(s.with_a_fault)),
+    ("worst", lambda s: _points(s.worst)),
+    ("ended within 3 points", lambda s: _share(s.ended)),
+    ("within 2 points, after", lambda s: _share(s.converged) + _after(s.convergence_s)),
+    ("against ekf [95 %]", lambda s: "-" if s.against is None else interval_text(s.against)),
+    ("failed", lambda s: str(s.failed)),
+    ("easy runs", lambda s: _points(s.easy)),
+)
+BAND_COLUMNS: Columns = (
+    ("estimator", lambda s: s.estimator),
+    ("inside 2σ", lambda s: _share(s.coverage)),
+    ("band ±", lambda s: _points(None if s.band is None else s.band / 2.0)),
+    ("interval score", lambda s: _points(s.interval_score)),
+    ("per row", lambda s: _cost(s.ns_per_row)),
+    ("state", lambda s: f"{s.state_bytes} B" if s.state_bytes else "-"),
+    ("process", lambda s: "-" if s.process_MB is None else f"{s.process_MB:.0f} MB"),
+)
 
 
 def leaderboard(suite: str, suite_sha256: str, rows: Runs, **made_with: Any) -> dict[str, Any]:
@@ -174,40 +210,6 @@ def _standing(
 def _filled(runs: Runs) -> list[dict[str, Any]]:
     """Runs whose unknown figures are NaN again."""
     return [{k: np.nan if v is None else v for k, v in r.items()} for r in runs]
-
-
-def standing_cells(one: Standing) -> tuple[str, ...]:
-    """One estimator for people, as :data:`HEAD` names the columns; figures in points of SOC."""
-    place = "-" if one.rank is None else f"{one.rank} [{one.low}, {one.high}]"
-    after = "" if one.convergence_s is None else f", {one.convergence_s / 60.0:.0f} min"
-    return (
-        place, one.estimator,
-        *map(_points, (one.hard, one.wrong_start, one.with_a_fault, one.worst)),
-        _share(one.ended), _share(one.converged) + after,
-        "-" if one.against is None else interval_text(one.against),
-        str(one.failed), _points(one.easy),
-    )  # fmt: skip
-
-
-def band_cells(one: Standing, made_with: str = "", by: str = "") -> tuple[str, ...]:
-    """Its band and its cost, as :data:`BAND_HEAD` names the columns."""
-    cost, memory = one.ns_per_row, one.process_MB
-    return (
-        one.estimator, _share(one.coverage),
-        "-" if one.band is None else _points(one.band / 2.0), _points(one.interval_score),
-        "-" if cost is None else f"{cost:.0f} ns" if cost < 1e4 else f"{cost / 1e3:.0f} µs",
-        f"{one.state_bytes} B" if one.state_bytes else "-",
-        "-" if memory is None else f"{memory:.0f} MB",
-        made_with.partition(",")[0] or "-", by or "-",
-    )  # fmt: skip
-
-
-def _points(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.2f}"
-
-
-def _share(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.0f} %"
 
 
 def _by_log(runs: Runs, figure: str = FIGURE) -> float | None:

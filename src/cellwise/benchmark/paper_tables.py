@@ -1,9 +1,7 @@
-"""Results for papers: every run as CSV, a LaTeX table, paired differences with intervals."""
+"""Results for papers: a LaTeX table, paired differences with intervals."""
 
 from __future__ import annotations
 
-import csv
-import io
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
@@ -35,17 +33,6 @@ class Difference(NamedTuple):
     low: float
     high: float
     better: float
-
-
-def csv_text(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], seed: int) -> str:
-    """Every run as CSV, with the seed and the versions; a figure that is not known is empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    made_with = provenance()
-    writer.writerow([*columns, "seed", "made_with"])
-    for row in rows:
-        writer.writerow([*(_cell(row[name]) for name in columns), seed, made_with])
-    return out.getvalue()
 
 
 def differences(
@@ -129,17 +116,16 @@ def latex_text(suite: str, rows: Sequence[Mapping[str, Any]], found: Sequence[Di
     ]
     for name in names:
         own = [r for r in rows if r["estimator"] == name and not r["problem"]]
-        if not own:
-            continue
-        cells = [
-            _latex(name),
-            str(len(own)),
-            _percent([r["settled_rmse"] for r in own], np.mean),
-            _percent([r["settled_max"] for r in own], np.max),
-            _number([r["ns_per_step"] for r in own]),
-            _against(by.get(name)),
-        ]
-        lines.append(" & ".join(cells) + r" \\")
+        if own:
+            cells = (
+                "".join(_MARKS.get(ch, ch) for ch in name),
+                str(len(own)),
+                _figure(own, "settled_rmse", np.mean, "{:.2f}", 100.0),
+                _figure(own, "settled_max", np.max, "{:.2f}", 100.0),
+                _figure(own, "ns_per_step", np.median, "{:,.0f}"),
+                interval_text(by[name]) if name in by else "--",
+            )
+            lines.append(" & ".join(cells) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -157,10 +143,6 @@ def difference_text(one: Difference) -> str:
     return text + f", better on {100 * one.better:.0f} % of {one.logs} logs"
 
 
-def _against(one: Difference | None) -> str:
-    return "--" if one is None else interval_text(one)
-
-
 def interval_text(one: Difference) -> str:
     """A difference with its interval where it has one, in points of SOC."""
     text = f"{100 * one.mean:+.2f}"
@@ -169,21 +151,12 @@ def interval_text(one: Difference) -> str:
     return text
 
 
-def _percent(values: Sequence[float], of: Callable[[list[float]], Any]) -> str:
-    known = [v for v in values if np.isfinite(v)]
-    return f"{100 * float(of(known)):.2f}" if known else "--"
-
-
-def _number(values: Sequence[float]) -> str:
-    known = [v for v in values if np.isfinite(v)]
-    return f"{np.median(known):,.0f}" if known else "--"
-
-
-def _latex(text: str) -> str:
-    return "".join(_MARKS.get(ch, ch) for ch in text)
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return repr(value) if np.isfinite(value) else ""
-    return str(value)
+def _figure(
+    rows: Sequence[Mapping[str, Any]],
+    name: str,
+    of: Callable[[list[float]], Any],
+    form: str,
+    scale: float = 1.0,
+) -> str:
+    known = [row[name] for row in rows if np.isfinite(row[name])]
+    return form.format(scale * float(of(known))) if known else "--"

@@ -27,7 +27,7 @@ from cellwise.benchmark.package_rows import (
     environment,
     row_digest,
 )
-from cellwise.benchmark.paper_tables import csv_text, differences, latex_text
+from cellwise.benchmark.paper_tables import differences, latex_text, provenance
 from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_parts, standings_text
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
@@ -175,10 +175,11 @@ def _finish(
     figures: FigureFiles | None,
 ) -> BenchmarkResult:
     rows = tuple({name: row[name] for name in COLUMNS} for row in kept)
-    parquet = write_columns(
-        {name: [row[name] for row in rows] for name in COLUMNS}, place.folder / "results.parquet"
-    )
-    write_atomically(place.folder / "results.csv", csv_text(rows, tuple(COLUMNS), SEED))
+    columns = {name: [row[name] for row in rows] for name in COLUMNS}
+    parquet = write_columns(columns, place.folder / "results.parquet")
+    known = {n: [None if v != v else v for v in values] for n, values in columns.items()}
+    made = {"seed": [SEED] * len(rows), "made_with": [provenance()] * len(rows)}
+    write_columns(known | made, place.folder / "results.csv")
     plain = [row for row in rows if row["fault"] in ("", "none")]
     table_text = latex_text(place.suite.name, plain, differences(plain))
     write_atomically(place.folder / "results.tex", table_text)

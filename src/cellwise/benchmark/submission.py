@@ -9,14 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.leaderboard import (
-    BAND_HEAD,
-    HEAD,
-    RUN_FIGURES,
-    band_cells,
-    standing_cells,
-    standings,
-)
+from cellwise.benchmark.leaderboard import BAND_COLUMNS, COLUMNS, RUN_FIGURES, standings
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 
@@ -97,7 +90,7 @@ def submit(path: Path, folder: Path) -> list[str]:
 
 
 def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """The whole suite, then its quick cut with slow rows too: tables, and figures by log."""
+    """The whole suite, then its quick cut with slow rows too, as tables."""
     made = {e["row"]["estimator"]: e for e in entries}
     parts = []
     quick_alone = all(run["quick"] for e in entries for run in e["row"]["runs"])
@@ -107,29 +100,22 @@ def standings_parts(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         found = standings({n: e["row"]["runs"] for n, e in made.items()}, quick=quick)
         if not found:
             continue
-        every = {s.estimator: made[s.estimator]["row"]["runs"] for s in found}
-        runs = {n: [r for r in own if r["quick"] or not quick] for n, own in every.items()}
+        names = [s.estimator for s in found]
+        runs = {n: [r for r in made[n]["row"]["runs"] if r["quick"] or not quick] for n in names}
+        by = [
+            [made[n]["made_with"].partition(",")[0] or "-", made[n].get("by", "-")] for n in names
+        ]
         parts.append({
-            "title": f"{title}: {len(found)} estimators, {len(runs[found[0].estimator])} runs each",
-            "head": HEAD, "cells": [standing_cells(s) for s in found], "band_head": BAND_HEAD,
-            "bands": [
-                band_cells(s, made[s.estimator]["made_with"], made[s.estimator].get("by", ""))
-                for s in found
-            ],
-            "names": [s.estimator for s in found], "hard": [s.hard for s in found],
+            "title": f"{title}: {len(found)} estimators, {len(runs[names[0]])} runs each",
+            "head": [head for head, _ in COLUMNS],
+            "cells": [[read(s) for _, read in COLUMNS] for s in found],
+            "band_head": [*(head for head, _ in BAND_COLUMNS), "made with", "by"],
+            "bands": [[*(read(s) for _, read in BAND_COLUMNS), *more]
+                      for s, more in zip(found, by, strict=True)],
+            "names": names, "hard": [s.hard for s in found],
             "first": [s.estimator for s in found if s.low == 1],
-            "by_log": [hard_by_log(runs[s.estimator]) for s in found],
         })  # fmt: skip
     return parts
-
-
-def hard_by_log(runs: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Mean settled RMSE of the hard runs of each log; those that were judged."""
-    by: dict[str, list[float]] = {}
-    for run in runs:
-        if not run["easy"] and run["settled_rmse"] is not None:
-            by.setdefault(run["log"], []).append(float(run["settled_rmse"]))
-    return [float(np.mean(values)) for values in by.values()]
 
 
 def standings_text(entries: Sequence[Entry]) -> str:

@@ -79,19 +79,12 @@ def band_metrics(error_V: FloatArray, soc: FloatArray) -> tuple[BandMetrics, ...
 
 def metrics_to_dict(metrics: ErrorMetrics) -> dict[str, Any]:
     """Metrics as JSON values; a figure that does not exist is null."""
-
-    def number(x: float) -> float | None:
-        return x if np.isfinite(x) else None
-
-    return {
-        "rmse_V": number(metrics.rmse_V),
-        "mae_V": number(metrics.mae_V),
-        "max_error_V": number(metrics.max_error_V),
-        "mean_error_V": number(metrics.mean_error_V),
-        "std_error_V": number(metrics.std_error_V),
-        "ci95_V": [number(x) for x in metrics.ci95_V],
-        "samples": metrics.samples,
-    }
+    figures = {**vars(metrics), "ci95_V": list(metrics.ci95_V)}
+    return (
+        figures
+        if metrics.samples
+        else {**dict.fromkeys(figures), "ci95_V": [None, None], "samples": 0}
+    )
 
 
 RESAMPLES = 1000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any, NamedTuple, TypeVar
@@ -301,70 +301,53 @@ def check_is_model(model: object) -> None:
 
 def check_model(model: CellModel) -> None:
     """Refuse a model that no kernel could run: see :class:`CellModel`."""
-    shape = model.ocv_V.shape
-    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != model.temperature_C.shape:
-        raise InputError(
-            f"OCV table of shape {shape} with {model.temperature_C.size} temperature(s)",
-            "one row per temperature and at least two SOC points",
-            "Give every table the shape (temperatures, soc points).",
-        )
-    if not np.isfinite(model.capacity_Ah) or model.capacity_Ah <= 0:
-        raise InputError(
-            f"capacity_Ah = {model.capacity_Ah}", "a capacity above zero", "Check its unit: Ah."
-        )
-    if not 0.5 <= model.charge_efficiency <= 1.05:
-        raise InputError(
-            f"charge_efficiency = {model.charge_efficiency}",
-            "a share between 0.5 and 1.05",
-            "Give it as a fraction, not in per cent.",
-        )
-    if not np.all(np.isfinite(model.temperature_C)) or np.any(np.diff(model.temperature_C) <= 0):
-        raise InputError(
-            f"temperatures {model.temperature_C.tolist()}",
-            "finite temperatures that rise",
-            "Sort the tables by temperature.",
-        )
-    low, high = model.voltage_min_V, model.voltage_max_V
-    if (
-        not (low is None or np.isfinite(low))
-        or not (high is None or np.isfinite(high))
-        or (low is not None and high is not None and low >= high)
-    ):
-        raise InputError(
-            f"voltage_min_V = {low}, voltage_max_V = {high}",
-            "finite limits, the lower below the upper",
-            "Correct the limits.",
-        )
+    for found, expected, action in _faults(model):
+        raise InputError(found, expected, action)
+    for effect in model.effects:
+        check_effect(effect, (model.temperature_C.size, model.points))
+
+
+def _faults(model: CellModel) -> Iterator[tuple[str, str, str]]:
+    """What is wrong with a model: found, expected, what to do."""
+    shape, warm = model.ocv_V.shape, model.temperature_C
+    if len(shape) != 2 or shape[1] < 2 or (shape[0],) != warm.shape:
+        found = f"OCV table of shape {shape} with {warm.size} temperature(s)"
+        expected = "one row per temperature and at least two SOC points"
+        yield found, expected, "Give every table the shape (temperatures, soc points)."
+    capacity, efficiency = model.capacity_Ah, model.charge_efficiency
+    if not np.isfinite(capacity) or capacity <= 0:
+        yield f"capacity_Ah = {capacity}", "a capacity above zero", "Check its unit: Ah."
+    if not 0.5 <= efficiency <= 1.05:
+        expected = "a share between 0.5 and 1.05"
+        found = f"charge_efficiency = {efficiency}"
+        yield found, expected, "Give it as a fraction, not in per cent."
+    if not np.all(np.isfinite(warm)) or np.any(np.diff(warm) <= 0):
+        found = f"temperatures {warm.tolist()}"
+        yield found, "finite temperatures that rise", "Sort the tables by temperature."
+    limits = (model.voltage_min_V, model.voltage_max_V)
+    known = [limit for limit in limits if limit is not None]
+    if not np.all(np.isfinite(known)) or (len(known) == 2 and known[0] >= known[1]):
+        found = "voltage_min_V = {}, voltage_max_V = {}".format(*limits)
+        yield found, "finite limits, the lower below the upper", "Correct the limits."
     for name in TABLES:
         table = getattr(model, name)
         if table.shape != shape:
-            raise InputError(
-                f"{name} of shape {table.shape}",
-                f"shape {shape} as ocv_V",
-                "Interpolate it onto the OCV's grid.",
-            )
+            found, expected = f"{name} of shape {table.shape}", f"shape {shape} as ocv_V"
+            yield found, expected, "Interpolate it onto the OCV's grid."
         if not np.all(np.isfinite(table)):
-            raise InputError(f"{name} with missing values", "finite values", "Check the fit.")
+            yield f"{name} with missing values", "finite values", "Check the fit."
         if name != "ocv_V" and np.any(table <= 0):
-            raise InputError(
-                f"{name} down to {table.min():g}", "values above zero", "Check the fit."
-            )
-    if np.any(np.diff(model.ocv_V, axis=1) < 0):
-        k = int(np.argmin(np.diff(model.ocv_V, axis=1).min(axis=0)))
-        raise InputError(
-            f"an OCV that falls with SOC near SOC {model.soc[k]:.3f}",
-            "an OCV that never falls with SOC",
-            "Fit it with the monotone spline.",
-        )
+            yield f"{name} down to {table.min():g}", "values above zero", "Check the fit."
+    rise_V = np.diff(model.ocv_V, axis=1).min(axis=0)
+    if np.any(rise_V < 0):
+        found = f"an OCV that falls with SOC near SOC {model.soc[int(np.argmin(rise_V))]:.3f}"
+        yield found, "an OCV that never falls with SOC", "Fit it with the monotone spline."
     if np.any(model.tau1_s >= model.tau2_s):
-        raise InputError(
-            "tau1_s >= tau2_s", "tau1 < tau2 at every point", "Swap the branches where they cross."
-        )
+        expected = "tau1 < tau2 at every point"
+        yield "tau1_s >= tau2_s", expected, "Swap the branches where they cross."
     names = [e.name for e in model.effects]
     if len(set(names)) != len(names):
-        raise InputError(f"effects {names}", "one effect of a kind", "Merge the double one.")
-    for effect in model.effects:
-        check_effect(effect, (shape[0], shape[1]))
+        yield f"effects {names}", "one effect of a kind", "Merge the double one."
 
 
 # Scalars that are not taken over as they are: in other units, or 0 where nothing follows from them.

@@ -63,28 +63,6 @@ def _type_of(kind: type) -> Any:
     return base.from_types([_type_of(field) for field in fields_of(kind)], kind)
 
 
-def _record_at(typing: Any, kind: Any, row: Any, at: Any) -> Any:
-    """The record of a kind whose numbers begin at one place of a row; compiled code only."""
-    record = _type_of(kind.instance_class)
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = _place(context, builder, signature, arguments, 1, record)
-        return builder.load(place, align=8)
-
-    return record(kind, row, types.intp), build
-
-
-def _put_record(typing: Any, row: Any, at: Any, record: Any) -> Any:
-    """Put the numbers of a record into a row from one place on; compiled code only."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = _place(context, builder, signature, arguments, 0, record)
-        builder.store(arguments[2], place, align=8)
-        return context.get_dummy_value()
-
-    return types.none(row, types.intp, record), build
-
-
 def _places(kind: type, path: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]:
     """Where each number of a record is within records."""
     if kind is float:
@@ -94,41 +72,46 @@ def _places(kind: type, path: tuple[int, ...] = ()) -> Iterator[tuple[int, ...]]
             yield from _places(field, (*path, at))
 
 
-def _lane_record(typing: Any, kind: Any, block: Any, lane: Any, lanes: Any) -> Any:
-    """The record in one of ``lanes`` lanes side by side, number by number; compiled code only."""
+def _record_at(typing: Any, kind: Any, row: Any, at: Any, step: Any) -> Any:
+    """The record whose numbers lie ``step`` apart from one place of a row on; compiled code only.
+
+    Of many records side by side ``step`` is how many: the numbers of one lie in its lane.
+    """
     record = _type_of(kind.instance_class)
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         value = context.get_constant_undef(record)
-        at = _lane(context, builder, signature, arguments, 1)
+        place = _pointers(context, builder, signature, arguments, 1)
         for path in _places(kind.instance_class):
-            value = builder.insert_value(value, builder.load(next(at)), path)
+            value = builder.insert_value(value, builder.load(next(place)), path)
         return value
 
-    return record(kind, block, types.intp, types.intp), build
+    return record(kind, row, types.intp, types.intp), build
 
 
-def _put_lane_record(typing: Any, block: Any, lane: Any, lanes: Any, record: Any, puts: Any) -> Any:
-    """A record into its lane, or none: without a branch; compiled code only."""
+def _put_record(typing: Any, row: Any, at: Any, step: Any, record: Any, puts: Any) -> Any:
+    """A record into such a place, or none: without a branch; compiled code only."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        at = _lane(context, builder, signature, arguments, 0)
+        at = _pointers(context, builder, signature, arguments, 0)
         for path in _places(record.instance_class):
             place = next(at)
             new = builder.extract_value(arguments[3], path)
             builder.store(builder.select(arguments[4], new, builder.load(place)), place)
         return context.get_dummy_value()
 
-    return types.none(block, types.intp, types.intp, record, types.boolean), build
+    return types.none(row, types.intp, types.intp, record, types.boolean), build
 
 
-def _lane(context: Any, builder: Any, signature: Any, arguments: Any, block: int) -> Iterator[Any]:
-    """Pointers to the numbers of one lane, in order."""
-    array = context.make_array(signature.args[block])(context, builder, arguments[block])
-    at, lanes = arguments[block + 1], arguments[block + 2]
+def _pointers(
+    context: Any, builder: Any, signature: Any, arguments: Any, row: int
+) -> Iterator[Any]:
+    """Pointers to the numbers of one record, in order."""
+    array = context.make_array(signature.args[row])(context, builder, arguments[row])
+    at, step = arguments[row + 1], arguments[row + 2]
     while True:
         yield builder.gep(array.data, [at])
-        at = builder.add(at, lanes)
+        at = builder.add(at, step)
 
 
 def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
@@ -158,18 +141,6 @@ class Changed(Protocol):
 compiled: Any = intrinsic(prefer_literal=True)(_changed)
 jit_is_off = config.DISABLE_JIT  # type: ignore[attr-defined]
 changed: Changed = replaced if jit_is_off else compiled
-# Typed by numba alone: (kind, row, at) -> record and (row, at, record); (kind, block, lane, lanes)
-# -> record and (block, lane, lanes, record, puts).
+# Typed by numba alone: (kind, row, at, step) -> record and (row, at, step, record, puts).
 record_at: Any = intrinsic(_record_at)
 put_record: Any = intrinsic(_put_record)
-lane_record: Any = intrinsic(_lane_record)
-put_lane_record: Any = intrinsic(_put_lane_record)
-
-
-def _place(
-    context: Any, builder: Any, signature: Any, arguments: Any, row: int, record: Any
-) -> Any:
-    """Where in a row a record lies, as a pointer to it."""
-    array = context.make_array(signature.args[row])(context, builder, arguments[row])
-    first = builder.gep(array.data, [arguments[row + 1]])
-    return builder.bitcast(first, context.get_value_type(record).as_pointer())

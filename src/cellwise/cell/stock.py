@@ -11,7 +11,6 @@ import numpy as np
 from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating, SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
-from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.files import embedded_folder
 
@@ -82,21 +81,17 @@ def named_model(text: str | Path, capacity_Ah: float | None = None) -> CellModel
 
 def list_stock() -> list[dict[str, Any]]:
     """What `cellwise data list` shows: name, cell, capacity, source, licence, validity, spread."""
-    found = []
-    for name in stock_names():
-        model = stock_model(name)
-        about = model.provenance.get("stock", {})
-        found.append(
-            {
-                "name": name,
-                "cell": model.name,
-                "chemistry": model.chemistry,
-                "capacity_Ah": model.capacity_Ah,
-                "window_V": [model.voltage_min_V, model.voltage_max_V],
-                **about,
-            }
-        )
-    return found
+    return [
+        {
+            "name": name,
+            "cell": model.name,
+            "chemistry": model.chemistry,
+            "capacity_Ah": model.capacity_Ah,
+            "window_V": [model.voltage_min_V, model.voltage_max_V],
+            **model.provenance.get("stock", {}),
+        }
+        for name, model in ((name, stock_model(name)) for name in stock_names())
+    ]
 
 
 def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
@@ -119,7 +114,10 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
         raise InputError(
             f"a capacity of {capacity_Ah:g} Ah", "a number above zero", "Give it in Ah."
         )
-    share = model.capacity_Ah / capacity_Ah
+    share, validity = model.capacity_Ah / capacity_Ah, model.validity
+    if validity.current_A is not None:
+        low, high = validity.current_A
+        validity = replace(validity, current_A=(low / share, high / share))
     return replace(
         model,
         capacity_Ah=float(capacity_Ah),
@@ -127,16 +125,9 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
         r1_ohm=share * model.r1_ohm,
         r2_ohm=share * model.r2_ohm,
         effects=tuple(_scaled(effect, share) for effect in model.effects),
-        validity=_scaled_validity(model.validity, share),
+        validity=validity,
         provenance={**model.provenance, "scaled_from_Ah": float(model.capacity_Ah)},
     )
-
-
-def _scaled_validity(validity: Validity, share: float) -> Validity:
-    if validity.current_A is None:
-        return validity
-    low, high = validity.current_A
-    return replace(validity, current_A=(low / share, high / share))
 
 
 def _scaled(effect: Effect, share: float) -> Effect:

@@ -52,8 +52,6 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     forecast_options.add_charger(replay)
     forecast_options.add_plan(replay)
     forecast_options.add_display(replay)
-    text = "layout of PlotJuggler for the rows of -o OUT.csv"
-    replay.add_argument("--plotjuggler", metavar="F.xml", help=text)
     forecast_options.add_power_options(replay)
     options.flag(replay, "--anyway", "forecasts, power and health of a log far off the model, too")
     page_options.add_page_options(replay)
@@ -135,13 +133,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
     from cellwise.forecast.remaining import check_load
     from cellwise.logs.gaps import cut_at_pauses
 
-    options.check_places(arguments.output, arguments.plotjuggler)
-    if arguments.plotjuggler and not str(arguments.output or "").endswith(".csv"):
-        raise InputError(
-            f"--plotjuggler with {arguments.output or 'no output'}",
-            "the rows as CSV beside it, which PlotJuggler reads",
-            "Add -o OUT.csv.",
-        )
+    options.check_places(arguments.output)
     page_options.check_page_options(arguments)
     options.check_fraction("--reference-soc0", arguments.reference_soc0)
     model = options.read_model(arguments)

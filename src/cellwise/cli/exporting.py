@@ -27,7 +27,7 @@ FORMATS = {
     "can": ("OUT.dbc", (".dbc",), "SOC, band, power, remaining time: a DBC, and C that packs"),
 }
 PAGE_STEP_S = 1.0  # of --page without --dt
-OF_FOLDER = ("layout", "report", "figures", "log", "flash")  # options that the others ignore
+OF_FOLDER = ("layout", "report", "figures", "log")  # options that the others ignore
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
 
@@ -60,7 +60,6 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
     options.count(export, "--cells", "N", text, default=0)
     text = "take capacity and resistance from `cellwise history` without a new export"
     options.flag(export, "--health", text)
-    options.count(export, "--flash", "BYTES", "refuse larger tables")
     export.add_argument("--log", metavar="LOG", help="accuracy lost, against the float64 EKF")
     options.number(export, "--soc0", "X", "SOC at the log's start [auto]")
     page_options.add_page_options(export)
@@ -78,7 +77,6 @@ def run_export(arguments: argparse.Namespace) -> None:
     from cellwise.export.c_tables import prefixed
     from cellwise.export.package import (
         check_cells,
-        check_flash,
         check_step,
         describe,
         model_sha256,
@@ -107,7 +105,6 @@ def run_export(arguments: argparse.Namespace) -> None:
     if arguments.dt is not None:
         check_step(arguments.dt)
         tables = tables_at(arguments.dt, remaining_V=arguments.remaining)
-        check_flash(tables, arguments.flash)
         report = describe(model, tables, noise, arguments.cells)
     log = read(model, arguments)
     report["sockets"] = write_formats(model, tables_at, noise, report, arguments)

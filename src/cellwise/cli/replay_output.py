@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from cellwise.typing import FloatArray
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
-         "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", ""),
-         "polarisation_scale": ("R2 times", "")}  # fmt: skip
+         "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", "")}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class Run:
 
 
 def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
-    """The rows of a log's stretches as a file, and the layout that PlotJuggler shows them in."""
+    """The rows of a log's stretches as a file: a table, or topics with a layout for Foxglove."""
     import numpy as np
 
     from cellwise.logs.writing import write_columns
@@ -106,22 +105,18 @@ def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
         write_foxglove(Path(arguments.output).with_suffix(".foxglove.json"))
         return
     write_columns(columns, Path(arguments.output))
-    if arguments.plotjuggler:
-        from cellwise.report.viewer_files import write_layout
-
-        write_layout(arguments.plotjuggler, arguments.output, columns)
 
 
 def rows_of(run: Run) -> dict[str, Any]:
     """What the estimator said of every row; of a log that is far off no parameters and no power."""
-    from cellwise.estimate.adaptive.trace import AdaptiveTrace
+    from cellwise.estimate.adaptive import AdaptiveTrace
 
     log, trace = run.found.log, run.found.trace
     columns = replace(run.found, power=None).columns()
     columns |= {"current_A": log.interval_current_A, "measured_voltage_V": log.voltage_V}
     if isinstance(trace, AdaptiveTrace) and not run.far:
         names = ["offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah"]
-        names += ["resistance_scale", "resistance_std", "polarisation_scale", "polarisation_std"]
+        names += ["resistance_scale", "resistance_std"]
         columns |= {name: getattr(trace, name) for name in names}
         held = ("held_offset", "held_resistance", "held_charge")
         columns |= dict(zip(held, trace.held, strict=True))

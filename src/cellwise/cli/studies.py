@@ -31,17 +31,14 @@ def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> 
     p = commands.add_parser(
         "capacity-study", help="what each choice of the capacity does to voltage and SOC"
     )
-    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp, panasonic, a123, leaf "
-    text += "[all embedded ones, and the measured ones with --data]"
+    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp [all]"
     options.several(p, "--cell", "NAME", text)
-    options.add_data(p)
     own = p.add_argument_group("a cell of your own")
     log_options.add_test_options(own)
     options.several(own, "--judge", "LOG", "log with a charge counter to judge the choices on")
     options.number(own, "--nominal-ah", "X", "rated capacity")
     options.number(own, "--reference-capacity-ah", "X", "of the reference")
     options.number(own, "--reference-soc0", "X", "[as stated, else 1]")
-    options.several(p, "--choice", "C", "only these choices [all]", default=None)
     options.several(p, "--estimator", "E", "only these [all four]", default=None)
     page_options.add_page_options(p)
     log_options.add_log_options(p)
@@ -57,9 +54,9 @@ def run_papers(arguments: argparse.Namespace) -> None:
     with printing.working("papers") as follow:
         found = paper_tables(datasets_folder(), follow)
     if arguments.json:
-        printing.print_json(found.to_dict())
+        printing.print_json(found)
         return
-    for paper, tables in found.to_dict().items():
+    for paper, tables in found.items():
         if isinstance(tables, dict):
             printing.say(f"{paper} on {tables['cell']}; published: measured on another cell, "
                          f"{tables['published_cell']}")  # fmt: skip
@@ -129,10 +126,9 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
                 f"estimator '{name}'", f"one of {', '.join(ESTIMATORS)}", "Choose one of them."
             )
     own = own_cell(arguments)
-    data = options.data_folder(arguments)
-    cells = (own,) if own is not None else study_cells(tuple(arguments.cell), data)
+    cells = (own,) if own is not None else study_cells(tuple(arguments.cell))
     with printing.working("capacity study") as follow:
-        studies = [study_cell(cell, arguments.choice, estimators, follow) for cell in cells]
+        studies = [study_cell(cell, None, estimators, follow) for cell in cells]
         with page_options.page_places(arguments) as pages:
             if pages is not None:
                 from cellwise.report.capacity_study_page import capacity_study_page

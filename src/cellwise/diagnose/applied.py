@@ -169,10 +169,6 @@ class Applied:
     runs: tuple[LogRun, ...]
     step: Step
 
-    def corrected(self, log: CellLog) -> CellLog:
-        """The log without the instrument's errors."""
-        return correct_log(log, self.of_log)
-
 
 def apply(fits: CauseFits, causes: Sequence[Cause], near: Fit, logs: Sequence[UsedLog]) -> Applied:
     """The causes applied to all logs, the cell's tolerances at neutral."""
@@ -187,7 +183,7 @@ def apply(fits: CauseFits, causes: Sequence[Cause], near: Fit, logs: Sequence[Us
     for k, run in enumerate(plain_runs(old, logs)):
         seen = None
         if starts is not None:
-            seen = simulate(model, correct_log(run.log, of_log), starts[k])
+            seen = simulate(model, correct_log(run.log, of_log, k), starts[k])
         runs.append(replace(run, after=simulate(model, run.log, run.before.soc0), corrected=seen))
     step = step_between(evidence, (r.before for r in runs), (r.explained for r in runs), fits.seed)
     return Applied(tuple(causes), near, model, of_log, tuple(runs), step)
@@ -219,14 +215,19 @@ def starts_with(
 
 
 def applied(fits: CauseFits, outcome: Outcome, logs: Sequence[UsedLog]) -> Applied | None:
-    """The accepted causes applied; those that leave held-out rows no better off, the last first.
+    """The accepted causes applied, without those that leave held-out rows no better off.
 
-    None where nothing is left.
+    The last first; None where nothing is left. What is of one fitted log alone moves no other, and
+    is judged there.
     """
     causes, near = list(outcome.causes), outcome.fit
     while causes:
         found = apply(fits, causes, near, logs)
-        if found.step.held_after_V < found.step.held_before_V:
+        step = found.step
+        if step.held_after_V < step.held_before_V:
+            return found
+        alone = all(c.log is not None for c in causes) and step.train_after_V < step.train_before_V
+        if alone and step.held_after_V == step.held_before_V:
             return found
         causes.pop()
         if causes:

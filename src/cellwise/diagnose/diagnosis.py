@@ -40,7 +40,13 @@ from cellwise.diagnose.checks import (
 from cellwise.diagnose.decision.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
 from cellwise.diagnose.decision.search import Explanation, Explanations, Progress
-from cellwise.diagnose.extension import extended_validity, parameters_of, value_of, with_error_at
+from cellwise.diagnose.extension import (
+    correct_log,
+    extended_validity,
+    parameters_of,
+    value_of,
+    with_error_at,
+)
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.priors import GOOD
@@ -199,7 +205,7 @@ def _diagnosis(
     corrected, extended, gain, no_gain = logs, None, None, ""
     if known is not None:
         causes = _found_causes(fits, outcome, used, known)
-        corrected = tuple(known.corrected(g) for g in logs)
+        corrected = tuple(correct_log(g, known.of_log, k) for k, g in enumerate(logs))
         seen = [r.explained.soc0 for r in runs[: len(logs)]]
         validity = extended_validity(known.model, corrected, seen)
         extended = _with_own_error(replace(known.model, validity=validity), runs, fits)
@@ -267,16 +273,16 @@ def _found_causes(
             part = apply(fits, known.causes[:k], near, used)
         after = [r.explained for r in part.runs]
         step = step_between(fits.evidence, before, after, fits.seed)
-        start = fits.evidence.logs[0].start.soc
-        probability = probability_of(accepted.cause.name, outcome.weighed)
-        found.append(_found(accepted, step, known.fit, prior, start, probability))
+        start, cause = fits.evidence.logs[0].start.soc, accepted.cause
+        one = _found(accepted, step, known.fit, prior, start)
+        log = None if cause.log is None else fits.evidence.logs[cause.log].log.name
+        probability = probability_of(cause.name, outcome.weighed)
+        found.append(replace(one, probability=probability, log=log))
         before = after
     return tuple(found)
 
 
-def _found(
-    accepted: Accepted, step: Step, final: Fit, prior: Prior, soc0: float, probability: float
-) -> FoundCause:
+def _found(accepted: Accepted, step: Step, final: Fit, prior: Prior, soc0: float) -> FoundCause:
     cause = accepted.cause
     intervals, usual = {}, []
     for p in cause.parameters:
@@ -299,8 +305,7 @@ def _found(
         (step.low, step.high),
         _evidence(accepted, step),
         cause.confused_with,
-        probability,
-        tuple(usual),
+        prior_only=tuple(usual),
     )
 
 

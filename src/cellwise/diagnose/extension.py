@@ -153,15 +153,17 @@ def with_error_at(model: CellModel, temperature_C: float, times: float) -> CellM
     return replace(model, error=with_temperature(error, temperature_C, times))
 
 
-def correct_log(log: CellLog, z: Mapping[str, float]) -> CellLog:
-    """The log with what belongs to the instrument taken out: offset, gain, voltage offset, skew.
+def correct_log(log: CellLog, z: Mapping[str, float], number: int) -> CellLog:
+    """The log without what belongs to the instrument: offset, gain, voltage offset, skew.
 
-    The model's own sampling delay stays in the model; one that was found is removed here.
+    ``number`` is its place among all logs. The model's own sampling delay stays in the model; one
+    that was found is removed here.
     """
-    if not any(z.get(n, 0.0) for n in MEASURED_NAMES):
+    offset_V = z.get("offset_V", 0.0) + z.get(f"offset_V:{number}", 0.0)
+    if not (offset_V or any(z.get(n, 0.0) for n in CURRENT_NAMES)):
         return log
     known = log.known_current_A()
     shifted = shifted_current(log.time_s, log.interval_s, known, z.get("skew_s", 0.0))
     current = (shifted - z.get("offset_A", 0.0)) / math.exp(z.get("ln_gain", 0.0))
     current[~np.isfinite(log.current_A)] = np.nan
-    return replace(log, current_A=current, voltage_V=log.voltage_V - z.get("offset_V", 0.0))
+    return replace(log, current_A=current, voltage_V=log.voltage_V - offset_V)

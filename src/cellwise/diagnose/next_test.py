@@ -107,7 +107,8 @@ def _voltage(candidate: Explanation, experiment: Experiment) -> FloatArray:
     """Voltage that would be logged if the candidate were right."""
     keep = kept_coordinates(candidate.causes)
     # A known start: a cause that was the log's start predicts nothing new.
-    z = {n: v for n, v in candidate.fit.z.items() if n in keep and ":" not in n}
+    z = {n: v for n, v in candidate.fit.z.items() if n in keep and not n.startswith("soc0:")}
+    z = {n.partition(":")[0]: v for n, v in z.items()}
     return _simulated(candidate.fit.coordinates, z, experiment)
 
 

@@ -22,7 +22,8 @@ class FoundCause:
     1 - after / before of the held-out RMSE with its interval from whole blocks of time.
     ``probability`` is what the sets of causes that hold it weigh together. ``kind`` says whether
     the log ("measurement", "start") or the model ("cell") is corrected. ``prior_only`` names
-    parameters of which these logs say nothing: their intervals only repeat what is usual.
+    parameters of which these logs say nothing: their intervals only repeat what is usual. ``log``
+    is the name of the one log that it is of, where it is not of all.
     """
 
     name: str
@@ -40,6 +41,7 @@ class FoundCause:
     confusable_with: tuple[str, ...]
     probability: float = float("nan")
     prior_only: tuple[str, ...] = ()
+    log: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""

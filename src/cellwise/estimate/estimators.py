@@ -16,7 +16,7 @@ HOMES = {
     "coulomb": "cellwise.estimate.filters.coulomb:Coulomb",
     "ekf": "cellwise.estimate.filters.kalman:Ekf",
     "ukf": "cellwise.estimate.filters.kalman:Ukf",
-    "adaptive": "cellwise.estimate.adaptive.adaptive:Adaptive",
+    "adaptive": "cellwise.estimate.adaptive:Adaptive",
     "rest-ocv": "cellwise.estimate.filters.coulomb:RestOcv",
     "fixed-step": "cellwise.estimate.fixed.fixed_step:FixedStep",
     "firmware": "cellwise.export.firmware:Firmware",

@@ -24,7 +24,7 @@ from cellwise.cell.equations import (
     transition,
     with_heat,
 )
-from cellwise.cell.packed import lane_record, put_lane_record, size_of
+from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import gate
@@ -80,7 +80,7 @@ SCRATCH_ROWS = STATUS + 1
 @inline
 def get_state(block: FloatArray, lane: int) -> EkfState:
     """A cell's state out of its lane."""
-    state: EkfState = lane_record(EkfState, block, lane, LANES)
+    state: EkfState = record_at(EkfState, block, lane, LANES)
     return state
 
 
@@ -121,7 +121,7 @@ def read_lane(
         seen = Lane(
             s.current_A, s.seen_A, s.voltage_V, s.temperature_C, s.no_warm_s, soc, slow, point
         )
-        put_lane_record(work, lane, LANES, seen, True)
+        put_record(work, lane, LANES, seen, True)
 
 
 @inline
@@ -160,11 +160,11 @@ def plain_block(
 ) -> None:
     """The plain lanes of a block; the others keep their state."""
     for k in range(LANES):
-        seen: Lane = lane_record(Lane, work, k, LANES)
+        seen: Lane = record_at(Lane, work, k, LANES)
         new, info, fits = plain_step(tables, noise, get_state(block, k), seen, dt_s)
         plain = (work[PLAIN * LANES + k] > 0.0) & fits
         work[PLAIN * LANES + k] = 1.0 if plain else 0.0
-        put_lane_record(block, k, LANES, new, plain)
+        put_record(block, k, LANES, new, plain)
         put_info(work, k, info)
 
 
@@ -180,7 +180,7 @@ def full_lane(
 ) -> None:
     """The EKF's own step for one lane."""
     state, info = kalman_step(tables, noise, None, start, get_state(block, lane), reading)
-    put_lane_record(block, lane, LANES, state, True)
+    put_record(block, lane, LANES, state, True)
     put_info(work, lane, info)
 
 

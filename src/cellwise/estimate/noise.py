@@ -150,28 +150,16 @@ class Noise:
     def scalars(self, model: CellModel | None = None) -> NoiseScalars:
         """What the kernels take; with a ``model``, widened beyond its validity."""
         half_s = max(self.slow_half_s, 1e-9)
+        shared = {n: float(v) for n, v in vars(self).items() if n in NoiseScalars._fields}
+        per_sqrt_s = float(self.soc_per_sqrt_h) / 60.0
         return NoiseScalars(
-            float(self.current_A),
-            float(self.soc_per_sqrt_h) / 60.0,
-            float(self.soc_per_sqrt_h) / 60.0 * (WANDERS if self.offset_share > 0.0 else 1.0),
-            float(self.branch_share),
-            float(self.branch_share * self.charge_factor),
-            float(self.voltage_V),
-            float(self.error_scale),
-            float(self.slow_s),
-            float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),
-            float(half_s),
-            float(self.ocv_soc),
-            float(self.mismatch_cap),
-            float(self.gate),
-            float(self.recovery_after),
-            float(self.gap_soc),
-            float(self.hold_s),
-            float(self.frozen_V),
-            float(np.sqrt(self.lasting_share)),
-            float(self.current_limit_A),
-            float(self.voltage_low_V),
-            float(self.voltage_high_V),
+            **shared,
+            soc_per_sqrt_s=per_sqrt_s,
+            wander_per_sqrt_s=per_sqrt_s * (WANDERS if self.offset_share > 0.0 else 1.0),
+            charge_share=float(self.branch_share * self.charge_factor),
+            early_s=float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),
+            half_s=float(half_s),
+            persistent=float(np.sqrt(self.lasting_share)),
             per_slow_s=1.0 / self.slow_s if self.slow_s > 0.0 else 0.0,
             per_gate2=1.0 / (self.gate * self.gate),
             offset_soc_per_s=float(self.offset_share) / 3600.0,

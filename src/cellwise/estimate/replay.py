@@ -25,7 +25,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.trace import AdaptiveTrace
+from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along

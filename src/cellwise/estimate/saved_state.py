@@ -55,15 +55,25 @@ def write_state(state: EkfState, path: Path | str, estimator: str = "ekf") -> No
 
 def read_state(path: Path | str, estimator: str = "ekf") -> EkfState:
     """Read a state from a JSON file; raises InputError as :func:`state_from_dict`."""
+    return state_from_dict(read_saved(path), estimator)
+
+
+def read_saved(path: Path | str) -> Mapping[str, Any]:
+    """The JSON object in a file of a state.
+
+    Raises
+    ------
+    InputError        no file, no JSON, no object
+    """
     try:
         saved = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"no state in '{path}' ({error})", "a JSON file that write_state wrote", "Start again."
+            f"no state in '{path}' ({error})", "a file that cellwise wrote", "Start again."
         ) from None
     if not isinstance(saved, Mapping):
         raise InputError(f"a {type(saved).__name__} in '{path}'", "a JSON object", "Start again.")
-    return state_from_dict(saved, estimator)
+    return saved
 
 
 def _to_json(value: Any) -> Any:

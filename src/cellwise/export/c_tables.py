@@ -15,6 +15,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.files import shipped_folder
 from cellwise.printing.c.firmware import print_header, print_source
 
 BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c")
@@ -33,21 +34,8 @@ WARNING_FLAGS = (
 
 
 def firmware_folder() -> Path:
-    """Folder of the C sources: inside an installed package, else in the source tree.
-
-    Raises
-    ------
-    InputError        neither is there
-    """
-    package = Path(__file__).resolve().parents[1]
-    for folder in (package / "_firmware", package.parents[1] / "firmware_ref"):
-        if (folder / BY_HAND[0]).is_file():
-            return folder
-    raise InputError(
-        "no C sources beside this installation of cellwise",
-        f"a folder with {BY_HAND[0]}",
-        "Install cellwise from its wheel or its source tree.",
-    )
+    """Folder of the C sources and templates; raises as `shipped_folder`."""
+    return shipped_folder("_firmware", "firmware_ref", BY_HAND[0])
 
 
 def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:

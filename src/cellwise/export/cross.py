@@ -49,35 +49,17 @@ class Core:
     libraries: tuple[str, ...] = ("-lc", "-lgcc")
 
 
+M4_FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+M0_FLAGS = ("-mcpu=cortex-m0plus", "-mthumb")
+RISC_V = ("virt", 1.0, "riscv32.ld", "riscv64-unknown-elf-",
+          ("qemu-system-riscv32", "-bios", "none"), "startup_riscv", ("-lgcc",))  # fmt: skip
 CORES = {
     core.name: core
     for core in (
-        Core(
-            "cortex-m4f",
-            ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"),
-            "mps2-an386",
-            40.0,
-            "cortex-m4f.ld",
-        ),
-        Core(
-            "cortex-m0plus",
-            ("-mcpu=cortex-m0plus", "-mthumb"),
-            "microbit",
-            62.5,
-            "cortex-m0plus.ld",
-        ),
+        Core("cortex-m4f", M4_FLAGS, "mps2-an386", 40.0, "cortex-m4f.ld"),
+        Core("cortex-m0plus", M0_FLAGS, "microbit", 62.5, "cortex-m0plus.ld"),
         *(
-            Core(
-                name,
-                (f"-march={name}", f"-mabi={abi}", "-mcmodel=medany"),
-                "virt",
-                1.0,
-                "riscv32.ld",
-                "riscv64-unknown-elf-",
-                ("qemu-system-riscv32", "-bios", "none"),
-                "startup_riscv",
-                ("-lgcc",),
-            )
+            Core(name, (f"-march={name}", f"-mabi={abi}", "-mcmodel=medany"), *RISC_V)
             for name, abi in (("rv32imac", "ilp32"), ("rv32imafc", "ilp32f"))
         ),
     )
@@ -118,33 +100,15 @@ class TargetRun:
 
 
 def has_tools(core_name: str) -> bool:
-    """Whether compiler and emulator of a core are installed."""
+    """Whether compiler and emulator of a core are installed; an unknown core is refused."""
     core = known_core(core_name)
-    return all(
-        shutil.which(tool) for tool in (f"{core.tools}gcc", f"{core.tools}size", core.qemu[0])
-    )
+    tools = f"{core.tools}gcc", f"{core.tools}size", core.qemu[0]
+    return all(map(shutil.which, tools))
 
 
 def cores_here() -> list[str]:
     """Cores whose compiler and emulator are installed."""
     return [name for name in CORES if has_tools(name)]
-
-
-def check_tools(core: Core) -> None:
-    """Refuse to go on without compiler and emulator.
-
-    Raises
-    ------
-    InputError        one of them is missing
-    """
-    if not has_tools(core.name):
-        raise InputError(
-            f"no {core.tools}gcc or no {core.qemu[0]}",
-            "a cross compiler and an emulator",
-            "Install them: apt-get install --no-install-recommends gcc-arm-none-eabi "
-            "libnewlib-arm-none-eabi qemu-system-arm; gcc-riscv64-unknown-elf qemu-system-misc for "
-            "RISC-V.",
-        )
 
 
 def build(
@@ -206,23 +170,21 @@ def run_on_target(
     InputError        no tools, or a core that is not known
     """
     core = known_core(core_name)
-    check_tools(core)
+    if not has_tools(core_name):
+        raise InputError(
+            f"no {core.tools}gcc or no {core.qemu[0]}",
+            "a cross compiler and an emulator",
+            "Install them: apt-get install --no-install-recommends gcc-arm-none-eabi "
+            "libnewlib-arm-none-eabi qemu-system-arm; gcc-riscv64-unknown-elf qemu-system-misc for "
+            "RISC-V.",
+        )
     samples = np.ascontiguousarray(samples, dtype=INPUT)
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
         elf = build(tables, core, folder, optimise, of, cells)
         asked = struct.pack("<ffII", soc, soc_variance, measure_every, measure_first)
         (folder / "in.bin").write_bytes(asked + samples.tobytes())
-        command = [
-            *core.qemu,
-            "-M",
-            core.machine,
-            "-nographic",
-            "-monitor",
-            "none",
-            "-serial",
-            "none",
-        ]
+        command = [*core.qemu, *f"-M {core.machine} -nographic -monitor none -serial none".split()]
         command += ["-semihosting-config", "enable=on,target=native"]
         command += ["-icount", "shift=0"] if measure_every else []
         _run([*command, "-kernel", str(elf)], folder)

@@ -94,21 +94,6 @@ def check_cells(cells: int) -> None:
         )
 
 
-def check_flash(tables: FixedStepTables, most_bytes: int | None) -> None:
-    """Refuse tables that do not fit.
-
-    Raises
-    ------
-    InputError        more bytes than there are
-    """
-    if most_bytes is not None and tables.flash_bytes > most_bytes:
-        raise InputError(
-            f"tables of {tables.flash_bytes:,} bytes",
-            f"at most {most_bytes:,}",
-            "Give fewer points (`points=101`), or fewer temperatures.",
-        )
-
-
 def package_files(
     model: CellModel,
     tables: FixedStepTables,

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -22,27 +22,20 @@ WORKER_DIED = "the worker died"
 
 
 class Patience(NamedTuple):
-    """How long is waited for workers.
+    """How long is waited for workers, and how many batches are in hand at a time.
 
-    Every ``poll_s`` for what ends without a call back; after ``ask_s`` it is asked again how many
-    there are, and after ``without_s`` without one the run ends. So many batches are in hand
-    ``ahead`` for each thread: enough to keep it busy, few enough to stay small.
+    Every ``poll_s`` for what ends without a call back; after ``without_s`` without any worker,
+    asked for each ``ask_s``, the run ends.
     """
 
     poll_s: float = 0.25
     ask_s: float = 2.0
     without_s: float = 300.0
-    ahead: int = 3
+    in_hand: int = 256
 
 
 PATIENCE = Patience()
 
-# The profile of a cluster in this machine is not used, and little can have changed in 10 s.
-QUIET = {
-    "distributed.worker.profile.enabled": False,
-    "distributed.worker.memory.monitor-interval": "10s",
-    "distributed.admin.system-monitor.interval": "10s",
-}
 # Dask gives a worker up for good that is not there so long after it died, although its nanny is
 # just starting it again: one that dies again and again is then missed by chance. We wait ourselves.
 PATIENT = {"distributed.deploy.lost-worker-timeout": "1 day"}
@@ -71,28 +64,26 @@ def _distributed() -> Any:
         ) from None
 
 
-class Threads:
-    """Threads of this process behind the calls of a client of Dask that are used here.
+class Cluster(NamedTuple):
+    """Where work is done: how it is handed over, and how many workers are there now.
 
-    A scheduler in this process would cost a third of what the kernels take.
+    Threads of this process have no count: a scheduler would cost a third of what the kernels take.
     """
 
-    def __init__(self, pool: ThreadPoolExecutor, count: int) -> None:
-        self._pool = pool
-        self._count = count
+    submit: Callable[..., Any]
+    workers: Callable[[], int] | None = None
 
-    def submit(self, work: Callable[..., Rows], *arguments: Any, pure: bool = False) -> Any:
-        """Do the work in a thread."""
-        return self._pool.submit(work, *arguments)
 
-    def scheduler_info(self) -> dict[str, Any]:
-        """One worker of so many threads."""
-        return {"workers": {"threads": {"nthreads": self._count}}}
+def _of(client: Any) -> Cluster:
+    def workers() -> int:
+        return len(client.scheduler_info()["workers"])
+
+    return Cluster(partial(client.submit, pure=False), workers)
 
 
 @contextmanager
-def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
-    """A client of Dask.
+def connected(scheduler: str, workers: int | None) -> Iterator[Cluster]:
+    """Workers: threads, processes, or those of a scheduler of Dask.
 
     Parameters
     ----------
@@ -107,12 +98,12 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
     count = workers or usable_cores()
     if scheduler == LOCAL:
         with ThreadPoolExecutor(count, thread_name_prefix="fleet") as pool:
-            yield Threads(pool, count)
+            yield Cluster(pool.submit)
         return
     distributed = _distributed()
     if scheduler == PROCESSES:
         with (
-            import_module("dask").config.set(QUIET | PATIENT),
+            import_module("dask").config.set(PATIENT),
             distributed.LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
@@ -122,7 +113,7 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
-            yield client
+            yield _of(client)
         return
     try:
         client = distributed.Client(scheduler, timeout=10, set_as_default=False)
@@ -133,49 +124,53 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Any]:
             "Start one with `dask scheduler`, and workers that see the same folder.",
         ) from None
     with client:
-        yield client
+        yield _of(client)
 
 
 def rows_of(
-    client: Any, task: Task, folder: Path, names: Sequence[str], batch: int
+    cluster: Cluster, task: Task, folder: Path, names: Sequence[str], batch: int
 ) -> Iterator[Rows]:
     """Rows of all logs, batch by batch as they are finished.
 
     A batch whose worker dies is done again elsewhere. Where one has cost several workers their
     life, its logs are done at the end, one at a time so that no log fails for its neighbour;
-    the log that does it becomes a row with that error. Only a few batches are in hand at a time,
+    the log that does it becomes a row with that error. Only some batches are in hand at a time,
     however many logs there are.
+
+    Raises
+    ------
+    MachineError      no worker for `PATIENCE.without_s`
     """
-    waiting: deque[tuple[str, ...]] = deque(
-        tuple(names[k : k + batch]) for k in range(0, len(names), batch)
-    )
+    waiting = deque(tuple(names[k : k + batch]) for k in range(0, len(names), batch))
     suspects: deque[str] = deque()
     flying: dict[Any, tuple[str, ...]] = {}
-    threads = _Threads(client)
-    packed = task if isinstance(client, Threads) else import_module("cloudpickle").dumps(task)
+    # The task goes along each time: what was handed out once would die with its worker.
+    remote = cluster.workers is not None
+    packed = import_module("cloudpickle").dumps(task) if remote else task
     finished = threading.Event()
-
-    def send() -> None:
-        while waiting and len(flying) < PATIENCE.ahead * threads.now():
-            _fly(waiting.popleft())
-        if suspects and not flying:
-            _fly((suspects.popleft(),))
-
-    def _fly(logs: tuple[str, ...]) -> None:
-        # The task goes along each time: what was handed out once would die with its worker.
-        future = client.submit(_rows, packed, str(folder), logs, pure=False)
-        flying[future] = logs
-        future.add_done_callback(lambda _: finished.set())
-
+    asked_s = seen_s = time.monotonic()
     suspected: set[str] = set()
-    send()
-    while flying:
+    while waiting or suspects or flying:
+        while (waiting and len(flying) < PATIENCE.in_hand) or (suspects and not flying):
+            logs = waiting.popleft() if waiting else (suspects.popleft(),)
+            future = cluster.submit(_rows, packed, str(folder), logs)
+            flying[future] = logs
+            future.add_done_callback(lambda _: finished.set())
         future = next((f for f in flying if f.done()), None)
         if future is None:
             # Not `as_completed`: it waits for ever for what was cancelled with its worker.
             finished.wait(PATIENCE.poll_s)
             finished.clear()
-            threads.check()
+            now_s = time.monotonic()
+            if cluster.workers is not None and now_s - asked_s > PATIENCE.ask_s:
+                asked_s = now_s
+                seen_s = now_s if cluster.workers() > 0 else seen_s
+                if now_s - seen_s > PATIENCE.without_s:
+                    raise MachineError(
+                        f"no worker for {PATIENCE.without_s:.0f} s, while logs wait",
+                        "workers of Dask that start again after a failure",
+                        "Look at the workers' messages, then run again: what is done stays done.",
+                    )
             continue
         logs = flying.pop(future)
         try:
@@ -187,44 +182,6 @@ def rows_of(
             else:
                 suspected.update(logs)
                 suspects.extend(logs)
-        if not isinstance(client, Threads):
-            future.release()
-        send()
-
-
-class _Threads:
-    """Threads of all workers, asked for now and then: an answer costs as much as a log."""
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._count = 0
-        self._asked_s = 0.0
-        self._seen_s = time.monotonic()
-
-    def now(self) -> int:
-        """How many there are, at least one."""
-        if self._count == 0 or time.monotonic() - self._asked_s > PATIENCE.ask_s:
-            workers = self._client.scheduler_info()["workers"].values()
-            self._count = sum(w["nthreads"] for w in workers)
-            self._asked_s = time.monotonic()
-            if self._count > 0:
-                self._seen_s = self._asked_s
-        return max(self._count, 1)
-
-    def check(self) -> None:
-        """Do not wait for ever for workers that nobody starts again.
-
-        Raises
-        ------
-        MachineError      no worker for `PATIENCE.without_s`
-        """
-        self.now()
-        if time.monotonic() - self._seen_s > PATIENCE.without_s:
-            raise MachineError(
-                f"no worker for {PATIENCE.without_s:.0f} s, while logs wait",
-                "workers of Dask that start again after a failure",
-                "Look at the workers' messages, then run again: what is done stays done.",
-            )
 
 
 @lru_cache(maxsize=2)

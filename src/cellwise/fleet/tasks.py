@@ -6,19 +6,18 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
-from cellwise.estimate.replay import Replay, reference_soc
+from cellwise.estimate.replay import Replay, replay
 from cellwise.fleet.store import BY_LOG, DIAGNOSE, HISTORY, PACK, REPLAY, failure, read_prepared
 from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
@@ -155,21 +154,16 @@ class ReplayTask(LogTask):
         return lambda log: self._replay(filter_, log)
 
     def _replay(self, filter_: Estimator, log: CellLog) -> dict[str, Any]:
-        start = initial_soc(self.model, log, self.soc0)
-        if self.soc0_std is not None:
-            start = InitialSoc(start.soc, self.soc0_std, start.how)
-        began = time.perf_counter()
-        trace = filter_.run(log, start.soc, start.std)
-        ns = 1e9 * (time.perf_counter() - began) / len(log)
-        reference = None
-        if self.reference_capacity_Ah is not None:
-            given = self.reference_soc0
-            true0 = initial_soc(self.model, log, whole_log=True).soc if given is None else given
-            reference = reference_soc(log, true0, self.reference_capacity_Ah)
-        found = Replay(log, filter_.name, start, trace, ns, reference, self.model.validity,
-                       model=self.model)  # fmt: skip
-        notices = "; ".join(found.notices) or None
-        return {**_of_log(log), **self._figures(found), "notices": notices}
+        found = replay(
+            self.model,
+            log,
+            filter_,
+            soc0=self.soc0,
+            soc0_std=self.soc0_std,
+            reference_soc0=self.reference_soc0,
+            reference_capacity_Ah=self.reference_capacity_Ah,
+        )
+        return {**_of_log(log), **self._figures(found), "notices": _joined(found.notices)}
 
     def _figures(self, found: Replay) -> dict[str, Any]:
         figures = found.to_dict()
@@ -320,8 +314,7 @@ class FolderTask(LogTask):
                 "Check how they are read.",
             )
         samples = sum(len(log) for log in logs)
-        said = "; ".join(unread) or None
-        return {"logs": len(logs), "samples": samples, "unread": said}, logs
+        return {"logs": len(logs), "samples": samples, "unread": _joined(unread)}, logs
 
 
 @dataclass(frozen=True)
@@ -356,7 +349,7 @@ class PackTask(FolderTask):
             "weak": ", ".join(found["weak"]) or None,
             "causes": ", ".join(causes) or None,
             "voltage_rmse_V": found["logs"][-1]["mean_voltage_rmse_V"],
-            "notices": "; ".join(found["notices"]) or None,
+            "notices": _joined(found["notices"]),
         }
 
 
@@ -384,7 +377,7 @@ class HistoryTask(FolderTask):
             **trend["use"],
             "knee": trend["knee"],
             "next_reference": trend["next_reference"],
-            "notices": "; ".join(notices) or None,
+            "notices": _joined(notices),
         }
 
 
@@ -394,5 +387,10 @@ def _of_log(log: CellLog) -> dict[str, Any]:
         "duration_s": log.duration_s,
         "gaps": int(np.count_nonzero(log.gap_rows)),
         "format": log.format,
-        "notices": "; ".join(log.notices) or None,
+        "notices": _joined(log.notices),
     }
+
+
+def _joined(texts: Iterable[str]) -> str | None:
+    """Texts of a cell of the table; None where there are none."""
+    return "; ".join(texts) or None

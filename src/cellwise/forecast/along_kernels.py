@@ -167,5 +167,5 @@ def forecast_rows(
             warm_C = log.temperature_C[k]
             go = going_of(tables, now, warm_C, load.current_A[k], load, uncertain)
             found = with_ends(tables, now.state, log.soc_std[k], go, uncertain)
-            put_record(out[place], 0, found)
+            put_record(out[place], 0, 1, found, True)
             place += 1

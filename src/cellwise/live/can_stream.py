@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.live.samples import (
@@ -16,33 +16,14 @@ from cellwise.live.samples import (
     Stray,
     cell_number,
 )
-from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.formats.vehicle_signals import (
-    UNITS,
-    Signal,
-    can_database,
-    choose_signals,
-    frame_values,
-    limits_of,
-)
+from cellwise.logs.formats.can import FrameDecoder, can_database, messages_of, signals_of
+from cellwise.logs.formats.vehicle_signals import UNITS, Signal
 
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
 SAME_CLOCK_S = 3600.0
-
-Key = tuple[int, bool]
-
-
-class Wanted(NamedTuple):
-    """A signal of a frame: for which field or cell, its unit, what the database allows."""
-
-    field: str | int
-    name: str
-    unit: Unit
-    low: float
-    high: float
 
 
 class CanStream:
@@ -68,10 +49,10 @@ class CanStream:
         self._can = need("can", "a CAN bus", "python-can")
         self.database = can_database(options.dbc, f"frames of {self.name}")
         self._readings = Readings(options, sign, cells)
-        self._messages: dict[Key, Any] = {
-            (m.frame_id, m.is_extended_frame): m for m in self.database.messages
-        }
-        self._wanted, self.notices = self._choose(options)
+        self._decoder = FrameDecoder(
+            self.database, f"'{options.dbc}'", options.channels, cells=self._cell_signals(cells)
+        )
+        self.notices = self._decoder.notices
         try:
             if not channel:
                 raise ValueError("no channel")
@@ -108,63 +89,33 @@ class CanStream:
         """Let go of the bus."""
         self.bus.shutdown()
 
-    def _choose(self, options: ReadOptions) -> tuple[dict[Key, list[Wanted]], list[str]]:
-        """The wanted signals of each frame."""
-        signals = [
-            Signal(f"{message.name}.{s.name}", s.unit or "", (key, s))
-            for key, message in self._messages.items()
-            for s in message.signals
-        ]
-        of_cells = self._cell_signals(signals)
-        others = [s for s in signals if s.key not in {c.key for c, _ in of_cells}]
-        chosen, notices = choose_signals(others, options.channels, f"'{options.dbc}'")
-        wanted: dict[Key, list[Wanted]] = {}
-        for field, signal, unit in chosen:
-            key: Any
-            found: Any
-            key, found = signal.key
-            one = Wanted(field, found.name, unit, *limits_of(found))
-            wanted.setdefault(key, []).append(one)
-        for signal, position in of_cells:
-            key, found = signal.key
-            milli = UNITS["voltage_V"][signal.unit.strip().lower()]
-            cell = Wanted(position, found.name, milli, -math.inf, math.inf)
-            wanted.setdefault(key, []).append(cell)
-        return wanted, notices
-
-    def _cell_signals(self, signals: list[Signal]) -> list[tuple[Signal, int]]:
-        """Signals of cells' voltages with their positions; refuses another number than asked."""
-        if not self._readings.cells:
+    def _cell_signals(self, cells: int) -> list[Signal]:
+        """Signals of cells' voltages in order; refuses another number than asked."""
+        if not cells:
             return []
+        signals = signals_of(self.database, messages_of(self.database))
         volts = [s for s in signals if s.unit.strip().lower() in UNITS["voltage_V"]]
-        numbered = [(s, n) for s in volts if (n := cell_number(s.short)) is not None]
-        numbers = sorted({n for _, n in numbered})
-        if len(numbers) != self._readings.cells or len(numbered) != len(numbers):
+        numbered = {n: s for s in reversed(volts) if (n := cell_number(s.short)) is not None}
+        count = sum(cell_number(s.short) is not None for s in volts)
+        if not count == len(numbered) == cells:
             raise InputError(
-                f"signals of {len(numbers)} cells' voltages in the database",
-                f"{self._readings.cells}, one for each cell, named like CellVoltage01 or VCell_1",
+                f"signals of {len(numbered)} cells' voltages in the database",
+                f"{cells}, one for each cell, named like CellVoltage01 or VCell_1",
                 "Correct the number of cells, or the names in the database.",
             )
-        return [(s, numbers.index(n)) for s, n in numbered]
+        return [numbered[n] for n in sorted(numbered)]
 
     def _take(self, message: Any) -> Sample | Stray | None:
         key = (message.arbitration_id, message.is_extended_id)
-        wanted = self._wanted.get(key)
-        if wanted is None or message.is_error_frame or message.is_remote_frame:
+        if key not in self._decoder.wanted or message.is_error_frame or message.is_remote_frame:
             return None
-        values = frame_values(self._messages[key], bytes(message.data))
+        values = self._decoder.values(key, bytes(message.data))
         if not values:
             return Stray("a frame that the database does not describe")
         stamp = float(message.timestamp)
-        has_voltage = False
-        for one in wanted:
-            if one.name not in values:  # of another multiplexer
-                continue
-            value = float(values[one.name])
-            if not one.low <= value <= one.high:
-                value = math.nan
-            self._readings.take(one.field, value * one.unit.factor + one.unit.offset, stamp)
-            has_voltage |= one.field == "voltage_V"
+        for one, value in values:
+            self._readings.take(one.field, value, stamp)
+        has_voltage = any(one.field == "voltage_V" for one, _ in values)
         if math.isnan(self._emitted_s):
             self._emitted_s = stamp
         late = self._readings.waiting and stamp - self._emitted_s > NO_VOLTAGE_S

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.saved_state import state_from_dict, state_to_dict
+from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_dict
 from cellwise.files import write_atomically
 from cellwise.live.live_pack import LivePack
 from cellwise.live.samples import Sample
@@ -52,12 +52,11 @@ class Timeline:
         self._arrived_s = math.nan
         self._intervals: deque[float] = deque(maxlen=GAP.neighbours)
         self._strange: deque[float] = deque(maxlen=AGREEING)
+        self._away_s: float | None = None
 
     def resume(self, away_s: float) -> None:
         """Make the next sample end a gap of this length, as after a restart."""
-        self._away_s: float | None = max(away_s, 0.0)
-
-    _away_s: float | None = None
+        self._away_s = max(away_s, 0.0)
 
     def advance(self, time_s: float, arrived_s: float = math.nan) -> Interval | None:
         """The interval that a stamp ends, or None for a sample to leave out.
@@ -222,7 +221,7 @@ class LiveFilter:
         place = Path(path)
         if not place.exists() or (place.is_file() and place.stat().st_size == 0):
             return False
-        saved = _json_object(place)
+        saved = read_saved(place)
         state = state_from_dict(saved, self.filter.name)
         live = saved.get("live")
         live = live if isinstance(live, Mapping) else {}
@@ -267,21 +266,3 @@ class LiveFilter:
 def _moment(current_A: float, voltage_V: float) -> CellLog:
     """A log of one moment, repeated: a log has two rows."""
     return CellLog(np.zeros(2), np.full(2, current_A), np.full(2, voltage_V))
-
-
-def _json_object(place: Path) -> dict[str, Any]:
-    try:
-        saved = json.loads(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"no state in '{place}' ({error})",
-            "a file that cellwise live wrote",
-            "Start afresh, or name another file.",
-        ) from None
-    if not isinstance(saved, dict):
-        raise InputError(
-            f"a {type(saved).__name__} in '{place}'",
-            "a file that cellwise live wrote",
-            "Start afresh, or name another file.",
-        )
-    return saved

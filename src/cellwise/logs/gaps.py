@@ -48,7 +48,7 @@ class Gap:
     charge_Ah: float | None
 
 
-def find_gaps(time_s: FloatArray, minimum_s: float = GAP.least_s) -> BoolArray:
+def find_gaps(time_s: FloatArray) -> BoolArray:
     """Rows that end a pause far longer than the logging interval around it.
 
     An interval is a gap when it lasts more than 5 s, more than 10 times what is usual on either
@@ -59,7 +59,6 @@ def find_gaps(time_s: FloatArray, minimum_s: float = GAP.least_s) -> BoolArray:
     Parameters
     ----------
     time_s : (n,) float       never decreasing [s]
-    minimum_s : float         shortest interval that can be a gap [s]
 
     Returns
     -------
@@ -67,13 +66,13 @@ def find_gaps(time_s: FloatArray, minimum_s: float = GAP.least_s) -> BoolArray:
     """
     found = np.zeros(time_s.size, dtype=np.bool_)
     interval = np.diff(time_s)
-    if interval.size < 2 or np.max(interval) <= minimum_s:
+    if interval.size < 2 or np.max(interval) <= GAP.least_s:
         return found
     ends = np.arange(1, time_s.size)
     if np.min(interval) == 0.0:  # rows that share a stamp have no interval of their own
         ends = ends[interval > 0]
         interval = interval[interval > 0]
-    suspects = np.flatnonzero(interval > minimum_s)
+    suspects = np.flatnonzero(interval > GAP.least_s)
     for start in range(0, suspects.size, _CHUNK):
         at = suspects[start : start + _CHUNK]
         long = interval[at] > GAP.beside * _beside(interval, at)

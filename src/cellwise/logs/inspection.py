@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,32 +15,32 @@ from cellwise.logs.checks.faults import (
     possible_part,
     stuck_runs,
 )
-from cellwise.logs.checks.grave import grave_notices, is_grave
-from cellwise.logs.checks.sign import CONTRADICTED, Verdict, contradiction, verify_sign
+from cellwise.logs.checks.grave import grave_notices, graves_first
+from cellwise.logs.checks.sign import (
+    CONTRADICTED,
+    SignCheck,
+    Verdict,
+    contradiction,
+    verify_sign,
+)
 from cellwise.logs.checks.units import COUNTER, compare_counter
-from cellwise.logs.gaps import Gap, find_gaps, run_edges
+from cellwise.logs.gaps import Gap, run_edges
 from cellwise.typing import BoolArray, FloatArray
 
 
 class Noted(NamedTuple):
-    """From where on intervals jitter (share of the one before), share of those; gaps listed."""
+    """From where on something is noted.
 
-    jitter: float = 0.25
-    jittering: float = 0.2
+    So many ``gaps`` one by one. A current of up to the share ``quiet`` of the largest is
+    none, and after ``rest_s`` of it a voltage is an OCV.
+    """
+
     gaps: int = 5
+    quiet: float = 0.005
+    rest_s: float = 60.0
 
 
 NOTED = Noted()
-
-
-class Quiet(NamedTuple):
-    """Which share of the log's largest current is none, and after how long a voltage is an OCV."""
-
-    share: float = 0.005
-    least_s: float = 60.0
-
-
-QUIET = Quiet()
 
 
 class Rest(NamedTuple):
@@ -59,16 +59,11 @@ class Range(NamedTuple):
 
 
 class Sampling(NamedTuple):
-    """Logging intervals [s]; ``jitter_share`` of them differ by over a quarter from the one before.
-
-    ``late`` rows come after more than ten times the intervals around, yet too soon for a gap.
-    """
+    """Logging intervals [s]."""
 
     median_s: float
     min_s: float
     max_s: float
-    jitter_share: float
-    late: int
 
 
 @dataclass(frozen=True)
@@ -103,19 +98,17 @@ class Inspection:
 
     def to_dict(self) -> dict[str, object]:
         """Plain lists, dicts and numbers for JSON."""
-        plain = asdict(self)
-        plain["gaps"] = [
-            {"start_s": g.start_s, "duration_s": g.duration_s, "charge_Ah": g.charge_Ah}
-            for g in self.gaps
-        ]
-        for key in ("current_A", "voltage_V", "temperature_C", "sampling"):
-            value = getattr(self, key)
-            plain[key] = None if value is None else value._asdict()
-        plain["rests"] = [rest._asdict() for rest in self.rests]
-        plain["stuck"] = {name: found._asdict() for name, found in self.stuck.items()}
-        plain["sign_evidence"] = list(self.sign_evidence)
-        plain["notices"] = list(self.notices)
-        return plain
+        gap = ("start_s", "duration_s", "charge_Ah")
+        gaps = [{name: getattr(g, name) for name in gap} for g in self.gaps]
+        return {**{name: _plain(value) for name, value in vars(self).items()}, "gaps": gaps}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return value._asdict() if hasattr(value, "_asdict") else [_plain(item) for item in value]
+    return value
 
 
 def inspect_log(log: CellLog) -> Inspection:
@@ -139,21 +132,24 @@ def inspect_log(log: CellLog) -> Inspection:
         for name, runs in stuck_runs(possible).items()
         if (stretch := longest(log, runs)) is not None
     }
-    sampling = _sampling(log)
     missing = {
         field: int(np.count_nonzero(np.isnan(values)))
         for field in ("current_A", "voltage_V", "temperature_C", "charge_Ah")
         if (values := getattr(log, field)) is not None
     }
     notices = [
-        *(n for n in log.notices if is_grave(n)),
-        *(n for n in grave_notices(log) if n not in log.notices),
-        *(n for n in log.notices if not is_grave(n)),
-        *_sign_notices(log, check.verdict, check.evidence),
-        *_time_notices(log, sampling),
+        *graves_first([*log.notices, *grave_notices(log)]),
+        *_sign_notices(log, check),
+        *_time_notices(log),
         *_channel_notices(log, missing, stuck, find_spikes(possible).size, mismatch),
-        *_rest_notices(log, rests),
     ]
+    if not rests:
+        notices.append("no rest of a minute or more anywhere: no open-circuit voltage can be read")
+    if not _is_quiet(log)[0]:
+        notices.append(
+            f"the first row is under load ({log.interval_current_A[0]:.3g} A): its voltage is no "
+            "open-circuit voltage"
+        )
     return Inspection(
         name=log.name,
         format=log.format or "memory",
@@ -167,7 +163,7 @@ def inspect_log(log: CellLog) -> Inspection:
         voltage_V=_range(log.voltage_V),
         temperature_C=None if log.temperature_C is None else _range(log.temperature_C),
         charge_Ah=float(log.counted_charge_Ah()[-1]),
-        sampling=sampling,
+        sampling=_sampling(log),
         counter_mismatch_percent=mismatch,
         rests=rests,
         stuck=stuck,
@@ -185,28 +181,20 @@ def _sampling(log: CellLog) -> Sampling:
     interval = np.diff(log.time_s)
     moving = interval[interval > 0]
     if moving.size == 0:
-        return Sampling(0.0, 0.0, 0.0, 0.0, 0)
-    median = float(np.median(moving))
-    late = find_gaps(log.time_s, minimum_s=0.0) & ~log.gap_rows
-    change = np.abs(np.diff(interval))
-    return Sampling(
-        median_s=median,
-        min_s=float(np.min(interval)),
-        max_s=float(np.max(interval)),
-        jitter_share=float(np.mean(change > NOTED.jitter * interval[:-1])) if change.size else 0.0,
-        late=int(np.count_nonzero(late)),
-    )
+        return Sampling(0.0, 0.0, 0.0)
+    return Sampling(float(np.median(moving)), float(np.min(interval)), float(np.max(interval)))
 
 
-def _sign_notices(log: CellLog, verdict: Verdict, evidence: tuple[str, ...]) -> list[str]:
-    if verdict == "undetermined":
-        return [f"the sign of the current could not be determined from the data: {evidence[0]}"]
-    if verdict == "contradicted" and not any(CONTRADICTED in n for n in log.notices):
+def _sign_notices(log: CellLog, check: SignCheck) -> list[str]:
+    if check.verdict == "undetermined":
+        first = check.evidence[0]
+        return [f"the sign of the current could not be determined from the data: {first}"]
+    if check.verdict == "contradicted" and not any(CONTRADICTED in n for n in log.notices):
         return [contradiction("charge-positive")]
     return []
 
 
-def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
+def _time_notices(log: CellLog) -> list[str]:
     notices = []
     gaps = log.gaps
     for gap in gaps[: NOTED.gaps]:
@@ -222,17 +210,6 @@ def _time_notices(log: CellLog, sampling: Sampling) -> list[str]:
         notices.append(f"{len(gaps) - NOTED.gaps} more gaps")
     if log.repeated_stamps:
         notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
-    if sampling.late:
-        notices.append(
-            f"{sampling.late} row(s) come after more than ten times the usual interval of "
-            f"{sampling.median_s:.3g} s, yet too soon for a gap: their current is taken to have "
-            "flowed all that time"
-        )
-    if sampling.jitter_share > NOTED.jittering:
-        notices.append(
-            f"{100 * sampling.jitter_share:.0f} % of the intervals differ by over a quarter "
-            f"from the one before (median {sampling.median_s:.3g} s)"
-        )
     return notices
 
 
@@ -263,18 +240,6 @@ def _channel_notices(
     return notices
 
 
-def _rest_notices(log: CellLog, rests: tuple[Rest, ...]) -> list[str]:
-    notices = []
-    if not rests:
-        notices.append("no rest of a minute or more anywhere: no open-circuit voltage can be read")
-    if not is_quiet(log)[0]:
-        notices.append(
-            f"the first row is under load ({log.interval_current_A[0]:.3g} A): its voltage is no "
-            "open-circuit voltage"
-        )
-    return notices
-
-
 def _duration(seconds: float) -> str:
     """A time in the unit a person would use."""
     for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
@@ -283,20 +248,19 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
-def is_quiet(log: CellLog) -> BoolArray:
-    """Rows whose interval is without current: up to 0.5 % of the log's largest, shape (n,)."""
+def _is_quiet(log: CellLog) -> BoolArray:
+    """Rows whose interval is without current, shape (n,)."""
     current = np.abs(log.known_current_A())
-    quiet: BoolArray = current <= QUIET.share * float(np.max(current))
-    return quiet
+    return np.asarray(current <= NOTED.quiet * np.max(current))
 
 
 def find_rests(log: CellLog) -> list[Rest]:
     """Times of at least a minute without current; a gap ends a rest."""
-    first, last = run_edges(is_quiet(log) & ~log.gap_rows)
+    first, last = run_edges(_is_quiet(log) & ~log.gap_rows)
     begins = np.maximum(first - 1, 0)  # the interval that ends at the first quiet row is at rest
     duration_s = log.time_s[last] - log.time_s[begins]
     return [
         Rest(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
         for a, b, seconds in zip(begins, last, duration_s, strict=True)
-        if seconds >= QUIET.least_s
+        if seconds >= NOTED.rest_s
     ]

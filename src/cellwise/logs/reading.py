@@ -257,7 +257,7 @@ def _answer(
         source = open_source(path, lambda *done: _send(done, out), options)
         raw = known.read(source, known)
         rows = max((values.size for values in raw.channels.values()), default=0)
-        limits.check_rows(rows, source.where)
+        limits.check(source.where, rows)
     except InputError as refusal:
         return refusal
     except MemoryError:

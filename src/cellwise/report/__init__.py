@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from cellwise.report.demo_page import demo_page, hero_figure
+from cellwise.report.demo_page import demo_page
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.report.export_page import export_page
 from cellwise.report.history_page import history_page
 from cellwise.report.identification.page import identify_page
 from cellwise.report.pack_page import pack_page
-from cellwise.report.page.picture import (
-    FigureFiles,
-    Picture,
-    figure_png,
-    figure_svg,
-    save_figure,
-    save_figures,
-)
+from cellwise.report.page.picture import FigureFiles, Picture, save_figure, save_figures
 from cellwise.report.replay.page import replay_page
 
 __all__ = [
@@ -24,9 +17,6 @@ __all__ = [
     "demo_page",
     "diagnose_page",
     "export_page",
-    "figure_png",
-    "figure_svg",
-    "hero_figure",
     "history_page",
     "identify_page",
     "pack_page",

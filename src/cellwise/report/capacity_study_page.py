@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from cellwise.errors import InputError
 from cellwise.report.page import style
 from cellwise.report.page.markup import bullets, paragraph, table
+from cellwise.report.page.numerals import capitalised
 from cellwise.report.page.picture import FigureFiles, pictured
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Winner
 from cellwise.studies.capacity_study_cells import published_orders
-from cellwise.studies.papers import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
+from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
 
-MOSTLY = 0.5
-ITSELF = 1e-3
-SAME_SCALE = 0.02
-MUCH = 1.2
-COUNTED = "counting divides by it."
-LED = "the filter is led by an OCV over that scale and cannot know of another."
 NAMES = {
     VOLTAGE: "simulated voltage",
     "coulomb": "coulomb counting",
@@ -105,49 +98,18 @@ def _verdict(study: CellStudy, winner: Winner) -> str:
 
 
 def _why(study: CellStudy, winner: Winner) -> str:
-    best = _result(study, winner.choice)
     worst = _result(study, study.order(winner.kind)[-1])
     off = 100 * (worst.capacity_Ah / study.reference_Ah - 1.0)
-    near = 100 * (best.capacity_Ah / study.reference_Ah - 1.0)
     if winner.kind == VOLTAGE:
-        if (
-            worst.capacity_Ah < study.reference_Ah
-            and worst.voltage_rmse_V > 2 * best.voltage_rmse_V
-        ):
-            return (
-                f"{worst.choice} ({off:+.1f} % of the reference) comes to its own zero while the "
-                "cell still gives charge, and no table says what the voltage does there"
-                f": {1e3 * worst.voltage_rmse_V:.0f} mV."
-            )
-        if abs(worst.capacity_Ah / best.capacity_Ah - 1.0) < SAME_SCALE and (
-            worst.voltage_rmse_V > MUCH * best.voltage_rmse_V
-        ):
-            return (
-                "The capacities hardly differ: it is what each choice's tests excite that does, "
-                "or a scale that ends just before the cell does."
-            )
         return (
             "OCV and tables are fitted over the choice's own SOC, so a scale that is off hardly "
-            "shows in the voltage as long as it ends where the cell ends."
+            f"shows in the voltage until it ends before the cell does ({worst.choice}, {off:+.1f} "
+            f"% of the reference: {amount(VOLTAGE, worst.voltage_rmse_V)})."
         )
-    share = worst.axis_share[winner.kind]
-    if share > MOSTLY:
-        return (
-            f"{100 * share:.0f} % of the squared error of {worst.choice} is its SOC scale, "
-            f"{off:+.1f} % off the reference ({winner.choice}: {near:+.1f} %): "
-            + (COUNTED if winner.kind == "coulomb" else LED)
-            + _itself(study, best)
-        )
-    return "The SOC scale is not what the choices differ by here; the fit of the tables is."
-
-
-def _itself(study: CellStudy, best: ChoiceResult) -> str:
-    """A warning where the winner is the reference by another name."""
-    if abs(best.capacity_Ah / study.reference_Ah - 1.0) > ITSELF:
-        return ""
     return (
-        f" {best.choice} is the reference here, so that it wins says that SOC follows the "
-        "capacity that is called whole, not that this one is."
+        f"Of the squared error of {worst.choice} {100 * worst.axis_share[winner.kind]:.0f} % is "
+        f"its SOC scale, {off:+.1f} % off the reference: counting divides by it, and a filter is "
+        "led by an OCV over it."
     )
 
 
@@ -169,6 +131,7 @@ def study_finding(study: CellStudy) -> str:
 
 # Colour and marker of an estimator's line.
 LOOKS = {
+    VOLTAGE: (style.VERMILLION, "o"),
     "coulomb": (style.AMBER, "s"),
     "ekf": (style.BLUE, "o"),
     "ukf": (style.GREEN, "^"),
@@ -206,7 +169,7 @@ def capacity_study_page(
 
 def study_section(study: CellStudy, number: int = 0) -> Section:
     """Picture, verdicts and table of one cell."""
-    key = f"capacity_study_{number}"
+    key = f"capacity-study-{number}"
     text = (
         f"Identified again for every choice, judged on {', '.join(study.logs)}. SOC reference: the "
         f"tester's counter over {study.reference_Ah:g} Ah ({study.reference}), the same for all."
@@ -216,46 +179,48 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
         [choice_row(c) for c in study.choices],
         caption="RMSE of simulated voltage and of SOC; signed SOC error where the discharge ends.",
     )
-    picture = study_picture(study)._replace(key=key)
-    blocks = (paragraph(text), picture, bullets(verdicts(study)), figures)
+    voltage, *filters = study.kinds
+    pictures = tuple(
+        study_picture(study, kinds)._replace(key=f"{key}-{what}")
+        for what, kinds in (("voltage", [voltage]), ("soc", filters))
+        if kinds
+    )
+    said = paragraph(EXPLAINED, "note")
+    blocks: Blocks = (paragraph(text), bullets(verdicts(study)), said, *pictures, figures)
     title = f"Which charge is the capacity: {study.name}"
-    return Section(key.replace("_", "-"), title, blocks, study.name)
+    return Section(key, title, blocks, study.name)
 
 
-@pictured(
-    "capacity_study",
+EXPLAINED = (
     "Every dot is a choice of the capacity, with the whole identification redone. First: the "
     "voltage, which hardly depends on it until the scale ends before the cell does. Then: the SOC, "
-    "which does; a filter can only follow the scale of its OCV. The line is the reference.",
+    "which does; a filter can only follow the scale of its OCV. The line is the reference."
 )
-def study_picture(study: CellStudy) -> style.Figure:
-    """Two axes over the capacity."""
-    figure = style.new_figure(3.1)
-    left, right = style.panels(figure, 1, 2)
+
+
+@pictured("capacity-study")
+def study_picture(study: CellStudy, kinds: Sequence[str]) -> style.Figure:
+    """RMSE of the voltage, or of SOC by several estimators, over the capacity."""
+    figure, axes = style.new_axes(2.8)
     choices = sorted(study.choices, key=lambda c: c.capacity_Ah)
-    voltage, *filters = study.kinds
-    capacity = np.array([c.capacity_Ah for c in choices])
-    rmse_mV = 1e3 * np.array([c.voltage_rmse_V for c in choices])
-    left.plot(capacity, rmse_mV, "o-", color=style.VERMILLION, linewidth=1.0)
-    for kind in filters:
+    capacity = [c.capacity_Ah for c in choices]
+    of_voltage = VOLTAGE in kinds
+    scale = 1e3 if of_voltage else 100.0
+    for kind in kinds:
         colour, marker = LOOKS.get(kind, (style.INK, "o"))
-        rmse = 100.0 * np.array([c.figure(kind) for c in choices])
-        right.plot(
-            capacity, rmse, color=colour, marker=marker, linewidth=1.0, ms=4, label=named(kind)
-        )
-    for axes in (left, right):
-        axes.axvline(study.reference_Ah, color=style.MUTED, linewidth=1.0)
-        axes.margins(y=0.0)
-        axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names
-    _name_choices(left, study)
-    best = study.winner(voltage)
-    style.finding(left, f"voltage: {best.choice} best, {1e3 * best.value:.1f} mV", 0.42)
-    style.labels(left, "capacity [Ah]", "voltage RMSE [mV]")
-    if filters:
-        style.legend(right)
-        best = study.winner(filters[0])
-        style.finding(right, f"SOC by {named(filters[0])}: {best.choice} best", 0.42)
-    style.labels(right, "capacity [Ah]", "SOC RMSE [points]")
+        rmse = [scale * c.figure(kind) for c in choices]
+        axes.plot(capacity, rmse, color=colour, marker=marker, lw=1.0, ms=4, label=named(kind))
+    axes.axvline(study.reference_Ah, color=style.MUTED, linewidth=1.0)
+    axes.margins(y=0.0)
+    axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names
+    best = study.winner(kinds[0])
+    text = f"{named(kinds[0])}: {best.choice} best, {amount(best.kind, best.value)}"
+    style.finding(axes, capitalised(text))
+    style.labels(axes, "capacity [Ah]", "voltage RMSE [mV]" if of_voltage else "SOC RMSE [points]")
+    if of_voltage:
+        _name_choices(axes, study)
+    else:
+        style.legend(axes)
     return figure
 
 

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, bullets, details, lead_of, record_table, tiles
+from cellwise.report.page.markup import (
+    Markup,
+    bullets,
+    details,
+    lead_of,
+    paragraph,
+    record_table,
+    tiles,
+)
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
@@ -38,9 +46,13 @@ def certificate_page(
     error, by = data["soc_error"], data["by"]
     sources = {SOURCES[name]: one for name, one in data["sources"].items()}
     tables = details("The groups in numbers", Markup("".join(map(_table, _shown(by).items()))))
+    pictures = tuple(
+        group_picture(name, groups)._replace(key=f"certificate-{name}")
+        for name, groups in _shown(by).items()
+    )
     sections = [
         Section("sources", "By what made the cells", (_table(("source", sources)),)),
-        Section("groups", "Where the error is", (group_picture(data), tables)),
+        Section("groups", "Where the error is", (paragraph(GROUPS, "note"), *pictures, tables)),
         Section("worst", "The worst cells", (_worst(data),)),
         Section("made", "What the fleet is", (_made(data),)),
     ]
@@ -94,26 +106,22 @@ def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str
     return ", ".join(parts)
 
 
-@pictured(
-    "certificate_groups",
-    "A row is a group of the cells: RMS error (dot) and the error that 95 % of the time stays "
-    "below (bar). Every group is of the same filter and the same tables.",
+GROUPS = (
+    "RMS error (dot) and the error that 95 % of the time stays below (bar). Every group is of the "
+    "same filter and the same tables."
 )
-def group_picture(data: Mapping[str, Any]) -> style.Figure:
-    """RMS and 95 % error of every group, one panel for age, temperature and fault."""
-    by = _shown(data["by"])
-    rows = sum(len(groups) for groups in by.values())
-    figure = style.new_figure(0.5 + 0.5 * len(by) + 0.27 * rows)
-    panels = figure.subplots(
-        len(by), 1, sharex=True, gridspec_kw={"height_ratios": [len(g) for g in by.values()]}
-    )
-    for axes, (name, groups) in zip(panels, by.items(), strict=True):
-        order = list(groups)[::-1]
-        names = list(map(_named, order))
-        axes.barh(names, [100.0 * groups[n]["p95"] for n in order], color=style.BLUE, alpha=0.35)
-        axes.plot([100.0 * groups[n]["rmse"] for n in order], names, "o", color=style.INK, ms=4)
-        axes.set_title(f"by {name}", loc="left")
-    style.labels(panels[-1], "SOC error [points]")
+
+
+@pictured("certificate")
+def group_picture(name: str, groups: Mapping[str, Any]) -> style.Figure:
+    """RMS and 95 % error of every group of a division."""
+    figure, axes = style.new_axes(0.9 + 0.24 * len(groups))
+    order = list(groups)[::-1]
+    names = list(map(_named, order))
+    axes.barh(names, [100.0 * groups[n]["p95"] for n in order], color=style.BLUE, alpha=0.35)
+    axes.plot([100.0 * groups[n]["rmse"] for n in order], names, "o", color=style.INK, ms=4)
+    style.finding(axes, f"by {name}")
+    style.labels(axes, "SOC error [points]")
     return figure
 
 

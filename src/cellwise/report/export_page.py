@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cellwise.plotting import Plottable
 from cellwise.report.page.markup import Markup, bullets, paragraph, record_table, table, tiles
 from cellwise.report.page.numerals import counted, listed, plural, significant
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
+from cellwise.report.page.plot import Plot
+from cellwise.report.page.section import Blocks, Section, write_page
 
 Row = Mapping[str, Any]
 COSTS = {
@@ -28,7 +30,7 @@ COSTS = {
 def export_page(
     report: Mapping[str, Any],
     path: str | Path,
-    on_log: HasPanels | None = None,
+    on_log: Plottable | None = None,
     *,
     figures: str | Path | FigureFiles | None = None,
 ) -> Path:
@@ -37,7 +39,7 @@ def export_page(
     Parameters
     ----------
     report : mapping             what `cellwise export --json` prints
-    on_log : with panels, None   the exported filter beside the float64 one over a log
+    on_log : Plottable or None   the exported filter beside the float64 one over a log
     path, figures : as of `write_page`, whose errors it raises
     """
     return write_page(
@@ -84,7 +86,7 @@ def export_tiles(report: Mapping[str, Any]) -> Markup:
     return tiles(facts)
 
 
-def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list[Section]:
+def export_sections(report: Mapping[str, Any], on_log: Plottable | None) -> list[Section]:
     """The parts of the page."""
     targets = report["targets"]
     cost: Blocks = (
@@ -101,7 +103,8 @@ def export_sections(report: Mapping[str, Any], on_log: HasPanels | None) -> list
         Section("files", "What was written", (files_content(report),), "Files"),
     ]
     if on_log is not None:
-        sections.insert(2, trace_section([("exported filter and float64 EKF", on_log)]))
+        plot = Plot("trace", "The exported filter and the float64 EKF", *on_log.panels())
+        sections.insert(2, Section("log", "Over a log", (plot,), "Log"))
     return sections
 
 

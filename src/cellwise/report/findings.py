@@ -121,12 +121,6 @@ def demo_finding(identification: Identification, simulations: Sequence[Simulatio
     return f"{text}."
 
 
-def fitted_drives(identification: Identification) -> tuple[Simulation, ...]:
-    """The drives that took part in the identification."""
-    pulsed = {id(s.log) for t in identification.temperatures for s in t.pulse_sets}
-    return tuple(s for s in identification.simulations if id(s.log) not in pulsed)
-
-
 def replay_name(replay: Replay) -> str:
     """``ekf on drive_b from 70 %``."""
     return f"{replay.estimator} on {replay.log.name or 'log'} from {points(replay.start.soc)}"

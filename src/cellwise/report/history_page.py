@@ -50,8 +50,11 @@ def history_page(
     ]
     if not found.withheld:
         sections = [
-            Section("capacity", "Capacity", (capacity_picture(found),)),
-            Section("resistance", "Resistance", (resistance_picture(found),)),
+            Section(
+                "life",
+                "Capacity and resistance",
+                (capacity_picture(found), resistance_picture(found)),
+            ),
             *sections,
         ]
     return write_page(
@@ -103,8 +106,7 @@ def _first_line(found: Life) -> str:
 )
 def capacity_picture(found: Life) -> style.Figure:
     """Share of the new cell's capacity over the life."""
-    figure = style.new_figure(3.4)
-    axes = figure.subplots()
+    figure, axes = style.new_axes(2.8)
     counted = np.array([one.counted for one in found.logs])
     share = 100.0 * np.array([one.share for one in found.logs])
     std = 100.0 * np.array([one.share_std for one in found.logs])
@@ -137,8 +139,7 @@ def capacity_picture(found: Life) -> style.Figure:
 )
 def resistance_picture(found: Life) -> style.Figure:
     """Resistance over the life."""
-    figure = style.new_figure(2.6)
-    axes = figure.subplots()
+    figure, axes = style.new_axes(2.8)
     scale = np.array([one.resistance_scale for one in found.logs])
     std = np.array([one.resistance_std for one in found.logs])
     style.error_dots(axes, found.way, scale, std)

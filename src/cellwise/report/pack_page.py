@@ -13,7 +13,7 @@ from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
 from cellwise.report.page.numerals import millivolt, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, pictured
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import BoolArray, FloatArray
 
 REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
@@ -46,12 +46,11 @@ def pack_page(
         + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
         for cause in data["causes"]
     ]
-    sections = [
-        Section("cells", "Cells over time", (cells_picture(found),), "Over time"),
-        Section("load", "At rest and under load", (rest_and_load_picture(found),), "Rest and load"),
-    ]
+    cells = (cells_picture(found), *([rest_and_load_picture(found)] if means_of(found) else []))
+    sections = [Section("cells", "Cells over time", cells, "Over time")]
     if found.withheld is None:
-        health, sensors = (estimates_picture(found),), (sensors_picture(found),)
+        health = _pictures(found, estimates_of(found), ESTIMATES)
+        sensors = _pictures(found, sensors_of(found), SENSORS)
         sections.append(Section("estimates", "Capacity and resistance", health, "Estimates"))
         sections.append(Section("sensors", "Sensors and polling", sensors, "Sensors"))
     sections.append(
@@ -141,8 +140,7 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     """Cells over time as colours."""
     image, edges, labels_of = cells_over_time(found)
     cells = len(found.names)
-    figure = style.new_figure(min(2.2 + 0.045 * cells, 6.0))
-    axes = figure.subplots()
+    figure, axes = style.new_axes(min(2.0 + 0.035 * cells, 5.5), style.WIDE_IN)
     usual = np.nanpercentile(np.abs(image), 97) if np.isfinite(image).any() else 0.0
     scale = max(IMAGE.scale_mV, float(usual))
     drawn = axes.imshow(
@@ -160,7 +158,7 @@ def cells_picture(found: PackEstimate) -> style.Figure:
         )  # fmt: skip
     spread = np.nanmax(image, axis=0) - np.nanmin(image, axis=0)
     size = f"{np.nanmedian(spread):.1f} mV from lowest to highest"
-    style.finding(axes, f"Cells differ by {size}, averaged over minutes", 0.8)
+    style.finding(axes, f"Cells differ by {size}, averaged over minutes")
     style.labels(axes, "logs in order", "cell")
     return figure
 
@@ -184,6 +182,16 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
     return np.concatenate(parts).T, edges, names
 
 
+def means_of(found: PackEstimate) -> dict[str, FloatArray]:
+    """Mean difference of every cell [V], shape (cells,), at rest and under load where it was so."""
+    rates = [day.log.mean.current_A / found.model.capacity_Ah for day in found.days]
+    means = {
+        "at rest": _mean_where(found, [np.abs(rate) < REST_RATE for rate in rates]),
+        "under load": _mean_where(found, [rate > LOAD_RATE for rate in rates]),
+    }
+    return {name: mean for name, mean in means.items() if np.isfinite(mean).any()}
+
+
 @pictured(
     "pack_rest_and_load",
     "The same difference, averaged where the pack rests and where it is under load. "
@@ -191,31 +199,19 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
 )
 def rest_and_load_picture(found: PackEstimate) -> style.Figure:
     """Mean difference of every cell at rest and under load."""
-    figure = style.new_figure(2.9)
-    axes = figure.subplots()
-    number = np.arange(1, len(found.names) + 1)
-    capacity = found.model.capacity_Ah
-    shown = {}
-    heights = np.zeros(len(found.names))
-    rates = [day.log.mean.current_A / capacity for day in found.days]
-    for label, colour, marker, inside in (
-        ("at rest", style.BLUE, "o", [np.abs(rate) < REST_RATE for rate in rates]),
-        ("under load", style.VERMILLION, "s", [rate > LOAD_RATE for rate in rates]),
-    ):
-        mean = _mean_where(found, inside)
-        if np.isfinite(mean).any():
-            shown[label] = float(np.nanstd(mean))
-            heights = 1e3 * mean
-            axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=label)
+    figure, axes = style.new_axes(2.9)
+    looks = {"at rest": (style.BLUE, "o"), "under load": (style.VERMILLION, "s")}
+    means = means_of(found)
+    for name, mean in means.items():
+        colour, marker = looks[name]
+        number = np.arange(1, mean.size + 1)
+        axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=name)
+        _point_at(axes, found, 1e3 * mean)
     style.zero_line(axes)
-    _point_at(axes, found, heights)
-    said = ", ".join(f"{millivolt(v)} {k}" for k, v in shown.items())
-    style.finding(
-        axes, f"Standard deviation between cells: {said or 'no row at rest or under load'}"
-    )
+    said = ", ".join(f"{millivolt(float(np.nanstd(v)))} {k}" for k, v in means.items())
+    style.finding(axes, f"Standard deviation between cells: {said}")
     style.labels(axes, "cell", "cell minus mean [mV]")
-    if shown:
-        style.legend(axes, columns=2)
+    style.legend(axes, columns=2)
     return figure
 
 
@@ -231,60 +227,70 @@ def _mean_where(found: PackEstimate, inside: list[BoolArray]) -> FloatArray:
         return np.asarray(total / count)
 
 
-@pictured(
-    "pack_capacity_and_resistance",
+ESTIMATES = (
     "Estimates with two standard deviations of a cell's difference from the mean. Named cells are "
-    "beyond what cells differ by.",
+    "beyond what cells differ by."
 )
-def estimates_picture(found: PackEstimate) -> style.Figure:
-    """Capacity and resistance of every cell with bands."""
-    figure = style.new_figure(4.6)
+SENSORS = (
+    "What is the sensors' and not the cells': what each voltage reads too much, and by how much "
+    "later than the others it is polled."
+)
+
+
+class CellFigure(NamedTuple):
+    """A figure of every cell with its standard deviation, its axis, and what its spread is."""
+
+    key: str
+    axis: str
+    values: FloatArray
+    std: FloatArray
+    title: str
+
+
+def estimates_of(found: PackEstimate) -> list[CellFigure]:
+    """Capacity and resistance of every cell."""
     cells = found.cells
+    capacity, resistance = cells.capacity_Ah, cells.resistance_scale
+    text = "cells differ by {:.1f} % (standard deviation)"
+    spread = [text.format(100.0 * np.nanstd(v) / np.nanmean(v)) for v in (capacity, resistance)]
     own = found.own_capacity_std_Ah
-    for axes, values, std, unit, what in zip(
-        figure.subplots(2, 1),
-        (cells.capacity_Ah, cells.resistance_scale),
-        (own, cells.resistance_std),
-        ("[Ah]", "/ mean"),
-        ("capacity", "resistance"),
-        strict=True,
-    ):
-        _draw_cells(axes, found, values, std)
-        share = 100.0 * np.nanstd(values) / np.nanmean(values)
-        title = f"{what.capitalize()}: cells differ by {share:.1f} % (standard deviation)"
-        style.finding(axes, title)
-        style.labels(axes, "cell", f"{what} {unit}")
-    return figure
+    return [
+        CellFigure("capacity", "capacity [Ah]", capacity, own, f"Capacity: {spread[0]}"),
+        CellFigure("resistance", "resistance / mean", resistance, cells.resistance_std,
+                   f"Resistance: {spread[1]}"),
+    ]  # fmt: skip
 
 
-@pictured(
-    "pack_sensors",
-    "What is the sensors' and not the cells': what each voltage reads too much, and by how "
-    "much later than the others it is polled.",
-)
-def sensors_picture(found: PackEstimate) -> style.Figure:
+def sensors_of(found: PackEstimate) -> list[CellFigure]:
     """Offset and polling of every cell's sensor."""
-    figure = style.new_figure(2.8)
-    left, right = style.panels(figure, 1, 2)
     cells = found.cells
-    for axes, values, std, unit, what in (
-        (left, 1e3 * cells.offset_V, 1e3 * cells.offset_std_V, "offset [mV]", "offsets"),
-        (right, cells.skew_s, cells.skew_std_s, "polled later by [s]", "polling"),
+    figures = []
+    for key, axis, unit, values, std in (
+        ("offsets", "offset [mV]", "mV", 1e3 * cells.offset_V, 1e3 * cells.offset_std_V),
+        ("polling", "polled later by [s]", "s", cells.skew_s, cells.skew_std_s),
     ):
-        _draw_cells(axes, found, values, std)
-        style.zero_line(axes)
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        in_unit = unit.partition("[")[2].rstrip("]")
-        style.finding(axes, f"Sensors' {what}: {low:+.2g} to {high:+.2g} {in_unit}", 0.42)
-        style.labels(axes, "cell", unit)
+        title = f"Sensors' {key}: {low:+.2g} to {high:+.2g} {unit}"
+        figures.append(CellFigure(key, axis, values, std, title))
+    return figures
+
+
+@pictured("pack_cells")
+def cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
+    """A dot with its band for every cell, and the names of those that the page points at."""
+    figure, axes = style.new_axes(2.6)
+    number = np.arange(1.0, one.values.size + 1.0)
+    style.error_dots(axes, number, one.values, one.std, markersize=3.0, ecolor=style.MUTED)
+    _point_at(axes, found, one.values)
+    style.finding(axes, one.title)
+    style.labels(axes, "cell", one.axis)
     return figure
 
 
-def _draw_cells(axes: style.Axes, found: PackEstimate, values: FloatArray, std: FloatArray) -> None:
-    """A dot with its band for every cell, and the names of those that the page points at."""
-    number = np.arange(1.0, values.size + 1.0)
-    style.error_dots(axes, number, values, std, markersize=3.0, ecolor=style.MUTED)
-    _point_at(axes, found, values)
+def _pictures(found: PackEstimate, figures: Sequence[CellFigure], said: str) -> Blocks:
+    """A note, and a picture of each figure."""
+    drawn = (cells_figure(found, one)._replace(key=f"pack_{one.key}") for one in figures)
+    return (paragraph(said, "note"), *drawn)
 
 
 def _point_at(axes: style.Axes, found: PackEstimate, heights: FloatArray) -> None:

@@ -1,18 +1,16 @@
-"""A replay's rows for other viewers: MCAP and a layout of Foxglove, a layout of PlotJuggler.
+"""A replay's rows for other viewers: MCAP and a layout of Foxglove.
 
 `Foxglove <https://foxglove.dev>`_ opens the MCAP file beside the bag it came from: the stamps are
 the bag's, and ``ros2 bag play`` plays it with its storage plugin for MCAP.
-`PlotJuggler <https://plotjuggler.io>`_ opens its layout with ``plotjuggler --layout F.xml``.
 """
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -137,63 +135,3 @@ def _battery(store: Any, arrays: Mapping[str, FloatArray], k: int, at_ns: int) -
         location="",
         serial_number="",
     )
-
-
-JUGGLER_PLOTS = (
-    ("voltage [V]", ("measured_voltage_V", "voltage_V")),
-    ("current [A]", ("current_A",)),
-    ("SOC", ("soc", "reference_soc")),
-    ("residual [V]", ("innovation_V",)),
-)
-COLOURS = ("#77818d", "#0b67a3")
-ALONE = "#0b67a3"
-TIME = "time_s"
-
-
-def write_layout(path: str | Path, rows: str | Path, columns: Collection[str]) -> Path:
-    """Write the layout of a file of rows.
-
-    Parameters
-    ----------
-    path : str or Path      of the layout (XML); it appears whole or not at all
-    rows : str or Path      CSV with the rows, named relative to the layout where it can be
-    columns : of str        that it has
-
-    Raises
-    ------
-    InputError              the path cannot be written
-    """
-    target, source = Path(path).resolve(), Path(rows).resolve()
-    beside = source.is_relative_to(target.parent)
-    name = source.relative_to(target.parent).as_posix() if beside else str(source)
-    root = ElementTree.Element("root")
-    window = _element(root, "tabbed_widget", parent="main_window", name="Main Window")
-    tab = _element(window, "Tab", containers="1", tab_name=source.name)
-    plots = [(title, [n for n in names if n in columns]) for title, names in JUGGLER_PLOTS]
-    plots = [(title, names) for title, names in plots if names]
-    share = ";".join(f"{1.0 / len(plots):.6f}" for _ in plots)
-    column = _element(
-        _element(tab, "Container"), "DockSplitter", orientation="-", count=str(len(plots))
-    )
-    column.set("sizes", share)
-    for title, names in plots:
-        area = _element(column, "DockArea", name=title)
-        plot = _element(
-            area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false"
-        )
-        _element(plot, "limitY")
-        for curve, color in zip(names, COLOURS if len(names) > 1 else (ALONE,), strict=True):
-            _element(plot, "curve", name=curve, color=color)
-    _element(window, "currentTabIndex", index="0")
-    _element(root, "use_relative_time_offset", enabled="1")
-    file = _element(
-        _element(root, "previouslyLoaded_Datafiles"), "fileInfo", filename=name, prefix=""
-    )
-    _element(_element(file, "plugin", ID="DataLoad CSV"), "parameters", time_axis=TIME)
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    return write_atomically(target, f"<?xml version='1.0' encoding='UTF-8'?>\n{text}\n")
-
-
-def _element(element: ElementTree.Element, tag: str, /, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(element, tag, attributes)

@@ -9,9 +9,8 @@ import pytest
 
 from cellwise.cell.effects import SelfDischarge, SelfHeating
 from cellwise.cell.simulate import simulate
-from cellwise.cell.stock import named_model, scaled_model, stock_model, stock_names
+from cellwise.cell.stock import scaled_model, stock_model, stock_names
 from cellwise.data import load_dataset
-from cellwise.errors import InputError
 
 
 @pytest.mark.parametrize("name", stock_names())
@@ -35,9 +34,3 @@ def test_the_currents_of_its_data_grow_with_the_cell():
     assert scaled.current_A == pytest.approx((2.0 * low, 2.0 * high))
     assert scaled.soc == model.validity.soc
     assert scaled.temperature_C == model.validity.temperature_C
-
-
-@pytest.mark.parametrize("capacity", [0.0, -5.2, float("nan"), float("inf")])
-def test_a_capacity_that_no_cell_has_is_refused(capacity):
-    with pytest.raises(InputError, match="Ah"):
-        named_model("nca-18650", capacity)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.model_file import read_model, write_model
+from cellwise.cell.model_file import write_model
 from cellwise.cell.stock import (
     list_stock,
     named_model,
@@ -13,7 +13,6 @@ from cellwise.cell.stock import (
     stock_model,
     stock_names,
 )
-from cellwise.errors import InputError
 
 NAMES = ("lfp-26650", "lipo-pouch", "lmo-pouch", "nca-18650", "nmc-18650")
 LARGEST_BYTES = 60_000
@@ -56,19 +55,3 @@ def test_a_file_of_that_name_has_precedence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_model(stock_model("lfp-26650"), "nca-18650")
     assert named_model("nca-18650").ocv_V.max() < 4.0
-
-
-def test_an_unknown_name_lists_those_there_are():
-    with pytest.raises(InputError) as refused:
-        named_model("nca-21700")
-    assert all(name in str(refused.value) for name in NAMES)
-    assert "'nca-21700'" in str(refused.value)
-
-
-def test_a_stock_model_survives_writing(tmp_path):
-    path = tmp_path / "again.json"
-    model = stock_model("nmc-18650")
-    write_model(model, path)
-    again = read_model(path)
-    assert np.array_equal(again.ocv_V, model.ocv_V)
-    assert again.provenance == model.provenance

@@ -59,34 +59,19 @@ def tidy(tmp_path_factory, drive):
 PACK = ("--series", "auto", "--parallel", "2")
 
 
-def test_a_flight_is_inspected_as_its_mean_cell(flight, tidy, run_json):
+def test_a_flight_is_its_mean_cell_to_every_command(flight, tidy, model, run_json, tmp_path):
     found, expected = run_json("inspect", flight, *PACK), run_json("inspect", tidy)
     assert found["format"] == "px4-ulog"
-    assert found["samples"] == expected["samples"]
-    assert found["sign"] == expected["sign"]
-    for key in ("min", "max"):
-        assert found["voltage_V"][key] == pytest.approx(expected["voltage_V"][key], abs=1e-5)
-        assert found["current_A"][key] == pytest.approx(expected["current_A"][key], abs=1e-4)
-
-
-def test_a_flight_is_converted_to_the_tidy_form(flight, tidy, run_json, tmp_path):
+    assert (found["samples"], found["sign"]) == (expected["samples"], expected["sign"])
     out = tmp_path / "flight.csv.gz"
     run_json("convert", flight, *PACK, "-o", str(out))
-    found, expected = read_log(out), read_log(tidy)
-    assert found.format == "tidy-csv"
-    np.testing.assert_allclose(found.voltage_V, expected.voltage_V, atol=1e-5)
-
-
-def test_a_flight_is_simulated_as_the_cell_itself(flight, tidy, model, run_json):
-    found = run_json("simulate", "--model", model, flight, *PACK, "--soc0", "0.9")
-    expected = run_json("simulate", "--model", model, tidy, "--soc0", "0.9")
-    assert found["rmse_V"] == pytest.approx(expected["rmse_V"], abs=2e-5)
-
-
-def test_a_flight_is_replayed_as_the_cell_itself(flight, tidy, model, run_json):
-    arguments = ("replay", "--model", model, "--estimator", "ekf", "--soc0", "0.5")
-    found, expected = run_json(*arguments, flight, *PACK), run_json(*arguments, tidy)
-    assert found["soc_final"] == pytest.approx(expected["soc_final"], abs=1e-3)
+    one, other = read_log(out), read_log(tidy)
+    np.testing.assert_allclose(one.voltage_V, other.voltage_V, atol=1e-5)
+    np.testing.assert_allclose(one.current_A, other.current_A, atol=1e-4)
+    for command, key, most in (("simulate", "rmse_V", 2e-5), ("replay", "soc_final", 1e-3)):
+        given = (command, "--model", model, "--soc0", "0.9")
+        own, wanted = run_json(*given, flight, *PACK), run_json(*given, tidy)
+        assert own[key] == pytest.approx(wanted[key], abs=most)
 
 
 def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):

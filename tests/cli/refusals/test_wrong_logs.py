@@ -50,18 +50,6 @@ def test_ten_times_the_current_is_said_first(run_json, model, wrong):
     assert "outside 0..1" in found["notices"][0]
 
 
-def test_a_swapped_sign_is_said_first(run_json, model, wrong):
-    for command in ("simulate", "replay"):
-        found = run_json(command, "--model", model, wrong(factor_A=-1.0))
-        assert "SIGN" in found["notices"][0]
-
-
-@pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_another_cell_is_said_first(run_json, model, wrong, command):
-    found = run_json(command, "--model", model, wrong(name="lfp_cdc"))
-    assert "another cell" in found["notices"][0]
-
-
 def test_no_deviation_of_hundreds_of_millivolts_without_a_notice(run_json, model, wrong):
     for soc0 in ("1", "0.9", "0.7", "0.3"):
         found = run_json("simulate", "--model", model, wrong(), "--soc0", soc0)

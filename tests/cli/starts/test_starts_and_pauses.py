@@ -65,19 +65,3 @@ def test_a_temperature_that_nobody_measured_is_said_as_assumed(paused, run_json,
         assert any("degC is assumed" in n for n in said), said
         said = run_json(*arguments, f"{path}@10")["notices"]
         assert not any("is assumed" in n for n in said), said
-
-
-def test_one_flight_begins_at_one_soc_everywhere(real_data, run_json, tmp_path):
-    """Identify, simulate and replay said 0.999, 0.295 and 0.752; 384 mV off where 16 exist."""
-    flight = [str(real_data / "native/ardupilot_dronekit-la_log171.bin"), "--series", "4"]
-    path = str(tmp_path / "flight.json")
-    made = run_json("identify", "--drive", *flight, "--prior", "lipo-pouch", "--nominal-ah", "5",
-                    "-o", path)  # fmt: skip
-    assert any("degC is assumed" in n for n in made["notices"])
-    simulated = run_json("simulate", "--model", path, *flight)
-    replayed = run_json("replay", "--model", path, *flight)
-    assert simulated["rmse_V"] < 0.02
-    starts = [one["soc0"]["value"] for one in (simulated, replayed)]
-    assert min(starts) > 0.95, starts
-    own = made["own_logs"][0]["soc0"]
-    assert own == replayed["soc0_whole_log"]["value"] == simulated["soc0"]["value"]

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
-from cellwise.diagnose.causes.coordinates import LOSS_NAMES, Coordinates
+from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import NEGATIVE, POSITIVE, Electrodes, electrodes_of
 from cellwise.diagnose.extension import extend_model
-from cellwise.diagnose.fit.rows import gather
-from example_cells import linear_cell, random_log
+from example_cells import linear_cell
 
 SOC = np.linspace(0.0, 1.0, 101)
 CELL = Electrodes("graphite with SiOx", "NMC 811", (0.03, 0.90, 0.86, 0.27), 0.0)
@@ -76,23 +74,6 @@ def test_aged_capacity_is_that_of_pybamm(losses, window, share):
     assert found == pytest.approx(share, abs=2e-6)
     aged = Electrodes("graphite with SiOx", "NMC 811", window, 0.0).ocv(SOC)
     assert cell.ocv(SOC) + change == pytest.approx(aged, abs=1e-5)
-
-
-def test_derivatives_by_losses_are_those_of_the_simulation():
-    model = linear_cell(51, ocv_V=CELL.ocv(np.linspace(0.0, 1.0, 51)))
-    log = random_log(np.random.default_rng(3), 400)
-    coordinates = Coordinates(model)
-    assert all(coordinates.possible(n) for n in LOSS_NAMES)
-    evidence = gather(model, [(log, InitialSoc(0.8, 0.01, "given"))])
-    for name in LOSS_NAMES:
-        point = {"lithium_loss": 0.03, "positive_loss": 0.02, name: 0.04}
-        ends = [
-            evidence.simulate(coordinates, {**point, name: point[name] + step})[0]
-            for step in (1e-3, -1e-3)
-        ]
-        expected = (ends[0] - ends[1]) / 2e-3
-        found = evidence.jacobian(coordinates, point, [name])[:, 0]
-        assert found == pytest.approx(expected, abs=0.02 * np.abs(expected).max())
 
 
 def test_a_model_of_no_published_half_cells_is_offered_no_losses():

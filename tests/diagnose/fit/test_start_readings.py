@@ -28,7 +28,7 @@ def rested_log(seed, offset_V=0.0, rows=1800):
     rng = np.random.default_rng(seed)
     current = np.repeat(rng.uniform(-1.5, 3.0, rows // 15), 15)
     current[:120] = 0.0
-    asked = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7))
+    asked = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), name=f"drive {seed}")
     voltage = simulate(MODEL, asked, SOC0).voltage_V + rng.normal(0.0, 5e-4, rows)
     return replace(asked, voltage_V=voltage + offset_V)
 
@@ -79,3 +79,18 @@ def test_a_voltage_offset_is_named_though_every_start_was_read_with_it(offset_V)
     said = diagnose(MODEL, logs[:2], holdout=logs[2:])
     assert [c.name for c in said.causes] == ["voltage_offset"]
     assert said.causes[0].parameters["offset_V"] == pytest.approx(offset_V, rel=0.15)
+
+
+def test_of_several_logs_the_one_whose_sensor_is_off_is_named():
+    """Every start is stated: what one log alone has is its sensor's, not its start's."""
+    logs = [rested_log(seed, -0.03 * (seed == 5), 2400) for seed in (4, 5, 6, 7)]
+    said = diagnose(
+        MODEL, logs[:3], logs[3], soc0=SOC0, causes=["voltage_offset", "initial_soc", "ocv_shift"]
+    )
+    (cause,) = said.causes
+    assert (cause.name, cause.log) == ("voltage_offset", "drive 5")
+    assert cause.parameters["offset_V"] == pytest.approx(-0.03, abs=2e-3)
+    # The others and the log that was held out are as they were; its own is corrected.
+    assert [c is g for c, g in zip(said.corrected, said.logs, strict=True)] == [True, False, True]
+    assert cause.gain == 0.0
+    assert said.runs[1].gain > 0.8

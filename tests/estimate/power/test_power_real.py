@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from benchmarks.accuracy.cold import PANASONIC, TAGS
+from benchmarks.accuracy.panasonic import CELL, TAGS
 from benchmarks.accuracy.power import panasonic_model, pulse_powers
 from benchmarks.measured_data import measured_log
 
@@ -32,7 +32,7 @@ def predicted(identified, real_data):
     """Pulses left out at every temperature, with what the EKF said just before."""
     model, left_out = identified
     return {
-        t: pulse_powers(model, measured_log(real_data, f"{PANASONIC}/hppc_{TAGS[t]}"), pulses)
+        t: pulse_powers(model, measured_log(real_data, f"{CELL}/hppc_{TAGS[t]}"), pulses)
         for t, pulses in left_out.items()
     }
 
@@ -65,7 +65,7 @@ def test_convergence_from_the_middle_is_predicted(identified, real_data):
     ekf = make_estimator("ekf", model)
     early, late = [], []
     for tag, cycle in product(TAGS.values(), ("us06", "nn")):
-        log = measured_log(real_data, f"{PANASONIC}/drive_{tag}_{cycle}")
+        log = measured_log(real_data, f"{CELL}/drive_{tag}_{cycle}")
         soc = 1.0 - (log.charge_Ah - log.charge_Ah[0]) / CAPACITY_AH
         for cut, wrong in ((0.65, -0.30), (0.50, 0.30)):
             row = int(np.argmax(soc < cut))

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs.formats.vehicle_signals import (
-    Series,
-    aligned,
-    frame_values,
-    physical_values,
-)
+from cellwise.logs.formats.can import FrameDecoder
+from cellwise.logs.formats.vehicle_signals import Series, aligned
 
 
 def at(step, until=100.0, start=0.0):
@@ -101,32 +97,30 @@ def test_channels_without_a_common_time_are_refused():
         )
 
 
-def decoded(message, frames):
-    found = [frame_values(message, data) for data in frames]
-    return physical_values(message.get_signal_by_name("X"), found)
+def decoded(text, *frames):
+    database = pytest.importorskip("cantools").database.load_string(text)
+    frames = [
+        data if isinstance(data, bytes) else database.messages[0].encode(data) for data in frames
+    ]
+    decoder = FrameDecoder(database, "x", {})
+    return [[value for _, value in decoder.values((1, False), data)] for data in frames]
+
+
+HEAD = 'VERSION ""\n\nBU_: A\n\n'
 
 
 def test_of_a_multiplexed_message_only_the_frames_that_hold_the_signal():
     text = (
-        'VERSION ""\n\nBU_: A\n\nBO_ 1 M: 3 A\n SG_ Which M : 0|8@1+ (1,0) [0|0] "" A\n'
-        ' SG_ X m1 : 8|16@1+ (0.1,0) [0|0] "V" A\n SG_ Y m2 : 8|16@1+ (1,0) [0|0] "A" A\n'
+        HEAD + 'BO_ 1 M: 3 A\n SG_ Which M : 0|8@1+ (1,0) [0|0] "" A\n'
+        ' SG_ Pack_V m1 : 8|16@1+ (0.1,0) [0|0] "V" A\n SG_ Pack_A m2 : 8|16@1+ (1,0) [0|0] "A" A\n'
     )
-    cantools = pytest.importorskip("cantools")
-    message = cantools.database.load_string(text).messages[0]
-    frames = [
-        message.encode({"Which": 1, "X": 4.1}),
-        message.encode({"Which": 2, "Y": 7}),
-        message.encode({"Which": 1, "X": 4.2}),
-    ]
-    values, whole = decoded(message, frames)
-    np.testing.assert_allclose(values, [4.1, 4.2])
-    assert whole.tolist() == [True, False, True]
+    found = decoded(text, {"Which": 1, "Pack_V": 4.1}, {"Which": 2, "Pack_A": 7})
+    assert found == [[pytest.approx(4.1)], [7.0]]
 
 
-def test_frames_that_are_too_short_are_left_out():
-    text = 'VERSION ""\n\nBU_: A\n\nBO_ 1 M: 2 A\n SG_ X : 0|16@1+ (1,0) [0|0] "V" A\n'
-    cantools = pytest.importorskip("cantools")
-    message = cantools.database.load_string(text).messages[0]
-    values, whole = decoded(message, [b"\x01\x00", b"\x01", b"\x02\x00\x00"])
-    assert values.tolist() == [1.0, 2.0]
-    assert whole.tolist() == [True, False, True]
+def test_frames_that_are_too_short_say_nothing():
+    text = HEAD + (
+        'BO_ 1 M: 4 A\n SG_ Pack_V : 0|16@1+ (1,0) [0|0] "V" A\n'
+        ' SG_ Pack_A : 16|16@1+ (1,0) [0|0] "A" A\n'
+    )
+    assert decoded(text, b"\x01\x00\x02\x00", b"\x01", b"\2\0\3\0\0") == [[2, 1], [], [3, 2]]

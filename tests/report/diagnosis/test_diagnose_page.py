@@ -133,7 +133,7 @@ def test_every_part_is_there(written):
     _, _, page, folder = written
     assert {"before-after", "causes", "evidence", "anatomy", "logs"} <= set(page.ids)
     names = {p.name for p in folder.iterdir()}
-    assert "anatomy.png" in names
+    assert {"anatomy-1.png", "before-after-1.png"} <= names
     text = " ".join(t for _, t in page.texts).replace("\N{NO-BREAK SPACE}", " ")
     for phrase in ("98 mA", "self discharge", "rest an hour at 50 %", "the log is corrected"):
         assert phrase in text
@@ -261,8 +261,6 @@ def test_few_candidates_are_enough(tried, tmp_path):
 def test_titles_say_what_was_found_and_axes_have_names():
     record = diagnosis("current_offset")
     for picture in pictures_of(diagnosis_sections(record, record.runs)):
-        for axes in picture.figure.axes:
-            titled = axes.get_title(loc="left")
-            assert not titled or any(c.isdigit() for c in titled), (picture.key, titled)
-        named = [axes.get_xlabel() for axes in picture.figure.axes]
-        assert any("[" in x or "data are" in x for x in named), picture.key
+        axes = picture.figure.axes
+        assert any(c.isdigit() for c in axes[0].get_title(loc="left")), picture.key
+        assert "[" in axes[-1].get_xlabel(), picture.key

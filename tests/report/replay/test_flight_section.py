@@ -12,8 +12,7 @@ import pytest
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration_between
-from cellwise.report.replay.page import flight_finding, flight_picture
-from cellwise.report.replay.replay_section import soc_picture
+from cellwise.report.replay.page import flight_finding, flight_plot
 from report_cases import drive, model, replay
 
 
@@ -23,15 +22,18 @@ def flight():
     return run, forecast(model(), run, cutoff_V=2.8)
 
 
-def test_the_picture_shows_both_with_their_bands(flight):
+def test_the_plot_shows_both_with_their_bands(flight):
     _, left = flight
     shown = left.typical
-    above, below = flight_picture(left).figure.axes
-    for axes, values in ((above, shown.remaining_s / 60), (below, shown.remaining_Wh)):
-        (line,) = axes.lines
-        np.testing.assert_allclose(line.get_ydata(), values)
-        assert len(axes.collections) == 1
-    assert "min" in above.get_ylabel()
+    above, below = flight_plot(left).panels
+    for panel, values, band in (
+        (above, shown.remaining_s / 60, shown.remaining_s_band / 60),
+        (below, shown.remaining_Wh, shown.remaining_Wh_band),
+    ):
+        (line,) = panel.lines
+        np.testing.assert_allclose(line.y, values)
+        np.testing.assert_allclose(line.edges, band.T)
+    assert "min" in above.y_label
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -65,12 +67,6 @@ def test_a_log_far_off_its_model_is_the_first_line(flight, tmp_path):
     first = re.search(r"<h1>(.*?)</h1>", page)[1]
     assert "FAR OFF" in first
     assert "remaining" not in first
-
-
-def test_captions_speak_of_what_is_drawn(flight):
-    run, _ = flight
-    assert "reference" in soc_picture(run).caption
-    assert "reference" not in soc_picture(replace(run, reference_soc=None)).caption
 
 
 @pytest.mark.usefixtures("undrawn")

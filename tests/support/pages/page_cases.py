@@ -12,7 +12,6 @@ from cellwise.report import export_page, identify_page, replay_page
 from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
-from cellwise.report.page.section import simulation_traces
 from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures
 from report_cases import drive, identification, replay, simulation
 
@@ -32,7 +31,7 @@ def every_page(folder, diagnosis):
         "diagnose": lambda p: diagnose_page(diagnosis, p),
         "benchmark": lambda p: benchmark_page(benchmark_table(), p),
         "capacity-study": study_page,
-        "export": lambda p: export_page(exported(), p, simulation_traces(simulation(log))),
+        "export": lambda p: export_page(exported(), p, simulation(log)),
     }
     return {kind: make[kind](folder / f"{kind}.html") for kind in KINDS}
 

@@ -6,6 +6,7 @@ Three sources: the exported model, varied and aged; porous electrodes in its pla
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -41,26 +42,17 @@ class Life:
 
     Parameters
     ----------
-    source, cell, name : str, int, str     what made it, its number there, and how it is called
-    log : CellLog                          what an ideal instrument has logged
-    soc : (n,) float                       true SOC
-    capacity_Ah, temperature_C : float
-    age : float or None                    0 new, 1 at the end of its life; None: not known
-    fault_name : str                       what is wrong beside the sensors' class
-    given_soc0 : float                     that the filter is started with
-    seen : CellLog                         what the filter sees
+    about : dict              source, number and name of the cell, its age (0 new, 1 at the end of
+                              its life; None: not known), capacity, temperature, fault, and the SOC
+                              that the filter is started with
+    log : CellLog             what an ideal instrument has logged
+    soc : (n,) float          true SOC
+    seen : CellLog            what the filter sees
     """
 
-    source: str
-    cell: int
-    name: str
+    about: dict[str, Any]
     log: CellLog
     soc: FloatArray
-    capacity_Ah: float
-    temperature_C: float
-    age: float | None
-    fault_name: str
-    given_soc0: float
     seen: CellLog
 
 
@@ -123,20 +115,19 @@ class Fleet:
             soc = counted_soc(log, cell.soc0, cell.truth)
         rows = int(np.searchsorted(log.time_s, 3600.0 * hours, side="right"))
         log, soc = log.part(0, rows), soc[:rows]
+        capacity_Ah = cell.truth.capacity_Ah
         rng = np.random.default_rng([self.seed, index, 1])
-        return Life(
-            source=source,
-            cell=number,
-            name=f"{source} {number}",
-            log=log,
-            soc=soc,
-            capacity_Ah=cell.truth.capacity_Ah,
-            temperature_C=cell.temperature_C,
-            age=cell.age,
-            fault_name=cell.fault_name,
-            given_soc0=cell.given_soc0,
-            seen=faulty_log(cell.fault, log, cell.truth.capacity_Ah, rng),
-        )
+        about = {
+            "source": source,
+            "cell": number,
+            "name": f"{source} {number}",
+            "age": round(cell.age, 4),
+            "capacity_Ah": capacity_Ah,
+            "temperature_C": round(cell.temperature_C, 2),
+            "fault": cell.fault.name,
+            "started_at": cell.given_soc0,
+        }
+        return Life(about, log, soc, faulty_log(cell.fault, log, capacity_Ah, rng))
 
     def _measured(self, number: int) -> Life:
         which, what = divmod(number, 1 + len(FAULTS))
@@ -145,19 +136,17 @@ class Fleet:
         plain = NO_FAULT if what == 0 else FAULTS[what - 1]
         fault = with_sensor(plain, _offsets_alone(self.sensor), one.capacity_Ah, rng)
         start = float(np.clip(one.soc[0] + START_STD * rng.standard_normal(), 0.0, 1.0))
-        return Life(
-            source=MEASURED,
-            cell=number,
-            name=one.log.name,
-            log=one.log,
-            soc=one.soc,
-            capacity_Ah=one.capacity_Ah,
-            temperature_C=_temperature_C(one.log),
-            age=None,
-            fault_name=plain.name,
-            given_soc0=start,
-            seen=faulty_log(fault, one.log, one.capacity_Ah, rng),
-        )
+        about = {
+            "source": MEASURED,
+            "cell": number,
+            "name": one.log.name,
+            "age": None,
+            "capacity_Ah": one.capacity_Ah,
+            "temperature_C": round(_temperature_C(one.log), 2),
+            "fault": plain.name,
+            "started_at": start,
+        }
+        return Life(about, one.log, one.soc, faulty_log(fault, one.log, one.capacity_Ah, rng))
 
 
 def measured_log(

@@ -149,7 +149,7 @@ def run_life(exported: Exported, life: Life) -> dict[str, Any]:
     """One life through the C: what it was, and how wrong the filter was."""
     log = life.log
     samples = samples_of(exported.model, life.seen, exported.dt_s)
-    outputs = exported.run(samples.records, life.given_soc0, START_STD)
+    outputs = exported.run(samples.records, life.about["started_at"], START_STD)
     error = np.asarray(outputs["soc"], dtype=np.float64)[samples.row_sample] - life.soc
     std = np.sqrt(np.asarray(outputs["soc_variance"], dtype=np.float64))[samples.row_sample]
     scored = (log.time_s - log.time_s[0] >= SETTLED_S) & np.isfinite(life.soc)
@@ -157,15 +157,8 @@ def run_life(exported: Exported, life: Life) -> dict[str, Any]:
     size = np.abs(error[scored])
     worst = int(np.argmax(np.where(scored, np.abs(error), -1.0)))
     return {
-        "source": life.source,
-        "cell": life.cell,
-        "name": life.name,
-        "age": None if life.age is None else round(life.age, 4),
-        "capacity_Ah": life.capacity_Ah,
-        "temperature_C": round(life.temperature_C, 2),
-        "fault": life.fault_name,
+        **life.about,
         "soc0": float(life.soc[0]),
-        "started_at": life.given_soc0,
         "hours": float(log.duration_s / 3600.0),
         "rows": int(scored.sum()),
         "squares": float(np.sum(size**2)),
@@ -202,7 +195,7 @@ def _check(row: dict[str, Any]) -> None:
 
 def _with_truth(life: Life) -> CellLog:
     """What the filter saw, and beside it a counter that knows the truth."""
-    return replace(life.seen, charge_Ah=(life.soc[0] - life.soc) * life.capacity_Ah)
+    return replace(life.seen, charge_Ah=(life.soc[0] - life.soc) * life.about["capacity_Ah"])
 
 
 def ends_of_discharges(log: CellLog) -> BoolArray:

@@ -131,9 +131,7 @@ class VirtualCell:
     temperature_C: float
     soc0: float
     given_soc0: float
-    given_std: float
     fault: Fault
-    fault_name: str
     steps: tuple[Step, ...]
 
 
@@ -157,7 +155,7 @@ def draw_cell(
     fault = NO_FAULT if index % 2 == 0 else FAULTS[index // 2 % len(FAULTS)]
     both = with_sensor(fault, sensor, truth.capacity_Ah, rng)
     steps = tuple(mission(truth, soc0, hours, dt_s, rng))
-    return VirtualCell(truth, age, temperature_C, soc0, started, START_STD, both, fault.name, steps)
+    return VirtualCell(truth, age, temperature_C, soc0, started, both, steps)
 
 
 def with_sensor(

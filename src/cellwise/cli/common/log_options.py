@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 Log = TypeVar("Log")
 SIGNS = ("auto", "charge-positive", "discharge-positive")
-BIG_FILE = 20_000_000  # bytes; reading takes so long that a bar shows
 LOG_HELP = (
     "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
     "says what is known of it; or an embedded data set's name"
@@ -78,7 +78,7 @@ def _add_channels(parser: options.Parser) -> None:
 
 
 def read(path: str | Stated, arguments: argparse.Namespace) -> CellLog:
-    """Read a log as the arguments and what is stated behind its path say; a bar for a big file.
+    """Read a log as the arguments and what is stated behind its path say.
 
     Where no file has that name, an embedded data set may (`cellwise data list`).
 
@@ -86,14 +86,10 @@ def read(path: str | Stated, arguments: argparse.Namespace) -> CellLog:
     ------
     InputError        options that are no numbers or no pairs; whatever `read_log` refuses
     """
-    options = arguments_of_read(arguments)
     stated = _embedded(Stated.parse(path) if isinstance(path, str) else path)
-    place = Path(stated.path)
-    if not place.is_file() or place.stat().st_size < BIG_FILE:
-        return read_log(stated, **options)
-    name = f"reading {place.name}"
+    name = f"reading {Path(stated.path).name}"
     with printing.working(name) as follow:
-        return read_log(stated, progress=lambda done, total: follow(name, done, total), **options)
+        return read_log(stated, progress=partial(follow, name), **arguments_of_read(arguments))
 
 
 def _embedded(stated: Stated) -> Stated:
@@ -140,7 +136,7 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
     places = [logs_of(path) for path in paths]
     count = sum(len(place.logs) for place in places)
     found: list[tuple[Log, Stated]] = []
-    with printing.working("reading") if count > 1 else nullcontext(_silent) as follow:
+    with printing.working("reading") as follow:
         for path, place in zip(paths, places, strict=True):
             unread, before = [], len(found)
             for one in place.logs:
@@ -164,10 +160,6 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
             for name, refusal in unread:
                 printing.warn(f"left out of '{path}': '{Path(name).name}', {refusal.found}")
     return found
-
-
-def _silent(what: str, done: float, total: float) -> None:
-    """No bar."""
 
 
 def add_test_options(parser: options.Parser) -> None:

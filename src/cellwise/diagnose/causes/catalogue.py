@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -65,6 +65,12 @@ class Cause:
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates that are estimated for it."""
         return tuple(p.coordinate for p in self.parameters)
+
+    @property
+    def log(self) -> int | None:
+        """Number of the one log that it is of; None: of all."""
+        _, of_log, number = self.parameters[0].coordinate.partition(":")
+        return int(number) if of_log else None
 
 
 # Slower diffusion in an electrode has no memory of its own: what the model has of it in its two
@@ -357,10 +363,21 @@ def known_cause(name: str) -> Cause:
 ON_REQUEST = frozenset({"charge_transfer"})
 
 
-def forms_of(cause: Cause, coordinates: Coordinates) -> tuple[Cause, ...]:
-    """A cause in every form that it can have in a model."""
-    others = (f for f in cause.forms if all(coordinates.possible(n) for n in f.coordinates))
+def forms_of(cause: Cause, coordinates: Coordinates, logs: Sequence[int] = ()) -> tuple[Cause, ...]:
+    """A cause in every form that it can have in a model; of one of several ``logs`` alone, too."""
+    others = [f for f in cause.forms if all(coordinates.possible(n) for n in f.coordinates)]
+    if cause.name == "voltage_offset":
+        others += [_in_one_log(cause, k) for k in logs]
     return (cause, *others)
+
+
+def _in_one_log(cause: Cause, log: int) -> Cause:
+    """What a sensor does in one log alone: every log may have its own sensor, as its own start."""
+    return replace(
+        cause,
+        meaning=f"{cause.meaning[:-1]} in log {log + 1} alone.",
+        parameters=tuple(replace(p, coordinate=f"{p.coordinate}:{log}") for p in cause.parameters),
+    )
 
 
 def kept_coordinates(causes: Iterable[Cause]) -> set[str]:

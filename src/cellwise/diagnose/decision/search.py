@@ -138,7 +138,7 @@ class Explanations:
 
     def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
         """A set with one more cause, all of it fitted; None where the cause stays away."""
-        forms = forms_of(cause, start.fit.coordinates)
+        forms = forms_of(cause, start.fit.coordinates, self.fits.evidence.alone)
         ends = [self._with_form(start, form, frozen) for form in forms]
         physical = [e for e in ends if not unphysical(e)]
         if not physical and not start.causes:
@@ -214,7 +214,7 @@ def could_explain(
     evidence = fits.evidence
     shapes: dict[int, Coordinates] = {}
     tried: list[tuple[Cause, int, Prior]] = []
-    for cause in (f for c in causes for f in forms_of(c, base.coordinates)):
+    for cause in (f for c in causes for f in forms_of(c, base.coordinates, evidence.alone)):
         of_cause = {id(s): s for s, _ in starts_to_try(cause, base.coordinates, evidence)}
         shapes |= of_cause
         tried += [

@@ -245,7 +245,9 @@ def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
         begins = np.zeros(evidence.rows, dtype=bool)
         begins[rows.start : rows.start + first] = True
         for _ in range(SOLVING.iterations):
-            here, moved = (log.simulate(inputs, z[name] + s, first)[0] for s in (0.0, step))
+            here, moved = (
+                evidence.of_log(k, inputs, {**z, name: z[name] + s}, first)[0] for s in (0.0, step)
+            )
             whole, slope = np.zeros(evidence.rows), np.zeros((evidence.rows, 1))
             whole[begins], slope[begins, 0] = here, (moved - here) / step
             normal, gradient = objective.normal(whole, slope, begins)
@@ -255,7 +257,7 @@ def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
             z[name], change = at, abs(at - z[name])
             if change < step:
                 break
-        voltage[rows], soc[rows] = log.simulate(inputs, z[name])
+        voltage[rows], soc[rows] = evidence.of_log(k, inputs, z)
     return replace(found, z=z, voltage_V=voltage, soc=soc)
 
 

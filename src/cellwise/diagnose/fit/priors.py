@@ -233,7 +233,7 @@ def start_readings(
     Of the starts that were read from a voltage, and the coordinates in ``names`` that change what
     such a reading means: start to coordinate to change of SOC per unit.
     """
-    asked = [n for n in names if n in READ_WITH]
+    asked = [n for n in names if n.partition(":")[0] in READ_WITH]
     read = [
         (name, log)
         for name, log in zip(evidence.starts(), evidence.logs, strict=True)
@@ -247,7 +247,7 @@ def start_readings(
     for n in asked:
         column, step = M if n == "m_V" else OCV, step_of(n)
         change = (coordinates.inputs({n: step}).table - inputs.table)[0, :, column] / step
-        moved[n] = np.ones(soc.size) if n == "offset_V" else change
+        moved[n] = np.ones(soc.size) if n.startswith("offset_V") else change
     found: dict[str, dict[str, float]] = {}
     for name, log in read:
         at = (log.start.beginning or log.start).soc
@@ -255,7 +255,11 @@ def start_readings(
         ocv = coordinates.model.ocv_at(float(log.temperature_C[0]))
         low, high = np.interp(ends, soc, ocv)
         slope = max(float(high - low) / float(ends[1] - ends[0]), GOOD.least_slope_V)
-        found[name] = {n: -float(np.interp(at, soc, v)) / slope for n, v in moved.items()}
+        found[name] = {
+            n: -float(np.interp(at, soc, v)) / slope
+            for n, v in moved.items()
+            if n.partition(":")[2] in ("", name.partition(":")[2])  # of all logs, or of this one
+        }
         if "m_V" in moved:  # as much of it as a log is taken to start with
             found[name]["m_V"] *= start_hysteresis(at)
     return found
@@ -277,11 +281,13 @@ def ln_size(z: Mapping[str, float], names: Iterable[str], prior: Prior) -> float
             below, above = AGE[name]
             std = below if x < 0.0 else above
             total += math.log(2.0 * wide / (below + above)) + _ln_normal(x, std, wide)
-        elif name in CLASS:
-            usual, other = CLASS[name]
+        elif (of_all := name.partition(":")[0]) in CLASS:
+            usual, other = CLASS[of_all]
             within = math.log((1.0 - GOOD.wrong_class) * wide / usual) + _ln_normal(x, usual, wide)
             wrong = math.log(GOOD.wrong_class * wide / other) + _ln_normal(x, other, wide)
-            total += max(within, wrong) + math.log1p(math.exp(-abs(within - wrong)))
+            total += float(np.logaddexp(within, wrong))
+            if of_all != name:  # of one log: it could as well be of another
+                total -= math.log(sum(n.startswith("soc0:") for n in prior.std))
     return total
 
 

@@ -9,7 +9,7 @@ left at the end is at least what a single exponential through three equidistant 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -145,64 +145,59 @@ class RestVoltages:
         """
         if not self.rests:
             return 0.0
-        capacity = coordinates.capacity_Ah(z)
-        socs = np.array([r.soc(self.starts[r.log], z, capacity) for r in self.rests])
-        bins = np.round(socs / RULES.same_soc)
-        total = 0.0
-        for rest, soc, place in zip(self.rests, socs, bins, strict=True):
-            away = self.away(rest, float(soc), coordinates, z)
-            _, std = self._ocv(rest, float(soc), coordinates, z)
-            _, least = self._ocv(rest, float(soc), coordinates, {})
-            terms = 0.5 * away * away + math.log(std / least)
-            total -= terms / float(np.sum(bins == place))
-        return total
+        soc, ocv, std = self._claimed(coordinates, z)
+        _, _, least = self._claimed(coordinates, {}, soc)
+        terms = 0.5 * self._away(z, ocv, std) ** 2 + np.log(std / least)
+        bins = np.round(soc / RULES.same_soc)
+        return -float(np.sum(terms / np.sum(bins[:, None] == bins, axis=1)))
 
     def contradiction(self, coordinates: Coordinates, z: Mapping[str, float]) -> str:
         """The rest that speaks loudest against a point, for people."""
-        capacity = coordinates.capacity_Ah(z)
-        found = []
-        for rest in self.rests:
-            soc = rest.soc(self.starts[rest.log], z, capacity)
-            found.append((abs(self.away(rest, soc, coordinates, z)), rest, soc))
-        if not found:
+        if not self.rests:
             return ""
-        _, rest, soc = max(found, key=lambda f: f[0])
+        soc, ocv, std = self._claimed(coordinates, z)
+        k = int(np.argmax(np.abs(self._away(z, ocv, std))))
+        rest = self.rests[k]
         side = "at least" if rest.direction > 0 else "at most"
         return (
             f"a rest {rest.hours:.2g} h into log {rest.log + 1} puts the OCV at {side} "
-            f"{rest.voltage_V:.3f} V; at the {100 * soc:.1f} % SOC of this claim it is "
-            f"{self._ocv(rest, soc, coordinates, z)[0]:.3f} V"
+            f"{rest.voltage_V:.3f} V; at the {100 * soc[k]:.1f} % SOC of this claim it is "
+            f"{ocv[k]:.3f} V"
         )
 
-    def away(
-        self, rest: Rest, soc: float, coordinates: Coordinates, z: Mapping[str, float]
-    ) -> float:
-        """Standard deviations between the OCV at a SOC and where the rest puts it."""
-        ocv, std = self._ocv(rest, soc, coordinates, z)
-        beyond = rest.direction * (ocv + z.get("offset_V", 0.0) - rest.voltage_V)
-        return beyond / (math.hypot(std, rest.left_V) if beyond > 0.0 else std)
+    def _away(self, z: Mapping[str, float], ocv_V: FloatArray, std_V: FloatArray) -> FloatArray:
+        """Standard deviations between the OCV of each and where the rest puts it."""
+        offset = np.array([z.get(f"offset_V:{r.log}", 0.0) for r in self.rests])
+        offset += z.get("offset_V", 0.0)
+        read, left, side = np.array([(r.voltage_V, r.left_V, r.direction) for r in self.rests]).T
+        beyond = side * (ocv_V + offset - read)
+        return np.asarray(beyond / np.where(beyond > 0.0, np.hypot(std_V, left), std_V))
 
-    def _ocv(
-        self, rest: Rest, soc: float, coordinates: Coordinates, z: Mapping[str, float]
-    ) -> tuple[float, float]:
-        """OCV at a SOC and the rest's temperature, and its standard deviation [V]."""
-        model = coordinates.model
-        inputs = coordinates.inputs(z)
+    def _claimed(
+        self, coordinates: Coordinates, z: Mapping[str, float], soc: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """SOC at each rest that a point claims, OCV there [V] and its standard deviation [V]."""
+        if soc is None:
+            capacity = coordinates.capacity_Ah(z)
+            soc = np.array([r.soc(self.starts[r.log], z, capacity) for r in self.rests])
+        model, inputs = coordinates.model, coordinates.inputs(z)
         points = np.linspace(0.0, 1.0, inputs.table.shape[1])
-        at = min(max(soc, 0.0), 1.0)
-        ocv = [float(np.interp(at, points, row)) for row in inputs.table[..., OCV]]
-        gap = [float(np.interp(at, points, np.abs(row))) for row in inputs.table[..., M]]
-        grid = coordinates.grid_C
-        known = float(np.interp(rest.temperature_C, grid, ocv))
+        warm = np.array([r.temperature_C for r in self.rests])
+        at = np.clip(soc, 0.0, 1.0)
+
+        def of_tables(rows: Iterable[FloatArray]) -> FloatArray:
+            each = np.array([np.interp(at, points, row) for row in rows])
+            between = zip(warm, each.T, strict=True)
+            return np.array([np.interp(t, coordinates.grid_C, v) for t, v in between])
+
+        ocv = of_tables(inputs.table[..., OCV])
         # Beyond empty and full the OCV goes on along its slope there.
-        step = 1.0 / (points.size - 1)
-        edge = [(row[1] - row[0], row[-1] - row[-2]) for row in inputs.table[..., OCV]]
-        slope = float(np.interp(rest.temperature_C, grid, [e[0 if soc < 0.0 else 1] for e in edge]))
-        known += (soc - at) / step * slope
-        outside = float(np.min(np.abs(model.temperature_C - rest.temperature_C)))
-        own = max(OCV_KNOWN.least_V, OCV_KNOWN.share * float(model.slow_error_V(at)))
-        std = math.hypot(own, RULES.entropy_V_per_K * outside)
-        return known, math.hypot(std, float(np.interp(rest.temperature_C, grid, gap)))
+        slope = of_tables(np.gradient(row, points) for row in inputs.table[..., OCV])
+        gap = of_tables(np.abs(inputs.table[..., M]))
+        outside = np.min(np.abs(model.temperature_C[:, None] - warm), axis=0)
+        own = np.maximum(OCV_KNOWN.least_V, OCV_KNOWN.share * np.asarray(model.slow_error_V(at)))
+        std = np.sqrt(own**2 + (RULES.entropy_V_per_K * outside) ** 2 + gap**2)
+        return soc, ocv + (soc - at) * slope, std
 
 
 def rest_voltages(logs: Sequence[LogRows], capacity_Ah: float, efficiency: float) -> RestVoltages:

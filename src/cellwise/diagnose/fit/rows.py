@@ -137,9 +137,20 @@ class Evidence:
     ) -> tuple[FloatArray, FloatArray]:
         """Voltage [V] and SOC of every scored row."""
         inputs = coordinates.inputs(z)
-        parts = [log.simulate(inputs, z.get(f"soc0:{k}", 0.0)) for k, log in enumerate(self.logs)]
-        voltage, soc = zip(*parts, strict=True)
+        voltage, soc = zip(*(self.of_log(k, inputs, z) for k in range(len(self.logs))), strict=True)
         return np.concatenate(voltage), np.concatenate(soc)
+
+    def of_log(
+        self, k: int, inputs: KernelInputs, z: Mapping[str, float], scored: int | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same of one log, or of its first ``scored`` rows: its start, its sensor's offset."""
+        voltage, soc = self.logs[k].simulate(inputs, z.get(f"soc0:{k}", 0.0), scored)
+        return voltage + z.get(f"offset_V:{k}", 0.0), soc
+
+    @cached_property
+    def alone(self) -> range:
+        """Numbers of the fitted logs that may differ from others."""
+        return range(len(self.fitted.logs)) if len(self.logs) > 1 else range(0)
 
     def jacobian(
         self, coordinates: Coordinates, z: Mapping[str, float], names: Sequence[str]
@@ -154,22 +165,24 @@ class Evidence:
         here, soc = self.simulate(coordinates, z)
         inputs = coordinates.inputs(z)
         found = np.zeros((self.rows, len(names)))
-        places = dict(zip(self.starts(), self.each(), strict=True))
+        places = {str(k): rows for k, (_, rows) in enumerate(self.each())}
         for j, name in enumerate(names):
             if name == "offset_V" or name in OCV_NAMES:
                 found[:, j] = coordinates.added_V(name, soc)
                 continue
             step, at = step_of(name), z.get(name, 0.0)
-            rows = slice(0, self.rows)
-            if name in places:
-                log, rows = places[name]
-                step = step if log.start.soc + at <= 0.5 else -step
-                moved, _ = log.simulate(inputs, at + step)
-            elif ":" in name:  # of a log that is not among these
-                continue
-            else:
+            what, _, log = name.partition(":")
+            if not log:
                 moved, _ = self.simulate(coordinates, {**z, name: at + step})
-            found[rows, j] = (moved - here[rows]) / step
+                found[:, j] = (moved - here) / step
+            elif log in places:
+                rows, k = places[log], int(log)
+                if what == "offset_V":
+                    found[rows, j] = 1.0
+                    continue
+                step = step if self.logs[k].start.soc + at <= 0.5 else -step
+                moved, _ = self.of_log(k, inputs, {**z, name: at + step})
+                found[rows, j] = (moved - here[rows]) / step
         return found
 
 

@@ -129,6 +129,12 @@ class TraceArrays(NamedTuple):
 # Rows of ``values``: the fields of EkfInfo but the status.
 OUT_SOC, OUT_STD, OUT_VOLTAGE, OUT_INNOVATION, OUT_VARIANCE, OUT_RATIO = range(6)
 OUTPUTS = 6
+# Of the adaptive filter behind them: mean and deviation of each number, probabilities, whether the
+# load moves enough to show a resistance, variance of the SOC.
+OUT_OFFSET, OUT_OFFSET_STD, OUT_CHARGE, OUT_CHARGE_STD = range(OUTPUTS, OUTPUTS + 4)
+OUT_RESISTANCE, OUT_RESISTANCE_STD = range(OUTPUTS + 4, OUTPUTS + 6)
+OUT_OFFSET_FREE, OUT_CHARGE_FREE, OUT_MOVES, OUT_SOC_VARIANCE = range(OUTPUTS + 6, OUTPUTS + 10)
+ADAPTIVE_OUTPUTS = OUTPUTS + 10
 
 
 @kernel

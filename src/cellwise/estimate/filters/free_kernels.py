@@ -9,7 +9,7 @@ score h that the voltages have brought,
 .. math:: p(y | F) / p(y | \emptyset) = |L_F|^{-1/2} \exp\left(\tfrac12 h_F^T L_F^{-1} h_F\right)
 
 for the numbers F that are free (Savage-Dickey ratio: Dickey 1971, doi:10.1214/aoms/1177693507).
-Resistances are factors on the model's, by what moves with the load within minutes.
+Resistances are a factor on the model's, by what moves with the load within seconds.
 """
 
 from __future__ import annotations
@@ -32,62 +32,37 @@ LARGEST_SQUARE = 1e6  # beyond it nothing is uncertain, and a sixteenth power no
 
 
 class Resistances(NamedTuple):
-    """Factors on R0, R1 (``fast``) and R2 (``tail``), and the means they are estimated from.
+    """A factor on R0 and R1, and the means it is estimated from.
 
-    ``drop`` and ``miss`` are running means of the fast part of the polarisation and of the
-    innovation, ``near`` and ``far`` those of the tail over the shorter and the longer time; the
-    others mean squares of what moves within each band.
+    ``drop`` and ``miss`` are running means of R0 I + v1 and of the innovation, and mean squares of
+    what moves beside them.
     """
 
-    fast: float
-    fast_variance: float
-    tail: float
-    tail_variance: float
+    factor: float
+    variance: float
     drop_V: float
     miss_V: float
     drop_V2: float
     miss_V2: float
-    near_V: float
-    far_V: float
-    miss_far_V: float
-    tail_V2: float
-    miss_far_V2: float
 
 
 class ResistanceRules(NamedTuple):
-    """What is known of the factors before any data, and how the load has to move to show them.
+    """What is known of the factor before any data, and how the load has to move to show it.
 
-    ``variance`` beforehand, 0 where they are not estimated, ``wander`` per second; held while the
-    mean square of what moves is below ``swing_V2``; what moves within ``fast_s`` shows R0 and R1,
-    up to ``tail_s`` R2.
+    ``variance`` beforehand, 0 where it is not estimated, ``wander`` per second; held while the
+    mean square of what moves within ``fast_s`` is below ``swing_V2``.
     """
 
     variance: float
     wander: float
     swing_V2: float
     fast_s: float
-    tail_s: float
 
 
 @inline
 def no_resistances(variance: float) -> Resistances:
     """The model's own, known to a variance."""
-    none = 0.0
-    # fmt: off
-    return Resistances(
-        1.0, variance, 1.0, variance, none, none, none, none, none, none, none, none, none
-    )
-    # fmt: on
-
-
-@inline
-def least_squares(
-    factor: float, variance: float, drive_V: float, miss_V: float, noise_V2: float
-) -> tuple[float, float]:
-    """One step of recursive least squares for a factor on what the load drives."""
-    k = variance * drive_V / (drive_V * drive_V * variance + noise_V2)
-    moved = min(max(factor - k * miss_V, SCALE_LOW), SCALE_HIGH)
-    return moved, variance - k * drive_V * variance
+    return Resistances(1.0, variance, 0.0, 0.0, 0.0, 0.0)
 
 
 @inline
@@ -95,65 +70,40 @@ def watch_resistances(
     r: Resistances,
     rules: ResistanceRules,
     drop_V: float,
-    tail_V: float,
     innovation_V: float,
     white_V2: float,
     dt_s: float,
     hold: bool,
 ) -> Resistances:
-    """Factors on R0, R1 and on R2 by recursive least squares, where the load moves enough.
+    """The factor by recursive least squares, where the load moves enough.
 
-    ``drop_V`` is R0 I + v1, ``tail_V`` is v2, both without their factor. The first is judged
-    by what moves within ``fast_s``, the second by what moves between that and ``tail_s``: no error
-    of an OCV is that fast. The noise is what the innovations show in the same band, one piece of
-    evidence in twice the band's time.
+    ``drop_V`` is R0 I + v1 without the factor. It is judged by what moves within ``fast_s``: no
+    error of an OCV is that fast. The noise is what the innovations show in the same band, one piece
+    of evidence in twice the band's time.
     """
     near = min(dt_s / rules.fast_s, 1.0)
+    left_V = innovation_V + (r.factor - 1.0) * drop_V  # with the factor, which the voltage has not
     drop_mean = r.drop_V + near * (drop_V - r.drop_V)
-    left_V = innovation_V + (r.fast - 1.0) * drop_V  # with the factor, which the voltage has not
     miss_mean = r.miss_V + near * (left_V - r.miss_V)
-    near_mean = r.near_V + near * (tail_V - r.near_V)
-    drop = drop_V - drop_mean
-    miss = left_V - miss_mean
+    drop, miss = drop_V - drop_mean, left_V - miss_mean
     share = near / LONGER
     drop2 = r.drop_V2 + share * (drop * drop - r.drop_V2)
     miss2 = r.miss_V2 + share * (miss * miss - r.miss_V2)
-    moves = drop2 >= rules.swing_V2
-    fast, fast_variance = r.fast, r.fast_variance
-    if moves and not hold and dt_s > 0.0:
+    factor, variance = r.factor, r.variance
+    if drop2 >= rules.swing_V2 and not hold and dt_s > 0.0:
         noise = max(miss2, white_V2) * max(2.0 * rules.fast_s / dt_s, 1.0)
-        fast, fast_variance = least_squares(fast, fast_variance, drop, miss, noise)
-
-    far = min(dt_s / rules.tail_s, 1.0)
-    far_mean = r.far_V + far * (near_mean - r.far_V)
-    miss_far = r.miss_far_V + far * (miss_mean - r.miss_far_V)
-    lag = near_mean - far_mean
-    miss = miss_mean - miss_far
-    share = far * 3.0 / LONGER
-    tail2 = r.tail_V2 + share * (lag * lag - r.tail_V2)
-    far2 = r.miss_far_V2 + share * (miss * miss - r.miss_far_V2)
-    tail, tail_variance = r.tail, r.tail_variance
-    if tail2 >= rules.swing_V2 and not hold and dt_s > 0.0:
-        noise = max(far2, white_V2) * max(2.0 * rules.tail_s / dt_s, 1.0)
-        own = miss + (tail - 1.0) * lag
-        tail, tail_variance = least_squares(tail, tail_variance, lag, own, noise)
-    # fmt: off
-    return Resistances(
-        fast, fast_variance, tail, tail_variance, drop_mean, miss_mean, drop2, miss2,
-        near_mean, far_mean, miss_far, tail2, far2,
-    )
-    # fmt: on
+        k = variance * drop / (drop * drop * variance + noise)
+        factor = min(max(factor - k * miss, SCALE_LOW), SCALE_HIGH)
+        variance -= k * drop * variance
+    return Resistances(factor, variance, drop_mean, miss_mean, drop2, miss2)
 
 
 @inline
 def wandered(r: Resistances, rules: ResistanceRules, dt_s: float) -> Resistances:
     """Uncertainty of the resistances comes back, up to what it was before any data."""
-    fast, tail = r.fast_variance, r.tail_variance
-    if fast < rules.variance:
-        fast += rules.wander * dt_s
-    if tail < rules.variance:
-        tail += rules.wander * dt_s
-    return changed(changed(r, "fast_variance", fast), "tail_variance", tail)
+    if r.variance >= rules.variance:
+        return r
+    return changed(r, "variance", r.variance + rules.wander * dt_s)
 
 
 class Capacity(NamedTuple):
@@ -203,17 +153,12 @@ class Free(NamedTuple):
 
 
 @inline
-def no_capacity() -> Capacity:
-    """Nothing counted yet, nothing known."""
-    return Capacity(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@inline
-def afresh(rules: FreeRules | None, free: Free | None) -> Free | None:
-    """Nothing known; None where nothing is free."""
-    if rules is None or free is None:
+def nothing_known(rules: FreeRules | None) -> Free | None:
+    """Nothing counted yet, the model's own values; None where nothing is free."""
+    if rules is None:
         return None
-    return Free(no_capacity(), no_resistances(rules.resistances.variance))
+    capacity = Capacity(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Free(capacity, no_resistances(rules.resistances.variance))
 
 
 @inline
@@ -360,13 +305,12 @@ def watched_resistances(
     noise: NoiseScalars,
     s: Sample,
     drop_V: float,
-    tail_V: float,
     v: Verdict,
     soc_variance: float,
 ) -> Free | None:
-    """What moves with the load says what the resistances are: R0 I + v1, and v2, as the model's.
+    """What moves with the load, R0 I + v1 as the model's, says what the resistances are.
 
-    They are reported, and the state of power takes them; voltage and SOC keep the model's own.
+    They are reported; voltage and SOC keep the model's own.
     """
     if rules is None or free is None:
         return None
@@ -374,9 +318,5 @@ def watched_resistances(
     if v.used and not s.gap:
         white = noise.voltage_V * noise.voltage_V
         hold = s.status & CURRENT_INVALID != 0 or soc_variance > rules.settled_variance
-        # fmt: off
-        r = watch_resistances(
-            r, rules.resistances, drop_V, tail_V, v.innovation_V, white, s.dt_s, hold
-        )
-        # fmt: on
+        r = watch_resistances(r, rules.resistances, drop_V, v.innovation_V, white, s.dt_s, hold)
     return Free(free.capacity, r)

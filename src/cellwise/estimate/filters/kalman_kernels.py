@@ -1,15 +1,28 @@
-"""EKF and UKF, compiled: one step for online use, one loop for the rows of a log."""
+"""EKF, UKF and adaptive filter, compiled: a step for online use, a loop for the rows of a log."""
 
 from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import CellTables
 from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.filter_state import (
+    OUT_CHARGE,
+    OUT_CHARGE_FREE,
+    OUT_CHARGE_STD,
     OUT_INNOVATION,
+    OUT_MOVES,
+    OUT_OFFSET,
+    OUT_OFFSET_FREE,
+    OUT_OFFSET_STD,
     OUT_RATIO,
+    OUT_RESISTANCE,
+    OUT_RESISTANCE_STD,
     OUT_SOC,
+    OUT_SOC_VARIANCE,
     OUT_STD,
     OUT_VARIANCE,
     OUT_VOLTAGE,
@@ -21,6 +34,7 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
+from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
@@ -66,13 +80,13 @@ def kalman_step_of_rows(
     -------
     int       the status
     """
-    tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0))
-    noise = record_at(NoiseScalars, constants, NOISE_AT)
-    unknown = record_at(EkfStart, constants, UNKNOWN_AT)
+    tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0, 1))
+    noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
+    unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
     reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
-    old = record_at(EkfState, state, 0)
+    old = record_at(EkfState, state, 0, 1)
     after, info = kalman_step(tables, noise, sigma, unknown, old, reading)
-    put_record(state, 0, after)
+    put_record(state, 0, 1, after, True)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
 
@@ -96,6 +110,56 @@ def reading_of(log: LogArrays, k: int) -> Reading:
     )
 
 
+@inline
+def put_free(
+    rules: FreeRules | None,
+    offset_A: float,
+    values: FloatArray,
+    k: int,
+    state: EkfState,
+    free: Free | None,
+) -> None:
+    """What is known of offset, capacity and resistances in one row.
+
+    ``offset_A`` is one deviation of the offset before any data.
+    """
+    if rules is None or free is None:
+        return
+    c, r = free.capacity, free.resistances
+    values[OUT_OFFSET, k] = state.drift.believed * offset_A
+    values[OUT_OFFSET_STD, k] = math.sqrt(max(state.drift.unsure, 0.0)) * offset_A
+    values[OUT_OFFSET_FREE, k] = c.offset_chance
+    values[OUT_CHARGE, k] = c.believed * rules.capacity
+    values[OUT_CHARGE_STD, k] = math.sqrt(max(c.unsure, 0.0)) * rules.capacity
+    values[OUT_CHARGE_FREE, k] = c.chance
+    values[OUT_RESISTANCE, k] = r.factor
+    values[OUT_RESISTANCE_STD, k] = math.sqrt(r.variance)
+    values[OUT_MOVES, k] = 1.0 if r.drop_V2 >= rules.resistances.swing_V2 else 0.0
+    values[OUT_SOC_VARIANCE, k] = state.p.ss
+
+
+@inline
+def filter_rows(
+    tables: CellTables,
+    noise: NoiseScalars,
+    sigma: SigmaScalars | None,
+    rules: FreeRules | None,
+    first: EkfStart,
+    start: EkfStart,
+    log: LogArrays,
+    out: TraceArrays,
+) -> None:
+    """Every row of a log through one step each, from ``first``."""
+    state, free = ekf_start(first, log.current_A[0]), nothing_known(rules)
+    offset_A = noise.offset_soc_per_s * tables.cell.charge_As
+    for k in range(log.dt_s.size):
+        reading = reading_of(log, k)
+        state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, reading)
+        put_info(out.values, k, info)
+        put_free(rules, offset_A, out.values, k, state, free)
+        out.status[k] = info.status
+
+
 @rows
 def kalman_rows(
     tables: CellTables,
@@ -105,12 +169,60 @@ def kalman_rows(
     start: EkfStart,
     log: LogArrays,
     out: TraceArrays,
-) -> EkfState:
-    """Every row of a log through one step each, from ``first``."""
-    state = ekf_start(first, log.current_A[0])
-    for k in range(log.dt_s.size):
-        reading = reading_of(log, k)
-        state, _, info = filter_step(tables, noise, sigma, None, start, state, None, reading)
-        put_info(out.values, k, info)
-        out.status[k] = info.status
-    return state
+) -> None:
+    """EKF or UKF over a log."""
+    filter_rows(tables, noise, sigma, None, first, start, log, out)
+
+
+class AdaptiveState(NamedTuple):
+    """What must be carried: the EKF's state, and what is known of capacity and resistances.
+
+    The offset of the current is one of the EKF's hypotheses.
+    """
+
+    filter: EkfState
+    free: Free
+
+    def __getattr__(self, name: str) -> Any:
+        """What its two parts have: the EKF's SOC, offset and capacity as they are believed."""
+        return getattr(self.free if name in Free._fields else self.filter, name)
+
+
+@kernel
+def adaptive_start(start: EkfStart, rules: FreeRules, current_A: float) -> AdaptiveState:
+    """A cell known as ``start`` says; the model's own values."""
+    return AdaptiveState(ekf_start(start, current_A), nothing_known(rules))  # type: ignore[arg-type]
+
+
+@kernel
+def adaptive_step(
+    tables: CellTables,
+    noise: NoiseScalars,
+    rules: FreeRules,
+    start: EkfStart,
+    state: AdaptiveState,
+    reading: Reading,
+    out: TraceArrays,
+) -> AdaptiveState:
+    """One step for online use; ``out`` is its one row."""
+    after, free, info = filter_step(
+        tables, noise, None, rules, start, state.filter, state.free, reading
+    )
+    put_info(out.values, 0, info)
+    put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, after, free)
+    out.status[0] = info.status
+    return AdaptiveState(after, free)  # type: ignore[arg-type]  # rules given, so not None
+
+
+@rows
+def adaptive_rows(
+    tables: CellTables,
+    noise: NoiseScalars,
+    rules: FreeRules,
+    first: EkfStart,
+    start: EkfStart,
+    log: LogArrays,
+    out: TraceArrays,
+) -> None:
+    """The adaptive filter over a log; ``out.values`` (ADAPTIVE_OUTPUTS, rows)."""
+    filter_rows(tables, noise, None, rules, first, start, log, out)

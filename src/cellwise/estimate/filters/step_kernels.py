@@ -43,11 +43,11 @@ from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, 
 from cellwise.estimate.filters.free_kernels import (
     Free,
     FreeRules,
-    afresh,
     capacity_soc,
     capacity_variance,
     capacity_variance_V2,
     counted_capacity,
+    nothing_known,
     soc_found,
     watched_resistances,
 )
@@ -88,7 +88,7 @@ def predict(
     status = 0
     soc = soc_step(cell, state.cell.soc, s.flow_A, s.dt_s)
     if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
-        state, free = ekf_start(start, s.current_A), afresh(rules, free)
+        state, free = ekf_start(start, s.current_A), nothing_known(rules)
         soc = state.cell.soc
         status = STATE_RESET
     p, past, evidence = state.p, state.past, state.watch.evidence_s
@@ -222,5 +222,5 @@ def filter_step(
     e = look_back(tables, noise, s, now, v, e)
     after, info = say(i, v, e, s.status | now.status | v.status)
     drop_V = now.point.r0_ohm * s.seen_A + now.x.v1_V
-    free = watched_resistances(rules, e.free, noise, s, drop_V, now.x.v2_V, v, now.p.ss)
+    free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)
     return after, free, info

@@ -11,8 +11,8 @@ import numpy as np
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.packed import size_of
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.filters.filter_state import EkfState, LogArrays
+from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.load_kernels import Present
 from cellwise.estimate.power.memory_kernels import Carried, carried_on, carried_rows, no_memory

@@ -13,8 +13,8 @@ from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import row_of
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.adaptive_kernels import AdaptiveState
 from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits

@@ -125,8 +125,7 @@ def _read(
             for batch in reader:
                 batches.append(batch)
                 rows += batch.num_rows
-                limits.check_rows(rows, source.where)
-                stream.check_time()
+                limits.check(source.where, rows)
                 source.report(stream.done(), source.size)
     except pa.ArrowInvalid as error:
         if "Empty CSV file" not in str(error):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -31,45 +32,32 @@ class NamedColumns(Protocol):
 
 
 def channels_of(
-    arrays: Mapping[str, Any], source: LogSource, known: Format, cells: int | None = None
+    arrays: NamedColumns, source: LogSource, known: Format, cells: int | None = None
 ) -> RawLog:
-    """The channels among a native file's arrays.
-
-    Parameters
-    ----------
-    arrays : mapping        name to array, in the file's order
-    source : LogSource      where they come from, and what the user stated of it
-    known : Format          the column map
-    cells : int or None     cells in series, if the file states them
+    """The channels among a native file's arrays; ``cells`` in series, if the file states them.
 
     Raises
     ------
     InputError              a required channel is missing or holds no numbers; no rows
     """
-    raw = table_channels(
-        arrays, known.channels, source.where, known=known.known, chosen=source.options.channels
-    )
+    where, chosen = source.where, source.options.channels
+    raw = table_channels(arrays, known.channels, where, known=known.known, chosen=chosen)
     sizes = {field: values.size for field, values in raw.channels.items()}
     if set(sizes.values()) == {0}:
-        raise InputError(f"no rows in {source.where}", "rows of numbers", "Check the recording.")
+        raise InputError(f"no rows in {where}", "rows of numbers", "Check the recording.")
     if len(set(sizes.values())) > 1:
         raise InputError(
-            f"channels of unequal lengths in {source.where} ({sizes})",
+            f"channels of unequal lengths in {where} ({sizes})",
             "one value per row in each",
             "Choose channels of one group with `channels={...}`.",
         )
-    return RawLog(raw.channels, raw.notices, cells)
+    return replace(raw, cells=cells)
 
 
 def table_channels(
-    table: NamedColumns,
-    channels: Sequence[Channel],
-    where: str,
-    *,
-    known: Sequence[str] | None = None,
-    chosen: Mapping[str, str] | None = None,
+    table: NamedColumns, channels: Sequence[Channel], where: str, **options: Any
 ) -> RawLog:
-    """The channels among the columns of a table in memory; arguments as of `choose_columns`.
+    """The channels among the columns of a table in memory; options as of `choose_columns`.
 
     Raises
     ------
@@ -79,9 +67,7 @@ def table_channels(
     if header is None:
         header = getattr(table, "columns", None)  # pandas, polars
     names = list(cast(Iterable[str], table) if header is None else header)
-    columns, notices = choose_columns(
-        [str(name) for name in names], channels, where, known=known, chosen=chosen
-    )
+    columns, notices = choose_columns([str(name) for name in names], channels, where, **options)
     found = {c.field: _values(table[names[c.index]], c, where) for c in columns}
     return RawLog(found, tuple(notices))
 
@@ -172,7 +158,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
     rows = source.parquet_metadata.num_rows
     if rows == 0:
         raise InputError(f"no rows in {where}", "rows of numbers", "Check the export.")
-    Limits.of(source.size).check_rows(rows, where)
+    Limits.of(source.size).check(where, rows)
     arrays: dict[str, FloatArray] = {}
     try:
         with parquet.ParquetFile(source.path, metadata=source.parquet_metadata) as file:

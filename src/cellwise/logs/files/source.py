@@ -254,11 +254,13 @@ class Limits:
     memory_bytes : int      of the process of its own that some formats are read in
     seconds : float         from the first byte to the last
     rows : int              of a log
+    began_s : float         when reading began, by `time.monotonic`
     """
 
     memory_bytes: int
     seconds: float
     rows: int
+    began_s: float = field(default_factory=time.monotonic)
 
     @classmethod
     def of(cls, size: int) -> Limits:
@@ -277,12 +279,12 @@ class Limits:
         )
         return cls(int(1e9 * memory), seconds, int(rows))
 
-    def check_rows(self, rows: int, where: str) -> None:
-        """Refuse a log of more rows.
+    def check(self, where: str, rows: int = 0) -> None:
+        """Refuse to go on.
 
         Raises
         ------
-        InputError        more rows than this
+        InputError        more rows than these, or no time left
         """
         if rows > self.rows:
             raise InputError(
@@ -290,21 +292,8 @@ class Limits:
                 f"up to {self.rows:,} rows in a file of its size",
                 f"Split it; if it is that long, allow more with {_VARIABLES[2]}.",
             )
-
-    def check(self, deadline: float, rows: int, where: str) -> None:
-        """Refuse to go on beyond the rows or the time.
-
-        Raises
-        ------
-        InputError        more rows than these, or later than the deadline
-        """
-        self.check_rows(rows, where)
-        if time.monotonic() > deadline:
+        if time.monotonic() > self.began_s + self.seconds:
             raise self.too_slow(where)
-
-    def deadline(self) -> float:
-        """When reading that begins now has to be done, by `time.monotonic`."""
-        return time.monotonic() + self.seconds
 
     def too_slow(self, where: str) -> InputError:
         """The refusal of a file that takes longer."""
@@ -349,7 +338,6 @@ class TimedStream:
     ) -> None:
         self._source = source
         self._limits = limits
-        self._deadline = limits.deadline()
         self._file: IO[bytes] = source.path.open("rb")
         self._content = source.content_of(self._file)
         self.closed = False
@@ -364,21 +352,12 @@ class TimedStream:
         ------
         InputError        the time is over
         """
-        self.check_time()
+        self._limits.check(self._source.where)
         if self._left is None:
             return self._content.read(size)
         part = self._content.read(self._left if size < 0 else min(size, self._left))
         self._left -= len(part)
         return part
-
-    def check_time(self) -> None:
-        """Refuse to go on when the time is over.
-
-        Raises
-        ------
-        InputError        it is
-        """
-        self._limits.check(self._deadline, 0, self._source.where)
 
     def done(self) -> int:
         """Bytes of the file that have been read, as they lie there."""

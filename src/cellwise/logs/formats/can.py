@@ -3,27 +3,150 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.columns import Unit
 from cellwise.logs.files.format import Format, damaged, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.vehicle_signals import (
     CHOSEN,
+    UNITS,
     Series,
     Signal,
     aligned,
-    can_database,
     choose_signals,
-    frame_values,
-    physical_values,
 )
+
+
+def can_database(path: Path | None, of: str) -> Any:
+    """A database of cantools.
+
+    Parameters
+    ----------
+    path : Path or None     what the user gave
+    of : str                whose frames it describes, for the message
+
+    Raises
+    ------
+    InputError              none was given, or the file is no such database
+    """
+    cantools = need("cantools", "a CAN log")
+    if path is None:
+        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
+    try:
+        return cantools.database.load_file(str(path), strict=False)
+    except Exception as error:  # parsers of four formats raise what they like
+        text = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"a file that is no CAN database, '{path}' ({text})",
+            "a DBC, ARXML, KCD or SYM file",
+            "Choose the database of this log.",
+        ) from error
+
+
+Key = tuple[int, bool]  # of a frame: its identifier, whether that is an extended one
+
+
+class Wanted(NamedTuple):
+    """A signal of a frame: for which field, or cell from 0 on; its unit, what it may be."""
+
+    field: str | int
+    name: str
+    unit: Unit
+    low: float
+    high: float
+
+
+class FrameDecoder:
+    """The battery's signals in CAN frames.
+
+    Parameters
+    ----------
+    database : cantools database
+    where : str             for messages
+    channels : mapping      tidy name, which gives the unit, to the signal's name
+    keys : collection       frames to look for them in; None: all of the database
+    cells : sequence        signals of cells' voltages, in order
+
+    Raises
+    ------
+    InputError              no clear signals
+    """
+
+    def __init__(
+        self,
+        database: Any,
+        where: str,
+        channels: Mapping[str, str],
+        keys: Collection[Key] | None = None,
+        cells: Sequence[Signal] = (),
+    ) -> None:
+        self.messages: dict[Key, Any] = messages_of(database)
+        signals = signals_of(database, self.messages if keys is None else keys)
+        others = [s for s in signals if s not in cells]
+        chosen, self.notices = choose_signals(others, channels, where)
+        units = UNITS["voltage_V"]
+        asked: list[tuple[str | int, Signal, Unit]] = [
+            *chosen, *((k, s, units[s.unit.strip().lower()]) for k, s in enumerate(cells))
+        ]  # fmt: skip
+        self.wanted: dict[Key, list[Wanted]] = {}
+        for field, signal, unit in asked:
+            key: Any
+            key, name = signal.key
+            found = self.messages[key].get_signal_by_name(name)
+            wanted = Wanted(field, found.name, unit, *_limits_of(found))
+            self.wanted.setdefault(key, []).append(wanted)
+
+    def values(self, key: Key, data: bytes) -> list[tuple[Wanted, float]]:
+        """What a frame says, NaN outside the range that the database gives ("not available").
+
+        Nothing of a frame that the database does not describe, or, of a multiplexed message, that
+        does not hold the signals.
+        """
+        try:
+            found = self.messages[key].decode(data, decode_choices=False)
+        except Exception:  # what a short or broken frame raises is not one thing
+            return []
+        values = []
+        for one in self.wanted[key]:
+            if one.name in found:
+                value = float(found[one.name])
+                value = value if one.low <= value <= one.high else math.nan
+                values.append((one, value * one.unit.factor + one.unit.offset))
+        return values
+
+
+def messages_of(database: Any) -> dict[Key, Any]:
+    """The messages of a database by what their frames are known by."""
+    return {(m.frame_id, m.is_extended_frame): m for m in database.messages}
+
+
+def signals_of(database: Any, keys: Collection[Key]) -> list[Signal]:
+    """The signals of some frames; their key is the frame's and their own name."""
+    messages = messages_of(database)
+    return [
+        Signal(f"{messages[key].name}.{s.name}", s.unit or "", (key, s.name))
+        for key in sorted(keys)
+        for s in messages[key].signals
+    ]
+
+
+def _limits_of(signal: Any) -> tuple[float, float]:
+    """Between what the database allows a signal of cantools to be, half a digit more each way."""
+    low, high = signal.minimum, signal.maximum
+    if low is None or high is None or not low < high:
+        return -math.inf, math.inf
+    slack = 0.5 * abs(float(signal.scale))
+    return float(low) - slack, float(high) + slack
 
 
 class Frame(NamedTuple):
@@ -62,7 +185,7 @@ def _reader(source: LogSource) -> str:
 
 
 def _read(source: LogSource, known: Format) -> RawLog:
-    database = _database(source)
+    database = can_database(source.options.dbc, f"CAN frames in {source.where}")
     frames, ids = _frames(source, database)
     if not frames:
         seen = ", ".join(f"0x{i:X}" for i in sorted(ids)[:8])
@@ -73,56 +196,41 @@ def _read(source: LogSource, known: Format) -> RawLog:
             "the database of this log",
             "Choose another DBC file.",
         )
-    messages = {(m.frame_id, m.is_extended_frame): m for m in database.messages}
-    signals = [
-        Signal(f"{messages[key].name}.{s.name}", s.unit or "", (key, s.name))
-        for key in sorted(frames)
-        for s in messages[key].signals
-    ]
-    chosen, notices = choose_signals(signals, source.options.channels, source.where)
+    options = source.options
+    decoder = FrameDecoder(database, source.where, options.channels, frames)
+    notices = decoder.notices
     series: dict[str, Series] = {}
-    wanted: dict[Any, None] = dict.fromkeys(signal.key[0] for _, signal, _ in chosen)
-    decoded = {
-        key: [frame_values(messages[key], data) for data in frames[key][1]] for key in wanted
-    }
-    for field, signal, unit in chosen:
-        key: Any = signal.key[0]
+    for key, wanted in decoder.wanted.items():
         stamps, payloads = frames[key]
-        known_signal = messages[key].get_signal_by_name(str(signal.key[1]))
-        values, whole = physical_values(known_signal, decoded[key])
-        if not whole.any():
-            raise InputError(
-                f"frames of {len(payloads[0])} byte(s) in {source.where}: '{signal.name}' "
-                f"needs {messages[key].length} in '{source.options.dbc}'",
-                "the database of this log",
-                "Choose another DBC file.",
-            )
-        outside = int(np.count_nonzero(np.isnan(values)))
-        if outside == values.size:
-            raise InputError(
-                f"no value of '{signal.name}' in {source.where} within the range that "
-                f"'{source.options.dbc}' gives",
-                "the database of this log",
-                "Choose another DBC file.",
-            )
-        if outside:
-            notices.append(f"{outside} value(s) of '{signal.name}' outside its range left out")
-        series[field] = Series(np.frombuffer(stamps, np.float64)[whole], unit.convert(values))
+        found: dict[str, tuple[list[float], list[float]]] = {str(w.field): ([], []) for w in wanted}
+        for at_s, data in zip(stamps, payloads, strict=True):
+            for one, value in decoder.values(key, data):
+                found[str(one.field)][0].append(at_s)
+                found[str(one.field)][1].append(value)
+        for one in wanted:
+            times, values = map(np.array, found[str(one.field)])
+            outside = int(np.count_nonzero(np.isnan(values)))
+            if outside == values.size:
+                raise InputError(
+                    f"no value of '{one.name}' in {source.where} within the range that "
+                    f"'{options.dbc}' gives (frames of {len(payloads[0])} byte(s), its message "
+                    f"has {decoder.messages[key].length})",
+                    "the database of this log",
+                    "Choose another DBC file.",
+                )
+            if outside:
+                name = f"{decoder.messages[key].name}.{one.name}"
+                notices.append(f"{outside} value(s) of '{name}' outside its range left out")
+            series[str(one.field)] = Series(times, values)
     start = min(float(samples.time_s[0]) for samples in series.values())
     series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
     channels, noted = aligned(series, source.where)
     return RawLog(channels, (*notices, *noted))
 
 
-def _database(source: LogSource) -> Any:
-    return can_database(source.options.dbc, f"CAN frames in {source.where}")
-
-
 def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
     """Stamps and payloads of the frames that the database describes, and all ids that occur."""
-    frames: Frames = {
-        (m.frame_id, m.is_extended_frame): (array("d"), []) for m in database.messages
-    }
+    frames: Frames = {key: (array("d"), []) for key in messages_of(database)}
     ids: set[int] = set()
     with library_at_work(source, "CAN log"):
         for count, frame in enumerate(_messages(source)):

@@ -30,11 +30,10 @@ LOOK_ROWS = 10_000  # between two looks at the limits
 def _lines(source: LogSource) -> Iterator[str]:
     """The lines of a text, within the limits of reading."""
     limits = Limits.of(source.size)
-    deadline = limits.deadline()
     with source.open() as file:
         for number, line in enumerate(file):
             if number % LOOK_ROWS == 0:
-                limits.check(deadline, number, source.where)
+                limits.check(source.where, number)
             yield decoded(line)
 
 

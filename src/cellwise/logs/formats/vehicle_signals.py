@@ -5,10 +5,8 @@ Names of signals differ by maker, so they are only taken when units and names le
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +23,6 @@ from cellwise.logs.files.columns import (
     no_such_name,
     tidy_name,
 )
-from cellwise.logs.files.format import need
 from cellwise.logs.files.quantities import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
 from cellwise.typing import BoolArray, FloatArray
@@ -175,74 +172,6 @@ def _unclear(
         f"the battery's {field.partition('_')[0]}",
         f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
     )
-
-
-def can_database(path: Path | None, of: str) -> Any:
-    """A database of cantools.
-
-    Parameters
-    ----------
-    path : Path or None     what the user gave
-    of : str                whose frames it describes, for the message
-
-    Raises
-    ------
-    InputError              none was given, or the file is no such database
-    """
-    cantools = need("cantools", "a CAN log")
-    if path is None:
-        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
-    try:
-        return cantools.database.load_file(str(path), strict=False)
-    except Exception as error:  # parsers of four formats raise what they like
-        text = " ".join(str(error).split())[:160]
-        raise InputError(
-            f"a file that is no CAN database, '{path}' ({text})",
-            "a DBC, ARXML, KCD or SYM file",
-            "Choose the database of this log.",
-        ) from error
-
-
-def limits_of(signal: Any) -> tuple[float, float]:
-    """Between what the database allows a signal of cantools to be, half a digit more each way."""
-    low, high = signal.minimum, signal.maximum
-    if low is None or high is None or not low < high:
-        return -math.inf, math.inf
-    slack = 0.5 * abs(float(signal.scale))
-    return float(low) - slack, float(high) + slack
-
-
-def physical_values(
-    signal: Any, frames: Sequence[Mapping[str, Any]]
-) -> tuple[FloatArray, BoolArray]:
-    """Values of one signal.
-
-    Parameters
-    ----------
-    signal : cantools signal
-    frames : sequence           of its message, as of `frame_values`
-
-    Returns
-    -------
-    values : (m,) float         in the signal's unit, of the frames that hold the signal; NaN
-                                outside the range that the database gives ("not available")
-    whole : (n,) bool           frames that are long enough and, of a multiplexed message, hold it
-    """
-    found = [frame.get(signal.name) for frame in frames]
-    whole = np.array([value is not None for value in found], dtype=np.bool_)
-    values = np.array([value for value in found if value is not None], dtype=np.float64)
-    low, high = limits_of(signal)
-    values[(values < low) | (values > high)] = np.nan
-    return values, whole
-
-
-def frame_values(message: Any, data: bytes) -> dict[str, Any]:
-    """The signals that a frame holds; none of one that the database does not describe."""
-    try:
-        found: dict[str, Any] = message.decode(data, decode_choices=False)
-    except Exception:  # what a short or broken frame raises is not one thing
-        return {}
-    return found
 
 
 FASTER = 1.5  # samples of current per sample of voltage, from which on the current is averaged

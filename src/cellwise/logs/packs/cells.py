@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -143,10 +143,11 @@ def checked_cells(
             "volts",
             "They look like millivolts: name the columns cell_01_mV, ...",
         )
-    flags = _gaps_in_numbers(names)
-    balancing, found = _negative(volts, balancing, names)
-    flags += found
-    flags += _impossible(volts, names) + _frozen(volts, names)
+    negative = volts < -BELIEVED.possible_V[0]
+    np.abs(volts, out=volts, where=negative)
+    if negative.any():
+        balancing = negative if balancing is None else balancing | negative
+    flags = [*_absent(names), *_bypassed(negative, names), *_unbelieved(volts, names)]
     if np.count_nonzero(np.any(np.isfinite(volts), axis=0)) < 2:
         raise InputError(
             f"fewer than two cells with a voltage that can be believed in {where} "
@@ -154,7 +155,8 @@ def checked_cells(
             "at least two cells that measure",
             "Check the cells' columns and their unit.",
         )
-    flags += _count(volts, pack_V)
+    if pack_V is not None:
+        flags += _uncounted(volts, pack_V)
     return volts, balancing, tuple(flags)
 
 
@@ -190,130 +192,96 @@ def mean_of_known(values: FloatArray) -> FloatArray:
         return np.asarray(np.where(known, values, 0.0).sum(axis=1) / known.sum(axis=1))
 
 
-def _gaps_in_numbers(names: Sequence[str]) -> list[CellFlag]:
+def _absent(names: Sequence[str]) -> Iterator[CellFlag]:
     """Numbers that are left out among the names: columns that the file has not."""
-    numbers = [int(m[1]) for m in (re.fullmatch(r"\D*(\d+)", name) for name in names) if m]
-    if len(numbers) != len(names) or not numbers:
-        return []
-    absent = sorted(set(range(1, max(numbers) + 1)) - set(numbers))
-    if not absent or len(absent) > len(numbers):
-        return []
-    digits = max(2, len(str(max(numbers))))
-    return [
-        CellFlag(
-            f"cell_{k:0{digits}d}",
-            "missing",
-            f"there is no column of cell_{k:0{digits}d} among those of cells up to {max(numbers)}",
-        )
-        for k in absent
-    ]
+    numbers = {int(m[1]) for m in (re.fullmatch(r"\D*(\d+)", name) for name in names) if m}
+    if len(numbers) != len(names):
+        return
+    largest = max(numbers)
+    absent = sorted(set(range(1, largest + 1)) - numbers)
+    for name in (cell_name(k, largest) for k in absent if len(absent) <= len(numbers)):
+        text = f"there is no column of {name} among those of cells up to {largest}"
+        yield CellFlag(name, "missing", text)
 
 
-def _negative(
-    volts: FloatArray, balancing: BoolArray | None, names: Sequence[str]
-) -> tuple[BoolArray | None, list[CellFlag]]:
+def _bypassed(negative: BoolArray, names: Sequence[str]) -> Iterator[CellFlag]:
     """Negative voltages are those of cells whose bypass is on (LeafSpy writes them so)."""
-    negative = volts < -BELIEVED.possible_V[0]
-    if not negative.any():
-        return balancing, []
-    np.abs(volts, out=volts, where=negative)
-    balancing = negative if balancing is None else balancing | negative
-    cells = np.flatnonzero(negative.any(axis=0))
-    some = [names[k] for k in cells[:4].tolist()]
-    text = (
-        f"negative voltages of {cells.size} cell(s) ({', '.join(some)}"
-        f"{', ...' if cells.size > 4 else ''}) were read as those of cells being balanced"
-    )
-    flags = [CellFlag("", "balancing", text)]
+    some = [name for name, rows in zip(names, negative.T, strict=True) if rows.any()]
+    if some:
+        named = ", ".join(some[:4]) + (", ..." if len(some) > 4 else "")
+        text = f"negative voltages of {len(some)} cell(s) ({named}) were read as those of cells"
+        yield CellFlag("", "balancing", f"{text} being balanced")
     for k in np.flatnonzero(negative.all(axis=0)).tolist():
-        always = (
-            f"{names[k]} is negative in every row, as if balanced all the time: its wires may be "
-            "reversed; it is not estimated"
-        )
-        flags.append(CellFlag(names[k], "balancing", always))
-    return balancing, flags
+        text = f"{names[k]} is negative in every row, as if balanced all the time: its wires may be"
+        yield CellFlag(names[k], "balancing", f"{text} reversed; it is not estimated")
 
 
-def _impossible(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
-    """Readings that no cell has: left out, and the cell is dead where most are."""
+def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
+    """Readings that no cell has, or that stay the same to the last digit: made missing.
+
+    A cell most of whose readings are such is not estimated.
+    """
     low, high = BELIEVED.possible_V
-    with np.errstate(invalid="ignore"):
-        wrong = ~((volts >= low) & (volts <= high))
-    flags = []
+    wrong = ~((volts >= low) & (volts <= high))
     share = wrong.mean(axis=0)
     most = wrong.mean(axis=1) < BELIEVED.missing
     for k in np.flatnonzero(share > 0.0).tolist():
-        seen = volts[wrong[:, k] & np.isfinite(volts[:, k]), k]
-        volts[wrong[:, k], k] = np.nan
+        bad, name = wrong[:, k], names[k]
+        seen = volts[bad & np.isfinite(volts[:, k]), k]
         what = f"reads {np.median(seen):.3g} V" if seen.size else "has no value"
+        volts[bad, k] = np.nan
+        there = np.flatnonzero(~bad)
+        last = int(there[-1]) + 1 if there.size else 0
         if share[k] > BELIEVED.missing:
             volts[:, k] = np.nan
-            text = f"{names[k]} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
-            flags.append(CellFlag(names[k], "dead", text))
-        elif (first := _dead_from(wrong[:, k], most)) is not None:
-            text = f"{names[k]} {what} from row {first + 1} on: earlier rows are used alone"
-            flags.append(CellFlag(names[k], "dead", text))
+            text = f"{name} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
+            yield CellFlag(name, "dead", text)
+        elif np.count_nonzero(most[last:]) >= BELIEVED.rows:
+            text = f"{name} {what} from row {last + 1} on: earlier rows are used alone"
+            yield CellFlag(name, "dead", text)
         else:
-            count = int(wrong[:, k].sum())
-            text = f"{names[k]} has {count} row(s) without a possible voltage, which are left out"
-            flags.append(CellFlag(names[k], "missing", text))
-    return flags
-
-
-def _dead_from(wrong: BoolArray, most: BoolArray) -> int | None:
-    """First row of a cell's last readings, none of which counts while most other cells measure."""
-    there = np.flatnonzero(~wrong)
-    first = int(there[-1]) + 1 if there.size else 0
-    return first if np.count_nonzero(most[first:]) >= BELIEVED.rows else None
-
-
-def _frozen(volts: FloatArray, names: Sequence[str]) -> list[CellFlag]:
-    """Cells whose reading stays the same to the last digit while the others' move."""
-    blocks = len(volts) // BELIEVED.rows
-    if blocks == 0 or volts.shape[1] < 3:
-        return []
-    parts = volts[: blocks * BELIEVED.rows].reshape(blocks, BELIEVED.rows, -1)
-    still = np.max(parts, axis=1) == np.min(parts, axis=1)  # a missing value compares as moving
-    if not still.any():
-        return []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value
-        some = parts[:, :, :: max(volts.shape[1] // 12, 1)]
-        middle = np.nanmedian(some, axis=2)
-        moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > BELIEVED.move_V
-    flags = []
+            count = np.count_nonzero(bad)
+            text = f"{name} has {count} row(s) without a possible voltage, which are left out"
+            yield CellFlag(name, "missing", text)
+    still, moved = _still(volts)
     for k in np.flatnonzero((still & moved[:, None]).any(axis=0)).tolist():
-        rows = np.repeat(still[:, k], BELIEVED.rows)
-        share = float((still[:, k] & moved).sum() / moved.sum())
-        volts[: rows.size][rows, k] = np.nan
-        gone = share > BELIEVED.missing
-        if gone:
+        repeated = np.repeat(still[:, k], BELIEVED.rows)
+        gone = float((still[:, k] & moved).sum() / moved.sum())
+        volts[: repeated.size][repeated, k] = np.nan
+        end = "those rows are left out"
+        if gone > BELIEVED.missing:
             volts[:, k] = np.nan
-        end = "it is not estimated" if gone else "those rows are left out"
-        text = (
-            f"{names[k]} repeats one value while the other cells move ({100 * share:.0f} % of the "
-            f"time under load): {end}"
-        )
-        flags.append(CellFlag(names[k], "frozen", text))
-    return flags
+            end = "it is not estimated"
+        text = f"{names[k]} repeats one value while the other cells move ({100 * gone:.0f} % of the"
+        yield CellFlag(names[k], "frozen", f"{text} time under load): {end}")
 
 
-def _count(volts: FloatArray, pack_V: FloatArray | None) -> list[CellFlag]:
+def _still(volts: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Blocks of rows in which each cell repeats one value, and those in which the cells moved."""
+    blocks, cells = len(volts) // BELIEVED.rows, volts.shape[1]
+    parts = volts[: blocks * BELIEVED.rows].reshape(blocks, BELIEVED.rows, cells)
+    still = np.max(parts, axis=1) == np.min(parts, axis=1)  # a missing value compares as moving
+    moved = np.zeros(blocks, dtype=np.bool_)
+    if cells > 2 and still.any():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value
+            middle = np.nanmedian(parts[:, :, :: max(cells // 12, 1)], axis=2)
+            moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > BELIEVED.move_V
+    return still, moved
+
+
+def _uncounted(volts: FloatArray, pack_V: FloatArray) -> Iterator[CellFlag]:
     """The pack's voltage against the sum of the cells: cells without a column."""
-    if pack_V is None:
-        return []
     cells = volts.shape[1]
+    some = slice(None, None, max(len(volts) // 2000, 1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        some = slice(None, None, max(len(volts) // 2000, 1))
-        mean = np.nanmedian(volts[some], axis=1)
-        ratio = float(np.nanmedian(pack_V[some] / mean))
-    if not np.isfinite(ratio) or abs(ratio - 1.0) < BELIEVED.cells:
-        return []  # the voltage is the mean cell's
-    if abs(ratio - cells) <= BELIEVED.cells + 0.002 * cells:
-        return []
-    text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a column"
-    return [CellFlag("", "count", text)]
+        ratio = float(np.nanmedian(pack_V[some] / np.nanmedian(volts[some], axis=1)))
+    # Of the mean cell, of all cells, or of others: the sum's last digits grow with the cells.
+    known = abs(ratio - 1.0) < BELIEVED.cells or abs(ratio - cells) <= BELIEVED.cells + cells / 500
+    if np.isfinite(ratio) and not known:
+        text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a"
+        yield CellFlag("", "count", f"{text} column")
 
 
 def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:

@@ -22,85 +22,39 @@ from cellwise.report.benchmark.overview import (
     start_name,
     step_time,
 )
-from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
     MOST,
     Markup,
     bullets,
     details,
+    escape,
     paragraph,
     record_table,
     table,
 )
 from cellwise.report.page.numerals import NONE, duration, listed, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture, pictured
+from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Section, write_page
 
 Rows = Sequence[Mapping[str, Any]]
-MOST_POINTS = 12.0  # of SOC, that an axis shows: a lost start would press all else to zero
-GOOD, FAIR, POOR = 1.0, 2.0, 5.0  # per cent of SOC
-LIMITS = dict(zip((GOOD, FAIR, POOR), style.TINTS, strict=False))
-BAD = style.TINTS[-1]
-
-
-@pictured(
-    "benchmark-faults",
-    "Mean settled RMSE in per cent of SOC, every fault from the same start; green up to 1 %, "
-    "red beyond 5 %. The fault is in what the filter sees, never in the reference.",
+TINTS = (0.01, 0.02, 0.05)  # of SOC: good, fair, poor; beyond is bad
+FAULTS = (
+    "Mean settled RMSE, every fault from the same start; green up to 1 %, red beyond 5 %. The "
+    "fault is in what the filter sees, never in the reference."
 )
-def fault_picture(matrix: Matrix) -> style.Figure:
-    """Numbers on tinted fields, faults downwards, estimators across."""
-    values = 100.0 * matrix.values.T
-    figure = style.new_figure(0.9 + 0.27 * len(matrix.labels))
-    axes = figure.subplots()
-    for (row, column), value in np.ndenumerate(values):
-        if not np.isfinite(value):
-            continue
-        tint = next((t for limit, t in LIMITS.items() if value <= limit), BAD)
-        axes.fill_between([column - 0.48, column + 0.48], row - 0.46, row + 0.46, color=tint, lw=0)
-        axes.text(column, row, f"{value:.2f}", ha="center", va="center", color=style.INK)
-    axes.set_xlim(-0.5, len(matrix.estimators) - 0.5)
-    axes.set_ylim(len(matrix.labels) - 0.5, -0.5)
-    axes.set_xticks(range(len(matrix.estimators)), matrix.estimators)
-    axes.set_yticks(range(len(matrix.labels)), matrix.labels)
-    axes.grid(visible=False)
-    axes.tick_params(length=0)
-    robust = most_robust(matrix)
-    if robust is not None:
-        style.finding(axes, f"{robust[0]} is most robust: {percent(robust[1])} settled at most")
-    return figure
-
-
-def starts_table(rows: Rows) -> Markup:
-    """From each start: how long until within two points, and the settled error."""
-    chosen = healthy(rows)
-    names = [o.estimator for o in overviews(rows)]
-
-    def shown(error: float, name: str) -> str:
-        own = [r for r in chosen if r["estimator"] == name and r["start_error"] == error]
-        times = np.array([r["convergence_s"] for r in own], dtype=np.float64)
-        reached = times[np.isfinite(times)]
-        if not own:
-            return NONE
-        after = duration(float(np.median(reached))) if reached.size else "never"
-        part = f" in {reached.size} of {times.size}" if 0 < reached.size < times.size else ""
-        return f"{after}{part}, {percent(mean_of(own, 'settled_rmse'))}"
-
-    return record_table(
-        sorted({float(row["start_error"]) for row in chosen}),
-        ("start", start_name),
-        *((name, lambda error, name=name: shown(error, name)) for name in names),
-        caption="Median time until the error stays within two points for ten minutes, over the "
-        "runs that get there; then the settled RMSE.",
-    )
-
-
 MEANS = (
     "Settled: after the error has stayed within two points for ten minutes, over the second half "
     "of a log where it never did. Reference: the tester's counter, never what the filter saw. "
     "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is consistent. Mean NIS: "
     "squared innovation over its variance, 1 if noise is as modelled."
+)
+STANDINGS = (
+    "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
+    "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
+    "column of their own and no part in a rank. In brackets what holds 95 % over resampled logs. "
+    "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
+    "band of two deviations and 40 times what lies outside, smaller is better."
 )
 
 
@@ -112,7 +66,7 @@ class BenchmarkTable(NamedTuple):
 
     name: str
     about: str
-    rows: Sequence[Mapping[str, Any]]
+    rows: Rows
     parts: Sequence[Mapping[str, Any]] = ()
     not_run: Sequence[tuple[str, str]] = ()
 
@@ -171,34 +125,67 @@ def most_robust(matrix: Matrix) -> tuple[str, float] | None:
 
 def benchmark_sections(found: BenchmarkTable) -> list[Section]:
     """The parts of the page."""
-    rows = found.rows
-    faults = fault_matrix(rows)
-    best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
-    logs = log_matrix(rows)
+    rows, logs, faults = found.rows, log_matrix(found.rows), fault_matrix(found.rows)
     by_log = table(
         ("log", *logs.estimators),
         fault_rows(logs, percent),
         caption="Settled RMSE of each log, mean over its starts, without a fault.",
         sortable=True,
     )
-    blocks = (best, by_log)
+    best = record_table(overviews(rows), *OVERVIEW_COLUMNS, caption=MEANS)
     sections = [
         *standings_sections(found.parts, found.not_run),
-        Section("overview", "Estimators, without a fault", blocks, "Overview"),
+        Section("overview", "Estimators, without a fault", (best, by_log), "Overview"),
     ]
     if len({row["start_error"] for row in healthy(rows)}) > 1:
-        starts = (starts_table(rows),)
-        sections.append(Section("starts", "From a wrong start", starts, "Starts"))
+        sections.append(Section("starts", "From a wrong start", (starts_table(rows),), "Starts"))
     if faults.labels:
-        text = coverage_text(rows)
-        robust = (fault_picture(faults), paragraph(text) if text else EMPTY)
         title = "With a fault that the filter does not know of"
-        sections.append(Section("faults", title, robust, "Faults"))
+        said = paragraph(coverage_text(rows)) if coverage_text(rows) else EMPTY
+        sections.append(Section("faults", title, (fault_table(faults), said), "Faults"))
     sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
     return sections
 
 
-def every_row(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def fault_table(matrix: Matrix) -> Markup:
+    """Numbers on tinted fields, faults downwards, estimators across."""
+
+    def tinted(value: float) -> Markup:
+        tint = 1 + sum(value > limit for limit in TINTS)
+        shown = escape(percent(value))
+        return Markup(f'<span class="tint-{tint}">{shown}</span>') if value == value else shown
+
+    head = ("fault", *matrix.estimators)
+    return table(head, fault_rows(matrix, tinted), caption=FAULTS, sortable=True)
+
+
+def starts_table(rows: Rows) -> Markup:
+    """From each start: how long until within two points, and the settled error."""
+    chosen = healthy(rows)
+
+    def shown(error: float, name: str) -> str:
+        own = [r for r in chosen if r["estimator"] == name and r["start_error"] == error]
+        times = np.array([r["convergence_s"] for r in own], dtype=np.float64)
+        reached = times[np.isfinite(times)]
+        if not own:
+            return NONE
+        after = duration(float(np.median(reached))) if reached.size else "never"
+        part = f" in {reached.size} of {times.size}" if 0 < reached.size < times.size else ""
+        return f"{after}{part}, {percent(mean_of(own, 'settled_rmse'))}"
+
+    return record_table(
+        sorted({float(row["start_error"]) for row in chosen}),
+        ("start", start_name),
+        *(
+            (o.estimator, lambda error, name=o.estimator: shown(error, name))
+            for o in overviews(rows)
+        ),
+        caption="Median time until the error stays within two points for ten minutes, over the "
+        "runs that get there; then the settled RMSE.",
+    )
+
+
+def every_row(rows: Rows) -> Markup:
     """All rows behind a click, the first ones where there are very many."""
     more = f", the first {MOST.runs} here, all in the data block" if len(rows) > MOST.runs else ""
     figures = record_table(
@@ -222,7 +209,7 @@ def every_row(rows: Sequence[Mapping[str, Any]]) -> Markup:
     return details(f"{plural(len(rows), 'run')}{more}", figures)
 
 
-def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def problems(rows: Rows) -> Markup:
     """What could not be judged, and why."""
     bad = [row for row in rows if row["problem"]]
     if not bad:
@@ -234,30 +221,19 @@ def problems(rows: Sequence[Mapping[str, Any]]) -> Markup:
     )
 
 
-STANDINGS = (
-    "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
-    "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
-    "column of their own and no part in a rank. In brackets what holds 95 % over resampled logs. "
-    "Ended within 3 points: share of runs whose last error is. Interval score: width of the "
-    "band of two deviations and 40 times what lies outside, smaller is better."
-)
-
-
 def standings_sections(
     parts: Sequence[Mapping[str, Any]], not_run: Sequence[tuple[str, str]] = ()
 ) -> list[Section]:
-    """A section for each part of a leaderboard, as `cellwise.benchmark.submission` makes them."""
+    """A section for each part of a leaderboard, as `cellwise.benchmark.leaderboard` makes them."""
+    said = bullets([f"{name}: {why}" for name, why in not_run], "notices")
     sections = []
     for k, part in enumerate(parts):
-        blocks: list[Markup | Picture] = [
-            _standings_picture(part)._replace(key=f"benchmark-standings-{k}"),
+        blocks = (
             table(part["head"], part["cells"], caption=STANDINGS, text_columns=(1,)),
             table(part["band_head"], part["bands"], text_columns=(0, 7, 8)),
-        ]
-        if not_run and k == 0:
-            said = [f"{name}: {why}" for name, why in not_run]
-            blocks += [paragraph("Not run:"), bullets(said, "notices")]
-        sections.append(Section(f"standings-{k}", part["title"], tuple(blocks), part["title"]))
+            Markup(paragraph("Not run:") + said) if said and k == 0 else EMPTY,
+        )
+        sections.append(Section(f"standings-{k}", part["title"], blocks, part["title"]))
     return sections
 
 
@@ -265,28 +241,3 @@ def standings_page(suite: str, parts: Sequence[Mapping[str, Any]], path: Path) -
     """The leaderboard alone, as a page."""
     title = f"Leaderboard '{suite}', by cellwise"
     return write_page(path, title, title, standings_sections(parts), {"suite": suite})
-
-
-@pictured(
-    "benchmark-standings",
-    "Large: mean over the hard runs of all logs. Small: every log. Further left is better; the "
-    "scale is logarithmic.",
-)
-def _standings_picture(part: Mapping[str, Any]) -> style.Figure:
-    """Dots over a logarithmic scale, a line per estimator, the best on top."""
-    names = part["names"]
-    figure = style.new_figure(1.0 + 0.3 * max(len(names), 2))
-    axes = figure.subplots()
-    for place, (means, hard) in enumerate(zip(part["by_log"], part["hard"], strict=True)):
-        dots = np.maximum(100.0 * np.array(means), 0.02)
-        axes.plot(dots, np.full(dots.size, place), "o", color=style.MUTED, markersize=3)
-        if hard is not None:
-            axes.plot([100.0 * hard], [place], "D", color=style.CYCLE[0], markersize=7)
-    axes.set_xscale("log")
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
-    style.plain_numbers(axes.xaxis)
-    if part["hard"][0] is not None:
-        style.finding(axes, f"{names[0]} comes nearest: {100 * part['hard'][0]:.2f} points")
-    style.labels(axes, "settled SOC RMSE, hard runs [points]", " ")
-    return figure

@@ -12,11 +12,9 @@ from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Line, Panel
 from cellwise.report.diagnosis.pictures import (
-    BEFORE_AFTER_CAPTION,
-    before_after_picture,
-    drawn_runs,
+    before_after_plot,
+    by_soc_picture,
     residual_section,
 )
 from cellwise.report.diagnosis.statements import (
@@ -59,7 +57,7 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Section, Traces, trace_section, write_page
+from cellwise.report.page.section import Blocks, Section, plots_within, write_page
 
 
 def diagnose_page(
@@ -96,13 +94,17 @@ def diagnose_page(
 def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Section, ...]:
     """The parts of the page."""
     explained = bool(diagnosis.causes)
-    pictures = []
-    for k, run in enumerate(runs[: MOST.diagnosed]):
-        picture = before_after_picture(run, explained).of(run.log, f"before-after-{k + 1}")
-        caption = BEFORE_AFTER_CAPTION if explained else picture.caption
-        pictures.append(picture._replace(caption=caption))
+    shown = list(enumerate(runs[: MOST.diagnosed], start=1))
+    plots = tuple(before_after_plot(r, explained, f"before-after-{k}") for k, r in shown)
+    by_soc = tuple(
+        by_soc_picture(r, explained)._replace(
+            key=f"by-soc-{k}", caption="" if k > 1 else "RMSE by tenth of SOC."
+        )
+        for k, r in shown
+    )
     title = "Before and after" if explained else "Measured and simulated"
-    sections = [Section("before-after", title, (pictures[0], runs_table(runs, explained)))]
+    first: Blocks = (*plots[:1], runs_table(runs, explained), *by_soc)
+    sections = [Section("before-after", title, first)]
     if explained:
         contents = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)
         sections.append(Section("causes", "What it is", contents, "Causes"))
@@ -119,23 +121,9 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
         limits = (lines, limits_table(diagnosis))
         sections.append(Section("limits", "What these logs could show", limits, "Limits"))
     sections.append(residual_section(diagnosis.anatomy, clock_of(diagnosis.logs[0])))
-    if pictures[1:]:
-        sections.append(Section("logs", "The other logs", tuple(pictures[1:])))
-    sections.append(trace_section([(named_log(r), run_traces(r, explained)) for r in runs]))
+    if plots[1:]:
+        sections.append(Section("logs", "The other logs", tuple(plots_within(plots[1:]))))
     return tuple(sections)
-
-
-def run_traces(run: LogRun, explained: bool) -> Traces:
-    """Voltages, residuals and current of a log, before and after."""
-    hours = run.log.time_s / 3600.0
-    drawn = drawn_runs(run, explained)
-    measured = Line("measured", hours, run.log.voltage_V)
-    panels = (
-        Panel("voltage [V]", (measured, *(Line(d.name, hours, d.voltage_V) for d in drawn))),
-        Panel("residual [mV]", tuple(Line(d.name, hours, 1e3 * d.error_V) for d in drawn)),
-        Panel("current [A]", (Line("current", hours, run.log.current_A),)),
-    )
-    return Traces("time [h]", panels, clock_of(run.log))
 
 
 def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:

@@ -11,80 +11,52 @@ from cellwise.diagnose.applied import LogRun
 from cellwise.report.diagnosis.statements import change, corrected_mV, named_log
 from cellwise.report.page import style
 from cellwise.report.page.markup import paragraph
-from cellwise.report.page.numerals import counted, duration, millivolt, percent
+from cellwise.report.page.numerals import counted, millivolt, percent
 from cellwise.report.page.picture import pictured
-from cellwise.report.page.section import Section
-from cellwise.report.page.traces import (
-    Shown,
-    close_up_s,
-    draw_close_up,
-    draw_log,
-    symmetric_limits,
-    worst_window,
-)
+from cellwise.report.page.plot import Plot, as_model, simulation_plot
+from cellwise.report.page.section import Blocks, Section
 
 BEFORE_AFTER_CAPTION = (
-    "Measured voltage (grey), the model as it was (vermillion), and with the causes known (blue). "
-    "Below, the residual, measured minus simulated, before and after. Then the minutes where "
-    "the model was worst, and RMSE by tenth of SOC."
+    "Measured voltage (grey), the model as it was (vermillion) and with the causes known (blue); "
+    "the residual, measured minus simulated, before and after; the current."
 )
 
 
-@pictured(
-    "before-after",
-    "Measured voltage (grey) and the model's (vermillion); below, the residual. "
-    "Then the minutes where the model is worst, and RMSE by tenth of SOC.",
-)
-def before_after_picture(run: LogRun, explained: bool) -> style.Figure:
-    """Voltage and residual of a log before and after, the worst minutes, error by SOC."""
-    figure = style.new_figure(6.0)
-    left, right = style.two_columns(figure, (2.3, 0.8, 1.9), (2.3, 1.9))
-    log = run.log
-    length_s = close_up_s(log.time_s)
-    part = worst_window(log.time_s, run.before.error_V, length_s, None, log.known_current_A())
-    runs = drawn_runs(run, explained)
-    draw_log(left, log, runs, part)
+def before_after_plot(run: LogRun, explained: bool, key: str) -> Plot:
+    """Voltage and residual of a log before and after."""
     size = millivolt(run.before.metrics.rmse_V)
-    text = f"error {change(run)}" if explained else f"{size} RMSE"
-    style.finding(left[0], f"{named_log(run)}: {text}", style.WIDE)
-    symmetric_limits(left[2], run.before.error_V, "mV", factor=1e3)
-    sizes = draw_close_up(right[0], log, runs, part, length_s)
-    style.finding(right[0], f"Worst {duration(length_s)}: {sizes} RMSE", style.NARROW)
-    _draw_by_soc(right[1], run, explained)
-    return figure
-
-
-def drawn_runs(run: LogRun, explained: bool) -> list[Shown]:
-    """What is drawn of a log: the model before, and after with what the sensor adds."""
-    name = "before" if explained else "simulated"
-    before = Shown(name, run.before.voltage_V, run.before.error_V, style.MODEL)
+    title = f"{named_log(run)}: " + (f"error {change(run)}" if explained else f"{size} RMSE")
+    before = as_model(run.before, "before" if explained else "simulated")
     if not explained:
-        return [before]
+        return simulation_plot(key, title, run.log, [before])
     # What was taken off the measured voltage stands on the model's here: one measurement is drawn.
     after = run.explained
     moved = run.log.voltage_V - after.log.voltage_V
     name = "after, log corrected" if corrected_mV(run) else "after"
-    return [before, Shown(name, after.voltage_V + moved, after.error_V, style.FILTER)]
+    models = [before, (name, after.voltage_V + moved, after.error_V)]
+    return simulation_plot(key, title, run.log, models, caption=BEFORE_AFTER_CAPTION)
 
 
-def _draw_by_soc(axes: style.Axes, run: LogRun, explained: bool) -> None:
+@pictured("by-soc")
+def by_soc_picture(run: LogRun, explained: bool) -> style.Figure:
     """RMSE by tenth of SOC, before and after side by side."""
+    figure, axes = style.new_axes(2.3)
     pairs = [(run.before, style.MODEL, -2.1, "before")]
     pairs += [(run.explained, style.FILTER, 2.1, "after")] if explained else []
     for simulation, colour, shift, name in pairs:
         bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
         centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])
         sizes = [1e3 * b.metrics.rmse_V for b in bands]
-        axes.bar(
-            centre + shift * explained, sizes, 4.2 if explained else 8.4, color=colour, label=name
-        )
+        wide = 4.2 if explained else 8.4
+        axes.bar(centre + shift * explained, sizes, wide, color=colour, label=name)
     bands = [b for b in run.before.bands if np.isfinite(b.metrics.rmse_V)]
     if bands:
         worst = max(bands, key=lambda b: b.metrics.rmse_V)
         where = f"{100 * worst.soc_low:.0f}–{100 * worst.soc_high:.0f} % SOC"
-        style.finding(axes, f"Worst at {where}: {millivolt(worst.metrics.rmse_V)}", style.NARROW)
-    style.labels(axes, "SOC [%]", "RMSE [mV]")
-    style.soc_axis(axes)
+        title = f"{named_log(run)}, worst at {where}: {millivolt(worst.metrics.rmse_V)}"
+        style.finding(axes, title)
+    style.soc_axis(axes, "RMSE [mV]")
+    return figure
 
 
 Group = Mapping[str, Any]
@@ -102,19 +74,6 @@ def residual_section(residual: Mapping[str, Any], name: str) -> Section:
             f" The noise from row to row, which no model can predict, is "
             f"{millivolt(noise['floor_V'])}: {percent(noise['share'], 1)} of the squared error."
         )
-    content = (paragraph(text), residual_picture(residual))
-    return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
-
-
-@pictured(
-    "anatomy",
-    "The residual of the first log before any correction, divided in four ways. Bars: root "
-    "mean square of the rows in a group; dots: their mean, with its sign (positive: the "
-    "model is too low). Numbers: the group's share of the whole squared error.",
-)
-def residual_picture(residual: Mapping[str, Any]) -> style.Figure:
-    """Four panels of bars: what the error is divided by, how a group is called, its unit."""
-    figure = style.new_figure(5.6)
     warm = residual.get("by_temperature_C") or []
     charge = ("charge moved up to", residual["by_charge_Ah"], lambda g: f"{g['to']:.2g}", "Ah")
     panels = (
@@ -123,14 +82,26 @@ def residual_picture(residual: Mapping[str, Any]) -> style.Figure:
         ("time since a current step", residual["by_edge_s"], _between, "s"),
         ("temperature", warm, _between, "°C") if len(warm) > 1 else charge,
     )
-    for axes, panel in zip(style.panels(figure, 2, 2), panels, strict=True):
-        _bars(axes, *panel)
-    return figure
+    pictures = tuple(
+        residual_picture(*one)._replace(key=f"anatomy-{k}") for k, one in enumerate(panels, start=1)
+    )
+    content: Blocks = (paragraph(text), paragraph(ANATOMY, "note"), *pictures)
+    return Section("anatomy", f"Where the error lies ({name})", content, "Where it lies")
 
 
-def _bars(
-    axes: style.Axes, what: str, groups: Sequence[Group], name: Callable[[Group], str], unit: str
-) -> None:
+ANATOMY = (
+    "The residual of the first log before any correction, divided in four ways. Bars: root mean "
+    "square of the rows in a group; dots: their mean, with its sign (positive: the model is too "
+    "low). Numbers: the group's share of the whole squared error."
+)
+
+
+@pictured("anatomy")
+def residual_picture(
+    what: str, groups: Sequence[Group], name: Callable[[Group], str], unit: str
+) -> style.Figure:
+    """Size and mean of the residual in every group of a division."""
+    figure, axes = style.new_axes(2.6)
     place = np.arange(len(groups))
     sizes = [1e3 * (g["rmse_V"] or 0.0) for g in groups]
     means = [1e3 * g["mean_V"] for g in groups]
@@ -151,13 +122,19 @@ def _bars(
     axes.grid(axis="x", visible=False)
     if what == "SOC":
         style.legend(axes)
+    style.finding(axes, _title(what, groups, name, unit, worst))
+    return figure
+
+
+def _title(
+    what: str, groups: Sequence[Group], name: Callable[[Group], str], unit: str, worst: int
+) -> str:
     if not groups:
-        style.finding(axes, f"No {what} to divide by", 0.42)
-        return
+        return f"No {what} to divide by"
     top, rows = groups[worst], sum(g["rows"] for g in groups)
     where = name(top) if name(top) == "rest" else f"{what.partition(' (')[0]} {name(top)} {unit}"
     part = f"{percent(top['rows'] / max(rows, 1), 0)} of rows"
-    style.finding(axes, f"{percent(top['share'], 0)} of the error: {where}, {part}", 0.42)
+    return f"{percent(top['share'], 0)} of the error: {where}, {part}"
 
 
 def _between(g: Group) -> str:

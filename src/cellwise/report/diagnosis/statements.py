@@ -201,7 +201,8 @@ def change_of(before_V: float, after_V: float) -> str:
 def statement(cause: FoundCause, diagnosis: Diagnosis) -> str:
     """The cause with its numbers, without a full stop."""
     say = SAID.get(cause.name)
-    return cause.meaning.rstrip(".") if say is None else say(cause.parameters, diagnosis)
+    said = cause.meaning.rstrip(".") if say is None else say(cause.parameters, diagnosis)
+    return said if cause.log is None else f"{said} in {cause.log or 'one log'}"
 
 
 def _reads(channel: str, size: str, value: float) -> str:

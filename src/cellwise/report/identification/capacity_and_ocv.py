@@ -13,7 +13,7 @@ from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, beside, bullets, details, record_table
 from cellwise.report.page.numerals import ampere_hours, millivolt, percent, plural, significant
-from cellwise.report.page.picture import pictured
+from cellwise.report.page.picture import Picture, pictured
 from cellwise.typing import FloatArray
 
 FLAT_V = 0.12  # between 20 and 80 % SOC: a plateau, on which voltage says little about charge
@@ -111,66 +111,93 @@ def ocv_content(identification: Identification) -> Markup:
     return details(f"Where the OCV came from: {curve.source}", notes) if notes else notes
 
 
-def _ocv_caption(identification: Identification) -> str:
-    curve = identification.ocv
-    slow = curve.discharge_V is not None or curve.charge_V is not None
-    text = (
-        "The model's OCV, and what it stands on. Below: by how much each measurement lies above it."
-        if slow or measured_rests(identification).soc.size
-        else "The model's OCV; no rest and no slow test was measured."
+def _curve_caption(identification: Identification) -> str:
+    return "The model's OCV, and what it stands on." + style.no_data_text(
+        identification.model.validity.soc
     )
-    if curve.discharge_V is not None and curve.charge_V is not None:
-        text += " The gap of slow charge and discharge is polarisation and hysteresis together."
-    return text + style.no_data_text(identification.model.validity.soc)
 
 
-@pictured("ocv", _ocv_caption)
+class _Curve(NamedTuple):
+    """A measured branch or the rests: SOC, voltage, and what it lies above the model's OCV [V]."""
+
+    name: str
+    soc: FloatArray
+    voltage_V: FloatArray
+    above_V: FloatArray
+    looks: dict[str, Any]
+
+
+def _model_ocv(identification: Identification) -> FloatArray:
+    """The model's OCV nearest to the reference temperature, on its own grid."""
+    model = identification.model
+    return np.asarray(model.ocv_V[int(np.argmin(np.abs(model.temperature_C - REFERENCE_C)))])
+
+
+def _measured(identification: Identification) -> list[_Curve]:
+    """Slow branches and rests that the OCV stands on."""
+    curve, rests = identification.ocv, measured_rests(identification)
+    dots = {"color": style.INK, "marker": "o", "linestyle": "", "markersize": 3.0, "zorder": 4}
+    known = [
+        ("slow discharge", curve.soc, curve.discharge_V, {"color": style.SKY, "linewidth": 1.4}),
+        ("slow charge", curve.soc, curve.charge_V, {"color": style.GREEN, "linewidth": 1.4}),
+        (plural(rests.soc.size, "rest"), rests.soc, rests.voltage_V, dots),
+    ]
+    ocv_V = _model_ocv(identification)
+    return [
+        _Curve(name, soc, volt, volt - np.interp(soc, identification.model.soc, ocv_V), looks)
+        for name, soc, volt, looks in known
+        if volt is not None and volt.size
+    ]
+
+
+@pictured("ocv", _curve_caption)
 def ocv_picture(identification: Identification) -> style.Figure:
-    """The model's curve with branches and rests; what they lie above it."""
-    curve, model, rests = identification.ocv, identification.model, measured_rests(identification)
-    known = (curve.discharge_V, curve.charge_V, rests.soc if rests.soc.size else None)
-    measured = any(one is not None for one in known)
-    figure = style.new_figure(5.4 if measured else 3.3)
-    heights = (1.5, 1.0) if measured else (1.0,)
-    rows = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)
-    top, below = rows[0, 0], rows[-1, 0]
-    row = int(np.argmin(np.abs(model.temperature_C - REFERENCE_C)))
-    ocv_V = np.interp(curve.soc, model.soc, model.ocv_V[row])
-    shown: list[FloatArray] = []
-    for name, level_V, colour in (
-        ("slow discharge", curve.discharge_V, style.SKY),
-        ("slow charge", curve.charge_V, style.GREEN),
-    ):
-        if level_V is not None:
-            top.plot(100.0 * curve.soc, level_V, color=colour, linewidth=1.4, label=name)
-            below.plot(100.0 * curve.soc, 1e3 * (level_V - ocv_V), color=colour, label=name)
-            shown.append(1e3 * (level_V - ocv_V)[(curve.soc > 0.05) & (curve.soc < 0.95)])
-    top.plot(100.0 * curve.soc, ocv_V, color=style.MODEL, linewidth=1.6, label="model")
-    title = "No rest was measured"
-    if rests.soc.size:
-        looks: dict[str, Any] = {"color": style.INK, "markersize": 3.0, "zorder": 4}
-        name = plural(rests.soc.size, "rest")
-        top.plot(100.0 * rests.soc, rests.voltage_V, "o", label=name, **looks)
-        error_V = rests.voltage_V - np.interp(rests.soc, model.soc, model.ocv_V[row])
-        below.plot(100.0 * rests.soc, 1e3 * error_V, "o", label=name, **looks)
-        shown.append(1e3 * error_V)
-        title = f"Rests lie {millivolt(float(np.median(np.abs(error_V))))} from it in the median"
-    if measured:
-        style.zero_line(below)
-        errors = np.concatenate(shown)
-        low, high = np.percentile(errors[np.isfinite(errors)], (2, 98))
-        room = 0.15 * (high - low) + 2.0
-        below.set_ylim(min(low, 0.0) - room, max(high, 0.0) + room)
-        style.finding(below, title)
-    span = float(np.ptp(ocv_V[(curve.soc >= 0.2) & (curve.soc <= 0.8)]))
+    """The model's curve with branches and rests."""
+    figure, axes = style.new_axes()
+    soc, ocv_V = identification.model.soc, _model_ocv(identification)
+    for one in _measured(identification):
+        axes.plot(100.0 * one.soc, one.voltage_V, label=one.name, **one.looks)
+    axes.plot(100.0 * soc, ocv_V, color=style.MODEL, linewidth=1.6, label="model")
+    span = float(np.ptp(ocv_V[(soc >= 0.2) & (soc <= 0.8)]))
     slope = f"{millivolt(span / 60.0)} per point of SOC between 20 and {percent(0.8, 0)}"
     flat = "; a plateau, where voltage says little about SOC" if span < FLAT_V else ""
-    style.finding(top, f"OCV {ocv_V[0]:.3f} to {ocv_V[-1]:.3f} V, {slope}{flat}")
-    if measured:
-        style.labels(below, "SOC [%]", "minus the model [mV]")
-    style.labels(top, "" if measured else "SOC [%]", "voltage [V]")
-    for axes in {top, below}:
-        style.soc_axis(axes, label=axes is below)
-        style.no_data(axes, model.validity.soc)
-    style.legend(top, place="lower right")
+    style.finding(axes, f"OCV {ocv_V[0]:.3f} to {ocv_V[-1]:.3f} V, {slope}{flat}")
+    style.soc_axis(axes, "voltage [V]")
+    style.no_data(axes, identification.model.validity.soc)
+    style.legend(axes, place="lower right")
     return figure
+
+
+@pictured(
+    "ocv-measured",
+    "By how much what was measured lies above the model's OCV. The gap of slow charge and "
+    "discharge is polarisation and hysteresis together.",
+)
+def ocv_error_picture(identification: Identification) -> style.Figure:
+    """What branches and rests lie above the model's curve."""
+    figure, axes = style.new_axes()
+    shown: list[FloatArray] = []
+    title = "No rest was measured"
+    for one in _measured(identification):
+        axes.plot(100.0 * one.soc, 1e3 * one.above_V, label=one.name, **one.looks)
+        rests = one.looks.get("marker")
+        shown.append(one.above_V if rests else one.above_V[(one.soc > 0.05) & (one.soc < 0.95)])
+        if rests:
+            size = millivolt(float(np.median(np.abs(one.above_V))))
+            title = f"Rests lie {size} from it in the median"
+    errors = 1e3 * np.concatenate(shown)
+    low, high = np.percentile(errors[np.isfinite(errors)], (2, 98))
+    room = 0.15 * (high - low) + 2.0
+    axes.set_ylim(min(low, 0.0) - room, max(high, 0.0) + room)
+    style.zero_line(axes)
+    style.finding(axes, title)
+    style.soc_axis(axes, "minus the model [mV]")
+    style.legend(axes)
+    return figure
+
+
+def ocv_pictures(identification: Identification) -> tuple[Picture, ...]:
+    """The curve, and beside it what was measured where something was."""
+    if not _measured(identification):
+        return (ocv_picture(identification),)
+    return ocv_picture(identification), ocv_error_picture(identification)

@@ -4,38 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import (
-    ChargeTransfer,
-    Hysteresis,
-    SelfHeating,
-    SurfaceSoc,
-    TemperatureDependence,
-    TimeSkew,
-)
+from cellwise.cell.model import CellModel
 from cellwise.identify.identification import Identification, OwnLog
 from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
     ocv_content,
-    ocv_picture,
+    ocv_pictures,
 )
 from cellwise.report.identification.parameter_section import (
-    NAMES,
-    model_table,
     parameter_content,
-    parameter_picture,
+    parameter_pictures,
 )
-from cellwise.report.identification.pulse_section import pulse_content, pulse_picture, pulse_sets
-from cellwise.report.identification.simulation_section import (
-    simulation_content,
-    simulation_pictures,
-)
+from cellwise.report.identification.pulse_section import pulse_content, pulse_pictures, pulse_sets
+from cellwise.report.identification.simulation_section import simulation_blocks
 from cellwise.report.page.markup import (
     Markup,
     bullets,
@@ -62,140 +51,66 @@ from cellwise.report.page.numerals import (
     significant,
 )
 from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import (
-    Blocks,
-    Section,
-    simulation_traces,
-    trace_section,
-    write_page,
-)
+from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.typing import FloatArray
 
 NOT_JUDGED = (
     "Every log here took part in the fit: judge the model on another one "
     "(cellwise simulate, replay or diagnose)."
 )
-TABLES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s", "r3_ohm", "tau3_s")
 
 
 def provenance_content(identification: Identification) -> Markup:
-    """One row per quantity of the model: value, how sure, where from."""
-    rows = [
-        *_capacity_rows(identification),
-        *_ocv_rows(identification),
-        *_table_rows(identification),
-        *_effect_rows(identification),
-        *_error_rows(identification),
-    ]
+    """How the tables came about, the effects, what the model may be off by, its own record."""
+    model = identification.model
     found = table(
-        ("quantity", "value", "standard error", "from"),
-        rows,
-        caption=_how(identification) + " Standard errors are medians over SOC, a temperature each.",
-        text_columns=range(4),
+        ("of the model", "value"),
+        [*_effect_rows(model), *_error_rows(model)],
+        caption=f"{_how(identification)} Voltage errors are from logs left out of the fit.",
+        text_columns=(0, 1),
     )
-    record = json.dumps(
-        finite(identification.model.provenance), indent=2, ensure_ascii=False, allow_nan=False
-    )
+    record = json.dumps(finite(model.provenance), indent=2, ensure_ascii=False, allow_nan=False)
     full = Markup(f"<pre>{escape(record)}</pre>")
     return Markup(found + details("The model's own record", full))
 
 
 def _how(identification: Identification) -> str:
     """How the tables came about, and of which logs."""
-    provenance = _mapping(identification.model.provenance.get("pulses"))
     sets = [s for t in identification.temperatures for s in t.pulse_sets]
     fitted = sum(len(s.fits) for s in sets)
     logs = [p.name for t in identification.temperatures if t.refinement for p in t.refinement.logs]
-    how = []
-    if fitted:
-        how.append(f"{plural(fitted, 'pulse')} by {provenance.get('method', 'fit')}")
-    if logs:
-        how.append("least squares over whole logs")
+    how = [plural(fitted, "pulse")] * bool(fitted) + ["least squares over whole logs"] * bool(logs)
     names = listed(list(dict.fromkeys(logs or [s.log.name for s in sets])))
     return f"Resistances and time constants: {', then '.join(how)}, of {names}." if how else ""
 
 
-def _capacity_rows(identification: Identification) -> list[tuple[object, ...]]:
-    choice = identification.capacity_choice
-    tests = [t.name for t in identification.capacity_tests if t.complete]
-    source = {"nominal": "the user", "hppc-total": "the HPPC log"}.get(
-        choice, listed(list(dict.fromkeys(tests))) or "the capacity tests"
-    )
-    value = ampere_hours(identification.model.capacity_Ah)
-    return [("capacity", value, "", f"{source}; choice {choice}")]
-
-
-def _ocv_rows(identification: Identification) -> list[tuple[object, ...]]:
-    curve, model = identification.ocv, identification.model
-    value = f"{model.ocv_V.min():.3f} to {model.ocv_V.max():.3f} V"
-    how = f"{curve.source}; {plural(curve.points_soc.size, 'point')}"
-    errors = _errors(identification, "ocv_V")
-    text = listed([millivolt(e) for e in errors])
-    return [("OCV", value, text, how + (", corrected by refinement" if errors else ""))]
-
-
-def _table_rows(identification: Identification) -> list[tuple[object, ...]]:
-    model = identification.model
-    rows: list[tuple[object, ...]] = []
-    for name in TABLES:
-        lines = [model_table(model, name, k) for k in range(model.temperature_C.size)]
-        known = np.concatenate([line for line in lines if line is not None] or [np.empty(0)])
-        if known.size:
-            factor, unit = (1e3, "mΩ") if name.endswith("ohm") else (1.0, "s")
-            text = f"{significant(factor * known.min())} to {significant(factor * known.max())}"
-            note = listed([percent(e, 1) for e in _errors(identification, name)])
-            rows.append((NAMES[name], f"{text} {unit}", note, ""))
+def _effect_rows(model: CellModel) -> list[tuple[str, str]]:
+    """Every effect of the model with its parameters, whose names carry their units."""
+    rows = []
+    for effect in model.effects:
+        told = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
+        known = (f"{name} {_spread(v)}" for name, v in told if v.dtype.kind == "f")
+        rows.append((effect.name.replace("_", " "), ", ".join(known)))
     return rows
 
 
-def _effect_rows(identification: Identification) -> list[tuple[object, ...]]:
-    model = identification.model
-    held_out = "the loads; accepted on logs held out"
-    rows: dict[str, tuple[object, ...]] = {}
-    h = model.effect(Hysteresis)
-    text = f"M up to {millivolt(float(np.max(h.m_V)))}, γ {significant(float(h.gamma))}"
-    note = listed([millivolt(e) for e in _errors(identification, "m_V")])
-    rows[h.name] = ("hysteresis", text, note, "gap of the branches")
-    t = model.effect(TemperatureDependence)
-    text = f"{significant(float(t.activation_K))} K at {celsius(t.reference_C)}"
-    rows[t.name] = ("Arrhenius activation", text, "", "measured temperatures")
-    skew = model.effect(TimeSkew)
-    rows[skew.name] = ("sampling delay", f"{significant(skew.skew_s)} s", "", "the drives")
-    transfer = model.effect(ChargeTransfer)
-    text = f"k = {significant(transfer.asinh_per_V)} / V"
-    rows[transfer.name] = ("charge transfer", text, "", held_out)
-    surface = model.effect(SurfaceSoc)
-    text = f"{percent(surface.depth_h)} of SOC at 1C, after {significant(surface.tau_s)} s"
-    rows[surface.name] = ("surface SOC", text, "", held_out)
-    heat = model.effect(SelfHeating)
-    text = f"{significant(heat.rth_K_per_W)} K/W, {significant(heat.thermal_s)} s"
-    rows[heat.name] = ("self-heating", text, "", held_out)
-    return [row for name, row in rows.items() if name in {e.name for e in model.effects}]
+def _spread(values: FloatArray) -> str:
+    """One value, or the lowest and the highest of a table."""
+    ends = dict.fromkeys((significant(float(values.min())), significant(float(values.max()))))
+    return " to ".join(ends)
 
 
-def _error_rows(identification: Identification) -> list[tuple[object, ...]]:
+def _error_rows(model: CellModel) -> list[tuple[str, str]]:
     """What the model may be off by, a row for each time scale."""
-    error = identification.model.error
     soc = np.linspace(0.05, 0.95, 19)
-    rows: list[tuple[object, ...]] = []
-    for k, scale in enumerate(error.scales_s):
-        size = np.sqrt(error.variance_V2(k, soc))
+    rows = []
+    for k, scale in enumerate(model.error.scales_s):
+        size = np.sqrt(model.error.variance_V2(k, soc))
         text = f"{millivolt(float(np.median(size)))}, at most {millivolt(float(size.max()))}"
-        share = error.shares()[k]
+        share = model.error.shares()[k]
         more = f", and {percent(share, 1)} of the polarisation" if share > 5e-4 else ""
-        name = f"voltage error over {duration(scale)}"
-        rows.append((name, text + more, "", "logs left out of the fit"))
+        rows.append((f"voltage error over {duration(scale)}", text + more))
     return rows
-
-
-def _errors(identification: Identification, name: str) -> list[float]:
-    """Median standard errors of a quantity, one per refined temperature."""
-    stages: Sequence[Any] = identification.model.provenance.get("refinement", ())
-    found = [_mapping(_mapping(stage).get("standard_error")).get(name) for stage in stages]
-    return [float(v) for v in found if v is not None]
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
 
 
 ROLES = {"hppc": "HPPC", "ocv": "low rate", "capacity": "capacity", "drive": "drive"}
@@ -303,27 +218,22 @@ def identify_page(
 
 def identify_sections(identification: Identification) -> tuple[Section, ...]:
     """The parts of an identification's page."""
-    simulations = identification.simulations
-    ocv = (ocv_picture(identification), ocv_content(identification))
+    ocv: Blocks = (*ocv_pictures(identification), ocv_content(identification))
     capacity = (capacity_content(identification),)
-    parameters = (parameter_picture(identification), parameter_content(identification))
-    fit: Blocks = (simulation_content(simulations), *simulation_pictures(simulations, "fit"))
+    parameters: Blocks = (parameter_content(identification), *parameter_pictures(identification))
+    fit = simulation_blocks(identification.simulations, "fit")
     scope = (scope_content(identification),)
     provenance = (provenance_content(identification),)
-    traces = [
-        (f"{clock_of(s.log)}, measured and simulated", simulation_traces(s)) for s in simulations
-    ]
     sections = [
         Section("scope", "What the model explains, and where it ends", scope, "Scope"),
         Section("ocv", "Open-circuit voltage", ocv),
         Section("capacity", "Capacity", capacity),
         Section("parameters", "Parameters", parameters),
         Section("fit", "Measured and simulated", fit),
-        trace_section(traces),
         Section("provenance", "Where every number came from", provenance, "Provenance"),
     ]
     if any(s.pulses for _, s in pulse_sets(identification)):
-        pulses = (pulse_picture(identification), pulse_content(identification))
+        pulses: Blocks = (*pulse_pictures(identification), pulse_content(identification))
         sections.insert(3, Section("pulses", "Pulses", pulses))
     return tuple(sections)
 

@@ -14,7 +14,7 @@ from cellwise.identify.refinement.splines import greville
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, paragraph, record_table
 from cellwise.report.page.numerals import celsius, listed, ohm_unit, percent, significant
-from cellwise.report.page.picture import pictured
+from cellwise.report.page.picture import Picture, pictured
 from cellwise.typing import BoolArray, FloatArray
 
 NAMES = {
@@ -132,31 +132,13 @@ def vague_names(identification: Identification) -> list[str]:
     ]
 
 
-def _caption(identification: Identification) -> str:
-    """What is drawn: bands where they are narrow enough, marks where pulses were fitted."""
-    model = identification.model
-    slow = model_table(model, "r3_ohm", 0) is not None
-    branches = "seconds (1), minutes (2) and longer (3)" if slow else "seconds (1) and minutes (2)"
-    text = (
-        f"R₀ is the drop at once, the branches are what follows within {branches}. Lines are the "
-        "model's tables at the temperatures of the tests"
-    )
-    errors = [
-        error
-        for found in identification.temperatures
-        for name in shown_names(identification)
-        if (error := table_error(found, name, model.soc)) is not None
-    ]
-    if any(np.any(2.0 * e <= VAGUE) for e in errors):
-        text += ", their bands two standard errors, left out beyond 50 % (≈ in a title)"
-    elif errors:
-        text += ", each of them by itself known to no better than 50 % (≈ in a title)"
-    if has_pulses(identification):
-        text += (
-            ". Marks are single pulses; they need not meet the lines, for a short pulse sees only "
-            "the beginning of what a whole log shows"
-        )
-    return f"{text}.{style.no_data_text(model.validity.soc)}"
+EXPLAINED = (
+    "R₀ is the drop at once, the branches are what follows within seconds (1), minutes (2) and "
+    "longer (3, where there is one). Lines are the model's tables at the temperatures of the tests "
+    "with two standard errors, which are left out beyond 50 % (≈ in a title). Marks are single "
+    "pulses; they need not meet the lines, for a short pulse sees only the beginning of what a "
+    "whole log shows."
+)
 
 
 def has_pulses(identification: Identification) -> bool:
@@ -164,17 +146,15 @@ def has_pulses(identification: Identification) -> bool:
     return any(found.fits for t in identification.temperatures for found in t.pulse_sets)
 
 
-@pictured("parameters", _caption)
-def parameter_picture(identification: Identification) -> style.Figure:
-    """A grid of panels, one per parameter, resistances first."""
+def parameter_pictures(identification: Identification) -> tuple[Picture, ...]:
+    """One per parameter, resistances first; the first one has the key."""
     names = shown_names(identification)
-    columns = len(names) // 2
-    figure = style.new_figure(4.6)
-    for k, axes in enumerate(style.panels(figure, 2, columns)):
-        _draw_parameter(axes, identification, names[k], 0.75 / columns)
-        style.soc_axis(axes, label=k >= columns)
-    _draw_key(figure, identification)
-    return figure
+    return tuple(
+        parameter_picture(identification, name, k == 0)._replace(
+            key=f"parameter-{name.replace('_', '-')}"
+        )
+        for k, name in enumerate(names)
+    )
 
 
 def parameter_content(identification: Identification) -> Markup:
@@ -184,24 +164,26 @@ def parameter_content(identification: Identification) -> Markup:
     said = f"{listed(vague)} {'is' if len(vague) == 1 else 'are'} hardly determined alone (two "
     said += "standard errors are more than half of the value): other values do nearly as well "
     said += "together. Rely on the sum and on the simulated voltage, not on one of them."
-    parts = []
+    parts = [paragraph(EXPLAINED + style.no_data_text(model.validity.soc), "note")] + [
+        paragraph(said)
+    ] * bool(vague)
+    tables = []
     for row, temperature in enumerate(model.temperature_C):
         named = ((n, model_table(model, n, row)) for n in NAMES if n != "dc_ohm")
-        tables = {n: line for n, line in named if line is not None}
-        units = {n: _unit(n, line) for n, line in tables.items()}
+        known = {n: line for n, line in named if line is not None}
+        units = {n: _unit(n, line) for n, line in known.items()}
         shown = record_table(
             [k / 10 for k in range(11)],
             ("SOC", lambda soc: percent(soc, 0)),
             ("OCV [V]", partial(_read_ocv, model.soc, model.ocv_V[row])),
             *(
                 (f"{NAMES[n]} [{units[n][1]}]", partial(_read, model.soc, units[n][0] * line))
-                for n, line in tables.items()
+                for n, line in known.items()
             ),
             caption=f"Tables of the model at {celsius(float(temperature))}",
         )
-        parts.append(shown)
-    shown_tables = details("The tables in numbers", Markup("".join(parts)))
-    return Markup((paragraph(said) if vague else "") + shown_tables)
+        tables.append(shown)
+    return Markup("".join([*parts, details("The tables in numbers", Markup("".join(tables)))]))
 
 
 def _read_ocv(grid: FloatArray, ocv_V: FloatArray, soc: float) -> str:
@@ -212,9 +194,10 @@ def _read(grid: FloatArray, line: FloatArray, soc: float) -> str:
     return significant(float(np.interp(soc, grid, line)))
 
 
-def _draw_parameter(
-    axes: style.Axes, identification: Identification, name: str, share: float
-) -> None:
+@pictured("parameter")
+def parameter_picture(identification: Identification, name: str, key: bool) -> style.Figure:
+    """One table over SOC at the tested temperatures, its band, the single pulses' values."""
+    figure, axes = style.new_axes(2.4)
     model = identification.model
     rows = shown_rows(identification)
     lines = {row: line for row in rows if (line := model_table(model, name, row)) is not None}
@@ -248,8 +231,11 @@ def _draw_parameter(
     style.no_data(axes, model.validity.soc)
     where = f", {celsius(float(model.temperature_C[middle]))}" if len(lines) > 1 else ""
     title = f"{NAMES[name]} {sign} {significant(factor * size)} {unit}{band_text}"
-    style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}", share)
-    style.labels(axes, "SOC [%]", f"{NAMES[name]} [{unit}]")
+    style.finding(axes, f"{title} at {percent(MIDDLE, 0)}{where}")
+    style.soc_axis(axes, f"{NAMES[name]} [{unit}]")
+    if key:
+        _draw_key(axes, identification)
+    return figure
 
 
 def _draw_pulse_values(
@@ -272,8 +258,8 @@ def _draw_pulse_values(
     return [np.percentile(well, [3, 97])] if well.size else []
 
 
-def _draw_key(figure: style.Figure, identification: Identification) -> None:
-    """Names of lines and marks below the panels."""
+def _draw_key(axes: style.Axes, identification: Identification) -> None:
+    """Names of lines and marks."""
     from matplotlib.lines import Line2D
 
     rows = shown_rows(identification)
@@ -290,7 +276,7 @@ def _draw_key(figure: style.Figure, identification: Identification) -> None:
             looks: dict[str, Any] = {"color": style.MEASURED, "alpha": alpha, "linestyle": "none"}
             keys.append(Line2D([], [], marker=marker, markersize=4, label=name, **looks))
     if len(keys) > 1:
-        style.key_below(figure, keys)
+        style.key_below(axes, keys)
 
 
 def temperature_colours(count: int) -> tuple[str, ...]:

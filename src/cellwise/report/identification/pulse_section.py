@@ -19,7 +19,7 @@ from cellwise.report.page.numerals import (
     plural,
     significant,
 )
-from cellwise.report.page.picture import pictured
+from cellwise.report.page.picture import Picture, pictured
 from cellwise.typing import FloatArray
 
 
@@ -110,20 +110,22 @@ def _caption(identification: Identification) -> str:
     return " ".join([f"{text}.", *(said for name, said in VERDICTS.items() if name in found)])
 
 
-@pictured("pulses", _caption)
-def pulse_picture(identification: Identification) -> style.Figure:
-    """One panel per HPPC log."""
+def pulse_pictures(identification: Identification) -> tuple[Picture, ...]:
+    """One per HPPC log, the first one explained."""
+    capacity_Ah, text = identification.model.capacity_Ah, _caption(identification)
     sets = pulse_sets(identification)[: MOST.pulse_logs]
-    figure = style.new_figure(0.5 + 2.2 * max(len(sets), 1))
-    for k, (temperature, found) in enumerate(sets):
-        axes = figure.add_subplot(len(sets), 1, k + 1)
-        _draw_set(axes, found, temperature, identification.model.capacity_Ah)
-        style.soc_axis(axes)
-    style.key_below(figure)
-    return figure
+    return tuple(
+        pulse_picture(found, temperature, capacity_Ah)._replace(
+            key="pulses" if k == 0 else f"pulses-{k + 1}", caption="" if k else text
+        )
+        for k, (temperature, found) in enumerate(sets)
+    )
 
 
-def _draw_set(axes: style.Axes, found: PulseSet, temperature_C: float, capacity_Ah: float) -> None:
+@pictured("pulses")
+def pulse_picture(found: PulseSet, temperature_C: float, capacity_Ah: float) -> style.Figure:
+    """Every pulse of a log at its SOC and current."""
+    figure, axes = style.new_axes()
     soc = 100.0 * pulse_soc(found, capacity_Ah)
     current = np.array([p.current_A for p in found.pulses])
     counted = judged(found)
@@ -131,27 +133,16 @@ def _draw_set(axes: style.Axes, found: PulseSet, temperature_C: float, capacity_
     short = np.array([p.role == role for p in found.pulses], dtype=bool)
     style.zero_line(axes)
     if not short.all():
-        axes.plot(
-            soc[~short],
-            current[~short],
-            "_",
-            color=style.MUTED,
-            ms=9,
-            mew=1.0,
-            label="move",
-            zorder=2,
-        )
+        looks: dict[str, Any] = {"color": style.MUTED, "ms": 9, "mew": 1.0, "zorder": 2}
+        axes.plot(soc[~short], current[~short], "_", label="move", **looks)
     for quality, (colour, marker) in style.VERDICTS.items():
         mine = short & np.array([p.quality == quality for p in found.pulses], dtype=bool)
         if mine.any():
-            looks: dict[str, Any] = {
-                "markersize": 5.5,
-                "markeredgewidth": 1.2,
-                "zorder": 3,
-                "color": colour,
-            }
+            looks = {"color": colour, "ms": 5.5, "mew": 1.2, "zorder": 3}
             axes.plot(soc[mine], current[mine], marker, label=quality, **looks)
     name = found.log.name or "HPPC"
     style.finding(axes, f"{name}, {_warm(found, temperature_C)}: {verdict_counts(counted)}")
-    style.labels(axes, "SOC [%]", "current [A]")
+    style.soc_axis(axes, "current [A]")
     axes.margins(y=0.15)
+    style.key_below(axes)
+    return figure

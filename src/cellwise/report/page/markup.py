@@ -1,4 +1,4 @@
-"""Pieces of HTML: escaped text, tables, the page, data for machines, links from notices to rows."""
+"""Pieces of HTML: escaped text, tables, data for machines, links from notices to rows."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class PageLimits(NamedTuple):
     bullets: int = 3  # before the first picture
     columns: int = 9  # of a table whose head stays on one line
     replays_as_columns: int = 6  # in the table of replays; of more each is a row
-    simulations: int = 8  # pictures of simulated logs
-    replays: int = 4  # with pictures of their own
-    diagnosed: int = 4  # pictures of logs before and after
+    simulations: int = 8  # plots of simulated logs
+    replays: int = 4  # with plots of their own
+    diagnosed: int = 4  # plots of logs before and after
     candidates: int = 6  # causes that were tried, of a diagnosis
     pulse_logs: int = 6
     pulses: int = 300  # rows of the table of those not healthy
@@ -43,10 +43,6 @@ class PageLimits(NamedTuple):
 
 
 MOST = PageLimits()
-USE = (
-    "Plots zoom: drag over the part to see, or click a plot and turn the wheel; arrow keys, + and "
-    "− move; a double click shows all. Plots of one log share a cursor."
-)
 
 
 @cache
@@ -154,76 +150,6 @@ def beside(*blocks: str) -> Markup:
     return Markup(f'<div class="beside">{inside}</div>')
 
 
-def section(key: str, title: str, *blocks: str) -> Markup:
-    """A headed part of the page that can be linked to."""
-    inside = "\n".join(block for block in blocks if block)
-    return Markup(f'<section id="{escape(key)}">\n<h2>{escape(title)}</h2>\n{inside}\n</section>')
-
-
-def page(
-    finding: str,
-    about: str,
-    sections: Sequence[tuple[str, str, str, Markup]],
-    data: Mapping[str, Any],
-    *,
-    lead: Markup = EMPTY,
-    title: str = "",
-    scripts: Sequence[Markup] = (),
-) -> str:
-    """A whole page, nothing outside it needed.
-
-    Parameters
-    ----------
-    finding : str       the first line: what was found, with numbers
-    about : str         what the page is, in a few words
-    sections : of (key, title, short title for the links, content)
-    data : mapping      the figures for machines, see :func:`data_block`
-    lead : Markup       between the finding and the sections
-    title : str         of the window
-    scripts : of Markup    programs that run when the page is there
-    """
-    links = "".join(
-        f'<a href="#{escape(key)}">{escape(short)}</a>'
-        for key, _, short, inside in sections
-        if inside
-    )
-    parts = "\n".join(section(key, name, inside) for key, name, _, inside in sections if inside)
-    zooms = any("<figure " in inside or 'class="trace"' in inside for *_, inside in sections)
-    said = [USE] if scripts and zooms else []
-    if any("±" in text for text in (finding, lead, parts)):
-        said.append("± and bands are two standard deviations.")
-    use = paragraph(" ".join(said), "about") if said else EMPTY
-    programs = "\n".join(f"<script>{program}</script>" for program in scripts)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="generator" content="cellwise">
-<title>{escape(title or about)}</title>
-<style>
-{page_file("page.css")}</style>
-</head>
-<body>
-<main>
-<header>
-<h1>{escape(finding)}</h1>
-<p class="about">{escape(about)}</p>
-{lead}
-<nav aria-label="Contents">{links}</nav>
-{use}
-</header>
-{parts}
-<footer>Written by cellwise. Nothing on this page is loaded from elsewhere; the figures for
-machines are in the block <code>cellwise-data</code> of its source.</footer>
-</main>
-{data_block(data)}
-{programs}
-</body>
-</html>
-"""
-
-
 def data_block(data: Mapping[str, Any]) -> Markup:
     """The figures as JSON in the page, under the id ``cellwise-data``.
 
@@ -255,9 +181,6 @@ PLACES = re.compile(
 )
 
 
-ANCHOR = "trace"  # the section of all samples, where a link leads without scripts
-
-
 def clock_of(log: CellLog) -> str:
     """What the plots of a log share, so that a time in one of them is a time in all."""
     return log.name or "log"
@@ -283,12 +206,22 @@ def linked(notice: str, log: CellLog) -> Markup:
             continue
         parts.append(escape(notice[done : found.start()]))
         low, high = (f"{s - log.time_s[0]:.10g}" for s in seconds)
-        parts.append(
-            f'<a class="jump" href="#{ANCHOR}" data-clock="{escape(clock_of(log))}" '
-            f'data-from="{low}" data-to="{high}">{escape(found[0])}</a>'
-        )
+        parts.append(_jump(found[0], log, low, high))
         done = found.end()
     return Markup("".join([*parts, escape(notice[done:])]))
+
+
+def jump(text: str, log: CellLog, rows: slice) -> Markup:
+    """A link that shows rows of a log in its plots."""
+    ends = (log.time_s[k] - log.time_s[0] for k in (rows.start, rows.stop - 1))
+    return _jump(text, log, *(f"{s:.10g}" for s in ends))
+
+
+def _jump(text: str, log: CellLog, low: str, high: str) -> Markup:
+    return Markup(
+        f'<button class="jump" data-clock="{escape(clock_of(log))}" data-from="{low}" '
+        f'data-to="{high}">{escape(text)}</button>'
+    )
 
 
 def linked_among(notice: str, logs: Iterable[CellLog]) -> Markup:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 BLUE, SKY, GREEN = "#1f83c4", "#56b4e9", "#009e73"
 AMBER, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#cc79a7"
 MEASURED, MODEL, FILTER = "#808a96", VERMILLION, BLUE
-CYCLE = (BLUE, VERMILLION, GREEN, AMBER, PURPLE, SKY, MEASURED)
 COLD_TO_WARM = (BLUE, SKY, GREEN, AMBER, VERMILLION, PURPLE)
 # Verdicts on pulses: colour and marker, so that neither has to be relied on alone.
 VERDICTS = {
@@ -35,25 +34,17 @@ VERDICTS = {
 }
 # Ink, quiet ink, grid and paper: the page replaces these by its own colours of day and night.
 INK, MUTED, GRID, PAPER = "#1f2329", "#57606b", "#dfe3e8", "#fefefe"
-# Fields behind numbers, from good to bad; replaced as well, for ink reads on them day and night.
-TINTS = ("#cde8dd", "#e7efc9", "#fbe3c0", "#f4c9b0")
 
-WIDTH_IN = 10.0
-SMALL_PT = 8.0  # of notes in a picture, the smallest text
-# Shares of the figure's width that titles over the wide and the narrow of two columns may take.
-WIDE, NARROW = 0.575, 0.265
-HEADING_PT = 11.5
+# Three of the small width stand beside one another on a page, and one fills a phone: the text has
+# one size on both. The wide one scrolls there.
+SMALL_IN, WIDE_IN = 3.6, 7.4
+SMALL_PT = 8.5  # of notes in a picture, the smallest text
 COVERED = 0.02  # of SOC: less is missing at either end of a test from full to empty
-RASTER_DPI = 150
-
-CLOSELY: Any = {"path.simplify_threshold": 0.02}
 
 
 @contextmanager
-def drawing(*, closely: bool = False) -> Iterator[None]:
+def drawing() -> Iterator[None]:
     """The style while a picture is made or written; other settings do not change.
-
-    ``closely`` keeps what is finer than a screen shows, for pictures that zoom.
 
     Raises
     ------
@@ -67,7 +58,7 @@ def drawing(*, closely: bool = False) -> Iterator[None]:
             "the extra 'report'",
             "Install it: pip install 'cellwise[report]'",
         ) from error
-    with matplotlib.rc_context(_rc() | (CLOSELY if closely else {})):
+    with matplotlib.rc_context(_rc()):
         yield
 
 
@@ -80,46 +71,25 @@ def _rc() -> Any:
         return dict(rc_params_from_file(place, use_default_template=False))
 
 
-def new_figure(height_in: float) -> Figure:
+def new_figure(height_in: float, width_in: float = SMALL_IN) -> Figure:
     """An empty figure whose parts find their own places."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    engine = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.02)
-    return Figure(figsize=(WIDTH_IN, height_in), layout=engine)
+    engine = ConstrainedLayoutEngine(w_pad=0.04, h_pad=0.04, wspace=0.03, hspace=0.02)
+    return Figure(figsize=(width_in, height_in), layout=engine)
 
 
-def two_columns(
-    figure: Figure, left: tuple[float, ...], right: tuple[float, ...], share: float = 0.655
-) -> tuple[list[Axes], list[Axes]]:
-    """A wide and a narrow column of axes, each with heights of its own.
-
-    Each column takes its rows' places for itself, so labels in one leave no hole in the other.
-    """
-    parts: Any = figure.subfigures(1, 2, width_ratios=(share, 1.0 - share))
-    columns: list[list[Axes]] = []
-    for part, heights in zip(parts, (left, right), strict=True):
-        part.set_facecolor("none")
-        grid = part.add_gridspec(len(heights), 1, height_ratios=heights)
-        columns.append([part.add_subplot(grid[k, 0]) for k in range(len(heights))])
-    return columns[0], columns[1]
+def new_axes(height_in: float = 2.6, width_in: float = SMALL_IN) -> tuple[Figure, Axes]:
+    """A figure of one axes."""
+    figure = new_figure(height_in, width_in)
+    return figure, figure.subplots()
 
 
-def panels(figure: Figure, rows: int, columns: int, **options: Any) -> list[Axes]:
-    """Axes row by row, of equal size; ``options`` as of `Figure.subplots`."""
-    return list(figure.subplots(rows, columns, squeeze=False, **options).flat)
-
-
-def finding(axes: Axes, text: str, share: float = 0.9) -> None:
-    """Title of an axes that may take ``share`` of the figure's width: what was found, wrapped."""
-    axes.set_title("\n".join(wrapped(text, 72.0 * share * WIDTH_IN)))
-
-
-def heading(figure: Figure, text: str) -> None:
-    """Title of a whole figure, in lines no wider than it."""
-    width_pt = 0.95 * 72.0 * WIDTH_IN * _rc()["axes.titlesize"] / HEADING_PT
-    title = "\n".join(wrapped(text, width_pt))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=HEADING_PT, fontweight="bold")
+def finding(axes: Axes, text: str) -> None:
+    """Title of an axes as wide as its figure: what was found, wrapped."""
+    width_in = cast("Figure", axes.figure).get_size_inches()[0]
+    axes.set_title("\n".join(wrapped(text, 72.0 * 0.83 * width_in)))
 
 
 def wrapped(text: str, width_pt: float) -> list[str]:
@@ -147,11 +117,9 @@ def wrapped(text: str, width_pt: float) -> list[str]:
 
 
 def labels(axes: Axes, x: str = "", y: str = "") -> None:
-    """Axis labels; an empty one belongs to a shared axis, whose tick labels go as well."""
+    """Axis labels."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    if not x:
-        axes.tick_params(labelbottom=False)
 
 
 def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
@@ -161,17 +129,13 @@ def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
         axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
 
 
-def key_below(figure: Figure, handles: Sequence[Artist] = ()) -> None:
-    """A legend of the whole figure below it: of ``handles``, else what its axes name, once."""
-    named = dict(
-        reversed(pair)
-        for axes in figure.axes
-        for pair in zip(*axes.get_legend_handles_labels(), strict=True)
-    )
-    keys = list(handles) or list(named.values())
-    if keys:
-        names = [str(key.get_label()) for key in keys] if handles else list(named)
-        figure.legend(keys, names, loc=cast(Any, "outside lower left"), ncols=8)
+def key_below(axes: Axes, keys: Sequence[Artist] = ()) -> None:
+    """A legend below the axes, of ``keys`` or else of what is drawn."""
+    handles = list(keys) or axes.get_legend_handles_labels()[0]
+    names = [str(one.get_label()) for one in handles]
+    if handles:
+        place = cast(Any, "outside lower left")
+        cast("Figure", axes.figure).legend(handles, names, loc=place, ncols=3, columnspacing=1.0)
 
 
 def zero_line(axes: Axes) -> None:
@@ -193,25 +157,11 @@ def error_dots(axes: Axes, x: FloatArray, y: FloatArray, std: FloatArray, **look
     axes.errorbar(x, y, 2.0 * std, **drawn)
 
 
-def plain_numbers(axis: Axis) -> None:
-    """Numbers of a logarithmic axis written out: decades, and parts of them where it spans few."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_data_interval()
-    span = high / low if low > 0.0 else 1e9
-    parts = (
-        (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if span < 10 else (1.0, 2.0, 5.0) if span < 100 else (1.0,)
-    )
-    axis.set_major_locator(LogLocator(subs=parts, numticks=12))
-    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.10g}".replace(",", " ")))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def soc_axis(axes: Axes, label: bool = True) -> None:
+def soc_axis(axes: Axes, y: str = "") -> None:
     """SOC from 0 to 100 % on the x axis."""
     axes.set_xlim(-2.0, 102.0)
     axes.set_xticks([0, 20, 40, 60, 80, 100])
-    labels(axes, "SOC [%]" if label else "", axes.get_ylabel())
+    labels(axes, "SOC [%]", y)
 
 
 def no_data(axes: Axes, soc: tuple[float, float] | None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,9 @@ from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.logs.checks.grave import is_grave
+from cellwise.plotting import Line, Panel
 from cellwise.report.findings import replay_finding, replay_name, simulation_finding
-from cellwise.report.identification.simulation_section import (
-    simulation_content,
-    simulation_pictures,
-)
-from cellwise.report.page import style
+from cellwise.report.identification.simulation_section import simulation_blocks
 from cellwise.report.page.markup import (
     MOST,
     Markup,
@@ -48,14 +44,14 @@ from cellwise.report.page.numerals import (
     spanned,
     time_unit,
 )
-from cellwise.report.page.picture import FigureFiles, pictured, safe_key
-from cellwise.report.page.section import Blocks, HasPanels, Section, trace_section, write_page
-from cellwise.report.page.traces import thin, thin_band, time_axis
+from cellwise.report.page.picture import FigureFiles, safe_key
+from cellwise.report.page.plot import Plot, time_axis
+from cellwise.report.page.section import Blocks, Section, plots_within, write_page
 from cellwise.report.replay.replay_section import (
     estimated_content,
     reached,
     replay_content,
-    replay_pictures,
+    replay_plots,
     soc_at_end,
     soc_at_start,
 )
@@ -83,12 +79,11 @@ def _load(flight: Flight) -> str:
 
 
 def flight_section(flights: Sequence[Flight]) -> Section:
-    """Picture and figures of the last flight; of several a row for each."""
+    """Plot and figures of the last flight; of several a row for each."""
     now = flights[-1]
     several = len(flights) > 1
-    picture = flight_picture(now, now.name if several else "")
-    picture = picture._replace(key=f"flight-{safe_key(now.name or 'log')}")
-    blocks: Blocks = (picture, flight_content(now, several=several))
+    plot = flight_plot(now, now.name if several else "")
+    blocks: Blocks = (plot, flight_content(now, several=several))
     if several:
         every = record_table(
             flights,
@@ -134,33 +129,34 @@ def _figures(now: Forecast) -> tuple[str, ...]:
     )
 
 
-@pictured(
-    "flight",
+FLIGHT_CAPTION = (
     "At every moment: how long each cell would last at the log's usual load, the mean while it is "
     "under way, and what energy it would give. The band holds two standard deviations of SOC, "
     "capacity, voltage and warming; its lower edge is where the load's usual peaks first press the "
-    "voltage to the cutoff.",
+    "voltage to the cutoff."
 )
-def flight_picture(flight: Flight, of_log: str = "") -> style.Figure:
+
+
+def flight_plot(flight: Flight, of_log: str = "") -> Plot:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
-    figure = style.new_figure(4.2)
-    above, below = figure.subplots(2, 1, sharex=True)
     scale, unit = time_unit(float(shown.time_s[-1]) or 1.0)
     t = shown.time_s / scale  # the log's own, as the headline says it
-    looks: dict[str, Any] = {"color": style.FILTER, "alpha": 0.25, "linewidth": 0}
-    for axes, values, band, name in (
-        (above, shown.remaining_s / 60.0, shown.remaining_s_band / 60.0, "time left [min]"),
-        (below, shown.remaining_Wh, shown.remaining_Wh_band, "energy left [Wh per cell]"),
-    ):
-        known = np.isfinite(band).all(axis=1)
-        axes.fill_between(t[known], *band[known].T, **looks)
-        axes.plot(t[known], values[known], color=style.FILTER)
-        style.labels(axes, f"time [{unit}]" if axes is below else "", name)
-        axes.set_ylim(0.0, 1.05 * max(float(np.max(band[known, 1], initial=0.0)), 1e-9))
+    panels = tuple(
+        Panel(name, (Line(name.partition(" [")[0], t, value, band),))
+        for name, value, band in (
+            ("time left [min]", shown.remaining_s / 60.0, shown.remaining_s_band / 60.0),
+            ("energy left [Wh per cell]", shown.remaining_Wh, shown.remaining_Wh_band),
+        )
+    )
     title = f"{_left(shown.last)} left at the end, at {_load(flight)}"
-    style.finding(above, f"{of_log}: {title}" if of_log else title)
-    return figure
+    return Plot(
+        f"flight-{safe_key(flight.name or 'log')}",
+        f"{of_log}: {title}" if of_log else title,
+        f"time [{unit}]",
+        panels,
+        FLIGHT_CAPTION,
+    )
 
 
 USUAL_S = 10.0
@@ -175,14 +171,12 @@ POWER_EXPLAINED = (
 
 
 def power_section(replays: Sequence[Replay]) -> Section:
-    """A picture of every replay that has a power, then their figures."""
+    """A plot of every replay that has a power, then their figures."""
     known = [(r, r.power) for r in replays if r.power is not None]
-    pictures = []
-    for k, (r, power) in enumerate(known):
-        key = f"power-{k + 1}-{safe_key(r.estimator)}"
-        pictures.append(power_picture(r, power).of(r.log, key))
+    keys = (f"power-{k}-{safe_key(r.estimator)}" for k, (r, _) in enumerate(known, start=1))
+    plots = [power_plot(r, power, key) for key, (r, power) in zip(keys, known, strict=True)]
     tables = [power_content(r, power, several=len(known) > 1) for r, power in known]
-    return Section("power", "State of power", (*pictures, *tables))
+    return Section("power", "State of power", (*plots, *tables))
 
 
 def power_content(replay: Replay, power: PowerTrace, *, several: bool) -> Markup:
@@ -206,37 +200,23 @@ def usual(power: PowerTrace) -> int:
     return int(np.argmin([abs(h - USUAL_S) for h in power.horizons_s]))
 
 
-def _power_caption(_: Replay, power: PowerTrace) -> str:
-    return (
-        "At every moment: the power that the cell can give (above zero) and take (below) for "
-        f"{power.horizons_s[usual(power)]:g} s within its limits, each with the band down to what "
-        "it sustains with 95 %; grey is the power that was measured."
-    )
-
-
-@pictured("power", _power_caption)
-def power_picture(replay: Replay, power: PowerTrace) -> style.Figure:
+def power_plot(replay: Replay, power: PowerTrace, key: str) -> Plot:
     """Power limits over the log, charge below zero, and the measured power."""
-    j = usual(power)
-    log = replay.log
-    figure = style.new_figure(2.9)
-    axes = figure.subplots()
-    t, time_label, _ = time_axis(log.time_s)
-    ways = (
-        (power.discharge_W[j], power.discharge_low_W[j], 1.0, "limits, down to 95 %"),
-        (power.charge_W[j], power.charge_low_W[j], -1.0, None),
+    j, log = usual(power), replay.log
+    t, label = time_axis(log)
+    give, take = power.discharge_W[j], -power.charge_W[j]
+    lines = (
+        Line("measured", t, log.interval_current_A * log.voltage_V),
+        Line("can give", t, give, np.column_stack((power.discharge_low_W[j], give))),
+        Line("can take", t, take, np.column_stack((take, -power.charge_low_W[j]))),
     )
-    for value, low, sign, name in ways:
-        x, least, most = thin_band(t, np.minimum(sign * low, sign * value),
-                                   np.maximum(sign * low, sign * value))  # fmt: skip
-        axes.fill_between(x, least, most, color=style.FILTER, alpha=0.25, linewidth=0, label=name)
-        axes.plot(*thin(t, sign * value), color=style.FILTER)
-    measured = log.interval_current_A * log.voltage_V
-    axes.plot(*thin(t, measured), color=style.MEASURED, label="measured")
-    style.labels(axes, time_label, f"power for {power.horizons_s[j]:g} s [W per cell]")
-    style.finding(axes, power_finding(power))
-    style.legend(axes)
-    return figure
+    horizon = f"{power.horizons_s[j]:g} s"
+    caption = (
+        f"At every moment: the power that the cell can give and take for {horizon} within its "
+        "limits, each with the band down to what it sustains with 95 %; grey is what was measured."
+    )
+    panel = Panel(f"power for {horizon} [W per cell]", lines)
+    return Plot(key, power_finding(power), label, (panel,), caption, clock_of(log))
 
 
 def power_finding(power: PowerTrace) -> str:
@@ -285,15 +265,10 @@ def replay_page(
     lines = [*filter(None, (warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections([*last, *before], simulations))
+    if any(r.power is not None for r in replays):
+        sections.insert(0, power_section([*last, *before]))
     if flights:
         sections.insert(0, flight_section(flights))
-    if any(r.power is not None for r in replays):
-        sections.insert(0, power_section(replays))
-    few: list[tuple[str, HasPanels]] = [
-        (f"{r.estimator} on {clock_of(r.log)}", r) for r in [*last, *before][: MOST.replays]
-    ]
-    logs = {r.log.name: (f"{clock_of(r.log)} as it was measured", r.log) for r in replays}
-    sections.append(trace_section([*few, *logs.values()]))
     data: dict[str, object] = {**replay_data(replays, simulations)}
     if flights:
         data["flights"] = [{"log": f.name, **f.to_dict()} for f in flights]
@@ -368,15 +343,15 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
-    text = f"The first {MOST.replays} replays have pictures of their own; the table has all."
+    text = f"The first {MOST.replays} replays have plots of their own; the table has all."
     few = (paragraph(text),) if len(replays) > MOST.replays else ()
     found = map(estimated_content, replays[: MOST.replays])
     sections = [
-        Section("soc", "State of charge", (*few, *replay_pictures(replays))),
+        Section("soc", "State of charge", (*few, *plots_within(replay_plots(replays)))),
         Section("figures", "All figures", (*found, replay_content(replays))),
     ]
     if simulations:
-        blocks: Blocks = (simulation_content(simulations), *simulation_pictures(simulations))
+        blocks = simulation_blocks(simulations)
         sections.append(Section("simulation", "Measured and simulated voltage", blocks))
     return tuple(sections)
 

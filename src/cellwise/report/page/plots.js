@@ -1,12 +1,13 @@
-// Plots that zoom: every sample is here, each drawing shows the extremes of every pixel column.
+// Plots over time: every sample is here, each drawing shows the extremes of every pixel column.
+// Beside them: links that show a time in the plots of its log, and tables that sort.
 "use strict";
 (() => {
   const SECONDS = { s: 1, min: 60, h: 3600 };
-  const MISSING = 65535, LEFT = 64, RIGHT = 12, HEIGHT = 120, NAMES = 18, BARE = 6, AXIS = 34;
+  const MISSING = 65535, LEFT = 64, RIGHT = 12, HEIGHT = 130, NAMES = 18, BARE = 6, AXIS = 34;
   const COLOURS = ["--line-1", "--line-3", "--line-4", "--line-2"];
-  // What is measured is grey and what a model says without looking is red, as in the pictures.
+  // What is measured is grey and what a model says without looking is red.
   const KNOWN = { measured: "--measured", reference: "--measured", model: "--line-2",
-    before: "--line-2", simulated: "--line-2" };
+    before: "--line-2", simulated: "--line-2", predicted: "--line-2" };
 
   function inks(lines) {
     const free = COLOURS.filter((c) => !lines.some((line) => KNOWN[line.label] === c));
@@ -35,10 +36,9 @@
   async function decoded(plot) {
     if (plot.x.data) plot.x.values = new Float32Array((await inflated(plot.x.data)).buffer);
     for (const panel of plot.panels)
-      for (const line of panel.lines) {
-        line.levels = levels(await inflated(line.data));
-        if (line.band) line.band.levels = levels(await inflated(line.band.data));
-      }
+      for (const line of panel.lines)
+        for (const series of [line, ...(line.band || [])])
+          series.levels = levels(await inflated(series.data));
     return plot;
   }
 
@@ -54,7 +54,8 @@
     return low;
   }
 
-  const valueOf = (line, level) => line.low + (level / 65534) * (line.high - line.low);
+  const valueOf = (series, level) => series.low + (level / 65534) * (series.high - series.low);
+  const signed = (text) => text.replace("-", "\u2212");
 
   function ticks(low, high, about) {
     const raw = (high - low) / about, power = 10 ** Math.floor(Math.log10(raw));
@@ -66,21 +67,24 @@
     return { found, digits: Math.min(digits, 9) };
   }
 
-  // Lowest and highest level of every pixel column of the rows shown.
-  function columns(plot, series, from, to, width) {
-    const { x, n } = plot, low = new Int32Array(width).fill(-1), high = new Int32Array(width);
+  // Lowest and highest value of every pixel column of the rows shown; NaN where nothing is.
+  function columns({ x, n }, series, [from, to], width) {
+    const low = new Float64Array(width).fill(NaN), high = new Float64Array(width).fill(NaN);
     const a = Math.max(firstAfter(x, n, from) - 1, 0), b = Math.min(firstAfter(x, n, to) + 1, n);
     const scale = (width - 1) / (to - from || 1);
     for (let i = a; i < b; i++) {
       const level = series.levels[i];
       if (level === MISSING) continue;
       const c = Math.min(Math.max(Math.round((at(x, i) - from) * scale), 0), width - 1);
-      if (low[c] < 0) low[c] = high[c] = level;
-      else if (level < low[c]) low[c] = level;
-      else if (level > high[c]) high[c] = level;
+      const value = valueOf(series, level);
+      if (!(low[c] <= value)) low[c] = value;
+      if (!(high[c] >= value)) high[c] = value;
     }
     return { low, high };
   }
+
+  const least = (values) => values.reduce((a, b) => (b < a ? b : a), Infinity);
+  const most = (values) => values.reduce((a, b) => (b > a ? b : a), -Infinity);
 
   function start(root, plot) {
     const whole = [at(plot.x, 0), at(plot.x, plot.n - 1)];
@@ -103,7 +107,7 @@
       document.addEventListener("cellwise-look", ({ detail }) => {
         if (detail.clock !== clock) return;
         marked = [detail.from, detail.to].map((at) => at / unit + whole[0]);
-        const room = Math.max(2 * (marked[1] - marked[0]), 0.01 * (whole[1] - whole[0]));
+        const room = Math.max(0.5 * (marked[1] - marked[0]), 0.002 * (whole[1] - whole[0]));
         show(marked[0] - room, marked[1] + room);
       });
     }
@@ -127,6 +131,8 @@
       readout();
       root.dataset.from = view[0];
       root.dataset.to = view[1];
+      root.dataset.pointer = pointer === null ? "" : pointer;
+      root.dataset.marked = marked === null ? "" : marked;
       root.dataset.drawMs = (performance.now() - began).toFixed(1);
     }
     const later = () => { if (!waiting) { waiting = true; requestAnimationFrame(draw); } };
@@ -142,132 +148,119 @@
       pen.scale(ratio, ratio);
       pen.font = "11px system-ui, sans-serif";
       const width = Math.max(Math.round(wide - LEFT - RIGHT), 10);
-      const height = HEIGHT, inked = inks(panel.lines).map((name) => colour(name));
-      let along = LEFT + 2;
+      const inked = inks(panel.lines).map(colour);
       const drawn = panel.lines.map((line) => ({
-        line,
-        seen: columns(plot, line, view[0], view[1], width),
-        band: line.band && columns(plot, line.band, view[0], view[1], width),
+        seen: columns(plot, line, view, width),
+        band: line.band && line.band.map((edge) => columns(plot, edge, view, width)),
       }));
-      let low = Infinity, high = -Infinity;
-      for (const { line, seen } of drawn)
-        for (let c = 0; c < width; c++)
-          if (seen.low[c] >= 0) {
-            low = Math.min(low, valueOf(line, seen.low[c]));
-            high = Math.max(high, valueOf(line, seen.high[c]));
-          }
+      const ends = (of) => [Math.min(...of.map((s) => least(s.low))), Math.max(...of.map((s) => most(s.high)))];
+      const [lowest, highest] = ends(drawn.map(({ seen }) => seen));
+      let [low, high] = ends(drawn.flatMap(({ seen, band }) => [seen, ...(band || [])]));
       if (!(low <= high)) { low = 0; high = 1; }
+      // Of the whole log a few peaks or a wide band do not set the axis; zoomed in, they do.
+      const all = view[0] === whole[0] && view[1] === whole[1], limits = (all && panel.most) || [-Infinity, Infinity];
+      [low, high] = [Math.max(low, limits[0]), Math.min(high, limits[1])];
+      const beyond = [lowest, highest].filter((v) => v < limits[0] || v > limits[1]);
       const room = 0.06 * (high - low) || 0.05 * Math.abs(high) || 0.5;
       low -= room;
       high += room;
-      const y = (v) => above + height * (1 - (v - low) / (high - low));
-      axes(pen, panel, colour, { low, high, y, width, height, last, above });
-      drawn.forEach(({ line, seen, band }, k) => {
-        const ink = inked[k];
-        pen.save();
-        pen.beginPath();
-        pen.rect(LEFT, above, width, height);
-        pen.clip();
-        if (band) shade(pen, line, seen, band, y, ink);
-        trace(pen, line, seen, y, ink);
-        pen.restore();
-        if (panel.lines.length < 2) return;
-        pen.fillStyle = ink;
-        pen.fillRect(along, above - 9, 16, 2.5);
-        pen.fillText(line.label, along + 21, above - 4);
-        along += 39 + pen.measureText(line.label).width;
+      const frame = { width, above, left: LEFT, tall: HEIGHT, low, high, last,
+        y: (v) => above + HEIGHT * (1 - (v - low) / (high - low)),
+        px: (t) => LEFT + (width * (t - view[0])) / (view[1] - view[0]) };
+      axes(pen, panel, colour, frame);
+      pen.save();
+      pen.beginPath();
+      pen.rect(LEFT, above, width, HEIGHT);
+      pen.clip();
+      drawn.forEach(({ seen, band }, k) => {
+        if (band) shade(pen, band, frame.y, inked[k]);
+        trace(pen, seen, frame.y, inked[k]);
       });
-      if (marked) alarm(pen, colour, height, width, above);
-      if (pointer !== null || grip) mark(pen, colour, height, width, above);
-      root.dataset.pointer = pointer === null ? "" : pointer;
+      pen.restore();
+      if (beyond.length) {
+        const said = `off scale: up to ${beyond.map((v) => signed(v.toPrecision(3))).join(" and ")}`;
+        const from = LEFT + width - pen.measureText(said).width;
+        pen.fillStyle = colour("--paper");
+        pen.fillRect(from - 4, above, LEFT + width - from + 4, 16);
+        pen.fillStyle = colour("--muted");
+        pen.fillText(said, from, above + 12);
+      }
+      let along = LEFT + 2;
+      if (panel.lines.length > 1) panel.lines.forEach(({ label }, k) => {
+        pen.fillStyle = inked[k];
+        pen.fillRect(along, above - 9, 16, 2.5);
+        pen.fillText(label, along + 21, above - 4);
+        along += 39 + pen.measureText(label).width;
+      });
+      if (marked) stripe(pen, colour("--warn"), 0.25, frame, marked);
+      if (grip !== null) stripe(pen, colour("--muted"), 0.15, frame, [grip, pointer]);
+      else if (pointer !== null) stripe(pen, colour("--muted"), 1, frame, [pointer, pointer]);
     }
 
-    function axes(pen, panel, colour, { low, high, y, width, height, last, above }) {
+    function axes(pen, panel, colour, { low, high, y, px, width, last, above }) {
       pen.strokeStyle = colour("--grid");
       pen.fillStyle = colour("--muted");
       pen.lineWidth = 1;
+      const line = (x1, y1, x2, y2) => {
+        pen.beginPath();
+        pen.moveTo(x1, y1);
+        pen.lineTo(x2, y2);
+        pen.stroke();
+      };
       pen.textAlign = "right";
       const up = ticks(low, high, 5);
       for (const v of up.found) {
-        pen.beginPath();
-        pen.moveTo(LEFT, y(v));
-        pen.lineTo(LEFT + width, y(v));
-        pen.stroke();
-        pen.fillText(v.toFixed(up.digits).replace("-", "\u2212"), LEFT - 6, y(v) + 4);
+        line(LEFT, y(v), LEFT + width, y(v));
+        pen.fillText(signed(v.toFixed(up.digits)), LEFT - 6, y(v) + 4);
       }
       pen.textAlign = "center";
-      const along = ticks(view[0], view[1], 8);
+      const along = ticks(view[0], view[1], Math.min(8, width / 60));
       for (const t of along.found) {
-        const px = LEFT + (width * (t - view[0])) / (view[1] - view[0]);
-        pen.beginPath();
-        pen.moveTo(px, above);
-        pen.lineTo(px, above + height);
-        pen.stroke();
-        if (last) pen.fillText(t.toFixed(along.digits), px, above + height + 14);
+        line(px(t), above, px(t), above + HEIGHT);
+        if (last) pen.fillText(t.toFixed(along.digits), px(t), above + HEIGHT + 14);
       }
-      if (last) pen.fillText(plot.xLabel, LEFT + width / 2, above + height + 29);
+      if (last) pen.fillText(plot.xLabel, LEFT + width / 2, above + HEIGHT + 29);
       pen.save();
-      pen.translate(11, above + height / 2);
+      pen.translate(11, above + HEIGHT / 2);
       pen.rotate(-Math.PI / 2);
       pen.fillText(panel.label, 0, 0);
       pen.restore();
       pen.textAlign = "left";
     }
 
-    function trace(pen, line, seen, y, ink) {
+    function trace(pen, { low, high }, y, ink) {
       pen.strokeStyle = ink;
       pen.lineWidth = 1.2;
       pen.beginPath();
       let joined = false;
-      for (let c = 0; c < seen.low.length; c++) {
-        if (seen.low[c] < 0) continue;
-        const px = LEFT + c, top = y(valueOf(line, seen.high[c]));
-        if (joined) pen.lineTo(px, top); else pen.moveTo(px, top);
-        pen.lineTo(px, y(valueOf(line, seen.low[c])));
+      for (let c = 0; c < low.length; c++) {
+        if (Number.isNaN(low[c])) continue;
+        if (joined) pen.lineTo(LEFT + c, y(high[c])); else pen.moveTo(LEFT + c, y(high[c]));
+        pen.lineTo(LEFT + c, y(low[c]));
         joined = true;
       }
       pen.stroke();
     }
 
-    function shade(pen, line, seen, band, y, ink) {
+    function shade(pen, [lower, upper], y, ink) {
       pen.fillStyle = ink;
       pen.globalAlpha = 0.18;
-      const wide = (c) => valueOf(line.band, band.high[c]);
       pen.beginPath();
-      const shown = [...seen.low.keys()].filter((c) => seen.low[c] >= 0 && band.low[c] >= 0);
-      shown.forEach((c, k) => {
-        const py = y(valueOf(line, seen.high[c]) + wide(c));
-        if (k) pen.lineTo(LEFT + c, py); else pen.moveTo(LEFT + c, py);
-      });
-      shown.reverse().forEach((c) => pen.lineTo(LEFT + c, y(valueOf(line, seen.low[c]) - wide(c))));
+      const shown = [...lower.low.keys()].filter((c) => lower.low[c] <= upper.high[c]);
+      shown.forEach((c) => pen.lineTo(LEFT + c, y(upper.high[c])));
+      shown.reverse().forEach((c) => pen.lineTo(LEFT + c, y(lower.low[c])));
       pen.fill();
       pen.globalAlpha = 1;
     }
 
-    function alarm(pen, colour, height, width, above) {
-      const [from, to] = marked.map((t) =>
-        Math.min(Math.max((width * (t - view[0])) / (view[1] - view[0]), 0), width));
-      if (marked[1] < view[0] || marked[0] > view[1]) return;
-      pen.fillStyle = colour("--warn");
-      pen.globalAlpha = 0.25;
-      pen.fillRect(LEFT + from - 1, above, to - from + 2, height);
+    function stripe(pen, ink, alpha, { px, width, above, tall }, times) {
+      if (Math.max(...times) < view[0] || Math.min(...times) > view[1]) return;
+      const [from, to] = times.map((t) => Math.min(Math.max(px(t), LEFT), LEFT + width))
+        .sort((a, b) => a - b);
+      pen.fillStyle = ink;
+      pen.globalAlpha = alpha;
+      pen.fillRect(from - 0.5, above, to - from + 1, tall);
       pen.globalAlpha = 1;
-    }
-
-    function mark(pen, colour, height, width, above) {
-      const px = (t) => LEFT + (width * (t - view[0])) / (view[1] - view[0]);
-      pen.fillStyle = pen.strokeStyle = colour("--muted");
-      if (grip) {
-        pen.globalAlpha = 0.15;
-        pen.fillRect(px(Math.min(grip, pointer)), above,
-          Math.abs(px(grip) - px(pointer)), height);
-        pen.globalAlpha = 1;
-      } else {
-        pen.beginPath();
-        pen.moveTo(px(pointer), above);
-        pen.lineTo(px(pointer), above + height);
-        pen.stroke();
-      }
     }
 
     function readout() {
@@ -321,6 +314,7 @@
       grip = null;
       if (to - from > 0.005 * (view[1] - view[0])) show(from, to); else later();
     });
+    root.addEventListener("pointercancel", () => { grip = null; later(); });
     root.addEventListener("pointerleave", () => point(null));
     root.addEventListener("dblclick", () => show(...whole));
     root.addEventListener("keydown", (event) => {
@@ -331,6 +325,44 @@
     new ResizeObserver(later).observe(root);
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", later);
     draw();
+  }
+
+  // A link of a notice: every plot of its log shows the time it names, marked.
+  const plotOf = (clock) =>
+    [...document.querySelectorAll("div.trace")].find((root) => root.dataset.clock === clock);
+  for (const link of document.querySelectorAll("button.jump")) {
+    const { clock, from, to } = link.dataset;
+    if (!plotOf(clock)) { link.replaceWith(...link.childNodes); continue; }
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      document.dispatchEvent(
+        new CustomEvent("cellwise-look", { detail: { clock, from: +from, to: +to } }));
+      plotOf(clock).scrollIntoView({ block: "start" });
+    });
+  }
+
+  // A click on the head of a column puts the rows of a table in its order; again, the other way round.
+  for (const table of document.querySelectorAll("table.sort")) {
+    const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];
+    const text = (row, k) => row.cells[k].textContent.trim();
+    const number = (row, k) => parseFloat(text(row, k).replace("\u2212", "-").replace(/\s/g, ""));
+    heads.forEach((head, k) => {
+      head.tabIndex = 0;
+      const sort = () => {
+        const down = head.getAttribute("aria-sort") !== "descending";
+        for (const one of heads) one.removeAttribute("aria-sort");
+        head.setAttribute("aria-sort", down ? "descending" : "ascending");
+        const numbers = head.classList.contains("n");
+        const order = (a, b) => numbers ? number(b, k) - number(a, k)
+          : text(b, k).localeCompare(text(a, k));
+        const known = (row) => !numbers || !Number.isNaN(number(row, k));
+        const rows = [...body.rows], sorted = rows.filter(known).sort(order);
+        if (!down) sorted.reverse();
+        body.append(...sorted, ...rows.filter((row) => !known(row)));  // what is not known is last
+      };
+      head.addEventListener("click", sort);
+      head.addEventListener("keydown", (event) => { if (event.key === "Enter") sort(); });
+    });
   }
 
   async function all() {

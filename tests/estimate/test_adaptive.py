@@ -10,8 +10,8 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive.adaptive import Adaptive
-from cellwise.estimate.adaptive.settings import ESTIMABLE, AdaptiveSettings, Held, reason
+from cellwise.estimate.adaptive import Adaptive
+from cellwise.estimate.adaptive_settings import ESTIMABLE, AdaptiveSettings, Held, reason
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
@@ -104,16 +104,11 @@ class TestNaming:
         assert told.resistance_scale.value == pytest.approx(growth, rel=0.06)
         assert told.soh_resistance == told.resistance_scale.value
 
-    @pytest.mark.xfail(
-        strict=True, reason="reported, not taken into the SOC: tail 0.87, SOC 1.35 %"
-    )
+    @pytest.mark.xfail(strict=True, reason="reported, not taken into the SOC: 1.35 %")
     @pytest.mark.parametrize("growth", [0.75, 1.3])
-    def test_tail_and_soc_of_resistances_that_have_changed(self, growth):
+    def test_soc_where_resistances_have_changed(self, growth):
         log = drive(grown(growth))
-        trace = Adaptive(MODEL).run(log, 0.7)
-        told = trace.parameters()
-        assert told.polarisation_scale.value == pytest.approx(growth, rel=0.15)
-        assert error_rms(trace, truth(log)) < 0.01
+        assert error_rms(Adaptive(MODEL).run(log, 0.7), truth(log)) < 0.01
 
     def test_an_aged_cell_capacity_and_resistance_at_once(self):
         aged = replace(MODEL, capacity_Ah=0.87 * CAPACITY, r0_ohm=1.3 * MODEL.r0_ohm,

@@ -68,7 +68,7 @@ class AdaptiveSettings:
                                  gain is not the model's
     settled_soc : float          beyond this deviation of SOC only an offset is estimated
     swing_V : float              below this RMS of the moving drop resistances are held
-    fast_s, tail_s : float       what moves within fast_s shows R0 and R1, up to tail_s R2
+    fast_s : float               what moves within it shows R0 and R1
     """
 
     learn: tuple[str, ...] = ("current_offset", "resistance", "capacity")
@@ -83,7 +83,6 @@ class AdaptiveSettings:
     settled_soc: float = 0.02
     swing_V: float = 0.003
     fast_s: float = 20.0
-    tail_s: float = 120.0
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.learn if name not in ESTIMABLE]
@@ -109,10 +108,8 @@ class AdaptiveSettings:
                     "a probability between 0 and 1",
                     "Leave the parameter out of `learn` where it cannot be wrong.",
                 )
-        if self.fast_s <= 0.0 or self.tail_s <= 0.0:
-            raise InputError(
-                f"fast_s = {self.fast_s}, tail_s = {self.tail_s}", "both above 0 s", "Correct them."
-            )
+        if self.fast_s <= 0.0:
+            raise InputError(f"fast_s = {self.fast_s}", "seconds above 0", "Correct it.")
 
     @property
     def estimates_gain(self) -> bool:
@@ -141,7 +138,6 @@ class AdaptiveSettings:
                 wander=self.resistance_per_sqrt_h**2 / hour if resistance > 0.0 else 0.0,
                 swing_V2=self.swing_V**2,
                 fast_s=self.fast_s,
-                tail_s=self.tail_s,
             ),
         )
 

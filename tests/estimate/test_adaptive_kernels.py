@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.adaptive.adaptive import Adaptive
-from cellwise.estimate.adaptive.settings import AdaptiveSettings
+from cellwise.estimate.adaptive import Adaptive
+from cellwise.estimate.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.filters.drift_kernels import no_drift
 from cellwise.estimate.filters.free_kernels import (
     forgotten,
     likelihood,
-    no_capacity,
+    nothing_known,
     soc_found,
     weighed,
 )
@@ -24,7 +24,7 @@ ODDS = np.array([RULES.offset_odds, RULES.capacity_odds])
 def told(information, score):
     """Capacity and offset of which the voltages have said so much, per prior deviation."""
     d = no_drift()._replace(score=score[0], information=information[0, 0])
-    c = no_capacity()._replace(
+    c = nothing_known(RULES).capacity._replace(
         score=score[1], information=information[1, 1], cross=information[0, 1]
     )
     return c, d

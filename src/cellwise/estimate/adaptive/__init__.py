@@ -1,1 +1,0 @@
-"""The adaptive filter: SOC together with sensor offset, resistances and capacity."""
