@@ -194,7 +194,7 @@ def largest_load(
 @kernel
 def present_at(values: FloatArray, k: int) -> Present:
     """One row as it was put."""
-    now: Present = record_at(Present, values[k], 0)
+    now: Present = record_at(Present, values[k], 0, 1)
     return now
 
 

@@ -194,4 +194,5 @@ def carried_rows(
     for k in range(log.dt_s.size):
         now = carried_on(tables, now, reading_of(log, k), soc[k], status[k])
         variance = soc_std[k] * soc_std[k]
-        put_record(out[k], 0, Present(now.cell, variance, log.temperature_C[k], now.memory.but))
+        known = Present(now.cell, variance, log.temperature_C[k], now.memory.but)
+        put_record(out[k], 0, 1, known, True)
