@@ -61,7 +61,7 @@ CAPABILITIES = (
     Capability("rates and temperatures without pulses",
                "identify/test_rates_and_temperatures_real.py",
                why_none="28 logs in one fit: a minute of processor time, once is enough"),
-    Capability("faults that the adaptive filter finds", "estimate/adaptive/test_adaptive_real.py",
+    Capability("faults that the adaptive filter finds", "estimate/test_adaptive_real.py",
                why_none="offset, gain and skew are added to the logs in Python"),
     Capability("no worse than counting", "estimate/filters/test_no_worse_than_counting.py",
                why_none="starts and offsets are varied in Python; a panel of hundreds of runs"),
