@@ -1,4 +1,4 @@
-"""The shortest test that would separate what is left, from simulating what competes."""
+"""The shortest test that would separate what remains, from simulating what competes."""
 
 from __future__ import annotations
 

@@ -314,11 +314,11 @@ def estimate_pack(
             drifts.append(drift)
         suspected += [replace(s, period=len(history)) for s in found]
         history.append(part[0].log.name)
-    for leak in self_discharging(drifts):
+    for own in self_discharging(drifts):
         # A cell that runs empty is far from the others in all that is linear about them.
-        also = tuple(sorted({s.cause.name for s in suspected if s.cell == leak.cell}))
-        suspected = [s for s in suspected if s.cell != leak.cell]
-        suspected.append(replace(leak, others=also, period=len(history) - 1))
+        also = tuple(sorted({s.cause.name for s in suspected if s.cell == own.cell}))
+        suspected = [s for s in suspected if s.cell != own.cell]
+        suspected.append(replace(own, others=also, period=len(history) - 1))
     last = days[-1]
     cells = _cells(model, _at_end(model, deltas, evidence, last), last, evidence)
     return PackEstimate(

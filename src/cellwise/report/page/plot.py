@@ -135,7 +135,7 @@ def trace(plot: Plot) -> Markup:
     Values are kept in 65,534 steps between the lowest and the highest: finer than a screen shows.
     """
     key = escape(plot.key)
-    told = {
+    data = {
         "n": plot.samples,
         "xLabel": plot.x_label,
         "x": _axis(plot.panels[0].lines[0].x),
@@ -144,7 +144,7 @@ def trace(plot: Plot) -> Markup:
             for panel in plot.panels
         ],
     }
-    text = json.dumps(told, allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
     title = f"<h3>{escape(plot.title)}</h3>" if plot.title else ""
     caption = f"<figcaption>{escape(plot.caption)}</figcaption>" if plot.caption else ""
     return Markup(
