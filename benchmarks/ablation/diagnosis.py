@@ -31,8 +31,8 @@ from cellwise import CellModel, read_model
 from cellwise.diagnose import diagnosis as station
 from cellwise.diagnose.applied import apply
 from cellwise.diagnose.causes.catalogue import CAUSES
-from cellwise.diagnose.decision.odds import Weighed
 from cellwise.diagnose.fit.rests import NO_READING
+from cellwise.diagnose.odds import Weighed
 from cellwise.logs import CellLog
 from cellwise.logs.cell_log import resample
 
@@ -193,16 +193,14 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
     "baseline": (("fit.cause_fits.CauseFits.calibrate", lambda _: lambda *_: None),),
     **{
         f"search, {name} {value}": (
-            ("decision.search.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
+            ("sets.SEARCH", lambda old, n=name, v=value: old._replace(**{n: v})),
         )
         for name, value in (("beam", 1), ("beam", 2), ("tried_share", 1.0))
     },
-    "slower diffusion": (("decision.search.forms_of", lambda _: lambda cause, _c: (cause,)),),
-    "blocks weighed at random": (("decision.outcome.weigh", lambda _: plainly_weighed),),
-    "age is one cause": (("decision.odds.AGE", lambda _: frozenset()),),
-    "rare since the baseline": (
-        ("decision.odds.RARE", lambda old: old._replace(since_baseline=0.0)),
-    ),
+    "slower diffusion": (("sets.forms_of", lambda _: lambda cause, _c: (cause,)),),
+    "blocks weighed at random": (("sets.weigh", lambda _: plainly_weighed),),
+    "age is one cause": (("odds.AGE", lambda _: frozenset()),),
+    "rare since the baseline": (("odds.RARE", lambda old: old._replace(since_baseline=0.0)),),
     "kept only if it simulates better": (("diagnosis.applied", lambda _: always_applied),),
 }
 

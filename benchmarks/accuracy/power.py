@@ -28,7 +28,7 @@ from cellwise import (
 )
 from cellwise.cell.model import CellModel
 from cellwise.estimate.power.along import presents_along
-from cellwise.estimate.power.present_kernels import present_at
+from cellwise.estimate.power.limit_kernels import present_at
 from cellwise.identify.hppc.pulses import Pulse, find_pulses
 from cellwise.logs import CellLog
 
@@ -85,12 +85,11 @@ def pulse_powers(
     soc0: float = 1.0,
 ) -> list[PulsePower]:
     """What the filter says before each pulse, from a start at ``soc0``, and what was measured."""
-    filter_ = estimator(model)
     last = max(p.relax_stop for p in pulses)
     part = log.part(0, last)
-    trace = filter_.run(part, soc0, START_STD)
+    trace = estimator(model).run(part, soc0, START_STD)
     wide = power_settings(model, limits=OperatingLimits(BEYOND_V, 4.0 + BEYOND_V))
-    present = presents_along(wide, filter_, part, trace, soc0, START_STD)
+    present = presents_along(wide, part, trace)
     found = []
     for pulse in pulses:
         k = pulse.start - 1

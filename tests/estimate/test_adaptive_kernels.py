@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.adaptive import Adaptive
 from cellwise.estimate.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.filters.drift_kernels import no_drift
 from cellwise.estimate.filters.free_kernels import (
     forgotten,
     likelihood,
     nothing_known,
-    soc_found,
     weighed,
 )
-from example_cells import linear_cell
 
 RULES = AdaptiveSettings().rules()
 ODDS = np.array([RULES.offset_odds, RULES.capacity_odds])
@@ -60,15 +57,6 @@ def test_mean_and_covariance_are_those_of_four_hypotheses(seed):
     assert c.chance == pytest.approx(weight[2] + weight[3])
 
 
-def test_the_likelihood_is_nearly_the_normal_ones():
-    assert likelihood(0.0, 0.0, 4.0) == pytest.approx(0.5)
-    assert likelihood(2.0, 2.0, 1.0) == pytest.approx(np.e, rel=0.05)
-    assert likelihood(240.0, 250.0, 1.0) / likelihood(250.0, 250.0, 1.0) == pytest.approx(
-        np.exp(-5)
-    )
-    assert np.isfinite(likelihood(1e300, 1e300, 1.0))
-
-
 def test_what_wanders_is_forgotten_down_to_what_was_known_before():
     """All evidence by the same factor, so that none of it changes sides."""
     information, score = drawn(2)
@@ -84,12 +72,3 @@ def test_what_wanders_is_forgotten_down_to_what_was_known_before():
     assert d.information - 1.0 == pytest.approx(keep * (information[0, 0] - 1.0))
     left = c.cross, c.score, d.score
     assert left == pytest.approx(keep * np.array([information[0, 1], score[1], score[0]]))
-
-
-def test_a_soc_that_was_searched_for_leaves_what_is_known_of_the_capacity():
-    c, _ = told(*drawn(3))
-    state = Adaptive(linear_cell()).init(0.5)
-    free = state.free._replace(capacity=c._replace(reach=0.3))
-    after = soc_found(free).capacity
-    assert after.reach == after.cross == after.shared == 0.0
-    assert (after.score, after.information) == (c.score, c.information)

@@ -9,7 +9,6 @@ import pytest
 
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.errors import InputError
 from cellwise.estimate.adaptive import Adaptive
 from cellwise.estimate.adaptive_settings import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import Coulomb
@@ -97,11 +96,6 @@ def test_on_a_plateau_a_voltage_contradicts_little(filter_):
     error = np.abs(trace.soc - run.soc)
     assert np.sqrt(np.mean(error**2)) < 0.02
     assert np.mean(error <= 2.0 * trace.soc_std) > 0.98
-
-
-def test_an_offset_is_not_negative():
-    with pytest.raises(InputError, match="offset_share"):
-        Noise(offset_share=-0.01)
 
 
 @pytest.mark.parametrize("filter_", [Ekf, Ukf])

@@ -16,13 +16,11 @@ from cellwise.cell.plausibility.notice import outside_moment, outside_notices
 from cellwise.cell.plausibility.validity import TOLERANCE, UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import (
     extrapolation_V,
-    soc_extrapolation_V,
     validity_scalars,
 )
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.estimate.status import OUTSIDE
 from cellwise.logs.cell_log import CellLog
@@ -127,23 +125,6 @@ def test_a_temperature_that_nobody_measured_is_no_news():
     model = replace(MODEL, validity=Validity(temperature_C=(-20.0, -10.0)))
     assert not np.any(Ekf(model).run(log, SOC0).status & OUTSIDE)
     assert simulate(model, log, SOC0).notices == ()
-
-
-def test_noise_without_a_model_widens_nowhere():
-    valid = Noise.of_model(MODEL).scalars().valid
-    for far in (-80.0, 120.0):
-        assert extrapolation_V(valid, far, 1e4, 1.0) == 0.0
-
-
-def test_the_error_grows_with_every_distance_and_is_none_within():
-    valid = validity_scalars(replace(MODEL, validity=replace(VALID, soc=(0.3, 0.9))))
-    assert extrapolation_V(valid, 25.0, 5.0, 0.2) == 0.0
-    assert soc_extrapolation_V(valid, 0.5) == 0.0
-    cold = [extrapolation_V(valid, t, 5.0, 0.2) for t in (20.0, 10.0, 0.0, -20.0)]
-    current = [extrapolation_V(valid, 25.0, i, 0.2) for i in (10.0, 12.0, 18.0, 30.0)]
-    soc = [soc_extrapolation_V(valid, s) for s in (0.25, 0.2, 0.1, 0.0)]
-    for grows in (cold, current, soc):
-        assert np.all(np.diff(grows) > 0.0)
 
 
 @pytest.mark.parametrize("activation_K", [2400.0, 3600.0])

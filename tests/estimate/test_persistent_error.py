@@ -9,7 +9,6 @@ import pytest
 
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.errors import InputError
 from cellwise.estimate.adaptive import Adaptive
 from cellwise.estimate.evidence_kernels import persistent_step
 from cellwise.estimate.filters.kalman import Ekf, Ukf
@@ -107,8 +106,3 @@ def test_where_voltages_show_more_than_is_stated_so_much_more_may_be_wrong(filte
         ratio = np.median(seen.soc_std[200:] / still.soc_std[200:])
         assert (ratio > 1.5) == wider
         assert trusted.soc_std[1] < 1e-3  # what nobody measured yet contradicts nothing
-
-
-def test_a_share_is_a_share():
-    with pytest.raises(InputError, match="lasting_share"):
-        Noise(lasting_share=1.5)

@@ -21,7 +21,7 @@ from cellwise.estimate.saved_state import (
 )
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog
-from example_cells import curved_cell, random_log
+from example_cells import curved_cell
 
 CURVED = curved_cell()
 FILTERS = pytest.mark.parametrize("make", [Ekf, Ukf])
@@ -209,20 +209,6 @@ class TestTemperature:
         assert np.all(a.status & Status.TEMPERATURE_INVALID)
 
     @FILTERS
-    def test_the_measured_one_is_used(self, make):
-        log = run_protocol(
-            self.model, [ConstantCurrent(current_A=3.0, soc=0.3)], 0.9, temperature_C=0.0
-        )
-        truth = 0.9 - log.charge_Ah / 3.0
-        cold = replace(log, temperature_C=np.zeros(len(log)))
-        warm = replace(log, temperature_C=np.full(len(log), 25.0))
-        right, wrong = (
-            abs(make(self.model).run(x, 0.7, 0.15).soc[-1] - truth[-1]) for x in (cold, warm)
-        )
-        assert right < 0.015
-        assert wrong > 2 * right
-
-    @FILTERS
     def test_a_model_that_does_not_ask_for_it_does_not_miss_it(self, make):
         log, _ = driven(CURVED)
         assert not bits(make(CURVED).run(log, 0.8, 0.05), slice(None)) & Status.TEMPERATURE_INVALID
@@ -305,25 +291,6 @@ def test_a_jump_that_stays_is_rejected_at_first_and_not_for_ever(make):
     after = trace.status[1600:] & Status.INNOVATION_REJECTED
     assert np.mean(after > 0) < 0.1
     assert trace.soc_std[1600] > trace.soc_std[999]
-
-
-@FILTERS
-def test_all_faults_at_once_leave_nothing_but_finite_numbers(make):
-    rng = np.random.default_rng(7)
-    for _ in range(3):
-        log = random_log(rng, 1500, scale_A=6.0, jitter=0.9, temperature_C=(-40.0, 70.0))
-        current, voltage = log.current_A.copy(), rng.normal(3.7, 0.4, 1500)
-        warm = log.temperature_C.copy()
-        for values in (current, voltage, warm):
-            values[rng.random(1500) < 0.1] = np.nan
-            values[rng.random(1500) < 0.02] = 1e5
-            start = int(rng.integers(100, 1200))
-            values[start : start + 100] = values[start]
-        log = replace(log, current_A=current, voltage_V=voltage, temperature_C=warm)
-        trace = make(CURVED).run(log, float(rng.uniform(0, 1)))
-        for values in (trace.soc, trace.soc_std, trace.voltage_V, trace.innovation_variance_V2):
-            assert np.all(np.isfinite(values))
-        assert np.all((trace.soc >= 0) & (trace.soc <= 1))
 
 
 @FILTERS

@@ -56,22 +56,6 @@ def test_a_log_that_surprises_the_filter_has_its_sign_checked(model, folder, tmp
     assert rows["truck_1/day_0.parquet"]["sign"] == "not checked"
 
 
-def test_the_judgement_is_that_of_a_replay(model, folder, tmp_path):
-    task = ReplayTask(model, soc0=0.4, reference_soc0=0.5, reference_capacity_Ah=3.0)
-    run_fleet(task, folder, tmp_path / "out", pattern="day_0*", workers=1)
-    (row,) = rows_in(tmp_path / "out").values()
-    whole = replay(
-        model,
-        read_log(folder / row["log"]),
-        soc0=0.4,
-        reference_soc0=0.5,
-        reference_capacity_Ah=3.0,
-    ).to_dict()
-    for name in ("soc_rmse", "soc_max_error", "convergence_s", "coverage_2sigma", "nis_mean"):
-        assert row[name] == pytest.approx(whole[name])
-    assert row["settled_rmse"] == pytest.approx(whole["settled"]["rmse"])
-
-
 def test_the_adaptive_estimator_tells_its_parameters(model, folder, tmp_path):
     task = ReplayTask(model, estimator="adaptive")
     run_fleet(task, folder, tmp_path / "out", pattern="day_4*", workers=1)

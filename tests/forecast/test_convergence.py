@@ -11,7 +11,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
-from cellwise.forecast.convergence import expected_convergence
+from cellwise.forecast.convergence import expected_convergence_s, expected_std
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, within_its_error
 
@@ -46,26 +46,24 @@ def test_the_log_s_voltage_is_not_used():
     model = curved_cell()
     run = judged(model, 1)
     ekf = make_estimator("ekf", model)
-    expected = expected_convergence(model, run, ekf)
+    expected = expected_std(model, run, ekf)
     other = replace(run, log=replace(run.log, voltage_V=run.log.voltage_V + 0.05))
-    again = expected_convergence(model, other, ekf)
-    assert again.soc_std.tobytes() == expected.soc_std.tobytes()
-    assert expected.soc_std[0] > 0.05
-    assert expected.convergence_s is not None
+    assert expected_std(model, other, ekf).tobytes() == expected.tobytes()
+    assert expected[0] > 0.05
+    assert expected_convergence_s(model, run, ekf) is not None
 
 
 def test_what_uses_no_voltage_never_converges():
     model = curved_cell()
     run = judged(model, 1)
-    expected = expected_convergence(model, run, make_estimator("coulomb", model))
-    assert expected.convergence_s is None
-    assert expected.soc_std[-1] >= 0.15
+    coulomb = make_estimator("coulomb", model)
+    assert expected_convergence_s(model, run, coulomb) is None
+    assert expected_std(model, run, coulomb)[-1] >= 0.15
 
 
 def test_a_plateau_takes_longer_than_a_slope():
     slope, plateau = (
-        expected_convergence(m, judged(m, 2), make_estimator("ekf", m)).soc_std
-        for m in (curved_cell(), lfp_cell())
+        expected_std(m, judged(m, 2), make_estimator("ekf", m)) for m in (curved_cell(), lfp_cell())
     )
     assert np.median(plateau) > 2.0 * np.median(slope)
 
@@ -81,12 +79,11 @@ def test_of_cells_within_the_model_s_error_half_converge_by_then():
     for seed in range(40):
         truth = within_its_error(model, rng)
         run = judged(model, seed, truth, wrong=0.15 * np.sign(rng.normal()))
-        expected = expected_convergence(model, run, ekf)
-        took, predicted = run.convergence_s, expected.convergence_s
+        took, predicted = run.convergence_s, expected_convergence_s(model, run, ekf)
         early.append(
             (np.inf if took is None else took) <= (np.inf if predicted is None else predicted)
         )
-        errors.append(run.soc_error / expected.soc_std)
+        errors.append(run.soc_error / expected_std(model, run, ekf))
     assert 0.35 <= np.mean(early) <= 0.95
     late = np.array(errors)[:, 600:]
     assert np.mean(np.abs(late) <= 2.0) >= 0.8  # the deviation expected is that of the errors

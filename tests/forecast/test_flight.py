@@ -158,7 +158,6 @@ def test_without_a_load_there_is_no_forecast(current):
         ({"cutoff_V": 14.0}, "not of the pack"),
         ({"cutoff_V": -1.0}, "not of the pack"),
         ({"hold": "torque"}, "Choose one"),
-        ({"window_s": 0.0}, "Give 60"),
     ],
 )
 def test_what_cannot_be_forecast_is_refused(options, says):

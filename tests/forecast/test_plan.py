@@ -75,7 +75,7 @@ def test_the_firmware_s_plan_ends_where_this_one_does(make, hold):
     """Phases of minutes in parts of 30 s against steps of 10 s and less."""
     model = make()
     cutoff_V = cutoff_asked(model)
-    fixed = FixedStep(model, dt_s=1.0).with_remaining(cutoff_V)
+    fixed = FixedStep(model, dt_s=1.0, remaining_V=cutoff_V)
     load = 3.0 if hold == "power" else 1.0
     phases = [(20.0, 4 * load), (600.0, load), (90.0, 0.0), (45.0, -load), (900.0, 0.7 * load)]
     state = fixed.init(0.8, 0.02)

@@ -237,15 +237,14 @@ def _filterpy(name, model, rows, soc0, soc0_std, noise):
     seen = []
     predict, update = estimator.predict, estimator.update
 
-    def watched_predict(kf, now, before):
-        after = predict(kf, now, before)
-        seen.append(after._asdict())
-        return after
+    def watched_predict(kf, now, after, diagonal):
+        predict(kf, now, after, diagonal)
+        beside = {"heat_K": after.heat_K, "slow_A": after.slow_A}
+        seen.append(beside | _moments(kf.x, kf.P))
 
     def watched_update(kf, *given):
-        told = update(kf, *given)
+        update(kf, *given)
         seen[-1] |= _moments(kf.x, kf.P)
-        return told
 
     estimator.predict, estimator.update = watched_predict, watched_update
     trace = estimator.run(rows.log(), soc0, soc0_std)

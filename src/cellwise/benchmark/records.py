@@ -13,6 +13,17 @@ R = TypeVar("R")
 KINDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
 
 
+def need(holds: bool, found: str, expected: str, action: str = "Correct it.") -> None:
+    """Refuse where something does not hold.
+
+    Raises
+    ------
+    InputError
+    """
+    if not holds:
+        raise InputError(found, expected, action)
+
+
 def records(kind: type[R], tables: Any, where: str) -> tuple[R, ...]:
     """One record per table.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.benchmark.leaderboard import BAND_COLUMNS, COLUMNS, RUN_FIGURES, standings
+from cellwise.benchmark.records import need
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 
@@ -36,11 +37,11 @@ def read_entries(path: Path) -> list[dict[str, Any]]:
             "the JSON of a row, or a run's leaderboard.json",
             "Correct the path.",
         ) from error
-    _need(isinstance(found, dict), f"a {type(found).__name__} in '{path.name}'", "an object")
+    need(isinstance(found, dict), f"a {type(found).__name__} in '{path.name}'", "an object")
     _check_kinds(found, KEYS, path.name)
     rows = found.pop("rows", None) or [found.pop("row", None)]
     for row in rows:
-        _need(isinstance(row, dict), f"no row in '{path.name}'", "an object 'row'")
+        need(isinstance(row, dict), f"no row in '{path.name}'", "an object 'row'")
         _check_kinds(row, ROW_KEYS, path.name)
         for run in row["runs"]:
             _check_run(run, f"a run of '{row['estimator']}'")
@@ -69,7 +70,7 @@ def submit(path: Path, folder: Path) -> list[str]:
     there, new = read_entries(kept), read_entries(path)
     for entry in new:
         for key in ("suite", "suite_sha256"):
-            _need(
+            need(
                 entry[key] == there[0][key],
                 f"{key} {entry[key]} of '{entry['row']['estimator']}'",
                 there[0][key],
@@ -139,17 +140,17 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[in
 
 
 def _check_run(run: Any, where: str) -> None:
-    _need(isinstance(run, dict), f"{where} that is no object", "an object")
+    need(isinstance(run, dict), f"{where} that is no object", "an object")
     _check_kinds(run, RUN_FIGURES, where)
     for name in SHARES:
         value = run[name]
-        _need(
+        need(
             value is None or abs(value) <= 1.5,
             f"{name} = {value} in {where}",
             "a fraction of SOC or of the rows",
         )
     judged = run["settled_rmse"] is not None and np.isfinite(run["settled_rmse"])
-    _need(
+    need(
         bool(run["problem"]) or judged,
         f"{where} without settled_rmse or a problem",
         "one of the two",
@@ -158,13 +159,13 @@ def _check_run(run: Any, where: str) -> None:
 
 def _check_kinds(found: Mapping[str, Any], kinds: Mapping[str, type], where: str) -> None:
     for name, kind in kinds.items():
-        _need(name in found, f"no '{name}' in {where}", f"a {kind.__name__}")
+        need(name in found, f"no '{name}' in {where}", f"a {kind.__name__}")
         value = found[name]
         if kind in (int, float):  # a figure that is not known is null
             fits = value is None or (isinstance(value, int | float) and not isinstance(value, bool))
         else:
             fits = isinstance(value, kind)
-        _need(fits, f"{name} = {value!r} in {where}", f"a {kind.__name__}")
+        need(fits, f"{name} = {value!r} in {where}", f"a {kind.__name__}")
 
 
 def _check_runs(row: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> None:
@@ -177,14 +178,9 @@ def _check_runs(row: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
     own = of(row, False)
     most = max(others, key=lambda one: len(one["runs"]))
     expected = of(most, False)
-    _need(
+    need(
         own in (expected, of(most, True)),
         f"{len(own)} runs of '{row['estimator']}' that are not the suite's",
         f"each of its {len(expected)} once, or of its {len(of(most, True))} in the quick cut",
         "Run the whole suite with the adapter.",
     )
-
-
-def _need(holds: bool, found: str, expected: str, action: str = "Correct it.") -> None:
-    if not holds:
-        raise InputError(found, expected, action)

@@ -11,7 +11,7 @@ from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.known_logs import KnownLog, file_digest
 from cellwise.benchmark.package_rows import NotRun, PackageRow
-from cellwise.benchmark.records import checked, records
+from cellwise.benchmark.records import checked, need, records
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
@@ -272,19 +272,8 @@ def _named_faults(names: Any) -> tuple[Fault, ...]:
     return tuple(f for f in dict.fromkeys(found) if f.name != NONE)
 
 
-def _need(holds: bool, found: str, expected: str, action: str = "Correct it.") -> None:
-    """Refuse a suite in which something does not hold.
-
-    Raises
-    ------
-    InputError
-    """
-    if not holds:
-        raise InputError(found, expected, action)
-
-
 def _check(suite: Suite) -> None:
-    _need(
+    need(
         bool(suite.logs and suite.cells),
         f"{len(suite.cells)} cells and {len(suite.logs)} logs in suite '{suite.name}'",
         "at least one [[cell]] and one [[log]]",
@@ -297,12 +286,12 @@ def _check(suite: Suite) -> None:
         ("estimator", [*map(short_name, suite.estimators), *(r.name for r in suite.rows)]),
     ):
         twice = next((n for n in names if names.count(n) > 1), None)
-        _need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
+        need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
     for error in (*suite.start_errors, suite.fault_start_error, *(suite.slow.start_errors or ())):
-        _need(-1.0 < error < 1.0, f"a start error of {error:g}", "a fraction, as 0.3")
+        need(-1.0 < error < 1.0, f"a start error of {error:g}", "a fraction, as 0.3")
     for step in (suite.dt_s, suite.slow.dt_s):
-        _need(step is None or 0.0 < step < 1e6, f"dt_s = {step}", "seconds above zero")
-    _need(
+        need(step is None or 0.0 < step < 1e6, f"dt_s = {step}", "seconds above zero")
+    need(
         bool(suite.start_errors) and 0.0 < suite.soc0_std < 1.0,
         f"start_errors = {list(suite.start_errors)}, soc0_std = {suite.soc0_std:g}",
         "at least one start, a deviation between 0 and 1",
@@ -321,7 +310,7 @@ def _check_frozen(suite: Suite) -> None:
     known = {one.log for one in suite.data}
     locations = [*(p for c in suite.cells for p in c.tests), *(g.log for g in suite.logs)]
     missing = [p for p in (Stated.parse(one).path for one in locations) if p not in known]
-    _need(
+    need(
         not missing,
         f"log '{next(iter(missing), '')}' of the frozen suite '{suite.name}' without [[data]]",
         "what every log holds",
@@ -331,7 +320,7 @@ def _check_frozen(suite: Suite) -> None:
     tests = {held[Stated.parse(p).path]: p for c in suite.cells for p in c.tests}
     for log in suite.logs:
         same = tests.get(held[Stated.parse(log.log).path], "")
-        _need(
+        need(
             not same,
             f"log '{log.log}' of the frozen suite '{suite.name}', which is a test of a cell too "
             f"(as '{same}')",
@@ -343,7 +332,7 @@ def _check_frozen(suite: Suite) -> None:
 def _check_cell(cell: SuiteCell) -> None:
     tests = (*cell.hppc, *cell.drive)
     what = "both a model and tests" if tests else "neither a model nor a test"
-    _need(
+    need(
         bool(cell.model) != bool(tests),
         f"{what} of cell '{cell.name}'",
         "model = FILE, or hppc or drive logs to identify on",
@@ -354,21 +343,21 @@ def _check_cell(cell: SuiteCell) -> None:
 
 
 def _check_log(log: SuiteLog, cells: set[str]) -> None:
-    _need(
+    need(
         log.cell in cells,
         f"cell '{log.cell}' of log '{log.shown}'",
         f"one of {', '.join(sorted(cells))}",
         "Add a [[cell]] of that name.",
     )
     stated = Stated.parse(log.log)
-    _need(
+    need(
         log.soc0 is None or stated.soc0 in (None, log.soc0),
         f"soc0 = {log.soc0} of log '{log.log}'",
         "one initial SOC",
         "Leave out one of them.",
     )
     known = (log.soc0 is not None or stated.soc0 is not None) and log.reference_Ah is not None
-    _need(
+    need(
         known or stated.path.startswith(EMBEDDED),
         f"log '{log.shown}' without soc0 or reference_Ah",
         "the true SOC at its first row and the charge between full and empty",
@@ -379,4 +368,4 @@ def _check_log(log: SuiteLog, cells: set[str]) -> None:
     for name, (low, high) in limits.items():
         value = getattr(log, name)
         there = value is None or low <= value <= high
-        _need(there, f"{name} = {value} of log '{log.shown}'", f"{low:g} to {high:g}")
+        need(there, f"{name} = {value} of log '{log.shown}'", f"{low:g} to {high:g}")

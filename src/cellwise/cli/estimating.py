@@ -188,7 +188,7 @@ def run_of(
     from cellwise.estimate.estimators import make_estimator
     from cellwise.estimate.replay import replay
     from cellwise.forecast.charging import forecast_charge
-    from cellwise.forecast.convergence import expected_convergence
+    from cellwise.forecast.convergence import expected_convergence_s
     from cellwise.forecast.remaining import cutoff_of, forecast, forecast_at
     from cellwise.logs.cell_log import resample
 
@@ -207,7 +207,7 @@ def run_of(
     begun = found.start.how in ("given", "stated")
     run = Run(
         found,
-        expected_convergence(model, found, make_estimator(arguments.estimator, model)),
+        expected_convergence_s(model, found, make_estimator(arguments.estimator, model)),
         None if begun else initial_soc(model, found.log, whole_log=True),
         None if arguments.anyway else ends_forecasts(found.far_off, found.log),
     )

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.replay import Replay
     from cellwise.forecast.charging import Charge
-    from cellwise.forecast.convergence import ExpectedConvergence
     from cellwise.forecast.plan import Outcome
     from cellwise.forecast.remaining import Flight, Forecast
     from cellwise.typing import FloatArray
@@ -33,7 +32,7 @@ class Run:
     """
 
     found: Replay
-    expected: ExpectedConvergence
+    expected: float | None
     began: InitialSoc | None
     far: str | None
     flight: Flight | None = None
@@ -73,7 +72,7 @@ class Run:
             "log": self.found.log.name,
             **self.figures(),
             "soc0_whole_log": None if self.began is None else self.began.to_dict(),
-            "convergence_predicted_s": self.expected.convergence_s,
+            "convergence_predicted_s": self.expected,
             "forecast": None if self.flight is None else self.flight.to_dict(),
             "forecast_charge": None if charge is None else charge.to_dict(),
             "forecast_plan": None if self.plan is None else self.plan.to_dict(),
@@ -174,7 +173,7 @@ def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) ->
         rows["NIS by time scale"] = ", ".join(f"{nis:.2f} ({scale:g} s)" for nis, scale in each)
     rows["time per step"] = f"{data['ns_per_step']:.0f} ns"
     if run is not None:
-        rows["within 2 %, by model and current"] = _after(run.expected.convergence_s)
+        rows["within 2 %, by model and current"] = _after(run.expected)
     if settled is None:
         rows["SOC error"] = "no reference: give --reference-capacity-ah and a counter"
     else:

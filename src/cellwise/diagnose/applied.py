@@ -20,11 +20,11 @@ from cellwise.cell.metrics import drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
-from cellwise.diagnose.decision.outcome import Outcome
 from cellwise.diagnose.extension import correct_log, extend_model, split_skew
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.rows import FITTED, Evidence
+from cellwise.diagnose.sets import Outcome
 from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,6 @@ from cellwise.diagnose.fit.rows import Evidence
 from cellwise.errors import InputError
 from cellwise.identify.refinement.sustained import charged_for_minutes
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.typing import FloatArray
 
 Logs = CellLog | Sequence[CellLog]
 Start = float | str
@@ -175,13 +173,11 @@ def unseen_temperature_C(model: CellModel, evidence: Evidence) -> float | None:
     return None if inside else middle
 
 
-@dataclass(frozen=True)
-class ClaimCheck:
+class ClaimCheck(NamedTuple):
     """A log's error over what the model claims there, and how much of that chance would give."""
 
     log: str
     rmse_V: float
-    claim_V: float
     times: float
     most: float
 
@@ -211,41 +207,24 @@ def claim_checks(
     """
     found = []
     for run, rows in zip(runs, evidence.logs, strict=True):
-        soc = np.clip(run.before.soc, 0.0, 1.0)
-        temperature = float(np.median(rows.temperature_C))
-        middle = model.at_temperature(temperature)
-        drop = np.interp(soc, model.soc, middle.ocv_V[0]) - run.before.voltage_V
-        share = share_claimed(model.error, drop, charged_for_minutes(run.log))
-        slope = np.interp(soc, model.soc, np.gradient(middle.ocv_V[0], model.soc))
-        claim2 = (
-            np.asarray(model.slow_error_V(soc, temperature)) ** 2
-            + (share * drop) ** 2
-            + max(model.error.white_V, _noise_V(run.before.error_V)) ** 2
-            + (rows.start.std * slope) ** 2
-        )
-        error = run.before.error_V
+        error, soc = run.before.error_V, np.clip(run.before.soc, 0.0, 1.0)
         known = np.isfinite(error)
         if not known.any():
             continue
+        warm = float(np.median(rows.temperature_C))
+        ocv = model.at_temperature(warm).ocv_V[0]
+        drop = np.interp(soc, model.soc, ocv) - run.before.voltage_V
+        share = share_claimed(model.error, drop, charged_for_minutes(run.log))
+        start = rows.start.std * np.interp(soc, model.soc, np.gradient(ocv, model.soc))
+        steps = np.abs(np.diff(error))
+        steps = steps[np.isfinite(steps)]
+        noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0
+        white = max(model.error.white_V, min(noise, CLAIM.noise_V))
+        claim2 = np.asarray(model.slow_error_V(soc, warm)) ** 2
+        claim2 = claim2 + (share * drop) ** 2 + white**2 + start**2
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
         most2 = float(fdtri(freedom, STATED.errors, 1.0 - CLAIM.rare))
-        found.append(
-            ClaimCheck(
-                run.log.name,
-                run.before.metrics.rmse_V,
-                float(np.sqrt(np.mean(claim2[known]))),
-                float(np.sqrt(times2)),
-                float(np.sqrt(most2)),
-            )
-        )
+        rmse_V = run.before.metrics.rmse_V
+        found.append(ClaimCheck(run.log.name, rmse_V, math.sqrt(times2), math.sqrt(most2)))
     return tuple(found)
-
-
-def _noise_V(error_V: FloatArray) -> float:
-    """Row-to-row noise of a log, by the differences of its error."""
-    steps = np.abs(np.diff(error_V))
-    steps = steps[np.isfinite(steps)]
-    if steps.size == 0:
-        return 0.0
-    return min(1.4826 * float(np.median(steps)) / math.sqrt(2.0), CLAIM.noise_V)

@@ -37,9 +37,6 @@ from cellwise.diagnose.checks import (
     too_little,
     unseen_temperature_C,
 )
-from cellwise.diagnose.decision.odds import NAMING, RARE, Rarity, probability_of
-from cellwise.diagnose.decision.outcome import Accepted, Outcome, decide
-from cellwise.diagnose.decision.search import Explanation, Explanations, Progress
 from cellwise.diagnose.extension import (
     correct_log,
     extended_validity,
@@ -51,11 +48,19 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.priors import GOOD
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.limits import Limits, limits
-from cellwise.diagnose.next_test import LONGER_LOG, next_test
+from cellwise.diagnose.limits import LONGER_LOG, Limits, limits, next_test
+from cellwise.diagnose.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
+from cellwise.diagnose.sets import (
+    Accepted,
+    Explanation,
+    Explanations,
+    Outcome,
+    Progress,
+    decide,
+)
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread
@@ -113,15 +118,15 @@ def diagnose(
                 f"a reference capacity of {reference_capacity_Ah:g} Ah", "above zero", "Correct it."
             )
     chosen = causes_of(causes)
-    with_all_rows = groups[0] + groups[1]
     cleaned, stated, faults = without_faults(groups, stated_starts(groups, soc0))
     logs, holdout, _ = cleaned
+    both = model, groups[0] + groups[1], logs + holdout
     missing = too_little(model, logs)
     starts = _starts(model, cleaned, stated)
     used = with_use([*starts[0], *starts[1]], len(logs))
     if missing:
         said = _undetermined(model, logs, holdout, used, missing)
-        return with_faults(said, faults, model, with_all_rows)
+        return with_faults(said, faults, *both)
     evidence = gather(model, starts[0], starts[1], _slowest_s(model))
     unseen_C = unseen_temperature_C(model, evidence)
     coordinates = Coordinates(model, unseen_C=unseen_C)
@@ -135,7 +140,7 @@ def diagnose(
     if other := another_cell(model, evidence, base):
         why = f"this looks like another cell: {other}"
         said = _undetermined(model, logs, holdout, used, why)
-        return with_faults(said, faults, model, with_all_rows)
+        return with_faults(said, faults, *both)
     if evidence.rest.zero:
         chosen = [c for c in chosen if c.name != "current_offset"]
     asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
@@ -143,7 +148,7 @@ def diagnose(
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, scale)
     found = _diagnosis(logs, holdout, used, fits, decide(sets), shown, reference_capacity_Ah)
-    return with_faults(found, faults, model, with_all_rows)
+    return with_faults(found, faults, *both)
 
 
 def _undetermined(

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.applied import LogRun, judged_runs
-from cellwise.diagnose.decision.odds import Weighed
+from cellwise.diagnose.odds import Weighed
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Summarised
 

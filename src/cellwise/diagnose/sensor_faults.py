@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,44 +37,49 @@ class Failing(NamedTuple):
 
 FAILING = Failing()
 
-Kind = Literal["impossible", "stuck", "saturated", "spikes", "lost"]
-Starts = list[float | str]
+# What a channel did, for people.
+KINDS = {
+    "impossible": "shows what no cell has",
+    "stuck": "stands still while the other channel moves",
+    "lost": "is missing",
+    "spikes": "jumps away and back without the current",
+    "saturated": "is held at its end while the other channel goes on moving",
+}
 
 
 @dataclass(frozen=True)
 class SensorFault:
-    """What a channel of a log did wrong, where.
+    """What a channel of a log did wrong, one of :data:`KINDS`, in which ``runs`` of rows."""
 
-    ``runs`` are its rows, ``log`` the log's name.
-    """
-
-    log: str
+    log: CellLog
     channel: str
-    kind: Kind
+    kind: str
     runs: tuple[Run, ...]
-    start_s: float
-    duration_s: float
 
     @property
     def rows(self) -> int:
         """Number of rows."""
         return sum(r.last - r.first + 1 for r in self.runs)
 
+    @property
+    def start_s(self) -> float:
+        """Time of the first row."""
+        return float(self.log.time_s[self.runs[0].first])
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row to the last."""
+        return float(self.log.time_s[self.runs[-1].last]) - self.start_s
+
     def text(self) -> str:
-        """For people."""
-        how = {
-            "impossible": "shows what no cell has",
-            "stuck": "stands still while the other channel moves",
-            "saturated": "is held at its end while the other channel goes on moving",
-            "spikes": "jumps away and back without the current",
-            "lost": "is missing",
-        }[self.kind]
-        first, last = self.runs[0].first + 1, self.runs[-1].last + 1  # people count from 1
+        """For people, who count rows from 1."""
+        first, last = self.runs[0].first + 1, self.runs[-1].last + 1
         where = f"rows {first} to {last}"
         if len(self.runs) > 1:
             where = f"{self.rows} rows between {first} and {last}"
-        name = f"{self.log}: " if self.log else ""
-        return f"{name}{self.channel} {how} ({where}, from {self.start_s:.0f} s on)"
+        name = f"{self.log.name}: " if self.log.name else ""
+        how = f"{self.channel} {KINDS[self.kind]}"
+        return f"{name}{how} ({where}, from {self.start_s:.0f} s on)"
 
 
 def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
@@ -98,63 +103,62 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
         return log, ()
     runs: dict[str, list[Run]] = {}
     for fault in faults:
-        if fault.channel != "current_A":
-            runs.setdefault(fault.channel, []).extend(fault.runs)
+        runs.setdefault(fault.channel, []).extend(fault.runs)
+    wrong = np.zeros(len(log), dtype=bool)
+    for run in runs.pop("current_A", []):
+        wrong[run.first : run.last + 1] = True
     whole = without(log, runs)
     if np.isfinite(whole.voltage_V).sum() < 2:
         return log, faults
-    wrong = np.zeros(len(log), dtype=bool)
-    for fault in faults:
-        if fault.channel == "current_A":
-            for run in fault.runs:
-                wrong[run.first : run.last + 1] = True
     if not wrong.any() or wrong.all():
         return whole, faults
     first, last = max(zip(*run_edges(~wrong), strict=True), key=lambda run: run[1] - run[0])
-    stop = last + 1
-    part = whole.voltage_V[first:stop]
-    if stop - first < FAILING.least_part * len(log) or not np.isfinite(part).any():
+    left = whole.part(first, last + 1)
+    if len(left) < FAILING.least_part * len(log) or not np.isfinite(left.voltage_V).any():
         return whole, faults
-    return whole.part(first, stop), faults
+    return left, faults
 
 
 def without_faults(
     groups: Sequence[Sequence[CellLog]], starts: Iterable[float | str]
-) -> tuple[list[tuple[CellLog, ...]], Starts, tuple[SensorFault, ...]]:
+) -> tuple[list[tuple[CellLog, ...]], list[float | str], tuple[SensorFault, ...]]:
     """Groups of logs without faults, where each starts, and the faults.
 
     ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
     not known any more.
     """
-    known_starts = iter(starts)
-    cleaned: list[tuple[CellLog, ...]] = []
-    kept: Starts = []
+    stated = iter(starts)
+    kept: list[float | str] = []
     faults: list[SensorFault] = []
+    cleaned: list[tuple[CellLog, ...]] = []
     for group in groups:
-        made = []
-        for log in group:
-            one, found = clean(log)
-            start = next(known_starts, "auto")
+        left = [clean(log) for log in group]
+        for log, (one, found) in zip(group, left, strict=True):
+            start = next(stated, "auto")
             kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
-            made.append(one)
             faults += found
-        cleaned.append(tuple(made))
+        cleaned.append(tuple(one for one, _ in left))
     return cleaned, kept, tuple(faults)
 
 
 def with_faults(
-    said: Diagnosis, faults: Sequence[SensorFault], model: CellModel, logs: Sequence[CellLog]
+    said: Diagnosis,
+    faults: Sequence[SensorFault],
+    model: CellModel,
+    raw: Sequence[CellLog],
+    left: Sequence[CellLog],
 ) -> Diagnosis:
     """A diagnosis of the logs without faults, the faults before all that was found there.
 
-    ``logs`` are those with the faults: the figures are the model's on them and on the cleaned ones.
+    The figures are the model's on the ``raw`` logs and on what is ``left`` of them.
     """
     if not faults:
         return said
-    pairs = [(raw, clean(raw)[0]) for raw in logs]
-    bad = [(raw, left) for raw, left in pairs if left is not raw] or pairs[:1]
+    pairs = list(zip(raw, left, strict=True))
+    bad = [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
     before, after = (
-        float(np.sqrt(np.mean([_rmse_V(model, pair[k]) ** 2 for pair in bad]))) for k in (0, 1)
+        float(np.sqrt(np.mean([_rmse_V(model, log) ** 2 for log in logs])))
+        for logs in zip(*bad, strict=True)
     )
     gain = 1.0 - after / before if before > 0.0 else 0.0
     largest = max(faults, key=lambda f: f.rows)
@@ -190,20 +194,18 @@ def _rmse_V(model: CellModel, log: CellLog) -> float:
 
 def _faults(log: CellLog) -> tuple[SensorFault, ...]:
     """Every fault, by channel."""
-
-    def fault(channel: str, kind: Kind, runs: Sequence[Run]) -> SensorFault:
-        begins, ends = log.time_s[runs[0].first], log.time_s[runs[-1].last]
-        return SensorFault(
-            log.name, channel, kind, tuple(runs), float(begins), float(ends - begins)
-        )
-
     impossible = impossible_runs(log)
     rest = without(log, impossible)
-    found = [fault(name, "impossible", runs) for name, runs in impossible.items()]
-    found += [fault(name, "stuck", runs) for name, runs in stuck_runs(rest).items()]
-    found += [fault(name, "lost", runs) for name, runs in lost_runs(log).items()]
-    spikes = find_spikes(rest)
-    if spikes.size >= FAILING.spikes:
-        found.append(fault("voltage_V", "spikes", [Run(int(k), int(k)) for k in spikes]))
-    found += [fault(name, "saturated", runs) for name, runs in clipped_runs(rest).items()]
-    return tuple(found)
+    spikes = [Run(int(k), int(k)) for k in find_spikes(rest)]
+    found = {
+        "impossible": impossible,
+        "stuck": stuck_runs(rest),
+        "lost": lost_runs(log),
+        "spikes": {"voltage_V": spikes} if len(spikes) >= FAILING.spikes else {},
+        "saturated": clipped_runs(rest),
+    }
+    return tuple(
+        SensorFault(log, channel, kind, tuple(runs))
+        for kind, by_channel in found.items()
+        for channel, runs in by_channel.items()
+    )

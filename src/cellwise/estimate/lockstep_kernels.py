@@ -15,9 +15,9 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline, kernel, rows
 from cellwise.cell.equations import (
     CellTables,
+    drop_of,
     heat_step,
     loaded,
-    polarisation,
     slow_step,
     soc_step,
     states_step,
@@ -139,8 +139,7 @@ def plain_step(
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
     over = Interval(old.cell, point, t, end, lane.temperature_C, 0.0, 0.0, 0.0, 0)
     p = with_noise(decayed(old.p, t), noise, s, over, 0.0)
-    drop = polarisation(point.r0_ohm, flow_A, end.v1_V, end.v2_V, end.v3_V)
-    x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop, dt_s))
+    x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import CellState, CellTables, loaded, look_up
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
 from cellwise.estimate.sensing_kernels import REST_RATE
 
 RECOVERY_VARIANCE = 0.09
@@ -22,16 +23,6 @@ LOAD_LIMIT_V = 0.3
 # One that starts under load holds anything from nothing to the load's steady voltage.
 START_LOAD_SHARE = 0.5
 START_LOAD_RATE = 0.25
-
-
-class Variances(NamedTuple):
-    """Of the states: SOC [-], branches [V^2], hysteresis [-]."""
-
-    soc: float
-    v1_V2: float
-    v2_V2: float
-    v3_V2: float
-    h: float
 
 
 class Contradiction(NamedTuple):
@@ -69,7 +60,8 @@ def start_branch(cell: CellScalars, r_ohm: float, current_A: float) -> tuple[flo
 def soc_of_voltage(
     tables: CellTables,
     x: CellState,
-    p: Variances,
+    soc_variance: float,
+    h_variance: float,
     c: Contradiction,
     variance: float,
     held_A: float,
@@ -77,8 +69,8 @@ def soc_of_voltage(
 ) -> tuple[float, float]:
     """SOC and its variance when a voltage contradicts the estimate: over the whole of 0..1.
 
-    Every SOC weighs as the estimate, of the variance in ``p``, and the voltage, of ``variance``
-    about the model's, say together; ``held_A`` is the current whose voltage the branches of that
+    Every SOC weighs as the estimate, of ``soc_variance``, and the voltage, of ``variance`` about
+    the model's, say together; ``held_A`` is the current whose voltage the branches of that
     SOC may still hold, up to ``limit_V``. Beyond either end of the OCV that end is meant. On a
     plateau every SOC of it is as good: the variance is its width.
     """
@@ -99,13 +91,13 @@ def soc_of_voltage(
             point = loaded(tables, s, c.temperature_C, c.current_A, x.slow_A)
             seen = point.ocv_V - point.r0_ohm * c.current_A - branches_V + point.m_V * x.h
             about = variance + point.error_V * point.error_V
-            about += point.m_V * point.m_V * p.h
+            about += point.m_V * point.m_V * h_variance
             r = point.r1_ohm * point.r1_ohm + point.r2_ohm * point.r2_ohm
             past = held_A * held_A * (r + point.r3_ohm * point.r3_ohm)
             about += min(past, limit_V * limit_V)
             off = target - seen
             away = s - x.soc
-            cost = away * away / p.soc + off * off / about + math.log(about)
+            cost = away * away / soc_variance + off * off / about + math.log(about)
             if turn == 0:
                 least = min(least, cost)
             else:
@@ -119,8 +111,8 @@ def soc_of_voltage(
 
 @inline
 def recovered(
-    tables: CellTables, x: CellState, p: Variances, c: Contradiction
-) -> tuple[float, Variances]:
+    tables: CellTables, x: CellState, p: Covariance, c: Contradiction
+) -> tuple[float, Covariance]:
     """SOC after a lock-out, and the variances of all states."""
     held_A = START_REST_RATE * tables.cell.charge_As / 3600.0
     limit_V = REST_LIMIT_V
@@ -130,9 +122,9 @@ def recovered(
         limit_V = LOAD_LIMIT_V
         # Under load the resistances may be what is wrong, by as much as they are.
         branch = c.drop_V * c.drop_V + x.v1_V * x.v1_V + x.v2_V * x.v2_V + x.v3_V * x.v3_V
-        branch += (p.v1_V2 + p.v2_V2) + p.v3_V2
-    wide = Variances(max(p.soc, RECOVERY_VARIANCE), p.v1_V2, p.v2_V2, p.v3_V2, p.h)
-    soc, variance = soc_of_voltage(tables, x, wide, c, c.variance_V2 + branch, held_A, limit_V)
+        branch += (p.p11 + p.p22) + p.p33
+    wide, about = max(p.ss, RECOVERY_VARIANCE), c.variance_V2 + branch
+    soc, variance = soc_of_voltage(tables, x, wide, p.phh, c, about, held_A, limit_V)
     new = look_up(tables, soc, c.temperature_C, x.slow_A)
     branch = START_BRANCH_V * START_BRANCH_V
     p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
@@ -144,4 +136,4 @@ def recovered(
         p33 += x.v3_V * x.v3_V
     if new.r3_ohm == 0.0:
         p33 = 0.0
-    return soc, Variances(variance, p11, p22, p33, p.h)
+    return soc, uncorrelated(variance, p11, p22, p33, p.phh)

@@ -326,5 +326,5 @@ def replay(
         if true0 is None:
             true0 = initial_soc(model, log, whole_log=True).soc
         reference = reference_soc(log, true0, reference_capacity_Ah)
-    limits = power_along(asked, filter_, log, trace, start.soc, start.std) if asked else None
+    limits = power_along(asked, log, trace) if asked else None
     return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -81,7 +80,7 @@ HISTORY: Mapping[str, type] = {
     **typed(numbers="resistance_scale resistance_std"),
 }
 
-VERSION = 5  # of a log that is kept
+VERSION = 6  # of a log that is kept
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -100,12 +99,12 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
     """
     if not cache:
         return read_log(path, check_sign=False, **options)
-    place = Path(cache) / f"{_key(path, options)}.npz"
+    place = Path(cache) / f"{_key(path, options)}.npy"
     # None is there, or one that is not whole.
-    with suppress(OSError, EOFError, KeyError, TypeError, ValueError, BadZipFile):
-        with np.load(place) as kept:
-            channels = dict(kept)
-        said = json.loads(str(channels.pop("said")))
+    with suppress(OSError, EOFError, KeyError, TypeError, ValueError), place.open("rb") as file:
+        rows = np.load(file)
+        said = json.load(file)
+        channels = dict(zip(said.pop("channels"), rows, strict=True))
         said["notices"] = tuple(said["notices"])
         return CellLog(**channels, **said, source=str(path))
     log = read_log(path, **options)
@@ -129,10 +128,12 @@ def _key(path: Path, options: dict[str, Any]) -> str:
 
 
 def _keep(log: CellLog, target: Path) -> None:
+    """The channels as one array, and what is known beside them below it."""
+    names = [field for field in CHANNELS if getattr(log, field) is not None]
     said = {name: getattr(log, name) for name in ("name", "format", "current_meaning", "notices")}
-    channels = {f: x for f in CHANNELS if (x := getattr(log, f)) is not None}
     with target.open("wb") as file:
-        np.savez(file, said=np.array(json.dumps(said)), **channels)
+        np.save(file, np.stack([getattr(log, name) for name in names]))
+        file.write(json.dumps(said | {"channels": names}).encode())
 
 
 MANIFEST = "_fleet.json"

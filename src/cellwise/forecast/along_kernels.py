@@ -20,6 +20,8 @@ from cellwise.forecast.ahead_kernels import Going, Uncertain, with_ends
 from cellwise.forecast.warming_kernels import NOTHING_SEEN, Warming, observed, thermal_of
 from cellwise.typing import BoolArray, FloatArray
 
+WINDOW_S = 60.0  # what counts as now: of the load, and of what the model is off by
+
 
 class FilteredRows(NamedTuple):
     """A log and what a filter said of it, shape (n,) each; a measured voltage may be NaN."""
@@ -37,17 +39,15 @@ class Load(NamedTuple):
     """What goes on: the load of every row, whether its power is held, and until when.
 
     ``power_W`` is what is held where that was given, with a current near it; NaN: what the current
-    makes of the model's terminal voltage. ``wanted`` are the rows to forecast at, ``window_s`` over
-    what time the model's error is averaged, ``cutoff_V`` the voltage at which the load gives up or
-    that a charger holds; ``taper_A`` the current at which a charger ends. ``warms_unseen`` whether
-    the losses warm the cell in a forecast where nobody measures its temperature.
+    makes of the model's terminal voltage. ``wanted`` are the rows to forecast at, ``cutoff_V`` the
+    voltage at which the load gives up or that a charger holds, ``taper_A`` the current at which a
+    charger ends. ``warms_unseen``: the losses warm the cell where nobody measures its temperature.
     """
 
     current_A: FloatArray
     power_W: float
     wanted: BoolArray
     hold_power: bool
-    window_s: float
     cutoff_V: float
     warms_unseen: bool
     taper_A: float = 0.0
@@ -96,10 +96,8 @@ def parts_of(
 
 
 @inline
-def row_followed(
-    tables: CellTables, was: Followed, log: FilteredRows, k: int, window_s: float
-) -> Followed:
-    """One row on: the model's present error is a mean over about ``window_s``."""
+def row_followed(tables: CellTables, was: Followed, log: FilteredRows, k: int) -> Followed:
+    """One row on: the model's present error is a mean over about `WINDOW_S`."""
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, _ = log
     seen = seen_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
     state, point = advance(tables, was.state, seen, dt_s[k], temperature_C[k])
@@ -109,7 +107,7 @@ def row_followed(
     bias, held, begun = was.bias_V, was.held_V, was.begun
     if measured_V[k] == measured_V[k]:  # not NaN
         lost_W = seen * (point.ocv_V - measured_V[k])
-        share = min(dt_s[k] / window_s, 1.0) if begun else 1.0
+        share = min(dt_s[k] / WINDOW_S, 1.0) if begun else 1.0
         begun = True
         bias += share * (measured_V[k] - voltage - bias)
         held += share * ((point.ocv_V - voltage) - held)
@@ -142,7 +140,7 @@ def moment(
     """The state at the last row of a log, and what goes on from there, with no load yet."""
     now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     for k in range(log.soc.size):
-        now = row_followed(tables, now, log, k, load.window_s)
+        now = row_followed(tables, now, log, k)
     warm_C = log.temperature_C[log.soc.size - 1]
     return now.state, going_of(tables, now, warm_C, 0.0, load, uncertain)
 
@@ -159,12 +157,12 @@ def forecast_rows(
     """Carry the cell through a log with the filter's SOC; forecast at the wanted rows.
 
     ``out`` has shape (wanted rows, numbers of an `Outcome`). The model's present error is the mean
-    of measured minus modelled voltage over about ``window_s``.
+    of measured minus modelled voltage over about `WINDOW_S`.
     """
     now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     place = 0
     for k in range(log.soc.size):
-        now = row_followed(tables, now, log, k, load.window_s)
+        now = row_followed(tables, now, log, k)
         if load.wanted[k]:
             warm_C = log.temperature_C[k]
             go = going_of(tables, now, warm_C, load.current_A[k], load, uncertain)

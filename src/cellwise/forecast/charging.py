@@ -11,7 +11,8 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.remaining import WINDOW_S, along, at_most, load_of, present_load
+from cellwise.forecast.along_kernels import WINDOW_S
+from cellwise.forecast.remaining import along, at_most, load_of, present_load
 from cellwise.typing import FloatArray
 
 CHARGER_S = 30.0  # a charge that lasts; regenerative braking does not
@@ -198,13 +199,13 @@ def forecast_charge(
     charging = current < -least_A
     # A charger holds its current from the first row on: what was before is no part of it.
     since_s = np.maximum.accumulate(np.where(charging, log.time_s[0], log.time_s))
-    mean_A, _ = present_load(log, current, WINDOW_S, since_s)
+    mean_A, _ = present_load(log, current, since_s)
     mean_A = np.where(np.isfinite(mean_A), mean_A, current)
     steady = log.time_s - since_s >= CHARGER_S
     wanted = at_most(charging & steady & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
-    load = load_of(model, mean_A, wanted, limit, "current", WINDOW_S)._replace(taper_A=taper)
+    load = load_of(model, mean_A, wanted, limit, "current")._replace(taper_A=taper)
     found = along(model, replay, load)
     full_s, full_J = found["usual.time_s"], found["usual.energy_J"]
     held = charging & (log.voltage_V > limit - HELD_V)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -14,34 +14,8 @@ from cellwise.estimate.replay import Replay, converged_row
 from cellwise.typing import FloatArray
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ExpectedConvergence:
-    """What a filter should know of the SOC over a log, were the model right within its own error.
-
-    ``soc_std`` is the standard deviation expected at every row, shape (rows,).
-    """
-
-    time_s: FloatArray
-    soc_std: FloatArray
-
-    @property
-    def convergence_s(self) -> float | None:
-        """Time from which an error of that deviation stays within 2 points as likely as not.
-
-        Stays means for ten minutes or to the log's end; None: not on this log.
-        """
-        half = NormalDist().inv_cdf(0.75)  # half of a normal distribution lies within
-        row = converged_row(self.time_s, half * self.soc_std)
-        return None if row is None else float(self.time_s[row] - self.time_s[0])
-
-    def __repr__(self) -> str:
-        return f"ExpectedConvergence({self.convergence_s} s, finally {self.soc_std[-1]:.4f})"
-
-
-def expected_convergence(
-    model: CellModel, replayed: Replay, estimator: Estimator
-) -> ExpectedConvergence:
-    """The deviation of the SOC that a filter expects over a log's current, its voltage not used.
+def expected_std(model: CellModel, replayed: Replay, estimator: Estimator) -> FloatArray:
+    """The deviation of the SOC that a filter expects over a log's current, shape (rows,).
 
     The recursion of the covariance needs a trajectory and no measurement: here that of the log's
     current, counted back from the SOC at which the replay ends, with the voltage that the model
@@ -58,4 +32,17 @@ def expected_convergence(
     start = float(np.clip(replayed.trace.soc[-1] - counted[-1], 0.0, 1.0))
     voltage = np.where(np.isfinite(log.voltage_V), simulate(model, log, start).voltage_V, np.nan)
     trace = estimator.run(replace(log, voltage_V=voltage), start, replayed.start.std)
-    return ExpectedConvergence(log.time_s, np.asarray(trace.soc_std, dtype=np.float64))
+    return np.asarray(trace.soc_std, dtype=np.float64)
+
+
+def expected_convergence_s(
+    model: CellModel, replayed: Replay, estimator: Estimator
+) -> float | None:
+    """Time from which an error of that deviation stays within 2 points as likely as not.
+
+    Stays means for ten minutes or to the log's end; None: not on this log.
+    """
+    half = NormalDist().inv_cdf(0.75)  # half of a normal distribution lies within
+    time_s = replayed.log.time_s
+    row = converged_row(time_s, half * expected_std(model, replayed, estimator))
+    return None if row is None else float(time_s[row] - time_s[0])

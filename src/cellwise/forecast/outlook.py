@@ -14,9 +14,9 @@ from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
 from cellwise.forecast.ahead_kernels import NEVER, Going, Outcome, with_ends
-from cellwise.forecast.along_kernels import ocv_and_error, parts_of
+from cellwise.forecast.along_kernels import WINDOW_S, ocv_and_error, parts_of
 from cellwise.forecast.charging import BOTH_FACTOR, ChargerSeen, limit_of, taper_of
-from cellwise.forecast.remaining import WINDOW_S, check_load, uncertain_of, warms_unseen
+from cellwise.forecast.remaining import check_load, uncertain_of, warms_unseen
 from cellwise.forecast.warming_kernels import NOTHING_SEEN, observed, thermal_of
 
 LOAD_EVERY_S = 10.0  # of a mean over a minute

@@ -26,6 +26,7 @@ from cellwise.forecast.ahead_kernels import (
     Uncertain,
 )
 from cellwise.forecast.along_kernels import (
+    WINDOW_S,
     FilteredRows,
     Load,
     asks_temperature,
@@ -37,7 +38,6 @@ from cellwise.typing import BoolArray, FloatArray
 
 Hold = Literal["power", "current"]
 
-WINDOW_S = 60.0
 MOST_FORECASTS = 400
 # A load below this share of the one at which a usual ampere-hour is drawn is that of standing.
 STANDING = 0.2
@@ -74,7 +74,7 @@ class Forecast(NamedTuple):
 class Flight:
     """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
 
-    ``load_A`` is the mean current of the last ``window_s``, the present load; a moment without a
+    ``load_A`` is the mean current of the last minute, the present load; a moment without a
     load of at least C/50 has no forecast. ``typical`` is the same at the usual load, the mean
     of all these under way: that of the last minute swings with every bend. The lower end of its
     band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
@@ -84,7 +84,6 @@ class Flight:
     name: str
     cutoff_V: float
     hold: Hold
-    window_s: float
     time_s: FloatArray
     soc: FloatArray
     soc_std: FloatArray
@@ -135,7 +134,7 @@ class Flight:
         return {
             "cutoff_V": self.cutoff_V,
             "hold": self.hold,
-            "window_s": self.window_s,
+            "window_s": WINDOW_S,
             "moments": len(self),
             **self.last._asdict(),
             "typical": None if self.typical is None else self.typical.last._asdict(),
@@ -155,7 +154,6 @@ def forecast(
     *,
     cutoff_V: float | None = None,
     hold: Hold = "power",
-    window_s: float = WINDOW_S,
 ) -> Flight | None:
     """Remaining time and energy along a replay, at the load of each moment.
 
@@ -172,7 +170,6 @@ def forecast(
     cutoff_V : float or None  terminal voltage at which the load gives up; None: the model's lower
                               limit, else its OCV at SOC 0
     hold : str                what of the load is held constant: its ``power`` or its ``current``
-    window_s : float          what counts as now [s]
 
     Returns
     -------
@@ -180,19 +177,17 @@ def forecast(
 
     Raises
     ------
-    InputError                a cutoff above the model's full OCV, an unknown ``hold``, no window
+    InputError                a cutoff above the model's full OCV, an unknown ``hold``
     """
     cutoff = cutoff_of(model, cutoff_V)
     if hold not in get_args(Hold):
         raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
-    if not (np.isfinite(window_s) and window_s > 0):
-        raise InputError(f"a window of {window_s} s", "a time above zero", "Give 60, say.")
     log = replay.log
-    load_A, load_W = present_load(log, log.known_current_A(), window_s)
+    load_A, load_W = present_load(log, log.known_current_A())
     wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
     if not wanted.any():
         return None
-    load = load_of(model, load_A, wanted, cutoff, hold, window_s)
+    load = load_of(model, load_A, wanted, cutoff, hold)
     flight = _flight(model, replay, load, load_W)
     busy = under_way(load_A[wanted])
     usual_A, usual_W = (
@@ -200,7 +195,7 @@ def forecast(
     )  # fmt: skip
     load = load._replace(current_A=usual_A)
     typical = _flight(model, replay, load, usual_W)
-    drop_V = _peak_drop_V(log, load_A >= usual_A, window_s)
+    drop_V = _peak_drop_V(log, load_A >= usual_A)
     at_peaks = _flight(model, replay, load._replace(cutoff_V=cutoff + drop_V), usual_W)
     for low, band in (
         (at_peaks.remaining_s_band, typical.remaining_s_band),
@@ -215,16 +210,16 @@ def under_way(load_A: FloatArray) -> BoolArray:
     return np.asarray(load_A > STANDING * np.sum(load_A**2) / np.sum(load_A))
 
 
-def _peak_drop_V(log: CellLog, busy: BoolArray, window_s: float) -> float:
+def _peak_drop_V(log: CellLog, busy: BoolArray) -> float:
     """By how much the usual peaks of the load press the voltage below its mean [V]."""
     known = np.isfinite(log.voltage_V)
     time, voltage = log.time_s[known], log.voltage_V[known]
     area = np.cumsum(voltage * np.diff(time, prepend=time[0]))
-    begins = time - window_s
+    begins = time - WINDOW_S
     whole = (begins >= time[0]) & busy[known]
     if not whole.any():
         return 0.0
-    mean = (area - np.interp(begins, time, area)) / window_s
+    mean = (area - np.interp(begins, time, area)) / WINDOW_S
     return max(float(np.quantile((mean - voltage)[whole], 1.0 - PEAK_SHARE)), 0.0)
 
 
@@ -235,7 +230,6 @@ def forecast_at(
     *,
     cutoff_V: float | None = None,
     hold: Hold = "power",
-    window_s: float = WINDOW_S,
 ) -> Forecast:
     """Remaining time and energy from the end of a replay at a load that is given.
 
@@ -254,7 +248,7 @@ def forecast_at(
     rows = len(replay.log)
     ocv_V = float(np.interp(replay.trace.soc[-1], model.soc, np.atleast_2d(model.ocv_V)[0]))
     load_A = np.full(rows, load / ocv_V if hold == "power" else load)
-    going = load_of(model, load_A, np.arange(rows) == rows - 1, cutoff, hold, window_s)
+    going = load_of(model, load_A, np.arange(rows) == rows - 1, cutoff, hold)
     if hold == "power":
         going = going._replace(power_W=load)
     return _flight(model, replay, going, load_A * ocv_V).last
@@ -282,11 +276,10 @@ def load_of(
     wanted: BoolArray,
     cutoff_V: float,
     hold: Hold,
-    window_s: float,
 ) -> Load:
     """A load of every row as the kernels take it."""
     unseen = warms_unseen(model)
-    return Load(load_A, np.nan, wanted, hold == "power", float(window_s), cutoff_V, unseen)
+    return Load(load_A, np.nan, wanted, hold == "power", cutoff_V, unseen)
 
 
 def _flight(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) -> Flight:
@@ -297,7 +290,6 @@ def _flight(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) ->
         name=log.name,
         cutoff_V=load.cutoff_V,
         hold="power" if load.hold_power else "current",
-        window_s=load.window_s,
         time_s=log.time_s[wanted],
         soc=trace.soc[wanted],
         soc_std=np.nan_to_num(trace.soc_std)[wanted],
@@ -337,7 +329,7 @@ def state_at(
 ) -> tuple[CellState, Going, float]:
     """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
     rows = FilteredRows(*(x[: row + 1] for x in _filtered(model, replay)))
-    load = load_of(model, rows.current_A, rows.soc < 0.0, cutoff_V, "power", WINDOW_S)
+    load = load_of(model, rows.current_A, rows.soc < 0.0, cutoff_V, "power")
     state, go = moment(model.parameters(), _start(rows), rows, load, uncertain_of(model))
     return CellState(*state), Going(*go), float(rows.soc_std[-1])
 
@@ -397,15 +389,15 @@ def cutoff_of(model: CellModel, given: float | None) -> float:
 
 
 def present_load(
-    log: CellLog, current_A: FloatArray, window_s: float, since_s: FloatArray | float = -np.inf
+    log: CellLog, current_A: FloatArray, since_s: FloatArray | float = -np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean current [A] and power [W] of the last ``window_s`` at every row, of none before."""
+    """Mean current [A] and power [W] of the last minute at every row, of none before."""
     voltage = log.voltage_V
     known = np.isfinite(voltage)
     held = np.interp(np.arange(voltage.size), np.flatnonzero(known), voltage[known])
     charge = np.cumsum(current_A * log.interval_s)
     energy = np.cumsum(current_A * held * log.interval_s)
-    begins = np.maximum(np.maximum(log.time_s - window_s, log.time_s[0]), since_s)
+    begins = np.maximum(np.maximum(log.time_s - WINDOW_S, log.time_s[0]), since_s)
     span = log.time_s - begins
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_A = (charge - np.interp(begins, log.time_s, charge)) / span

@@ -19,11 +19,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
 from cellwise.typing import FloatArray
 
-SAME_KEYS = (
-    "capacity_Ah", "capacity_std_Ah", "resistance_scale", "resistance_std", "soc_start", "soc_end",
-    "throughput_Ah",
-)  # fmt: skip
-
 
 class _CapacityTests(NamedTuple):
     """Of the capacity: a stretch that moves ``complete`` of it counts as a test of it.
@@ -42,38 +37,64 @@ TESTED = _CapacityTests()
 class LogOfLife:
     """One log: what it says of the cell, at its own load and temperature.
 
-    ``share`` is its capacity over the new cell's, from the first one at the same load on;
-    ``deviations`` are the parts of ``share_std`` that `Deviations` names, all but that of the new
-    cell's capacity; ``how`` says by what.
+    ``share`` is its capacity over the new cell's, from the first one at the same load on. Its
+    deviations: ``spread`` of the log itself, ``level`` of what it was compared with, ``new`` of the
+    new cell's capacity; ``how`` says by what.
     """
 
     log: CellLog
-    day: date | None
     capacity_Ah: float
     capacity_std_Ah: float
     share: float
-    share_std: float
-    deviations: tuple[float, float, float]
+    spread: float
+    level: float
+    new: float
     resistance_scale: float
     resistance_std: float
     soc_start: float
     soc_end: float
-    throughput_Ah: float
     counted: bool
     how: str
-    notices: tuple[str, ...]
 
+    @property
+    def share_std(self) -> float:
+        """Of the share, everything together."""
+        return float(np.linalg.norm((self.spread, self.level, self.new)))
 
-class Reference(NamedTuple):
-    """The first stretch at a load, and what share of the new cell's capacity it had.
+    @property
+    def deviations(self) -> tuple[float, float, float]:
+        """As `Deviations` names them: its own, what windows have alike, its level."""
+        alike = 0.0 if self.counted else FADE.windows_alike
+        own = float(np.sqrt(1.0 - alike)) * self.spread
+        return own, float(np.sqrt(alike)) * self.spread, self.level
 
-    ``std`` is that share's deviation, ``measured_std`` without that of the new cell's capacity.
-    """
+    @property
+    def day(self) -> date | None:
+        """By the log's name."""
+        return day_of_name(self.log.name)
 
-    stretch: Stretch
-    share: float
-    std: float
-    measured_std: float
+    @property
+    def throughput_Ah(self) -> float:
+        """Charge moved either way."""
+        return float(np.sum(np.abs(self.log.known_current_A()) * self.log.interval_s)) / 3600.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys as CONTRACT.md has them."""
+        return {
+            "log": self.log.name,
+            "start": None if self.day is None else self.day.isoformat(),
+            "capacity_Ah": self.capacity_Ah,
+            "capacity_std_Ah": self.capacity_std_Ah,
+            "resistance_scale": self.resistance_scale,
+            "resistance_std": self.resistance_std,
+            "soc_start": self.soc_start,
+            "soc_end": self.soc_end,
+            "throughput_Ah": self.throughput_Ah,
+            "capacity_share": self.share,
+            "capacity_share_std": self.share_std,
+            "how": self.how,
+            "notices": list(self.log.notices),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,18 +217,7 @@ class Life:
         """Keys as CONTRACT.md has them."""
         scale, scale_std = self.resistance
         return {
-            "logs": [
-                {
-                    "log": one.log.name,
-                    "start": None if one.day is None else one.day.isoformat(),
-                    **{key: getattr(one, key) for key in SAME_KEYS},
-                    "capacity_share": one.share,
-                    "capacity_share_std": one.share_std,
-                    "how": one.how,
-                    "notices": list(one.notices),
-                }
-                for one in self.logs
-            ],
+            "logs": [one.to_dict() for one in self.logs],
             "trend": {
                 "over": self.over,
                 "at": self.way.tolist(),
@@ -227,7 +237,7 @@ class Life:
 
     def without_health(self, far_off: Sequence[str]) -> Life:
         """The same of logs that are all far off, without what would be made of them."""
-        health = ("capacity", "share", "resistance")
+        health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
             k: np.nan for k in LogOfLife.__dataclass_fields__ if k.startswith(health)
         }
@@ -273,18 +283,17 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
-    references: list[Reference] = []
+    references: list[tuple[Stretch, LogOfLife | None]] = []
     far_off: list[str] = []
     for log in logs:
-        flow = float(np.sum(np.abs(log.known_current_A()) * log.interval_s)) / 3600.0
-        one = _by_stretch(model, log, references, found, flow)
+        one = _by_stretch(model, log, references, found)
         fit = fit_window(model, log) if one is None or not found else None
         if fit is not None and fit.far_off and not anyway:
             far_off.append(fit.far_off)
             references.clear()
             continue
         if one is None and fit is not None:
-            one = _by_fit(model, log, fit, flow)
+            one = _by_fit(model, log, fit)
         if one is not None:
             found.append(one)
     if not found and far_off:
@@ -296,12 +305,10 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
             "Give longer logs.",
         )
     days = [one.day for one in found]
-    check_order([(one.log.name, one.day) for one in found])
-    if all(day is not None for day in days) and days[-1] != days[0]:
-        over = "days"
-        way = np.array([float(day.toordinal()) for day in days if day is not None])
-    else:
-        over, way = "throughput_Ah", np.cumsum([one.throughput_Ah for one in found])
+    check_order([(one.log.name, day) for one, day in zip(found, days, strict=True)])
+    over, way = "throughput_Ah", np.cumsum([one.throughput_Ah for one in found])
+    if None not in days and days[-1] != days[0]:
+        over, way = "days", np.array([float(day.toordinal()) for day in days if day is not None])
     way = np.asarray(way - way[0], dtype=np.float64)
     trend = trend_of(
         way,
@@ -315,83 +322,67 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
 def _by_stretch(
     model: CellModel,
     log: CellLog,
-    references: list[Reference],
+    references: list[tuple[Stretch, LogOfLife | None]],
     before: Sequence[LogOfLife],
-    flow: float,
 ) -> LogOfLife | None:
+    """By its stretch of constant current; None: it has none, or none to be compared with.
+
+    A reference is the first stretch at a load and the log before it, which says how far the cell
+    had aged by then.
+    """
     one = longest_stretch(log, model.capacity_Ah)
     if one is None:
         return None
-    known = next((r for r in references if one.alike(r.stretch)), None)
-    warm = one.temperature_C
+    known = next((r for r in references if one.alike(r[0])), None)
     if known is None:
-        # The first at this load: the others say how far the cell has aged by now.
-        known = Reference(one, 1.0, 0.0, 0.0)
-        if before:
-            last = before[-1]
-            measured = float(np.linalg.norm(last.deviations))
-            known = Reference(one, last.share, last.share_std, measured)
-        complete = one.moved_Ah > TESTED.complete * known.share * model.capacity_Ah
-        if not complete:
+        known = one, before[-1] if before else None
+        share = 1.0 if known[1] is None else known[1].share
+        if one.moved_Ah <= TESTED.complete * share * model.capacity_Ah:
             return None
         references.append(known)
         result = Compared(1.0, 0.001, 0.0, 1e-5, True)
     else:
-        result = compare(one, known.stretch)
-    reference, share = known.stretch, known.share
-    alike = 0.0 if result.counted else FADE.windows_alike
-    spread = share * result.capacity_std
-    capacity = reference.moved_Ah * result.capacity
+        result = compare(one, known[0])
+    reference, aged = known
+    share = 1.0 if aged is None else aged.share
     start, end = _soc_of(one, reference, result)
-    dc = _dc_resistance(model, warm)
-    away_K = 0.0 if warm is None or reference.temperature_C is None else (
-        abs(warm - reference.temperature_C))  # fmt: skip
-    total = share * result.capacity
+    warm, dc = one.temperature_C, _dc_resistance(model, one.temperature_C)
+    known_C = reference.temperature_C
+    away_K = 0.0 if warm is None or known_C is None else abs(warm - known_C)
+    added_std = PER_KELVIN.resistance * away_K + 0.005
     return LogOfLife(
         log=log,
-        day=day_of_name(log.name),
-        capacity_Ah=capacity,
+        capacity_Ah=reference.moved_Ah * result.capacity,
         capacity_std_Ah=reference.moved_Ah * result.capacity_std,
-        share=total,
-        share_std=float(np.hypot(spread, known.std)),
-        deviations=(*_parts(spread, alike), known.measured_std),
+        share=share * result.capacity,
+        spread=share * result.capacity_std,
+        level=0.0 if aged is None else float(np.linalg.norm(aged.deviations)),
+        new=0.0 if aged is None else aged.new,
         resistance_scale=1.0 + result.added_ohm / dc,
-        resistance_std=float(
-            np.hypot(result.added_std_ohm / dc, PER_KELVIN.resistance * away_K + 0.005)
-        ),
+        resistance_std=float(np.hypot(result.added_std_ohm / dc, added_std)),
         soc_start=start,
         soc_end=end,
-        throughput_Ah=flow,
         counted=result.counted,
         how="counted over a complete half cycle" if result.counted else "curve against curve",
-        notices=log.notices,
     )
 
 
-def _by_fit(model: CellModel, log: CellLog, fit: WindowFit, flow: float) -> LogOfLife:
-    spread = fit.capacity_std_Ah / model.capacity_Ah
+def _by_fit(model: CellModel, log: CellLog, fit: WindowFit) -> LogOfLife:
     return LogOfLife(
         log=log,
-        day=day_of_name(log.name),
         capacity_Ah=fit.capacity_Ah,
         capacity_std_Ah=fit.capacity_std_Ah,
         share=fit.capacity_Ah / model.capacity_Ah,
-        share_std=float(np.hypot(fit.capacity_std_Ah, model.capacity_std_Ah) / model.capacity_Ah),
-        deviations=(*_parts(spread, FADE.windows_alike), 0.0),
+        spread=fit.capacity_std_Ah / model.capacity_Ah,
+        level=0.0,
+        new=model.capacity_std_Ah / model.capacity_Ah,
         resistance_scale=fit.resistance_scale,
         resistance_std=fit.resistance_std,
         soc_start=fit.soc_start,
         soc_end=fit.soc_end,
-        throughput_Ah=flow,
         counted=False,
         how=f"fit of the model, {100 * fit.covered:.0f} % of the SOC range",
-        notices=log.notices,
     )
-
-
-def _parts(std: float, alike: float) -> tuple[float, float]:
-    """A log's own part of a deviation, and the one that is alike."""
-    return float(np.sqrt(1.0 - alike)) * std, float(np.sqrt(alike)) * std
 
 
 def _soc_of(one: Stretch, reference: Stretch, result: Compared) -> tuple[float, float]:

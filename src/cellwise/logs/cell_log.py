@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, Self
+from importlib import import_module
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellwise.arguments import check_kind
 from cellwise.errors import InputError
+from cellwise.logs.files.columns import NamedColumns
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from cellwise.logs.files.named_columns import NamedColumns
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
 
@@ -238,13 +237,10 @@ class CellLog(Plottable, Tabular):
         ------
         InputError          as `read_log` does for a file with these columns
         """
-        from cellwise.logs.files.assembly import Origin, assemble, complete
-        from cellwise.logs.files.columns import TIDY_CHANNELS
-        from cellwise.logs.files.named_columns import table_channels
-
-        origin = Origin(name=name, source=source, format="table")
-        raw = table_channels(table, TIDY_CHANNELS, origin.where)
-        return assemble(complete(raw, origin.sign, origin.where), origin, sign)
+        # What makes a log of a table stands above the record, which knows nobody.
+        above = import_module("cellwise.logs.files.assembly")
+        log: CellLog = above.log_of_table(table, sign, name, source)
+        return log
 
     def columns(self) -> dict[str, Any]:
         """The tidy form's columns, as `to_pandas` and `to_polars` have them."""

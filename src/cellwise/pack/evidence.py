@@ -155,7 +155,7 @@ def pack_evidence(
     matrix, vector = _block_sums(rows, weight, drawn, ok, starts)
     block_V = _block_noise(matrix, vector, x)
     own = np.zeros(SIZE)
-    own[OFFSET] = block_V**2  # an error that persists over a block is an offset of its own
+    own[OFFSET] = block_V**2  # each block has an offset of its own
     matrix, vector = _integrated(matrix, vector, own)
     starts = _starts(log[used][starts])
     balance = 0.0

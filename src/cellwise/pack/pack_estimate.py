@@ -294,9 +294,9 @@ def estimate_pack(
             past = replace(deltas, covariance=deltas.covariance + np.diag(moves))
             found = suspicions(past, evidence, changed=True)
             if pair := exchanged_cells(past, evidence, found):
-                one, two = (names[k] for k in pair)
+                first, second = (names[k] for k in pair)
                 exchanged.append(
-                    f"{one} and {two} have exchanged their voltages from "
+                    f"{first} and {second} have exchanged their voltages from "
                     f"'{part[0].log.name}' on: each is now what the other was"
                 )
                 evidence = with_exchanged(evidence, pair)
@@ -314,11 +314,11 @@ def estimate_pack(
             drifts.append(drift)
         suspected += [replace(s, period=len(history)) for s in found]
         history.append(part[0].log.name)
-    for own in self_discharging(drifts):
+    for one in self_discharging(drifts):
         # A cell that runs empty is far from the others in all that is linear about them.
-        also = tuple(sorted({s.cause.name for s in suspected if s.cell == own.cell}))
-        suspected = [s for s in suspected if s.cell != own.cell]
-        suspected.append(replace(own, others=also, period=len(history) - 1))
+        also = tuple(sorted({s.cause.name for s in suspected if s.cell == one.cell}))
+        suspected = [s for s in suspected if s.cell != one.cell]
+        suspected.append(replace(one, others=also, period=len(history) - 1))
     last = days[-1]
     cells = _cells(model, _at_end(model, deltas, evidence, last), last, evidence)
     return PackEstimate(

@@ -21,9 +21,9 @@ from cellwise.diagnose.causes.coordinates import (
     Coordinates,
 )
 from cellwise.diagnose.checks import unseen_temperature_C
-from cellwise.diagnose.decision.odds import AGE
 from cellwise.diagnose.extension import extend_model, with_error_at
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.odds import AGE
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

@@ -14,10 +14,10 @@ from cellwise.diagnose.applied import plain_runs, with_use
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.checks import claim_checks
-from cellwise.diagnose.decision.odds import RARE
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import limits
+from cellwise.diagnose.odds import RARE
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

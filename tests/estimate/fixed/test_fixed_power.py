@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.equations import CellState
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import FixedStep
-from cellwise.estimate.fixed.layout import CAPABILITY, row_names
+from cellwise.estimate.fixed.layout import CAPABILITY
 from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
@@ -74,21 +74,11 @@ def test_the_same_bits_in_c_and_never_nan(case):
     assert np.ptp(values[:, 0]) > 0.0
 
 
-def test_without_it_nothing_of_it_is_there():
-    tables = tables_of("plain")
-    asked = tables_of("power")
-    assert not [n for n in row_names(tables.options) if "power" in n]
-    assert not [n for n in tables.constants.dtype.names if "power" in n]
-    for name in row_names(tables.options):
-        ours, theirs = (t.table[..., row_names(t.options).index(name)] for t in (tables, asked))
-        assert ours.tobytes() == theirs.tobytes()
-
-
 def test_what_a_fixed_step_cannot_give_is_refused():
     limits = OperatingLimits(2.8, 4.2)
     for options, says in (
         ({"horizons_s": (2.0, 10.0), "hold": "current"}, "Give one"),
-        ({"horizons_s": (10.0,), "hold": "power"}, "hold 'current'"),
+        ({"horizons_s": (10.0,), "hold": "power"}, "hold='current'"),
     ):
         with pytest.raises(InputError, match=says):
             fixed_step_tables(CELL, 1.0, power=power_settings(CELL, limits=limits, **options))

@@ -30,7 +30,7 @@ def test_it_is_the_float64_s(make, hold):
     """64 parts against 400 steps: 1 %, 4 % below 200 s (a part is 1.6 % of the SOC)."""
     model = make()
     cutoff_V = cutoff_asked(model)
-    fixed = FixedStep(model, dt_s=1.0).with_remaining(cutoff_V)
+    fixed = FixedStep(model, dt_s=1.0, remaining_V=cutoff_V)
     seen = 0
     for soc in (0.9, 0.5, 0.2):
         for load_A in (0.6, 3.0, 9.0):
@@ -103,7 +103,7 @@ def test_the_same_bits_in_c_and_never_nan(case):
 
 
 def test_a_plan_that_no_cell_gives_fails_when_its_load_comes():
-    fixed = FixedStep(curved_cell(), dt_s=1.0).with_remaining(cutoff_asked(curved_cell()))
+    fixed = FixedStep(curved_cell(), dt_s=1.0, remaining_V=cutoff_asked(curved_cell()))
     found = fixed.plan(fixed.init(0.5, 0.01), [(60.0, 1.0), (60.0, 500.0)])[0]
     assert 60.0 < found["failed_s"] < 120.0
     assert found["chance"] < 1e-3
@@ -116,18 +116,12 @@ def test_a_plan_that_no_cell_gives_fails_when_its_load_comes():
 def test_half_of_the_capacity_lasts_half_as_long():
     """What a history says of the cell counts: at a current so small that no voltage ends it."""
     model = linear_cell()
-    fixed = FixedStep(model, dt_s=1.0, health=True).with_remaining(1.0)
+    fixed = FixedStep(model, dt_s=1.0, health=True, remaining_V=1.0)
     state = fixed.init(0.8, 0.01)
     whole = fixed.remaining(state, 0.3)[0]["time_s"]
     assert whole == pytest.approx(0.8 * model.capacity_Ah * 3600 / 0.3, rel=1e-4)
     fixed.set_health(state, 0.5, 1.0)
     assert fixed.remaining(state, 0.3)[0]["time_s"] == pytest.approx(0.5 * whole, rel=1e-4)
-
-
-def test_without_it_nothing_of_it_is_there():
-    plain, asked = tables_of("plain"), tables_of("remaining")
-    assert not [n for n in plain.constants.dtype.names if "remaining" in n]
-    assert plain.table.tobytes() == asked.table.tobytes()
 
 
 def test_what_is_not_one_cell_s_cutoff_is_refused():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -24,13 +23,15 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
+from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed import lookup
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.export.c_tables import write_sources
 from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import resample
+from cellwise.printing.c.firmware import print_header, print_source
 from example_cells import curved_cell
+from firmware_cases import power_asked
 
 pytest.importorskip("cffi")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -117,24 +118,30 @@ def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
     assert np.max((found.max(), *tiny)) <= 1.0
 
 
+def printed(model, **asked):
+    """The C of a lean build."""
+    options = fixed_step_tables(model, DT_S, wide=False, **asked).options
+    return print_header(options) + print_source(options)
+
+
 @pytest.mark.parametrize("name", EFFECTS)
-def test_what_is_not_compiled_in_is_not_there(name, tmp_path):
+def test_an_effect_that_is_not_there_is_not_printed(name):
     words = EFFECTS[name][1]
-    plain, built = (preprocessed(m, tmp_path) for m in (curved_cell(), model_with(name)))
+    plain, built = printed(curved_cell()), printed(model_with(name))
     assert not any(word in plain for word in words)
     assert all(word in built for word in words)
 
 
-def preprocessed(model, folder):
-    """The C that the compiler sees of a lean build."""
-    tables = fixed_step_tables(model, DT_S, wide=False)
-    for file, text in write_sources(tables, "0" * 64):
-        (folder / file).write_text(text)
-    done = subprocess.run(
-        ["gcc", "-E", "-P", "cellwise_ekf.c"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"power": power_asked(curved_cell())}, ("power_low_V", "cellwise_power(")),
+        ({"remaining_V": 3.2}, ("remaining_low_V", "cellwise_plan(")),
+        ({"health": True}, ("per_capacity", "cellwise_set_health(")),
+        ({"cells": CellSettings()}, ("cell_soc2", "cellwise_cells_step(")),
+    ],
+)
+def test_what_was_not_asked_for_is_not_printed(asked, words):
+    plain, built = printed(curved_cell()), printed(curved_cell(), **asked)
+    assert not any(word in plain for word in words)
+    assert all(word in built for word in words)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 
 import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.estimate.fixed import arithmetic as kernels
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import (
     CAPABILITY,
@@ -20,8 +18,6 @@ from cellwise.estimate.fixed.layout import (
     state_type,
 )
 from cellwise.estimate.fixed.stepper import numba_stepper
-from cellwise.estimate.status import Status
-from cellwise.export.c_tables import firmware_folder
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, stress_samples, tables_of
 
@@ -51,26 +47,6 @@ def test_layouts_are_the_compilers(case, tmp_path):
     program = '#include <stddef.h>\n#include <stdio.h>\n#include "cellwise_cell.h"\n'
     program += "int main(void)\n{\n" + "\n".join(lines) + "\nreturn 0;\n}\n"
     assert compile_and_run(tables, tmp_path, program).split("\n")[:-1] == expected
-
-
-def test_status_bits_are_those_of_the_header():
-    text = (firmware_folder() / "cellwise_ekf.h").read_text()
-    bits = dict(re.findall(r"#define CELLWISE_([A-Z_]+) (\d+)u\s", text))
-    assert len(bits) >= 10
-    for name, value in bits.items():
-        assert int(Status[name]) == int(value), name
-
-
-def test_constants_are_those_of_the_source():
-    text = (firmware_folder() / "cellwise_ekf.c").read_text()
-    found = dict(re.findall(r"#define ([A-Z_]+) \(?(-?[0-9a-fx.p+-]+)f\)?\s", text))
-    checked = 0
-    for name, literal in found.items():
-        if hasattr(kernels, name):
-            value = float.fromhex(literal) if "x" in literal else float(literal)
-            assert float(getattr(kernels, name)) == value, name
-            checked += 1
-    assert checked >= 18
 
 
 @needs_gcc

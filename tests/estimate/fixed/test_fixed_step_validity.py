@@ -70,12 +70,6 @@ def test_every_quantity_widens_as_in_the_float64_filter(valid, warm):
     assert ours > 1.1 * np.mean(spread(FixedStep, plain))
 
 
-def test_a_model_of_before_has_neither_code_nor_bit():
-    tables = fixed_step_tables(curved_cell(), 1.0)
-    assert tables.options.defines()["CELLWISE_VALIDITY"] == 0
-    assert not [n for n in tables.constants.dtype.names if n.startswith("valid_")]
-
-
 def test_temperature_is_read_only_where_the_data_s_is_known():
     known = fixed_step_tables(MODEL, 1.0).options
     unknown = fixed_step_tables(replace(MODEL, validity=Validity(soc=(0.1, 1.0))), 1.0).options

@@ -1,4 +1,4 @@
-"""State of power: a linear cell's closed form, finer intervals, draws from the covariance."""
+"""State of power: a linear cell's closed form, finer intervals, draws of the SOC."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from cellwise.cell.equations import CellState, advance, empty_state, voltage_of
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
-from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limit_kernels import largest_load
 from cellwise.estimate.power.limits import OperatingLimits, operating_limits
@@ -140,23 +139,21 @@ def test_at_the_ends_there_is_none():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_of_draws_from_the_covariance_95_of_100_sustain_the_lower_bound(side):
-    """SOC and branches that are correlated: the closed form of each draw says whether it holds."""
+def test_of_draws_of_the_soc_95_of_100_sustain_the_lower_bound(side):
+    """The closed form of each draw says whether it holds."""
     right = ModelError.of_white_and_slow(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
     model = linear_cell(error=right)
-    p = uncorrelated(0.02**2, 0.004**2, 0.006**2, 0.0, 0.0)._replace(s1=3e-5, p12=-1e-5)
-    now = Present(LOADED, p, p.ss, 1.0, WARM_C, AS_MODEL)
+    now = Present(LOADED, 0.02**2, WARM_C, AS_MODEL)
     limits = operating_limits(model, LIMITS).scalars()
     noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
     found = largest_load(
         model.parameters(), noise, limits, now, False, 10.0, side, 1.6449, 0.0
     )  # fmt: skip
     current_A = found[1]
-    cov = np.array([[p.ss, p.s1, p.s2], [p.s1, p.p11, p.p12], [p.s2, p.p12, p.p22]])
-    draws = np.random.default_rng(3).multivariate_normal(LOADED[:3], cov, 4000)
+    socs = np.random.default_rng(3).normal(LOADED.soc, 0.02, 4000)
     limit_V = 3.0 if side > 0 else 4.2
     able = np.array(
-        [side * constant_current(model, CellState(*x, 0.0, 0.0), limit_V, 10.0) for x in draws]
+        [side * constant_current(model, LOADED._replace(soc=x), limit_V, 10.0) for x in socs]
     )
     assert np.mean(able >= current_A) == pytest.approx(0.95, abs=0.012)
 
@@ -179,12 +176,11 @@ def test_factors_and_bias_act_as_they_would_in_the_model():
     aged = replace(model, r0_ohm=2 * model.r0_ohm, r1_ohm=2 * model.r1_ohm, r2_ohm=2 * model.r2_ohm)
     lower = replace(model, ocv_V=model.ocv_V - 0.05)
     settings = power_settings(model, limits=LIMITS)
-    nothing = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
     for other, state, but in (
         (aged, LOADED._replace(v1_V=0.04, v2_V=0.06), AS_MODEL._replace(common=1.0, tail=1.0)),
         (lower, LOADED, AS_MODEL._replace(bias_V=-0.05)),
     ):
-        corrected = settings.of(Present(LOADED, nothing, 0.0, 1.0, WARM_C, but))
+        corrected = settings.of(Present(LOADED, 0.0, WARM_C, but))
         known = power_limits(other, state, limits=LIMITS)
         for a, b in zip(corrected, known, strict=True):
             assert a.discharge.power_W == pytest.approx(b.discharge.power_W, rel=1e-5)

@@ -12,7 +12,7 @@ from benchmarks.measured_data import measured_log
 
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
-from cellwise.forecast.convergence import expected_convergence
+from cellwise.forecast.convergence import expected_convergence_s
 
 CAPACITY_AH = 2.9973
 # The issue asks for 3 % in the median; measured with the EKF, and why, see docs/tried.md.
@@ -74,7 +74,7 @@ def test_convergence_from_the_middle_is_predicted(identified, real_data):
                 model, log.part(row, len(log)), "ekf", soc0=float(soc[row]) + wrong,
                 reference_soc0=float(soc[row]), reference_capacity_Ah=CAPACITY_AH,
             )  # fmt: skip
-            predicted_s = expected_convergence(model, run, ekf).convergence_s
+            predicted_s = expected_convergence_s(model, run, ekf)
             took_s = np.inf if run.convergence_s is None else run.convergence_s
             if predicted_s is None:
                 late.append(took_s)

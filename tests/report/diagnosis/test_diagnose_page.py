@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import LogRun
-from cellwise.diagnose.decision.odds import Weighed
+from cellwise.diagnose.odds import Weighed
 from cellwise.report.diagnosis.page import (
     cause_content,
     diagnose_page,
@@ -94,6 +94,8 @@ def test_a_sign_is_a_direction():
     assert "too little" in statement(little, diagnosis("current_offset"))
     early = found("time_skew", parameters={"skew_s": -0.4})
     assert "before the current" in statement(early, diagnosis("time_skew"))
+    alone = found("voltage_offset", log="drive 2")
+    assert statement(alone, diagnosis("voltage_offset")).endswith("too little in drive 2")
 
 
 def test_none_and_undetermined_are_said():

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cellwise.benchmark.faults import Fault
+from cellwise.benchmark.records import checked
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
@@ -63,11 +64,7 @@ class Sensor:
     def __post_init__(self) -> None:
         for one in fields(self):
             value = getattr(self, one.name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float)
-                or not 0 <= value < 1e6
-            ):
+            if not 0.0 <= value < 1e6:
                 raise InputError(
                     f"{one.name} = {value!r} of a sensor",
                     "a standard deviation, zero or more",
@@ -91,21 +88,15 @@ def read_sensor(path: str | Path) -> Sensor:
     ------
     InputError        no such file, no TOML, a key that is none, a value that is refused
     """
-    known = [one.name for one in fields(Sensor)]
     try:
         found = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
             f"'{path}', which is no sensor's specification ({error})",
             "a TOML file with lines such as voltage_offset_V = 0.005",
-            f"Write it with any of {', '.join(known)}.",
+            f"Write it with any of {', '.join(one.name for one in fields(Sensor))}.",
         ) from error
-    wrong = sorted(set(found) - set(known))
-    if wrong:
-        raise InputError(
-            f"'{wrong[0]}' in '{path}'", f"any of {', '.join(known)}", "Correct its name."
-        )
-    return Sensor(**found)
+    return Sensor(**checked(Sensor, found, f"'{path}'"))
 
 
 # What goes wrong beside, in every second cell; shares of 1C so that they fit a cell of any size.

@@ -40,6 +40,8 @@ from cellwise.cell.equations.temperature import (
     thermal_factor,
 )
 from cellwise.cell.equations.voltage import (
+    drop_of,
+    held_in_branches,
     loaded_voltage,
     polarisation,
     seen_current,
@@ -62,9 +64,11 @@ __all__ = [
     "charge_transfer",
     "charge_used",
     "decay",
+    "drop_of",
     "empty_state",
     "followed",
     "heat_step",
+    "held_in_branches",
     "hysteresis_decay",
     "hysteresis_step",
     "inverse_kelvin",

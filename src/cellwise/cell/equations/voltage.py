@@ -14,6 +14,18 @@ def polarisation(r0_ohm: float, current_A: float, v1_V: float, v2_V: float, v3_V
 
 
 @inline
+def drop_of(point: CellPoint, state: CellState, current_A: float) -> float:
+    """The same of a state at one point of the tables [V]."""
+    return polarisation(point.r0_ohm, current_A, state.v1_V, state.v2_V, state.v3_V)
+
+
+@inline
+def held_in_branches(state: CellState) -> float:
+    """What the branches hold in absolute value [V]."""
+    return abs(state.v1_V) + (abs(state.v2_V) + abs(state.v3_V))
+
+
+@inline
 def loaded_voltage(ocv_V: float, m_V: float, h: float, polarisation_V: float) -> float:
     """V = OCV + M h - (R0 I + V1 + V2 + V3)."""
     return (ocv_V + m_V * h) - polarisation_V
@@ -40,5 +52,4 @@ def seen_current(cell: CellScalars, current_A: float, previous_A: float, dt_s: f
 @inline
 def voltage_of(point: CellPoint, state: CellState, current_A: float) -> float:
     """Terminal voltage of a state under a current [V]."""
-    drop = polarisation(point.r0_ohm, current_A, state.v1_V, state.v2_V, state.v3_V)
-    return terminal_voltage(point, state.h, drop)
+    return terminal_voltage(point, state.h, drop_of(point, state, current_A))

@@ -35,10 +35,7 @@ from cellwise.estimate.fixed.arithmetic import (
     CellOutput,
     Cells,
     Constants,
-    Count,
     F,
-    Flag,
-    Float,
     Floats,
     Sample,
     State,
@@ -69,14 +66,14 @@ class Difference(NamedTuple):
     ``single_V2`` is that of one sample, ``variance_V2`` of one that shares its error with others.
     """
 
-    soc_V: Float
-    capacity_V: Float
-    resistance_V: Float
-    single_V2: Float
-    variance_V2: Float
+    soc_V: float
+    capacity_V: float
+    resistance_V: float
+    single_V2: float
+    variance_V2: float
 
 
-def cell_is_sound(a: Cell) -> Flag:
+def cell_is_sound(a: Cell) -> bool:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
     if not (size_within(a.soc, ONE) and size_within(a.capacity, CELL_MOST)):
         return False
@@ -104,13 +101,13 @@ def start_cell(c: Constants, a: Cell) -> None:
     a.status = U(0)
 
 
-def start_cells(m: Model, cells: Cells, count: Count) -> None:
+def start_cells(m: Model, cells: Cells, count: int) -> None:
     """The cells of a pack before their first sample; after `cellwise_init` of the mean cell."""
     for k in range(count):
         start_cell(m.constant, cells[k])
 
 
-def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: Count) -> Float:
+def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: int) -> float:
     """Mean voltage of the cells: what the step of the mean cell is to be given.
 
     Without readings that no cell gives; without cells whose last voltage was rejected, while these
@@ -140,7 +137,7 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: Count) -> Flo
     return first
 
 
-def difference_of(m: Model, place: Place, x: State, mean_V: Float) -> Difference:
+def difference_of(m: Model, place: Place, x: State, mean_V: float) -> Difference:
     """The derivatives at the mean cell's SOC.
 
     A cell that is polled late reads what the mean voltage moved by meanwhile.
@@ -165,7 +162,7 @@ def look_again(a: Cell) -> None:
     a.status = U(a.status | GATE_RECOVERY)
 
 
-def use_voltage(c: Constants, a: Cell, d: Difference, above_V: Float) -> None:
+def use_voltage(c: Constants, a: Cell, d: Difference, above_V: float) -> None:
     """Use a cell's voltage above the mean: three states, one measurement."""
     gain_s = ((a.ss * d.soc_V) + (a.sq * d.capacity_V)) + (a.sr * d.resistance_V)
     gain_q = ((a.sq * d.soc_V) + (a.qq * d.capacity_V)) + (a.qr * d.resistance_V)
@@ -195,7 +192,7 @@ def use_voltage(c: Constants, a: Cell, d: Difference, above_V: Float) -> None:
 
 
 def step_cell(
-    c: Constants, a: Cell, d: Difference, voltage_V: Float, mean_V: Float, sequence: Count
+    c: Constants, a: Cell, d: Difference, voltage_V: float, mean_V: float, sequence: int
 ) -> None:
     """One cell in its turn: it has drifted from the mean, then its voltage is used."""
     steps = F(U(sequence - a.seen_at))
@@ -215,7 +212,7 @@ def step_cell(
 
 
 def step_cells(
-    m: Model, x: State, sample: Sample, cells: Cells, voltage_V: Floats, count: Count
+    m: Model, x: State, sample: Sample, cells: Cells, voltage_V: Floats, count: int
 ) -> None:
     """One sample of a pack, after `cellwise_step` of the mean cell with the same sample.
 
@@ -241,16 +238,16 @@ def step_cells(
         x.cells_at = sample.sequence
 
 
-def own_soc(x: State, a: Cell) -> Float:
+def own_soc(x: State, a: Cell) -> float:
     """SOC of one cell."""
     return clip(x.soc + (a.soc + (a.capacity * (HALF - x.soc))), ZERO, ONE)
 
 
-def own_variance(c: Constants, x: State, a: Cell) -> Float:
+def own_variance(c: Constants, x: State, a: Cell) -> float:
     """Variance of one cell's SOC: the mean's and its difference's."""
     away = HALF - x.soc
     difference2 = a.ss + (away * ((TWO * a.sq) + (away * a.qq)))
-    return x.ss + at_least(difference2, c.cell_least_soc2)
+    return F(x.ss + at_least(difference2, c.cell_least_soc2))
 
 
 def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
@@ -282,8 +279,8 @@ def with_cell(at: Place, a: Cell) -> Place:
 
 @noinline
 def weakest(
-    m: Model, place: Place, x: State, cells: Cells, count: Count, side: Float, current: Float
-) -> Count:
+    m: Model, place: Place, x: State, cells: Cells, count: int, side: float, current: float
+) -> int:
     """The cell that a current over the horizon brings nearest to its limit of voltage."""
     found = U(0)
     least_V = LARGEST_FLOAT
@@ -299,7 +296,7 @@ def weakest(
 
 
 @noinline
-def nearest_to_end(x: State, cells: Cells, count: Count, side: Float) -> Count:
+def nearest_to_end(x: State, cells: Cells, count: int, side: float) -> int:
     """The emptiest cell (``side`` 1), or the fullest (-1)."""
     found = U(0)
     least = LARGEST_FLOAT
@@ -313,7 +310,7 @@ def nearest_to_end(x: State, cells: Cells, count: Count, side: Float) -> Count:
 
 
 @noinline
-def way_of(m: Model, place: Place, x: State, a: Cell, side: Float) -> Way:
+def way_of(m: Model, place: Place, x: State, a: Cell, side: float) -> Way:
     """What one cell can give (``side`` 1) or take (-1) over the horizon."""
     c = m.constant
     soc = own_soc(x, a)
@@ -336,7 +333,7 @@ def way_of(m: Model, place: Place, x: State, a: Cell, side: Float) -> Way:
 
 
 @noinline
-def pack_way(m: Model, place: Place, x: State, cells: Cells, count: Count, side: Float) -> Way:
+def pack_way(m: Model, place: Place, x: State, cells: Cells, count: int, side: float) -> Way:
     """Power of the pack one way: the least of what its weakest cells allow.
 
     These are the cell that is nearest to its end, the one whose voltage is at the largest current,
@@ -363,7 +360,7 @@ def pack_way(m: Model, place: Place, x: State, cells: Cells, count: Count, side:
     return Way(power_W, low_W, current_A)
 
 
-def pack_power(m: Model, x: State, cells: Cells, count: Count, out: Capability) -> None:
+def pack_power(m: Model, x: State, cells: Cells, count: int, out: Capability) -> None:
     """What the pack can give and take for the horizon, as its weakest cell allows.
 
     Zero throughout for a state that is not sound, and for no cells.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,25 +120,13 @@ class KalmanFilter(FilterOfModel):
         )
         return EkfState.of_row(row), EkfInfo._make((*info.tolist(), status))
 
-    def take_rows(
-        self,
-        kernel: Callable[..., object],
-        log: CellLog,
-        soc0: float,
-        soc0_std: float,
-        out: FloatArray | TraceArrays,
-    ) -> None:
-        """Hand every row of a log to a compiled loop over this filter's step; it fills ``out``."""
-        start = self.start(soc0, soc0_std)
-        rows = log_arrays(log)
-        kernel(self._tables, self._noise, self.sigma, start, self._unknown, rows, out)
-
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
         n = len(log)
         out = TraceArrays(np.empty((layout.OUTPUTS, n)), np.empty(n, dtype=np.int32))
         announce(kalman_rows, f"the estimator '{self.name}'")
-        self.take_rows(kalman_rows, log, soc0, soc0_std, out)
+        start, rows = self.start(soc0, soc0_std), log_arrays(log)
+        kalman_rows(self._tables, self._noise, self.sigma, start, self._unknown, rows, out)
         return Trace(**trace_fields(log, out))
 
 

@@ -20,7 +20,13 @@ from cellwise.cell.packed import changed
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import share_at
-from cellwise.estimate.filters.covariance_kernels import Column, Covariance, moved, scaled
+from cellwise.estimate.filters.covariance_kernels import (
+    Column,
+    Covariance,
+    moved,
+    scaled,
+    uncorrelated,
+)
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.recovery_kernels import RESTART_POINTS, START_BRANCH_V
 from cellwise.estimate.sensing_kernels import REST_RATE, Sample
@@ -269,12 +275,8 @@ def look_again(
     past = past_step(tables.cell, past, s, since_s, used, innovation_V)
     if past.first_variance > 0.0 and time_passed(before_s, since_s, 0, LOOKS):
         soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, warm_C, x, since_s, p.phh)
-        x = CellState(soc, x.v1_V, x.v2_V, v3, x.h, x.heat_K, x.slow_A)
-        # fmt: off
-        p = Covariance(
-            ss, 0.0, 0.0, s3, 0.0, p.p11, 0.0, 0.0, 0.0, p.p22, 0.0, 0.0, p33, 0.0, p.phh
-        )
-        # fmt: on
+        x = changed(changed(x, "soc", soc), "v3_V", v3)
+        p = changed(uncorrelated(ss, p.p11, p.p22, p33, p.phh), "s3", s3)
         return Looked(x, p, having_looked(past, since_s), True)
     if past.first_variance > 0.0 and time_passed(before_s, since_s, LOOKS, RECONSIDERED):
         more_V, variance = reconsidered(tables, past, warm_C, x, since_s)

@@ -10,6 +10,7 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     Transition,
+    held_in_branches,
     loaded,
     slow_step,
     states_step,
@@ -76,15 +77,13 @@ def over_interval(
     t = transition(cell, point, s.flow_A, s.dt_s)
     old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
     end = states_step(old, t, s.flow_A, soc, slow)
-    branches_V = abs(end.v1_V) + (abs(end.v2_V) + abs(end.v3_V))
+    held = abs(point.r0_ohm * s.seen_A) + held_in_branches(end)
     status = 0
     if is_outside(noise.valid, soc, s.temperature_C, s.seen_A):
         status = OUTSIDE
-        held = abs(point.r0_ohm * s.seen_A) + branches_V
         more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, held)
         point = widened(point, more)
     if s.no_warm_s > 0.0:
-        held = abs(point.r0_ohm * s.seen_A) + branches_V
         point = widened(point, lost_temperature_V(s.no_warm_s, held))
     return Interval(old, point, t, end, warm, v11, v22, v33, status)
 

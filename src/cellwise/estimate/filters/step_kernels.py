@@ -18,10 +18,11 @@ import math
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import (
     CellTables,
+    drop_of,
     heat_step,
-    polarisation,
+    held_in_branches,
     soc_step,
-    terminal_voltage,
+    voltage_of,
     with_heat,
     with_soc,
 )
@@ -106,7 +107,7 @@ def predict(
         x, p, at = by_tangents(tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
         x, p, at = by_points(tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
-    drop = polarisation(now.point.r0_ohm, s.seen_A, x.v1_V, x.v2_V, x.v3_V)
+    drop = drop_of(now.point, x, s.seen_A)
     x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
     status |= now.status
     # fmt: off
@@ -126,15 +127,14 @@ def innovate(
 ) -> tuple[Innovation, Voltage]:
     """Measured less predicted voltage; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
-    branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
+    branches = held_in_branches(x)
     one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
     if sigma is None:
         d = column(now.p, at.slope_V, point.m_V)
         # An OCV that bends by c at one deviation is off its tangent by c z^2, 3 c^2 in square.
         bend2 = 3.0 * at.bend_V * at.bend_V
         variance = explained(d, at.slope_V, point.m_V) + bend2
-        drop = polarisation(point.r0_ohm, s.seen_A, x.v1_V, x.v2_V, x.v3_V)
-        predicted, bent = terminal_voltage(point, x.h, drop), bends(tables, at, bend2, one)
+        predicted, bent = voltage_of(point, x, s.seen_A), bends(tables, at, bend2, one)
         seen = Voltage(predicted, d, variance, at.slope_V, bent)
     else:
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)

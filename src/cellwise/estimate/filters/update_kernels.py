@@ -19,7 +19,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     corrected,
     moved,
     scaled,
-    uncorrelated,
 )
 from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift
 from cellwise.estimate.filters.filter_state import EkfState
@@ -33,7 +32,7 @@ from cellwise.estimate.filters.free_kernels import (
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import Contradiction, Variances, recovered
+from cellwise.estimate.recovery_kernels import Contradiction, recovered
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
@@ -80,8 +79,7 @@ def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Est
     drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
     followed = now.evidence_s >= 0.0
     seen = Contradiction(s.voltage_V, s.seen_A, now.warm_C, i.one, drop, followed)
-    soc, v = recovered(tables, x, Variances(p.ss, p.p11, p.p22, p.p33, p.phh), seen)
-    p = uncorrelated(v.soc, v.v1_V2, v.v2_V2, v.v3_V2, v.h)
+    soc, p = recovered(tables, x, p, seen)
     free = soc_found(now.free)
     return Estimate(with_soc(x, soc), p, 0.0, 0.0, no_drift(), free, no_past())
 

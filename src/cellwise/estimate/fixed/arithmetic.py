@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 
 from cellwise.estimate.status import OUT_OF_RANGE
 
-# Typed as anything: numba sees float32, uint32 and records, a type checker should not see more.
-F: Any = np.float32
-U: Any = np.uint32
-Float: TypeAlias = Any
-Count: TypeAlias = Any
-Flag: TypeAlias = Any
+# To a type checker numbers are Python's; numba sees float32 and uint32. Records are anything.
+F = cast("type[float]", np.float32)
+U = cast("type[int]", np.uint32)
 Constants: TypeAlias = Any
 State: TypeAlias = Any
 Sample: TypeAlias = Any
@@ -114,52 +111,52 @@ def noinline(function: Step) -> Step:
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
 
 
-def magnitude(x: Float) -> Float:
+def magnitude(x: float) -> float:
     """Absolute value, of -0 too."""
     return math.fabs(x)
 
 
-def within(x: Float, low: Float, high: Float) -> Flag:
+def within(x: float, low: float, high: float) -> bool:
     """False for NaN too."""
     return (x >= low) & (x <= high)
 
 
-def size_within(x: Float, limit: Float) -> Flag:
+def size_within(x: float, limit: float) -> bool:
     """Whether the absolute value is at most the limit; false for NaN."""
     return (x >= -limit) & (x <= limit)
 
 
-def size_below(x: Float, limit: Float) -> Flag:
+def size_below(x: float, limit: float) -> bool:
     """Whether the absolute value is below the limit; false for NaN."""
     return (x > -limit) & (x < limit)
 
 
-def not_negative(x: Float, limit: Float) -> Flag:
+def not_negative(x: float, limit: float) -> bool:
     """Within 0..limit, and not -0: the C compares bits."""
     return (math.copysign(ONE, x) > ZERO) & (x <= limit)
 
 
-def positive_within(x: Float, low: Float, high: Float) -> Flag:
+def positive_within(x: float, low: float, high: float) -> bool:
     """Within low..high, both of them positive."""
     return (x >= low) & (x <= high)
 
 
-def positive_above(x: Float, y: Float) -> Flag:
+def positive_above(x: float, y: float) -> bool:
     """Whether x > y, neither of them negative or NaN."""
     return x > y
 
 
-def is_number(x: Float) -> Flag:
+def is_number(x: float) -> bool:
     """Neither infinite nor NaN."""
     return (x >= -LARGEST_FLOAT) & (x <= LARGEST_FLOAT)
 
 
-def known_fraction(x: Float) -> Float:
+def known_fraction(x: float) -> float:
     """What is within 0..1 already: said for analysers of the C."""
     return x
 
 
-def add(total: Float, carry: Float, value: Float) -> tuple[Float, Float]:
+def add(total: float, carry: float, value: float) -> tuple[float, float]:
     """Compensated sum: what rounding keeps from the total stays in the carry."""
     missed = value - carry
     new = total + missed
@@ -169,36 +166,36 @@ def add(total: Float, carry: Float, value: Float) -> tuple[Float, Float]:
 # ---- from here on the C is printed ----
 
 
-def between(a: Float, b: Float, f: Float) -> Float:
+def between(a: float, b: float, f: float) -> float:
     """From a at f = 0 to b at f = 1."""
     return a + (f * (b - a))
 
 
-def clip(x: Float, low: Float, high: Float) -> Float:
+def clip(x: float, low: float, high: float) -> float:
     """Held within low..high."""
     return low if x < low else (high if x > high else x)
 
 
-def at_least(x: Float, low: Float) -> Float:
+def at_least(x: float, low: float) -> float:
     """Held above low."""
     return low if x < low else x
 
 
 @noinline
-def out_of_range(x: Float) -> Count:
+def out_of_range(x: float) -> int:
     """Bit for a number that no cell of this kind gives; asked of readings that were refused."""
     return U(OUT_OF_RANGE) if is_number(x) else U(0)
 
 
 @noinline
-def risen(z: Float) -> Float:
+def risen(z: float) -> float:
     """1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1."""
     fourth = SIXTH + (z * TWENTY_FOURTH)
     grown = z * (ONE + (z * (HALF + (z * fourth))))
     return grown / (ONE + grown)
 
 
-def vanishing(z: Float) -> Float:
+def vanishing(z: float) -> float:
     """exp(-z) for z >= 0, to 1e-4 of itself."""
     left = ONE - risen((z if z < FURTHEST else FURTHEST) * SIXTY_FOURTH)
     for _ in range(6):
@@ -207,7 +204,7 @@ def vanishing(z: Float) -> Float:
 
 
 @noinline
-def root(square: Float) -> Float:
+def root(square: float) -> float:
     """Square root of a number up to 4 by five Newton steps from 1.
 
     One below 1/4 is multiplied by 4 until it is not.

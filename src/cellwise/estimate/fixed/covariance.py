@@ -16,8 +16,6 @@ from cellwise.estimate.fixed.arithmetic import (
     TWO,
     VARIANCE_FLOOR,
     ZERO,
-    Flag,
-    Float,
     HysteresisFloat,
     SlowFloat,
     State,
@@ -34,20 +32,20 @@ from cellwise.estimate.fixed.options import WIDE
 class Column(NamedTuple):
     """P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains."""
 
-    variance: Float
-    s: Float
-    v1: Float
-    v2: Float
+    variance: float
+    s: float
+    v1: float
+    v2: float
     v3: SlowFloat
     h: HysteresisFloat
 
     @property
-    def row(self) -> dict[Any, Float]:
+    def row(self) -> dict[Any, float]:
         """By the state."""
         return dict(zip(CELL, self[1:], strict=True))
 
 
-def add_variance(x: State, value: Float) -> None:
+def add_variance(x: State, value: float) -> None:
     """A variance of SOC that is large changes by less than rounding keeps of it."""
     if WIDE:
         x.ss, x.ss_carry = add(x.ss, x.ss_carry, value)
@@ -56,7 +54,7 @@ def add_variance(x: State, value: Float) -> None:
 
 
 @unrolled_by_option
-def covariance_is_sound(x: State) -> Flag:
+def covariance_is_sound(x: State) -> bool:
     """Every entry in its range."""
     for i, j in triangle(CELL):
         if i == j:
@@ -77,7 +75,7 @@ def forget_correlations(x: State) -> None:
 
 
 @unrolled_by_option
-def start_covariance(x: State, soc_variance: Float) -> None:
+def start_covariance(x: State, soc_variance: float) -> None:
     """SOC known with a variance, branches at rest, nothing known of hysteresis."""
     forget_correlations(x)
     x.ss = soc_variance
@@ -89,7 +87,7 @@ def start_covariance(x: State, soc_variance: Float) -> None:
 
 @unrolled_by_option
 def relax(
-    x: State, p: Point, gain1: Float, gain2: Float, gain3: SlowFloat, flow: Float, square_A2: Float
+    x: State, p: Point, gain1: float, gain2: float, gain3: SlowFloat, flow: float, square_A2: float
 ) -> None:
     """The branches over one interval of constant current, exactly, and their covariance.
 
@@ -97,8 +95,8 @@ def relax(
     spread independent of the time step. What decays slowly is stated by how much it loses: 1 - 1e-5
     as a float is off by 0.3 % of that.
     """
-    gain: dict[Any, Float] = {}  # as handed over
-    a: dict[Any, Float] = {}
+    gain: dict[Any, float] = {}  # as handed over
+    a: dict[Any, float] = {}
     for i in BRANCHES:
         a[i] = ONE - gain[i]
         if i in CARRIED:
@@ -118,7 +116,7 @@ def relax(
 
 
 @unrolled_by_option
-def fade_hysteresis(x: State, keep: Float) -> None:
+def fade_hysteresis(x: State, keep: float) -> None:
     """The row of h where a share of h is kept."""
     for i in (H,):
         for j in (SOC, *BRANCHES):
@@ -136,9 +134,9 @@ def forget_hysteresis(x: State) -> None:
 
 
 @unrolled_by_option
-def tilt(x: State, p: Point, w: Slopes, flow: Float) -> None:
+def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
     """A SOC that is off drives the branches by the resistances' slopes."""
-    f: dict[Any, Float] = {}
+    f: dict[Any, float] = {}
     for i in BRANCHES:
         f[i] = (w.rise[i] * p.gain[i]) * flow
     for i, j in triangle(BRANCHES):
@@ -154,9 +152,9 @@ def tilt(x: State, p: Point, w: Slopes, flow: Float) -> None:
 
 
 @unrolled_by_option
-def column_of(x: State, p: Point, slope: Float) -> Column:
+def column_of(x: State, p: Point, slope: float) -> Column:
     """The column, and the innovation variance that the state explains."""
-    c: dict[Any, Float] = {}
+    c: dict[Any, float] = {}
     for i in CELL:
         c[i] = (slope * x.p[SOC, i]) if THERE else ZERO
         for j in BRANCHES:
@@ -173,7 +171,7 @@ def column_of(x: State, p: Point, slope: Float) -> Column:
 
 
 @unrolled_by_option
-def move(x: State, d: Column, inverse: Float, innovation: Float) -> None:
+def move(x: State, d: Column, inverse: float, innovation: float) -> None:
     """State + K innovation."""
     for i in CELL:
         if i in CARRIED:
@@ -185,7 +183,7 @@ def move(x: State, d: Column, inverse: Float, innovation: Float) -> None:
 
 
 @unrolled_by_option
-def narrow(x: State, d: Column, inverse: Float) -> None:
+def narrow(x: State, d: Column, inverse: float) -> None:
     """P - K d', row by row."""
     for i in CELL:
         k = d.row[i] * inverse

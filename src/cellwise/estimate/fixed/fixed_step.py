@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -122,19 +120,6 @@ class FixedStep:
         InputError        no time step; not asked for when this was made
         """
         return self._need_stepper().need("power").answer("power_of", CAPABILITY, state)
-
-    def with_remaining(self, cutoff_V: float) -> Self:
-        """The same filter with :meth:`remaining`, down to a cutoff of the cell [V].
-
-        Raises
-        ------
-        InputError        a cutoff that is not below the model's full OCV
-        """
-        made = copy(self)
-        made._asked = replace(self._asked, remaining_V=cutoff_V)
-        made._stepper = None
-        made.stepper(1.0 if made.dt_s is None else made.dt_s)
-        return made
 
     def remaining(
         self, state: NDArray[Any], load_A: float, hold: Literal["current", "power"] = "current"

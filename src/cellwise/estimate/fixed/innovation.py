@@ -25,9 +25,7 @@ from cellwise.estimate.fixed.arithmetic import (
     THREE,
     ZERO,
     Constants,
-    Count,
     F,
-    Float,
     State,
     U,
     at_least,
@@ -49,7 +47,7 @@ from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
 
 
 @unrolled_by_option
-def voltage_of(x: State, p: Point, drop: Float) -> Float:
+def voltage_of(x: State, p: Point, drop: float) -> float:
     """The voltage that the state gives at a point of the tables."""
     voltage = p.ocv_V - drop
     for i in BRANCHES:
@@ -65,11 +63,11 @@ def search(
     m: Model,
     place: Place,
     x: State,
-    seen: Float,
-    voltage: Float,
-    variance: Float,
-    held_A: Float,
-    limit_V: Float,
+    seen: float,
+    voltage: float,
+    variance: float,
+    held_A: float,
+    limit_V: float,
 ) -> None:
     """SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate.
 
@@ -128,10 +126,10 @@ def recover(
     m: Model,
     place: Place,
     x: State,
-    seen: Float,
-    voltage: Float,
-    one_V2: Float,
-    polarisation_V: Float,
+    seen: float,
+    voltage: float,
+    one_V2: float,
+    polarisation_V: float,
 ) -> None:
     """The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
 
@@ -142,7 +140,7 @@ def recover(
     held_A = c.start_rest_A
     limit_V = REST_LIMIT_V
     variance = one_V2 + c.branch_variance_V2
-    kept: dict[Any, Float] = {}
+    kept: dict[Any, float] = {}
     for i in BRANCHES:
         kept[i] = ZERO
     if x.evidence >= FIRST_VOLTAGE:
@@ -160,7 +158,7 @@ def recover(
     x.evidence = FIRST_VOLTAGE
 
 
-def widen(c: Constants, x: State, p: Point, seen: Float) -> None:
+def widen(c: Constants, x: State, p: Point, seen: float) -> None:
     """Without CELLWISE_WIDE anything is admitted instead, so that the next voltage passes."""
     x.ss = RECOVERY_VARIANCE
     x.evidence = FIRST_VOLTAGE
@@ -174,24 +172,24 @@ class Innovation(NamedTuple):
     what the voltage brings to it; ``polarisation_V`` how much of the voltage is current's doing.
     """
 
-    voltage_V: Float
-    variance_V2: Float
-    explained_V2: Float
-    one_V2: Float
-    polarisation_V: Float
+    voltage_V: float
+    variance_V2: float
+    explained_V2: float
+    one_V2: float
+    polarisation_V: float
     column: Column
 
 
 class Shared(NamedTuple):
     """How many samples share one model error: ``above / below``, never divided."""
 
-    above: Float
-    below: Float
+    above: float
+    below: float
 
 
 def watch_voltage(
-    c: Constants, x: State, voltage: Float, seen: Float, r0_ohm: Float, innovation: Float
-) -> Count:
+    c: Constants, x: State, voltage: float, seen: float, r0_ohm: float, innovation: float
+) -> int:
     """Whether the voltage is frozen.
 
     A reading that repeats itself is frozen once R0 times the change of current says that it must
@@ -216,7 +214,7 @@ def watch_voltage(
     return status
 
 
-def shared_by(c: Constants, x: State, seen: Float) -> Shared:
+def shared_by(c: Constants, x: State, seen: float) -> Shared:
     """How many samples share one model error, as a fraction: at least 1.
 
     The model's error is a sum of processes with memories of a second to half an hour. The quick
@@ -235,7 +233,7 @@ def shared_by(c: Constants, x: State, seen: Float) -> Shared:
     return Shared(above, below)
 
 
-def outside(c: Constants, x: State, s: Reading) -> Count:
+def outside(c: Constants, x: State, s: Reading) -> int:
     """Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0."""
     status = U(0)
     if not within(x.soc, c.valid_soc_low, c.valid_soc_high):
@@ -247,7 +245,7 @@ def outside(c: Constants, x: State, s: Reading) -> Count:
     return status
 
 
-def extrapolated(c: Constants, x: State, seen: Float, polarisation_V: Float) -> Float:
+def extrapolated(c: Constants, x: State, seen: float, polarisation_V: float) -> float:
     """What the model can be off by beyond its data's current and temperature, one deviation.
 
     The law of the float64 filters: a share of the polarisation, as of an exponential to its third
@@ -262,7 +260,7 @@ def extrapolated(c: Constants, x: State, seen: Float, polarisation_V: Float) -> 
         z = c.share_per_K * far_K
         share = share + (z * (ONE + (z * (HALF + (z * SIXTH)))))
         moved_V = c.voltage_per_K * far_K
-    return (share * polarisation_V) + moved_V
+    return F((share * polarisation_V) + moved_V)
 
 
 @unrolled_by_option

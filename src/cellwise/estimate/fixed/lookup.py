@@ -21,9 +21,7 @@ from cellwise.estimate.fixed.arithmetic import (
     TRANSFER_1,
     ZERO,
     Constants,
-    Count,
     F,
-    Float,
     HysteresisFloat,
     SlowFloat,
     State,
@@ -62,34 +60,34 @@ class Place(NamedTuple):
     ``lag`` is the SOC that the particles' surface is below the mean.
     """
 
-    low: Count
-    weight: Float
-    scale: Float
+    low: int
+    weight: float
+    scale: float
     lag: SurfaceFloat
 
 
 class Point(NamedTuple):
     """The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau)."""
 
-    ocv_V: Float
-    slope_V: Float
-    noise_V2: Float
-    r0_ohm: Float
+    ocv_V: float
+    slope_V: float
+    noise_V2: float
+    r0_ohm: float
     m_V: HysteresisFloat
-    r1_ohm: Float
-    r2_ohm: Float
+    r1_ohm: float
+    r2_ohm: float
     r3_ohm: SlowFloat
-    gain1: Float
-    gain2: Float
+    gain1: float
+    gain2: float
     gain3: SlowFloat
 
     @property
-    def r(self) -> dict[Any, Float]:
+    def r(self) -> dict[Any, float]:
         """Resistances by the branch."""
         return dict(zip(BRANCHES, self[5:8], strict=True))
 
     @property
-    def gain(self) -> dict[Any, Float]:
+    def gain(self) -> dict[Any, float]:
         """Gains by the branch."""
         return dict(zip(BRANCHES, self[8:], strict=True))
 
@@ -100,20 +98,20 @@ class Slopes(NamedTuple):
     ``spread`` is the standard deviation of SOC, 0 while it is well known.
     """
 
-    slope_V: Float
-    bend_V: Float
-    spread: Float
-    rise1: Float
-    rise2: Float
+    slope_V: float
+    bend_V: float
+    spread: float
+    rise1: float
+    rise2: float
     rise3: SlowFloat
 
     @property
-    def rise(self) -> dict[Any, Float]:
+    def rise(self) -> dict[Any, float]:
         """Slopes of the resistances by the branch."""
         return dict(zip(BRANCHES, self[3:], strict=True))
 
 
-def place_of(m: Model, temperature_C: Float) -> Place:
+def place_of(m: Model, temperature_C: float) -> Place:
     """Neighbouring tables of a temperature, and the Arrhenius factor."""
     low = U(0)
     weight = ZERO
@@ -139,12 +137,12 @@ def place_of(m: Model, temperature_C: Float) -> Place:
     return Place(low, weight, scale, ZERO)
 
 
-def within_one(soc: Float) -> Float:
+def within_one(soc: float) -> float:
     """The nearer end of 0..1 for a SOC beyond it."""
     return soc if not_negative(soc, ONE) else (ZERO if soc < HALF else ONE)
 
 
-def depth_at(c: Constants, temperature_C: Float) -> Float:
+def depth_at(c: Constants, temperature_C: float) -> float:
     """SOC that the particles' surface is below the mean at 1 A and one temperature."""
     most = F(c.depth.size - 1)
     y = (temperature_C - c.depth_low_C) * c.depth_per_K
@@ -168,7 +166,7 @@ def aged(x: State, at: Place) -> Place:
     return Place(at.low, at.weight, at.scale * x.resistance_scale, at.lag)
 
 
-def index_of(x: Float, points: Count) -> Count:
+def index_of(x: float, points: int) -> int:
     """Lower point of the SOC interval that holds x, a SOC in units of the grid."""
     if WIDE:
         held = x if x > ZERO else ZERO
@@ -180,7 +178,7 @@ def index_of(x: Float, points: Count) -> Count:
     return k
 
 
-def read(m: Model, place: Place, k: Count, column: int, f: Float) -> Any:
+def read(m: Model, place: Place, k: int, column: int, f: float) -> Any:
     """One table at a fraction of an interval."""
     low = between(m.row[place.low, k, column], m.row[place.low, k + U(1), column], f)
     if TEMPERATURES:
@@ -190,7 +188,7 @@ def read(m: Model, place: Place, k: Count, column: int, f: Float) -> Any:
     return low
 
 
-def rise(m: Model, place: Place, k: Count, column: int) -> Any:
+def rise(m: Model, place: Place, k: int, column: int) -> Any:
     """How far a table rises over an interval."""
     low = m.row[place.low, k + U(1), column] - m.row[place.low, k, column]
     if TEMPERATURES:
@@ -199,7 +197,7 @@ def rise(m: Model, place: Place, k: Count, column: int) -> Any:
     return low
 
 
-def charge_transfer(overvoltage: Float) -> Float:
+def charge_transfer(overvoltage: float) -> float:
     """Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0.
 
     The fraction of the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60.
@@ -211,7 +209,7 @@ def charge_transfer(overvoltage: Float) -> Float:
 
 
 @unrolled_by_option
-def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
+def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
     Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are those
@@ -241,8 +239,8 @@ def look_up(m: Model, place: Place, soc: Float, current: Float) -> Point:
         at = index_of(below, points)
         share = known_fraction(below - F(at))
     r0_ohm = read(m, place, at, R0_OHM, share)
-    r: dict[Any, Float] = {}
-    gain: dict[Any, Float] = {}
+    r: dict[Any, float] = {}
+    gain: dict[Any, float] = {}
     for i in BRANCHES:
         r[i] = read(m, place, at, R[i], share) if THERE else ZERO
         gain[i] = ONE / read(m, place, at, LAG[i], share) if THERE else ZERO
@@ -280,7 +278,7 @@ def no_slopes(p: Point) -> Slopes:
 @noinline
 @unrolled_by_option
 def slopes_of(
-    m: Model, place: Place, soc: Float, spread: Float, current: Float, p: Point
+    m: Model, place: Place, soc: float, spread: float, current: float, p: Point
 ) -> Slopes:
     """While SOC is badly known slopes are chords over one standard deviation to either side.
 
@@ -291,7 +289,7 @@ def slopes_of(
     high = clip(soc + spread, ZERO, ONE)
     slope_V = p.slope_V
     bend_V = ZERO
-    rise: dict[Any, Float] = {}
+    rise: dict[Any, float] = {}
     for i in BRANCHES:
         rise[i] = ZERO if THERE else ZERO  # noqa: RUF034  # named where it is there
     if (high - low) >= SHORTEST_CHORD:

@@ -25,7 +25,6 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel
 from cellwise.estimate.cells.settings import CellSettings
-from cellwise.estimate.power.fixed_tables import check_power
 
 if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
@@ -95,10 +94,6 @@ class Asked:
     remaining_V : float or None     cutoff down to which time and energy are asked for
     health : bool                   take capacity and resistance from a history
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
-
-    Raises
-    ------
-    InputError        a power over several horizons, or with a power held
     """
 
     points: int | None = None
@@ -107,10 +102,6 @@ class Asked:
     remaining_V: float | None = None
     health: bool = False
     cells: CellSettings | None = None
-
-    def __post_init__(self) -> None:
-        if self.power is not None:
-            check_power(self.power)
 
 
 def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options:

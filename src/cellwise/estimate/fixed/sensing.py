@@ -21,9 +21,7 @@ from cellwise.estimate.fixed.arithmetic import (
     TEMPERATURE_LOW_C,
     ZERO,
     Constants,
-    Count,
     F,
-    Float,
     Output,
     Sample,
     State,
@@ -58,26 +56,26 @@ class Reading(NamedTuple):
     ``seen`` what the voltage has seen of it, ``flow`` what flows without the sensor's offset.
     """
 
-    status: Count
-    news: Count
-    missing: Count
-    silent: Count
-    current: Float
-    seen: Float
-    flow: Float
-    unmeasured_A2: Float
+    status: int
+    news: int
+    missing: int
+    silent: int
+    current: float
+    seen: float
+    flow: float
+    unmeasured_A2: float
     temperature_C: WarmFloat
 
 
 class Charge(NamedTuple):
     """What an interval took: samples missing, and the current that bridges them."""
 
-    status: Count
-    missing: Count
-    bridge: Float
+    status: int
+    missing: int
+    bridge: float
 
 
-def see(c: Constants, x: State, sample: Sample, before: Count) -> Reading:
+def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     """Sequence number, current and temperature of a sample; the status ``before`` with theirs."""
     status = before
     news = NO_INTERVAL
@@ -171,7 +169,7 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
         x.slow_A = x.slow_A + (c.surface_gain * (s.flow - x.slow_A))
 
 
-def finish(x: State, s: Reading, missing: Count, sequence: Count, out: Output) -> Count:
+def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:
     """Hold SOC within its bounds, remember the sample: the status of the clamp.
 
     A variance that memory which lost a bit has driven below zero is none: this step knows nothing,

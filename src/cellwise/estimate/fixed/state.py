@@ -22,10 +22,7 @@ from cellwise.estimate.fixed.arithmetic import (
     TEMPERATURE_LOW_C,
     ZERO,
     Constants,
-    Count,
     F,
-    Flag,
-    Float,
     State,
     U,
     at_least,
@@ -69,7 +66,7 @@ from cellwise.estimate.status import OUT_OF_RANGE
 
 
 @unrolled_by_option
-def is_sound(c: Constants, x: State) -> Flag:
+def is_sound(c: Constants, x: State) -> bool:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
     if not not_negative(x.soc, ONE):
         return False
@@ -105,7 +102,7 @@ def is_sound(c: Constants, x: State) -> Flag:
     return covariance_is_sound(x)
 
 
-def set_health(m: Model, x: State, capacity_share: Float, resistance_scale: Float) -> Count:
+def set_health(m: Model, x: State, capacity_share: float, resistance_scale: float) -> int:
     """What a history says of the cell beside the model: its capacity, and all its resistances.
 
     Kept in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
@@ -123,7 +120,7 @@ def set_health(m: Model, x: State, capacity_share: Float, resistance_scale: Floa
 
 @noinline
 @unrolled_by_option
-def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
+def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     """A cell at rest; its branches are guessed at the first sample."""
     x.soc = soc
     for i in BRANCHES:
@@ -161,7 +158,7 @@ def start(c: Constants, x: State, soc: Float, soc_variance: Float) -> None:
     x.evidence = NOT_BEGUN
 
 
-def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
+def admitted(rested_V2: float, held_V: float, limit_V: float) -> float:
     """Variance of a branch that holds anything up to what a current leaves there."""
     most = held_V
     if WIDE:
@@ -171,7 +168,7 @@ def admitted(rested_V2: Float, held_V: Float, limit_V: Float) -> Float:
 
 @noinline
 @unrolled_by_option
-def guess_branches(c: Constants, x: State, p: Point, current: Float) -> None:
+def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
     """What the branches hold when nobody knows what was before.
 
     Nearly nothing at rest, half of the load's steady voltage under load.
@@ -196,7 +193,7 @@ def guess_branches(c: Constants, x: State, p: Point, current: Float) -> None:
         x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
 
 
-def taken(c: Constants, x: State, current: Float) -> Float:
+def taken(c: Constants, x: State, current: float) -> float:
     """Charge that leaves the cell in one step, in SOC."""
     used = current
     if EFFICIENCY and used < ZERO:
@@ -206,12 +203,12 @@ def taken(c: Constants, x: State, current: Float) -> Float:
         used = used + c.leak_soc
     if HEALTH:
         used = used * x.per_capacity
-    return used
+    return F(used)
 
 
 @unrolled_by_option
 def cross_gap(
-    c: Constants, x: State, p: Point, missing: Count, current: Float, bridge: Float
+    c: Constants, x: State, p: Point, missing: int, current: float, bridge: float
 ) -> None:
     """Samples are missing: the branches may hold what the currents on both sides can have left.
 
@@ -238,7 +235,7 @@ def cross_gap(
         x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
 
 
-def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured_A2: Float) -> None:
+def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured_A2: float) -> None:
     """One interval of constant current.
 
     A resistance that is off by a share drives its branch like a current that is off by it, and so
@@ -259,7 +256,7 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: Float, unmeasured
 
 
 @unrolled_by_option
-def heat(c: Constants, x: State, r0_ohm: Float, seen: Float, flow: Float) -> None:
+def heat(c: Constants, x: State, r0_ohm: float, seen: float, flow: float) -> None:
     """The cell's own warming over one interval."""
     fall = r0_ohm * seen
     for i in BRANCHES:

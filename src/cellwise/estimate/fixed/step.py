@@ -21,10 +21,7 @@ from cellwise.estimate.fixed.arithmetic import (
     WIDE_VARIANCE,
     ZERO,
     Constants,
-    Count,
     F,
-    Flag,
-    Float,
     Output,
     Sample,
     State,
@@ -79,10 +76,10 @@ def reject(
     x: State,
     p: Point,
     i: Innovation,
-    seen: Float,
-    voltage: Float,
-    unsure: Flag,
-) -> Count:
+    seen: float,
+    voltage: float,
+    unsure: bool,
+) -> int:
     """A voltage beyond the gate, and recovery after too long a time of them in a row.
 
     A start that is unsure of itself believes the first voltage at rest at once.
@@ -105,7 +102,7 @@ def reject(
 
 
 def contradict(
-    c: Constants, x: State, w: Slopes, s: Reading, one_V2: Float, innovation: Float
+    c: Constants, x: State, w: Slopes, s: Reading, one_V2: float, innovation: float
 ) -> None:
     """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
 
@@ -127,7 +124,7 @@ def contradict(
             x.contradicted = now
 
 
-def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovation: Float) -> None:
+def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovation: float) -> None:
     """State and covariance after a voltage within the gate.
 
     What the innovations have lately shown beyond their variance makes evidence weigh less. A first
@@ -156,9 +153,9 @@ def weigh(
     w: Slopes,
     s: Reading,
     i: Innovation,
-    voltage: Float,
-    innovation: Float,
-) -> Count:
+    voltage: float,
+    innovation: float,
+) -> int:
     """A voltage that is looked at: rejected, SOC searched for it, or used."""
     c = m.constant
     square = innovation * innovation
@@ -186,8 +183,8 @@ def weigh(
 
 
 def correct(
-    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, voltage: Float, out: Output
-) -> Count:
+    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, voltage: float, out: Output
+) -> int:
     """Predicted voltage, innovation, and what follows from it."""
     c = m.constant
     status = U(0)
@@ -219,7 +216,7 @@ def correct(
     return status
 
 
-def init(m: Model, x: State, soc: Float, soc_variance: Float) -> Count:
+def init(m: Model, x: State, soc: float, soc_variance: float) -> int:
     """A cell at rest at ``soc``, known with ``soc_variance``.
 
     Arguments that are no such numbers give a state that knows nothing. Returns 0 or
@@ -236,7 +233,7 @@ def init(m: Model, x: State, soc: Float, soc_variance: Float) -> Count:
     return status
 
 
-def step(m: Model, x: State, sample: Sample, out: Output) -> Count:
+def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     """One time step: predict over the interval that ends now, then use the voltage read now.
 
     Returns the status bits, which are in ``out`` too.

@@ -65,7 +65,7 @@ MADE_WITH = {
         "state of power",
         "FixedStep(..., power=power_settings(model, horizons_s=(10.0,), hold='current'))",
     ),
-    "remaining": ("remaining time", "FixedStep(...).with_remaining(3.0)"),
+    "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
 }
 
@@ -319,7 +319,7 @@ def sequence_number(sequence: object) -> int:
         return operator.index(sequence) % 2**32  # type: ignore[arg-type]
     except TypeError:
         raise InputError(
-            f"sequence = {shown(sequence)}", "a whole number", "Count the time steps from 0."
+            f"sequence = {shown(sequence)}", "a whole number", "int the time steps from 0."
         ) from None
 
 

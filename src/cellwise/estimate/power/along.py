@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, empty_state
+from cellwise.cell.packed import size_of
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
-from cellwise.estimate.estimators import Estimator
-from cellwise.estimate.filters.filter_state import EkfState
-from cellwise.estimate.filters.kalman import KalmanFilter
+from cellwise.estimate.filters.filter_state import EkfState, LogArrays
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState
-from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.estimate.power.limits import KnownLimits
-from cellwise.estimate.power.load_kernels import Correction
-from cellwise.estimate.power.memory_kernels import no_memory, remembered
-from cellwise.estimate.power.present_kernels import (
-    CHARGE_LOW_W,
-    CHARGE_W,
-    DISCHARGE_LOW_W,
-    DISCHARGE_W,
-    POWERS,
-    PRESENT,
-    TEMPERATURE_AT,
-    carried_states,
-    kalman_states,
-    power_rows,
-    present_at,
-)
+from cellwise.estimate.power.load_kernels import Present
+from cellwise.estimate.power.memory_kernels import Carried, carried_on, carried_rows, no_memory
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower, present_of
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.trace import Trace
@@ -88,69 +73,38 @@ class PowerTrace:
         return f"PowerTrace(discharge / charge at the end: {', '.join(parts)})"
 
 
-def power_along(
-    settings: PowerSettings,
-    estimator: Estimator,
-    log: CellLog,
-    trace: Trace,
-    soc0: float,
-    soc0_std: float,
-) -> PowerTrace:
+def power_along(settings: PowerSettings, log: CellLog, trace: Trace) -> PowerTrace:
     """Power limits at every row of a log that an estimator has made ``trace`` of.
 
-    EKF and UKF take every step once more, so that branch voltages, hysteresis and covariance are
-    the filter's own. Of every other estimator only the SOC and its deviation are known: the log's
-    current gives the rest.
-
-    Parameters
-    ----------
-    soc0, soc0_std : float      where the estimator began
+    The cell is carried along by the log's current, with the SOC and its deviation of the estimator.
     """
-    announce(power_rows, "the state of power")
-    present = presents_along(settings, estimator, log, trace, soc0, soc0_std)
-    horizons = np.array(settings.horizons_s)
-    out = np.empty((POWERS, horizons.size, len(log)))
-    limits: LimitScalars = settings.known.scalars()
-    power_rows(
-        settings.tables, settings.noise.scalars(settings.model), limits, settings.hold == "power",
-        horizons, present, np.zeros((POWERS, horizons.size)), out,
-    )  # fmt: skip
+    found = settings.rows(presents_along(settings, log, trace))
+    (give, give_low), (take, take_low) = found[..., :2].transpose(2, 3, 1, 0)
     return PowerTrace(
-        settings.horizons_s,
-        settings.hold,
-        settings.known,
-        out[DISCHARGE_W],
-        np.minimum(out[DISCHARGE_LOW_W], out[DISCHARGE_W]),
-        out[CHARGE_W],
-        np.minimum(out[CHARGE_LOW_W], out[CHARGE_W]),
-        settings.of(present_at(present, len(log) - 1)),
-    )
+        settings.horizons_s, settings.hold, settings.known, give, give_low, take, take_low,
+        settings.states(found[-1]),
+    )  # fmt: skip
 
 
-def presents_along(
-    settings: PowerSettings,
-    estimator: Estimator,
-    log: CellLog,
-    trace: Trace,
-    soc0: float,
-    soc0_std: float,
-) -> FloatArray:
-    """What the power of every row is computed from, shape (rows, PRESENT)."""
-    tables = settings.tables
-    warm = known_temperature_C(settings.model, log)
-    present = np.zeros((len(log), PRESENT))
-    if isinstance(estimator, KalmanFilter):
-        estimator.take_rows(kalman_states, log, soc0, soc0_std, present)
-        present[:, TEMPERATURE_AT] = warm
-    else:
-        carried_states(
-            tables, empty_state(float(trace.soc[0]), start_hysteresis(float(trace.soc[0]))),
-            log.interval_s, log.known_current_A(), warm,
-            np.ascontiguousarray(trace.soc, dtype=np.float64),
-            np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
-            np.array(log.voltage_V), np.ascontiguousarray(trace.status, dtype=np.int32), present,
-        )  # fmt: skip
+def presents_along(settings: PowerSettings, log: CellLog, trace: Trace) -> FloatArray:
+    """What the power of every row is computed from, shape (rows, numbers of a Present)."""
+    present = np.zeros((len(log), size_of(Present)))
+    arrays = LogArrays(
+        np.ascontiguousarray(log.known_current_A()), np.array(log.voltage_V),
+        known_temperature_C(settings.model, log), log.interval_s, log.gap_rows,
+    )  # fmt: skip
+    carried_rows(
+        settings.tables, begun(float(trace.soc[0])), arrays,
+        np.ascontiguousarray(trace.soc, dtype=np.float64),
+        np.nan_to_num(np.ascontiguousarray(trace.soc_std, dtype=np.float64)),
+        np.ascontiguousarray(trace.status, dtype=np.int32), present,
+    )  # fmt: skip
     return present
+
+
+def begun(soc: float) -> Carried:
+    """A cell at rest at a SOC, before any sample."""
+    return Carried(empty_state(soc, start_hysteresis(soc)), math.nan, no_memory())
 
 
 class PowerFollower:
@@ -158,32 +112,28 @@ class PowerFollower:
 
     def __init__(self, settings: PowerSettings) -> None:
         self.settings = settings
-        self._memory = no_memory()
+        self._carried: Carried | None = None
         self.take(Reading(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
         settings.of(present_of(empty_state(0.5), 25.0))
-        self._memory = no_memory()
-
-    @property
-    def seen(self) -> Correction:
-        """What the cell differs by from its model; as the model before any voltage was seen."""
-        return self._memory.but
+        self._carried = None
 
     def take(
         self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0
     ) -> None:
         """Follow one sample; ``state`` is what the filter has made of it."""
-        cell = present_of(state, reading.temperature_C).cell
-        self._memory = remembered(
-            self.settings.tables, self._memory, cell, reading, reading.temperature_C, status
-        )
+        soc = present_of(state, reading.temperature_C).cell.soc
+        was = begun(soc) if self._carried is None else self._carried
+        self._carried = carried_on(self.settings.tables, was, reading, soc, status)
 
     def now(
         self, state: EkfState | AdaptiveState | None, temperature_C: float
     ) -> tuple[StateOfPower, ...]:
         """State of power at every horizon; empty without a state."""
-        if state is None:
+        if state is None or self._carried is None:
             return ()
-        return self.settings.of(present_of(state, temperature_C, self.seen))
+        cell, _, memory = self._carried
+        known = present_of(state, temperature_C, memory.but)
+        return self.settings.of(known._replace(cell=cell))
 
     def columns(
         self, state: EkfState | AdaptiveState | None, temperature_C: float

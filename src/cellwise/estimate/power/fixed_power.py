@@ -16,7 +16,7 @@ from cellwise.estimate.fixed.arithmetic import (
     SUSTAINED,
     ZERO,
     Capability,
-    Float,
+    F,
     HysteresisFloat,
     SlowFloat,
     State,
@@ -58,17 +58,17 @@ class Along(NamedTuple):
     ``variance_V2`` is the model's, ``kept_V2`` what remains of the branches' and of hysteresis.
     """
 
-    voltage_V: Float
-    variance_V2: Float
-    kept_V2: Float
+    voltage_V: float
+    variance_V2: float
+    kept_V2: float
     h: HysteresisFloat
     slow_A: SurfaceFloat
-    v1: Float
-    v2: Float
+    v1: float
+    v2: float
     v3: SlowFloat
 
     @property
-    def v(self) -> dict[Any, Float]:
+    def v(self) -> dict[Any, float]:
         """Voltages by the branch."""
         return dict(zip(BRANCHES, self[5:], strict=True))
 
@@ -76,17 +76,17 @@ class Along(NamedTuple):
 class Way(NamedTuple):
     """Power one way: the value, what is sustained with 95 %, the current of the value."""
 
-    power_W: Float
-    low_W: Float
-    current_A: Float
+    power_W: float
+    low_W: float
+    current_A: float
 
 
-def warmth_of(x: State) -> Float:
+def warmth_of(x: State) -> float:
     """Temperature of the cell: what was measured last, and its own warming."""
     warm_C = x.temperature_C
     if HEATING:
         warm_C = warm_C + x.heat_K
-    return warm_C
+    return F(warm_C)
 
 
 def place_now(m: Model, x: State) -> Place:
@@ -103,7 +103,7 @@ def place_now(m: Model, x: State) -> Place:
 @unrolled_by_option
 def as_it_is(x: State) -> Along:
     """The cell's state, under no load yet."""
-    v: dict[Any, Float] = {}
+    v: dict[Any, float] = {}
     for i in BRANCHES:
         v[i] = x.state[i] if THERE else ZERO
     h = x.h if HYSTERESIS else ZERO
@@ -111,12 +111,12 @@ def as_it_is(x: State) -> Along:
     return Along(ZERO, ZERO, ZERO, h, slow_A, *(v[i] for i in BRANCHES))
 
 
-def behind(at: Place, lag: Float) -> Place:
+def behind(at: Place, lag: float) -> Place:
     """The same place with another lag of the particles' surface."""
     return Place(at.low, at.weight, at.scale, lag)
 
 
-def toward(old: Float, end: Float, left: Float) -> Float:
+def toward(old: float, end: float, left: float) -> float:
     """A state of first order of which that share of its way to its end is left."""
     return clip(end + (left * (old - end)), -LARGE, LARGE)
 
@@ -124,7 +124,7 @@ def toward(old: Float, end: Float, left: Float) -> Float:
 @noinline
 @unrolled_by_option
 def go_on(
-    m: Model, place: Place, x: State, was: Along, soc: Float, current: Float, steps: Float
+    m: Model, place: Place, x: State, was: Along, soc: float, current: float, steps: float
 ) -> Along:
     """So many time steps of a constant current later, at a SOC, in one interval.
 
@@ -144,8 +144,8 @@ def go_on(
     held_V = magnitude(drop)
     voltage_V = p.ocv_V - drop
     kept_V2 = ZERO
-    v: dict[Any, Float] = {}
-    left: dict[Any, Float] = {}
+    v: dict[Any, float] = {}
+    left: dict[Any, float] = {}
     for i in BRANCHES:
         left[i] = vanishing(steps * (p.gain[i] / (ONE - (HALF * p.gain[i]))))
         v[i] = toward(was.v[i], p.r[i] * current, left[i]) if THERE else ZERO
@@ -173,7 +173,7 @@ def go_on(
 
 
 @noinline
-def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Along:
+def ending(m: Model, place: Place, x: State, soc: float, current: float) -> Along:
     """A constant current over the horizon of the power, from ``soc``."""
     c = m.constant
     now = as_it_is(x)
@@ -183,8 +183,8 @@ def ending(m: Model, place: Place, x: State, soc: Float, current: Float) -> Alon
 
 @noinline
 def able(
-    m: Model, place: Place, x: State, soc: Float, side: Float, limit_V: Float, most_A: Float
-) -> Float:
+    m: Model, place: Place, x: State, soc: float, side: float, limit_V: float, most_A: float
+) -> float:
     """Largest size of a current, discharged (``side`` 1) or charged (-1), up to ``most_A``.
 
     By false position (Illinois) between none and ``most_A``; 0 where no current keeps the limit.
@@ -230,12 +230,12 @@ def one_way(
     m: Model,
     place: Place,
     x: State,
-    soc: Float,
-    ss: Float,
-    side: Float,
-    limit_V: Float,
-    most_A: Float,
-    room_soc: Float,
+    soc: float,
+    ss: float,
+    side: float,
+    limit_V: float,
+    most_A: float,
+    room_soc: float,
 ) -> Way:
     """Value and lower bound of one way: the bound keeps 1.645 deviations from the limits.
 

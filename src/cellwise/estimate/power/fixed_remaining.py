@@ -24,10 +24,7 @@ from cellwise.estimate.fixed.arithmetic import (
     REMAINING_PARTS,
     TWO,
     ZERO,
-    Count,
     F,
-    Flag,
-    Float,
     Landing,
     Outlook,
     Phases,
@@ -52,19 +49,19 @@ from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on, place_no
 class End(NamedTuple):
     """Where a plan ends; ``failed_s`` is when its voltage was at the cutoff or its charge gone."""
 
-    soc: Float
-    least_V: Float
-    energy_J: Float
-    failed_s: Float
+    soc: float
+    least_V: float
+    energy_J: float
+    failed_s: float
 
 
-def off_by(at: Along) -> Float:
+def off_by(at: Along) -> float:
     """Two deviations of the voltage by what the model is off by."""
     return TWO * root(at.variance_V2 if at.variance_V2 < FOUR else FOUR)
 
 
 @noinline
-def lasted(so_far_s: Float, least_V: Float, after_V: Float, low_V: Float, part_s: Float) -> Float:
+def lasted(so_far_s: float, least_V: float, after_V: float, low_V: float, part_s: float) -> float:
     """Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good.
 
     ``least_V`` is its lowest value so far.
@@ -79,7 +76,7 @@ def lasted(so_far_s: Float, least_V: Float, after_V: Float, low_V: Float, part_s
 
 
 @noinline
-def apart_by(a: Float, b: Float, d: Float) -> Float:
+def apart_by(a: float, b: float, d: float) -> float:
     """Root of the sum of three squares, each at least 0: by the largest of them."""
     most = at_least(at_least(a, b), d)
     found = ZERO
@@ -91,7 +88,7 @@ def apart_by(a: Float, b: Float, d: Float) -> Float:
     return found
 
 
-def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook) -> None:
+def remaining(m: Model, x: State, load_A: float, holds_power: bool, out: Outlook) -> None:
     """Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
 
     ``load_A`` is held, or with ``holds_power`` what it gives now. One below C/50 counts as that.
@@ -159,7 +156,7 @@ def remaining(m: Model, x: State, load_A: Float, holds_power: Flag, out: Outlook
         out.energy_high_J = usual_J + (above_s * load_W)
 
 
-def is_plan_sound(phases: Phases, count: Count) -> Flag:
+def is_plan_sound(phases: Phases, count: int) -> bool:
     """Every phase a time and a load that are numbers, of a size that cells have."""
     sound = True
     for k in range(count):
@@ -174,11 +171,11 @@ def flown(
     place: Place,
     x: State,
     phases: Phases,
-    count: Count,
-    holds_power: Flag,
-    begun: Float,
-    per_capacity: Float,
-    lower: Float,
+    count: int,
+    holds_power: bool,
+    begun: float,
+    per_capacity: float,
+    lower: float,
 ) -> End:
     """Through the plan from a SOC, with a capacity, as many times two deviations lower in voltage.
 
@@ -228,7 +225,7 @@ def flown(
 
 
 @noinline
-def normal(deviations: Float) -> Float:
+def normal(deviations: float) -> float:
     """Probability that a normal number is below so many deviations, to 1e-6.
 
     Abramowitz and Stegun (1964), 26.2.19: a polynomial to the power of -16.
@@ -246,9 +243,9 @@ def plan(
     m: Model,
     x: State,
     phases: Phases,
-    count: Count,
-    holds_power: Flag,
-    above: Float,
+    count: int,
+    holds_power: bool,
+    above: float,
     out: Landing,
 ) -> None:
     """Where a plan of loads ends, and the chance to end at ``above`` or more; nothing is changed.

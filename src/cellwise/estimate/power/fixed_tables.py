@@ -24,7 +24,18 @@ def lag(tau_s: FloatArray, over_s: float) -> FloatArray:
 
 
 def power_constants(model: CellModel, power: PowerSettings, dt_s: float) -> dict[str, Any]:
-    """Horizon and limits; a current that nothing limits is as good as endless."""
+    """Horizon and limits; a current that nothing limits is as good as endless.
+
+    Raises
+    ------
+    InputError        several horizons, a power held
+    """
+    if len(power.horizons_s) != 1 or power.hold != "current":
+        raise InputError(
+            f"{len(power.horizons_s)} horizons with hold '{power.hold}' for a fixed step",
+            "one horizon with hold 'current'",
+            "Give one, 10 s, say, and hold='current'.",
+        )
     (horizon_s,) = power.horizons_s
     limits = power.known.scalars()
     most_A = CURRENT_LIMIT_C * model.capacity_Ah
@@ -58,22 +69,3 @@ def remaining_constants(model: CellModel, cutoff_V: float, dt_s: float) -> dict[
         "remaining_share": 2.0 * CAPACITY_STD,
         "step_s": dt_s,
     }
-
-
-def check_power(power: PowerSettings) -> None:
-    """Refuse what the fixed step's power is not.
-
-    Raises
-    ------
-    InputError        several horizons, a power held
-    """
-    if len(power.horizons_s) != 1:
-        raise InputError(
-            f"{len(power.horizons_s)} horizons for the power of a fixed step",
-            "one",
-            "Give one, 10 s, say.",
-        )
-    if power.hold != "current":
-        raise InputError(
-            f"a power of a fixed step with hold '{power.hold}'", "hold 'current'", "Give that."
-        )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import kernel, part
+from cellwise.cell.compiled import kernel, part, rows
 from cellwise.cell.equations import CellTables
+from cellwise.cell.packed import record_at
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.load_kernels import Held, Present, moment_of, voltage_margin
+from cellwise.typing import FloatArray
 
 # Which limit a load reaches first.
 BY_VOLTAGE, BY_CURRENT, BY_SOC, BY_SUPPLY = range(4)
@@ -187,3 +189,46 @@ def largest_load(
     end_A = abs(best.load.current_A)
     end_W = a if power else end_A * (best.load.voltage_V - best.off_V)
     return Capability(end_W, end_A, best.load.voltage_V, reason, side * a)
+
+
+@kernel
+def present_at(values: FloatArray, k: int) -> Present:
+    """One row as it was put."""
+    now: Present = record_at(Present, values[k], 0, 1)
+    return now
+
+
+@rows
+def power_rows(
+    tables: CellTables,
+    noise: NoiseScalars,
+    limits: LimitScalars,
+    power: bool,
+    horizons_s: FloatArray,
+    present: FloatArray,
+    guess: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Power of every row, shape (rows, horizons, ways, 5), from rows that hold a `Present` each.
+
+    On discharge and on charge the power, its lower bound, current and voltage at the horizon's end
+    and what limits it. ``guess``, of the shape of a row, holds loads to begin at; it is written.
+    """
+    for k in range(present.shape[0]):
+        now = present_at(present, k)
+        for j in range(horizons_s.size):
+            for way in range(2):
+                side = 1.0 - 2.0 * way
+                found = largest_load(
+                    tables, noise, limits, now, power, horizons_s[j], side, 0.0, guess[j, way, 0]
+                )
+                low = largest_load(
+                    tables, noise, limits, now, power, horizons_s[j], side, SUSTAINED_SIGMAS,
+                    guess[j, way, 1],
+                )  # fmt: skip
+                guess[j, way, 0], guess[j, way, 1] = abs(found.load), abs(low.load)
+                out[k, j, way, 0] = found.power_W
+                out[k, j, way, 1] = min(low.power_W, found.power_W)
+                out[k, j, way, 2] = found.current_A
+                out[k, j, way, 3] = found.voltage_V
+                out[k, j, way, 4] = found.reason

@@ -107,21 +107,20 @@ class KnownLimits:
                 f"the model states no voltage limits: power within {known.voltage_min_V:g} to "
                 f"{known.voltage_max_V:g} V, usual for its chemistry"
             )
-        data = [
-            f"{getattr(known, f'{way}_A'):.3g} A on {way}"
-            for way in ("discharge", "charge")
-            if self.sources[f"{way}_A"] == "data"
-        ]
-        if data:
+        ways = {
+            source: [w for w in ("discharge", "charge") if self.sources[f"{w}_A"] == source]
+            for source in ("data", "none")
+        }
+        if ways["data"]:
+            each = " and ".join(f"{getattr(known, f'{w}_A'):.3g} A on {w}" for w in ways["data"])
             found.append(
-                f"no limit of current is stated: power within the largest currents of the model's "
-                f"data, {' and '.join(data)}"
+                "no limit of current is stated: power within the largest currents of the model's "
+                f"data, {each}"
             )
-        none = [way for way in ("discharge", "charge") if self.sources[f"{way}_A"] == "none"]
-        if none:
+        if ways["none"]:
             found.append(
-                f"no limit of current is stated or in the model's data on {' and '.join(none)}: "
-                "voltage and SOC alone limit that power"
+                "no limit of current is stated or in the model's data on "
+                f"{' and '.join(ways['none'])}: voltage and SOC alone limit that power"
             )
         return tuple(found)
 

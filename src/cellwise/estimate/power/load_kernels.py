@@ -9,16 +9,13 @@ from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import (
     CellState,
     CellTables,
-    Transition,
     advance,
     charge_transfer,
     loaded,
     loaded_voltage,
     polarisation,
-    transition,
     with_soc,
 )
-from cellwise.cell.packed import changed
 from cellwise.cell.plausibility.validity_kernels import (
     extrapolation_V,
     soc_extrapolation_V,
@@ -26,12 +23,6 @@ from cellwise.cell.plausibility.validity_kernels import (
 )
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.evidence_kernels import voltage_variance
-from cellwise.estimate.filters.covariance_kernels import (
-    Covariance,
-    column,
-    decayed,
-    explained,
-)
 from cellwise.estimate.noise import NoiseScalars
 
 # Intervals of a horizon: within one the current is constant, and SOC's tables are looked up.
@@ -75,16 +66,13 @@ LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 
 
 class Present(NamedTuple):
-    """What is known of a cell now: mean, covariance, how the model has done lately.
+    """What is known of a cell now.
 
-    ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it,
-    ``mismatch`` what the innovations have shown over their variance.
+    ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it.
     """
 
     cell: CellState
-    p: Covariance
     soc_variance: float
-    mismatch: float
     temperature_C: float
     but: Correction
 
@@ -94,7 +82,6 @@ class Held(NamedTuple):
 
     end: CellState
     point: CellPoint
-    t: Transition
     current_A: float
     voltage_V: float
     lowest_V: float
@@ -195,12 +182,6 @@ def moment_of(
     return Moment(point, current, voltage, drop, possible)
 
 
-@inline
-def joined(t: Transition, u: Transition) -> Transition:
-    """Decay over two intervals, one after the other; drives are the second one's."""
-    return Transition(t.a1 * u.a1, t.a2 * u.a2, t.a3 * u.a3, t.ah * u.ah, u.gs, u.g1, u.g2, u.g3)
-
-
 @part
 def held(
     tables: CellTables,
@@ -222,12 +203,10 @@ def held(
     lowest = highest = now.voltage_V
     largest = abs(now.current_A)
     possible = now.possible
-    t = Transition(1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(STEPS):
         if not possible:
             break
-        x, point = advance(tables, x, now.current_A, dt_s, temperature_C)
-        t = joined(t, transition(tables.cell, point, now.current_A, dt_s))
+        x, _ = advance(tables, x, now.current_A, dt_s, temperature_C)
         now = moment_of(tables, x, load, power, temperature_C + x.heat_K, but)
         possible = now.possible
         lowest = min(lowest, now.voltage_V)
@@ -235,7 +214,7 @@ def held(
         largest = max(largest, abs(now.current_A))
     # fmt: off
     return Held(
-        x, now.point, t, now.current_A, now.voltage_V, lowest, highest, largest,
+        x, now.point, now.current_A, now.voltage_V, lowest, highest, largest,
         now.polarisation_V, possible,
     )
     # fmt: on
@@ -247,12 +226,8 @@ def end_variance(
 ) -> float:
     """Variance of the voltage at the end of a load [V^2].
 
-    Of the states, decayed over the horizon, with ``slope_V`` for the SOC; of the model as the
-    filters have it, which grows with what the innovations have shown; of the correction.
+    Of the SOC with ``slope_V``, of the model as the filters have it, of the correction.
     """
-    p = decayed(changed(now.p, "ss", now.soc_variance), load.t)
-    d = column(p, slope_V, load.point.m_V)
-    states = max(explained(d, slope_V, load.point.m_V), 0.0)
     x = load.end
     branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
     more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)
@@ -263,7 +238,7 @@ def end_variance(
     point = widened(load.point, abs(more))
     model = voltage_variance(noise, point, point.r0_ohm, load.current_A, 0.0, branches)
     seen = correction_variance(tables.cell, now.but, load.point, x, load.current_A)
-    return states + max(now.mismatch, 1.0) * model + seen
+    return slope_V * slope_V * now.soc_variance + model + seen
 
 
 @part

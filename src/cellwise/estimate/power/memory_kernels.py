@@ -10,19 +10,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cellwise.cell.compiled import inline, kernel
-from cellwise.cell.equations import CellState, CellTables, seen_current
-from cellwise.cell.packed import changed
+from cellwise.cell.compiled import inline, kernel, rows
+from cellwise.cell.equations import CellState, CellTables, advance, seen_current, with_soc
+from cellwise.cell.packed import changed, put_record
+from cellwise.estimate.filters.filter_state import LogArrays
+from cellwise.estimate.filters.kalman_kernels import reading_of
 from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
     FACTOR_VARIANCE,
     Correction,
+    Present,
     Spread,
     falling_share,
     moment_of,
 )
 from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
+from cellwise.typing import FloatArray, IntArray
 
 # What the model has been off by over the longest usual horizon is taken to stay over the next.
 BIAS_S = 30.0
@@ -51,7 +55,6 @@ class Memory(NamedTuple):
 
     but: Correction
     seen_s: float
-    current_A: float
     fast: Smoothed
     fallen: Smoothed
     tail: Smoothed
@@ -64,7 +67,7 @@ class Memory(NamedTuple):
 def no_memory() -> Memory:
     """Before any sample."""
     none = Smoothed(0.0, 0.0)
-    return Memory(AS_MODEL, 0.0, math.nan, none, none, none, none, 0.0, 0.0)
+    return Memory(AS_MODEL, 0.0, none, none, none, none, 0.0, 0.0)
 
 
 @inline
@@ -113,21 +116,19 @@ def remembered(
     was: Memory,
     x: CellState,
     reading: Reading,
-    temperature_C: float,
+    seen_A: float,
     status: int,
 ) -> Memory:
-    """One sample on; the voltage is that of the state ``x`` after it was used.
+    """One sample on; ``seen_A`` is the current that the voltage has seen.
 
     The bias is the mean over ``BIAS_S`` of measured less corrected voltage, a plain one until that
     has gone by. A sample that was rejected, or is the sensor's fault, is left out.
     """
     dt_s = reading.dt_s
-    before = was.current_A if math.isfinite(was.current_A) else reading.current_A
-    seen_A = seen_current(tables.cell, reading.current_A, before, dt_s)
-    now = moment_of(tables, x, seen_A, False, temperature_C + x.heat_K, AS_MODEL)
+    now = moment_of(tables, x, seen_A, False, reading.temperature_C + x.heat_K, AS_MODEL)
     miss_V = reading.voltage_V - now.voltage_V
     if not math.isfinite(miss_V) or status & UNUSED:
-        return changed(was, "current_A", reading.current_A)
+        return was
     near, far = min(dt_s / NEAR_S, 1.0), min(dt_s / FAR_S, 1.0)
     if was.seen_s <= 0.0:
         near = far = 1.0
@@ -151,4 +152,47 @@ def remembered(
     off_V = miss_V + taken_off(but, fast_V, fallen_V, x.v2_V)
     share = min(dt_s / seen_s, 1.0) if seen_s > 0.0 else 1.0
     but = changed(but, "bias_V", but.bias_V + share * (off_V - but.bias_V))
-    return Memory(but, seen_s, reading.current_A, fast, fallen, tail, miss, swing_V2, miss_V2)
+    return Memory(but, seen_s, fast, fallen, tail, miss, swing_V2, miss_V2)
+
+
+class Carried(NamedTuple):
+    """A cell carried through a log by its current, with the SOC of a filter, and its memory."""
+
+    cell: CellState
+    previous_A: float
+    memory: Memory
+
+
+@kernel
+def carried_on(
+    tables: CellTables, was: Carried, reading: Reading, soc: float, status: int
+) -> Carried:
+    """One sample on, at a known temperature: a missing current is the last, over a gap none."""
+    last_A = was.previous_A if math.isfinite(was.previous_A) else 0.0
+    now_A = reading.current_A if math.isfinite(reading.current_A) else last_A
+    before = was.previous_A if math.isfinite(was.previous_A) else now_A
+    seen_A = seen_current(tables.cell, now_A, before, reading.dt_s)
+    flow_A = 0.0 if reading.gap else seen_A
+    cell, _ = advance(tables, was.cell, flow_A, reading.dt_s, reading.temperature_C)
+    cell = with_soc(cell, soc)
+    memory = remembered(tables, was.memory, cell, reading, seen_A, status)
+    return Carried(cell, now_A, memory)
+
+
+@rows
+def carried_rows(
+    tables: CellTables,
+    start: Carried,
+    log: LogArrays,
+    soc: FloatArray,
+    soc_std: FloatArray,
+    status: IntArray,
+    out: FloatArray,
+) -> None:
+    """What is known at every row of a log, shape (rows, numbers of a Present)."""
+    now = start
+    for k in range(log.dt_s.size):
+        now = carried_on(tables, now, reading_of(log, k), soc[k], status[k])
+        variance = soc_std[k] * soc_std[k]
+        known = Present(now.cell, variance, log.temperature_C[k], now.memory.but)
+        put_record(out[k], 0, 1, known, True)

@@ -11,14 +11,15 @@ from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.packed import row_of
 from cellwise.errors import InputError
-from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.noise import Noise, noise_for
-from cellwise.estimate.power.limit_kernels import SUSTAINED_SIGMAS, Capability, largest_load
+from cellwise.estimate.power.limit_kernels import power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present
+from cellwise.typing import FloatArray
 
 Hold = Literal["power", "current"]
 HORIZONS_S = (2.0, 10.0, 30.0)
@@ -68,31 +69,32 @@ class PowerSettings(NamedTuple):
     noise: Noise
     model: CellModel
 
+    def rows(self, present: FloatArray) -> FloatArray:
+        """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
+
+        ``present`` are Presents in rows, shape (rows, numbers of a Present).
+        """
+        announce(power_rows, "the state of power")
+        out = np.empty((len(present), len(self.horizons_s), 2, len(PowerLimit._fields)))
+        power_rows(
+            self.tables, self.noise.scalars(self.model), self.known.scalars(),
+            self.hold == "power", np.array(self.horizons_s), present, np.zeros(out[0].shape), out,
+        )  # fmt: skip
+        return out
+
+    def states(self, row: FloatArray) -> tuple[StateOfPower, ...]:
+        """One row of these by name, at every horizon."""
+
+        def limit(numbers: FloatArray) -> PowerLimit:
+            power_W, low_W, current_A, voltage_V, reason = numbers.tolist()
+            return PowerLimit(power_W, low_W, current_A, voltage_V, REASONS[int(reason)])
+
+        pairs = zip(self.horizons_s, row, strict=True)
+        return tuple(StateOfPower(horizon_s, *map(limit, ways)) for horizon_s, ways in pairs)
+
     def of(self, now: Present) -> tuple[StateOfPower, ...]:
         """State of power of one moment, at every horizon."""
-        noise, limits = self.noise.scalars(self.model), self.known.scalars()
-        announce(largest_load, "the state of power")
-        found = []
-        for horizon_s in self.horizons_s:
-            ways = []
-            for side in (1.0, -1.0):
-                value, low = (
-                    Capability(
-                        *largest_load(
-                            self.tables, noise, limits, now, self.hold == "power", horizon_s,
-                            side, sigmas, 0.0,
-                        )
-                    )
-                    for sigmas in (0.0, SUSTAINED_SIGMAS)
-                )  # fmt: skip
-                ways.append(
-                    PowerLimit(
-                        value.power_W, min(low.power_W, value.power_W), value.current_A,
-                        value.voltage_V, REASONS[value.reason],
-                    )
-                )  # fmt: skip
-            found.append(StateOfPower(horizon_s, *ways))
-        return tuple(found)
+        return self.states(self.rows(row_of(now)[None])[0])
 
 
 def power_settings(
@@ -137,7 +139,6 @@ def power_limits(
     temperature_C: float | None = None,
     hold: Hold = "power",
     noise: Noise | None = None,
-    seen: Correction = AS_MODEL,
 ) -> tuple[StateOfPower, ...]:
     """Power that a cell can give and take for some seconds within its limits.
 
@@ -158,8 +159,6 @@ def power_limits(
                                       largest currents of its data
     temperature_C : float or None     of the surface now [degC]; None: the model's own
     noise : Noise or None             None: from the model's own validation error
-    seen : Correction                 what the cell has been seen to differ by of late; see
-                                      `PowerFollower`
 
     Returns
     -------
@@ -177,7 +176,7 @@ def power_limits(
             "Pass what `step` returns.",
         )
     warm = model.usual_temperature_C if temperature_C is None else float(temperature_C)
-    return settings.of(present_of(state, warm, seen))
+    return settings.of(present_of(state, warm))
 
 
 def present_of(
@@ -185,6 +184,5 @@ def present_of(
 ) -> Present:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
     if isinstance(state, CellState):
-        exact = uncorrelated(0.0, 0.0, 0.0, 0.0, 0.0)
-        return Present(state, exact, 0.0, 1.0, temperature_C, seen)
-    return Present(state.cell, state.p, state.soc_std**2, state.mismatch, temperature_C, seen)
+        return Present(state, 0.0, temperature_C, seen)
+    return Present(state.cell, state.soc_std**2, temperature_C, seen)

@@ -42,7 +42,9 @@ from cellwise.logs.checks.units import (
     time_from_start,
     volts_of_millivolts,
 )
+from cellwise.logs.files.columns import TIDY_CHANNELS, NamedColumns
 from cellwise.logs.files.format import Format, SignConvention
+from cellwise.logs.files.named_columns import table_channels
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -298,6 +300,13 @@ def assemble(
         return log.with_notices(graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
     return log.with_notices(graves_first([*noted, *notices]))
+
+
+def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
+    """`CellLog.from_table`."""
+    origin = Origin(name=name, source=source, format="table")
+    raw = table_channels(table, TIDY_CHANNELS, origin.where)
+    return assemble(complete(raw, origin.sign, origin.where), origin, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:

@@ -6,13 +6,21 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Literal
+from typing import Literal, Protocol
 
 from cellwise.errors import InputError
 from cellwise.logs.files.quantities import nearest, unit_of
 from cellwise.typing import FloatArray
 
 KELVIN_OFFSET = -273.15
+
+
+class NamedColumns(Protocol):
+    """Columns by their names: a pandas, polars or arrow frame, a mapping of arrays."""
+
+    def __getitem__(self, name: str, /) -> object:
+        """The column of that name."""
+        ...
 
 
 CellKind = Literal["number", "clock", "label"]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.cells import arrow_values, is_text
-from cellwise.logs.files.columns import Channel, Column, choose_columns, folded
+from cellwise.logs.files.columns import Channel, Column, NamedColumns, choose_columns, folded
 from cellwise.logs.files.format import Format, damaged
 from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.typing import FloatArray
@@ -21,14 +21,6 @@ if TYPE_CHECKING:
 
 PARQUET_MAGIC = b"PAR1"
 SMALL_ROWS = 1_000_000  # of a table that is read at once; of a larger one a column at a time
-
-
-class NamedColumns(Protocol):
-    """Columns by their names: a pandas, polars or arrow frame, a mapping of arrays."""
-
-    def __getitem__(self, name: str, /) -> object:
-        """The column of that name."""
-        ...
 
 
 def channels_of(

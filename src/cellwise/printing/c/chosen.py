@@ -12,7 +12,7 @@ from typing import Any
 
 # The option without which a kind of float is not there.
 FLOATS = {
-    "Float": "",
+    "float": "",
     "SlowFloat": "SLOW",
     "HysteresisFloat": "HYSTERESIS",
     "WarmFloat": "WARM",

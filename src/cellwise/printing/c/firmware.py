@@ -21,9 +21,8 @@ from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.stepper import STEP_MODULES
-from cellwise.printing.c.c99 import Function
+from cellwise.printing.c.c99 import SCALARS, Function, Program
 from cellwise.printing.c.chosen import chosen, with_notes
-from cellwise.printing.c.reading import SCALARS, Program
 from cellwise.printing.c.text import comment, comments_of, float_literal
 
 READS = ("read", "rise")  # macros of cellwise_float.h
@@ -105,21 +104,21 @@ def written_out(tree: ast.Module, scope: dict[str, Any]) -> ast.Module:
 
 def constants() -> dict[str, tuple[str, str]]:
     """Type and text of every name that is a constant."""
-    found = {"True": ("Flag", "true"), "False": ("Flag", "false")}
+    found = {"True": ("bool", "true"), "False": ("bool", "false")}
     for name, value in vars(arithmetic).items():
         if isinstance(value, np.float32):
-            found[name] = ("Float", float_literal(value) if name in NUMERALS else name)
+            found[name] = ("float", float_literal(value) if name in NUMERALS else name)
         elif isinstance(value, np.uint32):
-            found[name] = ("Count", name)
+            found[name] = ("int", name)
     for bit in status.Status:
-        found[str(bit.name)] = ("Count", f"CELLWISE_{bit.name}")
+        found[str(bit.name)] = ("int", f"CELLWISE_{bit.name}")
     return found
 
 
 def program(read: list[Source], options: Options) -> Program:
     """Everything that is printed, functions in the order of their calls."""
     structs: dict[str, dict[str, str]] = {
-        name: {f.name: "Float" if f.type == "f4" else "Count" for f in table}
+        name: {f.name: "float" if f.type == "f4" else "int" for f in table}
         for name, table in RECORDS.items()
     }
     structs["Model"] = {"constant": "Constants", "row": "Rows"}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
-from cellwise.diagnose.decision.odds import Weighed
+from cellwise.diagnose.odds import Weighed
 from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.report.page.numerals import (
     ampere_hours,

@@ -88,8 +88,8 @@ def _effect_rows(model: CellModel) -> list[tuple[str, str]]:
     """Every effect of the model with its parameters, whose names carry their units."""
     rows = []
     for effect in model.effects:
-        named = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
-        known = (f"{name} {_spread(v)}" for name, v in named if v.dtype.kind == "f")
+        values = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
+        known = (f"{name} {_spread(v)}" for name, v in values if v.dtype.kind == "f" and v.any())
         rows.append((effect.name.replace("_", " "), ", ".join(known)))
     return rows
 

@@ -80,7 +80,7 @@ def _worst_minutes(simulations: Sequence[Simulation]) -> Markup:
         length = duration(float(s.log.time_s[part][-1] - s.log.time_s[part][0]))
         where = percent(float(np.mean(s.soc[part])), 0)
         said.append(jump(f"{length} of {clock_of(s.log)} at {where} SOC, {size}", s.log, part))
-    return paragraph(Markup("Worst minutes above 10 % SOC: " + "; ".join(said) + "."))
+    return paragraph(Markup("Worst minutes above 10 % SOC: " + "; ".join(said)))
 
 
 def _first_explained(pictures: Sequence[Picture]) -> list[Picture]:

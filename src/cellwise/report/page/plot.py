@@ -119,7 +119,8 @@ def worst_part(log: CellLog, error: FloatArray, allowed: BoolArray | None = None
     steps = np.diff(time_s, prepend=time_s[0])
     typical = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
     length_s = min(max(CLOSE_UP_S, CLOSE_UP_ROWS * typical), 0.2 * log.duration_s)
-    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(error) ** 2 * steps)))
+    weight = np.where(log.gap_rows, 0.0, steps)  # nobody knows what was in a gap
+    total = np.concatenate(([0.0], np.cumsum(np.nan_to_num(error) ** 2 * weight)))
     first = np.searchsorted(time_s, time_s - 0.5 * length_s)
     last = np.searchsorted(time_s, time_s + 0.5 * length_s, side="right")
     inside = total[last] - total[first]
@@ -135,7 +136,7 @@ def trace(plot: Plot) -> Markup:
     Values are kept in 65,534 steps between the lowest and the highest: finer than a screen shows.
     """
     key = escape(plot.key)
-    data = {
+    samples = {
         "n": plot.samples,
         "xLabel": plot.x_label,
         "x": _axis(plot.panels[0].lines[0].x),
@@ -144,7 +145,7 @@ def trace(plot: Plot) -> Markup:
             for panel in plot.panels
         ],
     }
-    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(samples, allow_nan=False).replace("<", "\\u003c")
     title = f"<h3>{escape(plot.title)}</h3>" if plot.title else ""
     caption = f"<figcaption>{escape(plot.caption)}</figcaption>" if plot.caption else ""
     return Markup(

@@ -135,7 +135,7 @@ def key_below(axes: Axes, keys: Sequence[Artist] = ()) -> None:
     names = [str(one.get_label()) for one in handles]
     if handles:
         place = cast(Any, "outside lower left")
-        cast("Figure", axes.figure).legend(handles, names, loc=place, ncols=3, columnspacing=1.0)
+        cast("Figure", axes.figure).legend(handles, names, loc=place, ncols=2, columnspacing=1.0)
 
 
 def zero_line(axes: Axes) -> None:

@@ -13,12 +13,11 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.decision.odds import RARE, Rarity
-from cellwise.diagnose.decision.outcome import Outcome, decide
-from cellwise.diagnose.decision.search import Explanations
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.priors import starts_to_try
 from cellwise.diagnose.fit.rows import gather
+from cellwise.diagnose.odds import RARE, Rarity
+from cellwise.diagnose.sets import Explanations, Outcome, decide
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

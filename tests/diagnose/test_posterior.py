@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cellwise.diagnose.decision.odds import (
+from cellwise.diagnose.fit.rows import FITTED
+from cellwise.diagnose.odds import (
     NAMING,
     probability_of,
     weigh,
 )
-from cellwise.diagnose.fit.rows import FITTED
 
 BLOCKS, ROWS = 20, 50
 

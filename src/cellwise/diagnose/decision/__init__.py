@@ -1,1 +1,0 @@
-"""Which causes are accepted: candidates compared, acceptance, revision, the outcome."""
