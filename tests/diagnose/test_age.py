@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from cellwise import CellModel, simulate
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.odds import AGE
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load
@@ -82,3 +84,15 @@ def test_beside_a_good_log_of_the_same_cell_it_is_the_sensor() -> None:
     said = diagnose(model, logs[0], logs[1], baseline=good, soc0=SOC0)
     assert said.verdict == "current_gain"
     assert said.causes[0].parameters["gain"] == pytest.approx(0.9, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_cold_cell_is_not_called_aged(real_data: Path) -> None:
+    """Two 0 degC drives to empty and a 25 degC model, of a cell whose C/20 test gave 2.997 Ah."""
+    from benchmarks.real_findings import FINDINGS
+
+    cold = FINDINGS["p00"]
+    found = diagnose(cold.model(), cold.logs(), cold.holdout(), soc0=cold.soc0)
+    assert not {c.name for c in found.causes} & AGE
+    assert found.verdict != "none"
+    assert found.next_test

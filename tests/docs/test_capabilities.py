@@ -77,7 +77,7 @@ CAPABILITIES = (
                why_none="forecasts are judged at many rows of a charge"),
     Capability("hidden effects named", "diagnose/test_hidden_effects.py",
                why_none="the effect is hidden in Python"),
-    Capability("a cold cell is not called aged", "diagnose/decision/test_rarity_hides.py",
+    Capability("a cold cell is not called aged", "diagnose/test_age.py",
                why_none="ten models of subsets of temperatures"),
     Capability("a flight sample by sample", "live/test_ulog_stream.py",
                why_none="the stream is compared with the library that reads the whole file"),

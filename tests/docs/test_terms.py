@@ -38,7 +38,7 @@ RETIRED = {
     r"\bjudge?ment": "decision, outcome",
 }
 # Names that other programs rely on, and calls of other libraries.
-KEPT = ("leak_A", "AdaptiveSettings(learn", "file.tell()", "leak=", "leak: int", "LEAK")
+KEPT = ("leak_A", "AdaptiveSettings(learn", "file.tell()", "leak=", "leak: int", '"leak"', "LEAK")
 KEPT += ("self.learn", "`learn`", "learn: tuple", "learn : tuple", '"lasting": ')
 FILES = [
     *sorted(PACKAGE.rglob("*.py")),

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.real_findings import FINDINGS
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
@@ -110,16 +109,3 @@ def test_a_healthy_cell_that_is_cold_has_not_aged() -> None:
     warm = drive(14, 25.0)
     as_before = simulate(model, warm, 0.9).voltage_V
     assert simulate(said.extended_model, warm, 0.9).voltage_V == pytest.approx(as_before, abs=5e-3)
-
-
-@pytest.mark.slow
-def test_a_measured_cold_cell_is_not_called_aged(real_data) -> None:
-    """Two 0 degC drives to empty, a 25 degC model: a loss of lithium of 8.5 % was named, with 1.0.
-
-    C/20 gave 2.997 Ah in the weeks before; the EKF's SOC went from 0.6 to 6.7 % with it.
-    """
-    cold = FINDINGS["p00"]
-    found = diagnose(cold.model(), cold.logs(), cold.holdout(), soc0=cold.soc0)
-    assert not {c.name for c in found.causes} & AGE
-    assert found.verdict != "none"
-    assert found.next_test

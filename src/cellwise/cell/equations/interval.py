@@ -22,10 +22,12 @@ def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float 
     cell = tables.cell
     table = tables.table
     mean = place_of(tables, soc, temperature_C)
-    point = tables_at(table, mean)
+    below = mean
     if cell.surface_per_A != 0.0:
         surface = surface_soc(cell, soc, slow_A, temperature_C)
-        point = surfaced(point, tables_at(table, moved(table, mean, surface)))
+        below = moved(table, mean, surface)
+    # Of either look-up only the columns that are used are part of a kernel.
+    point = surfaced(tables_at(table, mean), tables_at(table, below))
     return at_temperature(cell, point, temperature_C)
 
 

@@ -55,7 +55,7 @@ from cellwise.estimate.fixed.state import is_sound, taken
 class Along(NamedTuple):
     """A cell after a constant current: branches, voltage, variances of it.
 
-    ``variance_V2`` is the model's, ``kept_V2`` that of branches and hysteresis, as far as it stays.
+    ``variance_V2`` is the model's, ``kept_V2`` what remains of the branches' and of hysteresis.
     """
 
     voltage_V: float
