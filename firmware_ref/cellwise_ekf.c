@@ -1401,7 +1401,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
  * one over a horizon. */
 
 /* A cell after a constant current: branches, voltage, variances of it. `variance_V2` is the
- * model's, `kept_V2` what is left of the branches' and of hysteresis. */
+ * model's, `kept_V2` that of branches and hysteresis, as far as it stays. */
 typedef struct {
     float voltage_V;
     float variance_V2;

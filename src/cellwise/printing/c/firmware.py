@@ -10,6 +10,7 @@ import ast
 import inspect
 import re
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -48,13 +49,10 @@ ASKED = {
     "pack_power": ("CELLS", "POWER"),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
-EVERYTHING = Options(
-    points=101, temperatures=3, arrhenius=161, depth=161, validity=2,
-    **dict.fromkeys(
-        ("slow", "hysteresis", "efficiency", "leak", "skew", "rate", "asymmetry", "transfer",
-         "surface", "heating", "power", "remaining", "health", "cells"), 1,
-    ),
-)  # fmt: skip
+# Tables of two temperatures and over the Arrhenius factor, every effect, every function.
+EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
+    "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
+})  # fmt: skip
 NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
