@@ -116,7 +116,8 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
 
 def _lower_mean(x: FloatArray, lag: int) -> float:
     """Mean of the smaller four fifths of the second differences, whose larger ones hold steps."""
-    bends = np.sort(np.abs(x[2 * lag :] - 2.0 * x[lag : x.size - lag] + x[: x.size - 2 * lag]))
+    n = max(x.size - 2 * lag, 0)
+    bends = np.sort(np.abs(x[2 * lag :] - 2.0 * x[lag : lag + n] + x[:n]))
     lower = bends[: int(0.8 * bends.size)]
     return float(np.mean(lower)) if lower.size else 0.0
 
