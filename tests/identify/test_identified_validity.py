@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.validity import joined, log_validity
+from cellwise.identify.validity import log_validity
 from cellwise.logs.cell_log import CellLog
 
 QUICK = IdentifySettings(nominal_Ah=5.0, refine=False)
@@ -80,16 +80,3 @@ def test_a_pulse_counts_and_a_spike_does_not():
     assert valid.current_A == (0.0, 9.0)
     assert valid.temperature_C == (21.0, 21.0)
     assert valid.soc == pytest.approx((0.4, 1.0), abs=1e-3)
-
-
-def test_several_logs_cover_together():
-    parts = [
-        log_validity(log_of(np.full(50, a)), np.full(50, s), t)
-        for a, s, t in ((1.0, 0.3, -10.0), (-2.0, 0.8, 40.0))
-    ]
-    valid = joined(parts)
-    assert (valid.soc, valid.temperature_C, valid.current_A) == (
-        (0.3, 0.8),
-        (-10.0, 40.0),
-        (-2.0, 1.0),
-    )

@@ -97,15 +97,6 @@ def test_soc_of_a_drive_that_was_not_seen(nmc, drive):
     assert found.coverage_2sigma > 0.9
 
 
-@pytest.mark.slow
-def test_a_drive_among_the_tests_does_no_harm_to_other_drives(nmc):
-    driven = identify_cell(nmc_tests(drive=("drive_a",)), NMC).model
-    for name in ("nmc_drive_b", "nmc_drive_c"):
-        log, soc0 = load_dataset(name), TRUTH[name]["initial_soc"]
-        alone = simulate(nmc.model, log, soc0).rmse_above_10pct_V
-        assert simulate(driven, log, soc0).rmse_above_10pct_V < 1.05 * alone
-
-
 def test_capacity_choices_are_what_the_counter_says(nmc):
     for rate in ("c20", "c5", "c3"):
         log = load_dataset(f"nmc_cap_{rate}")
@@ -120,19 +111,6 @@ def test_capacity_choices_are_what_the_counter_says(nmc):
 
 
 @pytest.mark.parametrize(
-    "choice", ["nominal", "cc-average", "cc-cv-average", "hppc-total", "rate:C/3", "rate:C/5"]
-)
-@pytest.mark.slow
-def test_a_capacity_choice_changes_the_capacity_and_all_that_refers_to_it(quick, choice):
-    found = identify_cell(nmc_tests(), replace(QUICK, capacity_choice=choice))
-    assert found.capacity_choice == choice
-    assert found.model.capacity_Ah == quick.capacities[choice]
-    assert found.model.provenance["capacity"]["choice"] == choice
-    assert found.ocv.capacity_Ah == found.model.capacity_Ah
-    assert found.capacities == quick.capacities
-
-
-@pytest.mark.parametrize(
     "method", ["varpro", "segments", pytest.param("pso", marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("tables", ["spline", "cubic"])
@@ -144,15 +122,6 @@ def test_every_method_and_table_gives_a_working_model(method, tables):
     assert {f.method for f in fitted} == {method}
     assert found.model.provenance["pulses"]["tables"] == tables
     assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < 2.0 * QUARTER
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["segments", "pso"])
-def test_the_refinement_does_not_depend_on_where_the_pulses_left_it(nmc, method):
-    other = identify_cell(nmc_tests(), replace(NMC, method=method)).model
-    inside = slice(30, 190)
-    np.testing.assert_allclose(other.r0_ohm[0, inside], nmc.model.r0_ohm[0, inside], rtol=0.15)
-    np.testing.assert_allclose(other.ocv_V[0, inside], nmc.model.ocv_V[0, inside], atol=0.01)
 
 
 def test_hysteresis_when_it_is_asked_for(nmc):

@@ -141,11 +141,3 @@ def test_lg_cell_at_six_temperatures(real_data):
     assert slow == sorted(slow)
     assert fast == sorted(fast)
     assert fast[0] / fast[-1] < 0.5 < 0.85 < slow[0] / slow[-1]
-
-
-@pytest.mark.parametrize("rate", [1.0 / 100.0, 1.0 / 65.0, 1.0 / 333.0])
-def test_the_slowest_test_is_the_default_however_slow(rate):
-    choices = capacity_choices([measured(rate, 41.0), measured(0.5, 40.0)])
-    name = default_choice(choices)
-    assert choices[name] == pytest.approx(41.0)
-    assert choose_capacity(choices, name)[1] == pytest.approx(41.0)

@@ -88,13 +88,6 @@ def test_a_relaxation_that_is_not_the_pulse_again_is_named():
     assert "mirror" in pulse.reason
 
 
-def test_what_still_relaxes_from_before_is_not_held_against_a_pulse():
-    _, pulses = pulses_of(
-        linear_cell(), rates_c=(2.0,), pulse_s=30.0, pair_rest_s=20.0, rest_s=40.0, noise_V=1e-4
-    )
-    assert {p.quality for p in pulses} == {"healthy"}
-
-
 @pytest.mark.parametrize("limit", ["cv", "stop"])
 @pytest.mark.parametrize("cell", [nmc_cell(), lfp_cell(3.0)], ids=["nmc", "lfp"])
 def test_a_pulse_that_a_limit_cut_is_trimmed_and_no_other(limit, cell):

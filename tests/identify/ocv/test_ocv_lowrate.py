@@ -134,16 +134,6 @@ def test_a123_branches_enclose_the_ocv_at_every_temperature(real_data, tag):
     assert np.all(np.diff(curve.voltage_V) > 0.0)
 
 
-def test_a123_gap_shrinks_with_temperature(real_data):
-    gaps = []
-    for tag in ("n25", "n05", "p15", "p45"):
-        logs = [read_log(real_data / f"plett_a123/ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)]
-        curve = ocv_from_low_rate(logs)
-        gaps.append(float(np.median(curve.gap_V[(curve.soc > 0.3) & (curve.soc < 0.7)])))
-    assert gaps == sorted(gaps, reverse=True)
-    assert 0.02 < gaps[-1] < 0.05  # what is left when warm is hysteresis: LFP has 20 to 50 mV
-
-
 def test_lg_charge_counter_runs_ahead_without_crossing_the_branches(real_data):
     # Its charge counts 7 % more than its discharge: laid by the counter the branches would cross.
     curve = ocv_from_low_rate(read_log(real_data / "lg_18650hg2/ocv_c20_p25_549.csv.gz"))

@@ -35,6 +35,7 @@ class _Limits(NamedTuple):
 
 
 LIMITS = _Limits()
+HEAD = 0.03  # of a current: what leads to a constant voltage may drift by so much
 
 
 @dataclass(frozen=True)
@@ -142,31 +143,27 @@ def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
     at, n = 0, s.time_s.size
     for start, stop, level, rest in zip(*(a.tolist() for a in plateaus), strict=True):
         if start > at:
-            between = _between(at, start, spans[-1] if spans else None, level, s)
+            between, start = _between(at, start, spans[-1] if spans else None, level, s)
             spans.extend(between)
-            start = start if between else at  # the rise belongs to the level that it leads to
         spans.append(_Span("rest" if rest else "cc", start, stop, level))
         at = stop
     if at < n:
         if n - at == 1 and spans:  # the last row alone says nothing
             spans[-1] = spans[-1]._replace(stop=n)
         else:
-            spans.extend(_moving(at, n, s))
+            spans.extend(_moving(at, n, s)[0])
     return spans
 
 
-def _between(a: int, b: int, before: _Span | None, after_A: float, s: _Signals) -> list[_Span]:
-    """What rows a to b between two plateaus are; nothing: the rise to the level that follows."""
+def _between(
+    a: int, b: int, before: _Span | None, after_A: float, s: _Signals
+) -> tuple[list[_Span], int]:
+    """What rows a to b between two plateaus are, and where the second one begins with its rise."""
     inside = s.current_A[a:b]
-    if b - a == 1:
-        if before is None and _rests(inside[0], s.scale):
-            return [_Span("rest", a, b, float(inside[0]))]
-        return []
-    if _held(a, b, s):
-        return [_Span("cv", a, b, float(np.mean(inside)))]
-    begin = before.level_A if before is not None else float(inside[0])
-    if s.seconds(a, b) <= RISE_S and _rises(inside, begin, after_A, s.scale):
-        return []
+    begin_A = before.level_A if before is not None else float(inside[0])
+    rises = b - a == 1 or (s.seconds(a, b) <= RISE_S and _rises(inside, begin_A, after_A, s.scale))
+    if rises and not _held(a, b, s):
+        return [], a
     return _moving(a, b, s)
 
 
@@ -181,25 +178,32 @@ def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale
     return bool(within and np.all(on >= -scale.step_A))
 
 
-def _rests(current_A: float, scale: CurrentScale) -> bool:
-    return bool(abs(current_A - scale.zero_A) <= scale.rest_A)
+def _moving(a: int, b: int, s: _Signals) -> tuple[list[_Span], int]:
+    """Rows that hold no level: constant voltage with what leads to it, or dynamic; where they end.
 
-
-def _moving(a: int, b: int, s: _Signals) -> list[_Span]:
-    """Rows that hold no level: constant voltage, or a beginning and then that, or dynamic."""
-    inside = s.current_A[a:b]
-    mean = float(np.mean(inside))
-    if _held(a, b, s):
-        return [_Span("cv", a, b, mean)]
-    off = np.abs(s.voltage_V[a:b] - s.voltage_V[b - 1]) > 1.5 * s.tolerance_V
-    knee = a + int(np.flatnonzero(off)[-1]) + 1 if off.any() else a
-    if a < knee and b - knee >= max(3, (b - a) // 2) and _held(knee, b, s):
-        head = s.current_A[a:knee]
-        flat = np.ptp(head) <= max(s.scale.step_A, 0.03 * float(np.max(np.abs(head))))
-        kind: PhaseKind = "cc" if flat or s.seconds(a, knee) <= RISE_S else "dynamic"
-        tail = float(np.mean(s.current_A[knee:b]))
-        return [_Span(kind, a, knee, float(np.mean(head))), _Span("cv", knee, b, tail)]
-    return [_Span("dynamic", a, b, mean)]
+    The last rows, up to a tester's rise, may lead from the constant voltage to what follows.
+    """
+    v = s.voltage_V[a:b]
+    near = np.flatnonzero(np.abs(v - np.sort(v)[v.size // 2]) <= 1.5 * s.tolerance_V)
+    first, last = a + int(near[0]), a + int(near[-1]) + 1
+    if last < b and s.seconds(last, b) > RISE_S:
+        last = b
+    elif last < b and last - first > 1:  # the first row of the fall may be near by its voltage
+        change = np.abs(np.diff(s.current_A[last - 2 : last]))[0]
+        last -= int(change > HEAD * abs(s.current_A[last - 2]))
+    whole = last - first >= max(3, (b - a) // 2) and _held(first, last, s)
+    if not whole and _held(a, b, s):
+        first, last, whole = a, b, True
+    if not whole:
+        return [_Span("dynamic", a, b, float(np.mean(s.current_A[a:b])))], b
+    spans = []
+    if first > a:
+        head = s.current_A[a:first]
+        flat = np.ptp(head) <= max(s.scale.step_A, HEAD * float(np.max(np.abs(head))))
+        kind: PhaseKind = "cc" if flat or s.seconds(a, first) <= RISE_S else "dynamic"
+        spans.append(_Span(kind, a, first, float(np.mean(head))))
+    spans.append(_Span("cv", first, last, float(np.mean(s.current_A[first:last]))))
+    return spans, last
 
 
 def _held(a: int, b: int, s: _Signals) -> bool:

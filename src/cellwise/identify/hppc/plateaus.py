@@ -1,15 +1,20 @@
-"""Levels of a current: runs of rows at one level, as far as the noise allows."""
+"""Levels of a current: runs of rows at one level, as far as the noise allows.
+
+Loads between rests are cut in two where the current changes most, and the parts again, until a part
+holds one level: nothing in it is a change, or none that the scatter of its rows would not make
+(binary segmentation; Scott and Knott 1974, doi:10.2307/2529204). Each part has its own noise,
+because the device that makes it may be another one.
+"""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
+from cellwise.cell.compiled import cached
 from cellwise.typing import BoolArray, FloatArray
 
 RowArray = NDArray[np.int64]
@@ -18,40 +23,39 @@ RowArray = NDArray[np.int64]
 class _Limits(NamedTuple):
     """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
-    step_sigmas: float = 8.5  # two samples of one level differ by less
-    rest_sigmas: float = 6.0  # so far from zero a sample is no rest
-    step: float = 2e-3  # of the range: the least of a step ...
-    rest: float = 1e-3  # ... and of what is no rest, where the noise would allow less
-    zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
+    near_zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
+    rest_sigmas: float = 6.0  # so far from zero a sample is no rest, ...
+    moving: float = 0.05  # of the range: so many sigmas that are more are a moving current
+    rest: float = 1e-3  # ... and at least so much of the range
+    step: float = 2e-3  # of the range: the least change
+    glitch: float = 0.1  # of a glitch: its neighbours differ by less
+    coarse: float = 0.05  # of the range: the largest resolution, ...
+    coarse_rows: float = 0.01  # ... which goes back and forth in at least this share of the rows
     flat: float = 0.01  # of a level: a held current may drift by so much
-    # More scatter than this share of the range, or that grows with the distance of the samples, is
-    # a moving current and not noise.
-    noise: float = 0.3
-    # Steps of this share of the range shall be seen: more noise asks for smoothing, by so many rows
-    # at most. Without it currents of A123 and Samsung break into hundreds of pieces.
-    seen_step: float = 0.02
-    smoothing_rows: int = 15
-    # A resolution goes back and forth in this share of the rows; a coarse one (LG at C/20) oftener.
-    coarse: float = 0.05
-    coarse_rows: float = 0.02
-    fine_rows: float = 0.005
-    white_growth: float = 1.3  # of second differences at twice the distance: more is no noise
-    chunks: int = 8  # a level is flat whose eighths have one mean; blocks of noise are as long
-    level_rows: int = 64  # more of a level say nothing new
+    slope: float = 0.1  # of a level: a smaller change may be the step of a slope
+    knee: float = 1e-3  # of a level: as near to it is its last row before a slope
 
 
-class _NoisyLevel(NamedTuple):
-    """A level noisier than the others, for another device makes it."""
+class _White(NamedTuple):
+    """When the rows of a part are one level and noise, sigma that of their second differences.
 
-    change: float = 0.5  # of the level: it lies between two such changes
-    rows: int = 16  # from so many on white noise is separated from a moving current, ...
-    scatter: float = 0.15  # ... and this is the most of it, as a share of the level
-    few_rows: int = 8
-    few_scatter: float = 0.04  # all of few rows lie within this share
+    The sum of deviations from the mean, over sigma sqrt(n), is the bridge of Kolmogorov: of white
+    noise 0.83 in the median, beyond 1.25 in one part of twelve, beyond 2 in one of 1,500.
+    """
+
+    rows: int = 32  # of a part whose noise can be known ...
+    change: float = 4.0  # ... with noise that need not be white: so large a sum is a change
+    scatter: float = 0.2  # of the level, at most: more is a drive
+    drift: float = 0.01  # of the level, between both sides of the change, is none
+    growth: float = 1.5  # of second differences at twice the distance: more is no noise
+    few: float = 0.05  # of the level: the range of fewer rows whose sum is below half of that
+    alone: float = 0.3  # of the level: scatter of a whole load between rests ...
+    quiet: float = 1.25  # ... whose sum is below this
 
 
-LIMITS, NOISY = _Limits(), _NoisyLevel()
+LIMITS, WHITE = _Limits(), _White()
 MEAN_BEND = math.sqrt(12.0 / math.pi)  # mean size of a second difference of noise of unit sigma
+LOWER_BEND = 1.367  # mean of the smaller four fifths of them
 # Up to this long, what lies between two plateaus is the tester's rise.
 RISE_ROWS, RISE_S = 8, 3.0
 
@@ -59,20 +63,16 @@ RISE_ROWS, RISE_S = 8, 3.0
 class CurrentScale(NamedTuple):
     """What the noise and the range of a current allow to be separated [A].
 
-    noise_A : standard deviation of one sample about its level
     zero_A : what the sensor reads at rest
     rest_A : distance from ``zero_A`` within which a sample is a rest
     step_A : smallest difference of two samples that is not noise
     range_A : largest current
-    smoothing_rows : width of the running median that the noise asks for; 1 = none
     """
 
-    noise_A: float
     zero_A: float
     rest_A: float
     step_A: float
     range_A: float
-    smoothing_rows: int
 
 
 class Plateaus(NamedTuple):
@@ -85,39 +85,41 @@ class Plateaus(NamedTuple):
 
 
 def current_scale(current_A: FloatArray) -> CurrentScale:
-    """Noise, zero and tolerances of a current, from the samples alone.
-
-    The noise is that of the quietest blocks at rest or of the quietest under load, whichever is
-    larger, because testers clamp zero.
+    """Zero and tolerances of a current, from the samples alone.
 
     Parameters
     ----------
     current_A : (n,) float       finite [A]
     """
     top = float(np.max(np.abs(current_A)))
-    if top == 0.0:
-        return CurrentScale(0.0, 0.0, 0.0, 0.0, 0.0, 1)
-    lsb = _resolution(current_A, top)
-    noise = max(_noise(current_A, top, lsb), 0.3 * lsb)
-    if top < LIMITS.rest_sigmas * noise:  # nothing flows in this log
-        return CurrentScale(noise, 0.0, top, 3.0 * top, top, 1)
-    # Where the resolution makes the noise, samples jump by one step of it, seldom by two.
-    rounded = noise < 0.6 * lsb
-    width = 1
-    if not rounded and LIMITS.step_sigmas * noise > LIMITS.seen_step * top:
-        wanted = (1.25 * LIMITS.step_sigmas * noise / (LIMITS.seen_step * top)) ** 2
-        width = int(min(2 * (wanted // 2) + 1, LIMITS.smoothing_rows))
-    seen = 0.0 if rounded else noise if width == 1 else 1.25 * noise / np.sqrt(width)
-    step = max(LIMITS.step_sigmas * float(seen), LIMITS.step * top, 2.5 * lsb if rounded else 0.0)
-    rest = max(LIMITS.rest_sigmas * float(seen), LIMITS.rest * top, 1.5 * lsb)
-    near = current_A[np.abs(current_A) <= max(LIMITS.zero * top, 4.0 * noise)]
-    zero = float(np.median(near)) if near.size else 0.0
+    moved = np.abs(np.diff(current_A))
+    moved = moved[moved > 1e-9 * top]
+    lsb = float(moved.min()) if moved.size else 0.0
+    coarse = np.count_nonzero(moved < 1.01 * lsb) > LIMITS.coarse_rows * current_A.size
+    if not coarse or lsb > LIMITS.coarse * top:
+        lsb = 0.0
+    near = current_A[np.abs(current_A) <= LIMITS.near_zero * top]
+    zero = scatter = 0.0
+    if near.size:
+        zero = float(np.median(near))
+        scatter = 1.4826 * float(np.median(np.abs(near - zero)))
     if abs(zero) > LIMITS.step * top:  # the end of a CV part, or a small load: not the zero
         zero = 0.0
-    if near.size:
-        scatter = 1.4826 * float(np.median(np.abs(near - zero)))
-        rest = max(rest, min(LIMITS.rest_sigmas * scatter, LIMITS.step * top))
-    return CurrentScale(noise, zero, rest, step, top, width)
+    near_mean, far_mean = (_lower_mean(current_A, lag) for lag in (1, 2))
+    noise = LIMITS.rest_sigmas * near_mean / LOWER_BEND
+    if noise > LIMITS.moving * top or far_mean > WHITE.growth * near_mean:
+        noise = 0.0  # a current that moves
+    rest = max(noise, min(LIMITS.rest_sigmas * scatter, LIMITS.near_zero * top))
+    rest = max(rest, LIMITS.rest * top, 1.5 * lsb)
+    return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb), top)
+
+
+def _lower_mean(x: FloatArray, lag: int) -> float:
+    """Mean of the smaller four fifths of the second differences, whose larger ones hold steps."""
+    n = max(x.size - 2 * lag, 0)
+    bends = np.sort(np.abs(x[2 * lag :] - 2.0 * x[lag : lag + n] + x[:n]))
+    lower = bends[: int(0.8 * bends.size)]
+    return float(np.mean(lower)) if lower.size else 0.0
 
 
 def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> Plateaus:
@@ -129,22 +131,55 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
     scale : CurrentScale         found from the current where it is not given
     """
     scale = scale or current_scale(current_A)
-    x = current_A
-    if scale.smoothing_rows > 1:
-        x = median_filter(current_A, scale.smoothing_rows, mode="nearest")
+    # One row alone, far off two neighbours that are alike, is a glitch of the sensor.
+    x = current_A.copy()
+    middle = 0.5 * (x[2:] + x[:-2])
+    off = np.abs(x[1:-1] - middle)
+    glitch = (off > scale.step_A) & (np.abs(x[2:] - x[:-2]) < LIMITS.glitch * off)
+    x[1:-1][glitch] = middle[glitch]
     rest = np.abs(x - scale.zero_A) <= scale.rest_A
-    broken = (np.abs(np.diff(x)) > scale.step_A) | (rest[1:] != rest[:-1])
-    noise = _level_noise(x, rest, broken, scale)
-    broken &= ~((noise[1:] > scale.noise_A) & (noise[:-1] == noise[1:]))
-    start = np.concatenate(([0], np.flatnonzero(broken) + 1))
-    stop = np.append(start[1:], x.size)
+    cuts = np.flatnonzero((rest[1:] != rest[:-1]) | (x[1:] * x[:-1] < 0.0) & ~rest[1:]) + 1
+    bounds = np.concatenate(([0], cuts, [x.size]))
     total = np.concatenate(([0.0], np.cumsum(x)))
-    start, stop = _flat_pieces(x, total, start, stop, rest, noise, scale)
+    found: list[tuple[int, int]] = []
+    parts = np.empty((x.size, 2), dtype=np.int64)
+    for a, b in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        if rest[a]:
+            found.append((a, b))
+        else:
+            count = _levels(x, total, a, b, scale.step_A, parts)
+            found += _without_slopes(x, total, parts[:count])
+    # The first row of a log may be all that is seen of the rest before.
+    held = [(a, b) for a, b in found if b - a >= 2 or (a == 0 and rest[0])]
+    start, stop = np.array(held, dtype=np.int64).reshape(-1, 2).T
+    return Plateaus(start, stop, (total[stop] - total[start]) / (stop - start), rest[start])
+
+
+def _without_slopes(x: FloatArray, total: FloatArray, parts: RowArray) -> list[tuple[int, int]]:
+    """Parts that are levels: of a current that moves slowly, its steps are none.
+
+    A step is one whose level differs little from both neighbours, up or down a slope, or that has
+    few rows and differs little from one. A level ends where the slope after it begins.
+    """
+    start, stop = parts.T
     level = (total[stop] - total[start]) / (stop - start)
-    plateaus = Plateaus(start, stop, level, rest[start])
-    for _ in range(2):  # once for the runs, once for what then has become a neighbour
-        plateaus = _merge_level(plateaus, noise)
-    return plateaus if scale.smoothing_rows == 1 else _sharpened(current_A, plateaus, scale)
+    change = np.concatenate(([0.0], np.diff(level) / np.abs(level[1:]), [0.0]))
+    before, after = change[:-1], change[1:]
+    little = [(np.abs(c) < LIMITS.slope) & (c != 0.0) for c in (before, after)]
+    slope = little[0] & little[1] & (before * after > 0.0)
+    slope |= (little[0] | little[1]) & (stop - start < RISE_ROWS)
+    found = []
+    for k in np.flatnonzero(~slope).tolist():
+        a, b = int(start[k]), int(stop[k])
+        level_A = np.median(x[a:b])
+        near = max(4.0 * 1.4826 * np.median(np.abs(x[a:b] - level_A)), LIMITS.knee * abs(level_A))
+        if little[1][k]:
+            b = a + int(np.flatnonzero(np.abs(x[a:b] - level_A) <= near)[-1]) + 1
+        follows = b == stop[k] and k + 1 < start.size
+        if follows and (slope[k + 1] or stop[k + 1] - b < 2) and abs(x[b] - level_A) <= near:
+            b += 1  # the first row of a fall
+        found.append((a, b))
+    return found
 
 
 def without_ramps(p: Plateaus, time_s: FloatArray) -> Plateaus:
@@ -160,215 +195,74 @@ def without_ramps(p: Plateaus, time_s: FloatArray) -> Plateaus:
     """
     short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
     short[:1] = short[-1:] = False
-    first = np.flatnonzero(short & ~np.concatenate(([False], short[:-1])))
-    last = np.flatnonzero(short & ~np.concatenate((short[1:], [False])))
-    if first.size == 0:
-        return p
-    kept = np.ones(p.start.size, dtype=np.bool_)
-    took = time_s[p.start[last + 1] - 1] - time_s[p.stop[first - 1] - 1]
-    for a, b in zip(first[took <= RISE_S], last[took <= RISE_S], strict=True):
-        climb = np.diff(p.level_A[a - 1 : b + 2])
-        kept[a : b + 1] = not (np.all(climb > 0.0) or np.all(climb < 0.0))
-    return _chosen(p, kept)
-
-
-def _chosen(p: Plateaus, kept: BoolArray) -> Plateaus:
+    kept = ~short
+    for pieces in np.split(
+        np.flatnonzero(short), np.flatnonzero(np.diff(np.flatnonzero(short)) > 1) + 1
+    ):
+        if pieces.size == 0:
+            continue
+        first, last = int(pieces[0]) - 1, int(pieces[-1]) + 1
+        climb = np.diff(p.level_A[first : last + 1])
+        took_s = time_s[p.start[last] - 1] - time_s[p.stop[first] - 1]
+        kept[pieces] = took_s > RISE_S or not (np.all(climb > 0.0) or np.all(climb < 0.0))
     return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
 
 
-def _resolution(current_A: FloatArray, top: float) -> float:
-    """Smallest change of the current [A], 0 where that is a step of a log without noise."""
-    moved = np.abs(np.diff(current_A))
-    moved = moved[moved > 1e-9 * top]
-    lsb = float(moved.min()) if moved.size else 0.0
-    # A resolution shows by going back and forth all the time.
-    share = np.count_nonzero(moved < 1.01 * lsb) / current_A.size
-    fine = lsb <= LIMITS.zero * top and share > LIMITS.fine_rows
-    coarse = lsb <= LIMITS.coarse * top and share > LIMITS.coarse_rows
-    return lsb if fine or coarse else 0.0
+@cached()
+def _levels(
+    x: FloatArray, total: FloatArray, start: int, stop: int, step_A: float, parts: RowArray
+) -> int:
+    """Parts of rows start to stop that hold one level, in order: their number.
 
-
-def _noise(current_A: FloatArray, top: float, lsb: float) -> float:
-    """Standard deviation of a sample about its level [A], 0 where the log does not show it.
-
-    Second differences, because a slope is not noise; of the quietest blocks, because most blocks
-    of a drive hold steps; at two distances of the samples, because the differences of noise do
-    not grow with it and those of a moving current do.
+    Parameters
+    ----------
+    x, total : (n,), (n + 1,) float      current and its running sum [A]
+    step_A : float                       smallest change [A]
+    parts : (rows, 2) int64, out         first row, row after the last
     """
-    n = current_A.size // LIMITS.chunks * LIMITS.chunks
-    if n == 0:
-        return 0.0
-    blocks = current_A[:n].reshape(-1, LIMITS.chunks)
-    near, far = (_bends(blocks, lag) for lag in (1, 2))
-    middle = (near.shape[1] - 1) // 2
-    typical = np.partition(near, middle, axis=1)[:, middle]
-    loaded = np.abs(blocks.mean(axis=1)) > LIMITS.zero * top
-    found = 0.0
-    for group in (loaded, ~loaded):
-        if not group.any():
-            continue
-        quiet = max(float(np.quantile(typical[group], 0.2)), lsb)
-        calm = group & (typical <= 4.0 * quiet)
-        # An edge inside a block counts as little more than noise, and not at all where most have
-        # none: it bends more of the wide differences than of the narrow ones.
-        whole = calm & (np.max(far, axis=1) <= 10.0 * quiet)
-        if 2 * np.count_nonzero(whole) > np.count_nonzero(calm):
-            calm = whole
-        one, two = (float(np.mean(np.minimum(x[calm], 10.0 * quiet))) for x in (near, far))
-        sigma = one / MEAN_BEND
-        if two < LIMITS.white_growth * one and sigma < LIMITS.noise * top:
-            found = max(found, sigma)
-    return found
-
-
-def _level_noise(
-    x: FloatArray, rest: BoolArray, broken: BoolArray, scale: CurrentScale
-) -> FloatArray:
-    """Standard deviation of every row about its level [A], shape (n,).
-
-    That of the whole log, save where a stretch between two large changes is noisier and yet holds
-    one level: a charger may regulate more coarsely than the load beside it.
-    """
-    noise = np.full(x.size, scale.noise_A)
-    size = np.maximum(np.abs(x[1:]), np.abs(x[:-1]))
-    large = np.abs(np.diff(x)) > np.maximum(NOISY.change * size, scale.step_A)
-    cut = np.flatnonzero(large | (rest[1:] != rest[:-1])) + 1
-    count = np.concatenate(([0], np.cumsum(broken)))
-    for a, b in pairwise([0, *cut.tolist(), x.size]):
-        if b - a < NOISY.few_rows or rest[a]:
-            continue
-        if count[b - 1] == count[a] and float(np.ptp(x[a:b])) <= scale.step_A:
-            continue  # one plateau as it is
-        # The first row, and the last, may hold part of a switch.
-        first, last = a + 1, b - 1
-        sigma = _scatter_of_level(x[first:last], scale)
-        if sigma > 0.0:
-            level = float(np.mean(x[first:last]))
-            near = max(4.0 * sigma, NOISY.few_scatter * abs(level))
-            first -= abs(float(x[a]) - level) <= near
-            last += abs(float(x[b - 1]) - level) <= near
-            noise[first:last] = sigma
-    return noise
-
-
-def _scatter_of_level(part: FloatArray, scale: CurrentScale) -> float:
-    """Standard deviation of rows that hold one level and are noisier than the log, else 0 [A]."""
-    level = abs(float(np.mean(part)))
-    if part.size < NOISY.rows:
-        width = float(np.ptp(part))
-        return 0.5 * width if width <= NOISY.few_scatter * level else 0.0
-    near, far = (_bends(part[None, :], lag) for lag in (1, 2))
-    ceiling = 10.0 * float(np.median(near))
-    one, two = (float(np.mean(np.minimum(d, ceiling))) for d in (near, far))
-    sigma = one / MEAN_BEND
-    cuts = np.arange(LIMITS.chunks + 1) * part.size // LIMITS.chunks
-    means = np.add.reduceat(part, cuts[:-1]) / np.diff(cuts)
-    flat = np.ptp(means) <= 6.0 * sigma / np.sqrt(part.size / LIMITS.chunks)
-    noisier = scale.noise_A < sigma < NOISY.scatter * level
-    white = two < (LIMITS.white_growth + 1.5 / np.sqrt(part.size)) * one
-    return sigma if flat and noisier and white else 0.0
-
-
-def _bends(blocks: FloatArray, lag: int) -> FloatArray:
-    bends: FloatArray = np.abs(
-        blocks[:, 2 * lag :] - 2 * blocks[:, lag:-lag] + blocks[:, : -2 * lag]
-    )
-    return bends
-
-
-def _flat_pieces(
-    x: FloatArray,
-    total: FloatArray,
-    start: RowArray,
-    stop: RowArray,
-    rest: BoolArray,
-    noise: FloatArray,
-    scale: CurrentScale,
-) -> tuple[RowArray, RowArray]:
-    """Runs that hold one level; a run that drifts gives its flat beginning and its flat end."""
-    rows = stop - start
-    low = np.minimum.reduceat(x, start)
-    high = np.maximum.reduceat(x, start)
-    allowed = np.maximum(scale.step_A, LIMITS.flat * np.abs(0.5 * (low + high)))
-    flat = (rows >= 2) & ((high - low <= allowed) | rest[start])
-    uncertain = np.flatnonzero(~flat & (rows >= LIMITS.chunks))
-    if uncertain.size:
-        # Noise widens the range of a long run without bending it: compare means of eighths.
-        parts = np.arange(LIMITS.chunks + 1) * rows[uncertain, None] // LIMITS.chunks
-        cuts = start[uncertain, None] + parts
-        means = np.diff(total[cuts], axis=1) / np.diff(cuts, axis=1)
-        bound = np.maximum(
-            6.0 * noise[start[uncertain]] / np.sqrt(rows[uncertain] / LIMITS.chunks),
-            LIMITS.flat * np.abs(means).max(axis=1),
-        )
-        flat[uncertain] = np.ptp(means, axis=1) <= bound
-    pieces = [np.column_stack((start[flat], stop[flat]))]
-    for k in np.flatnonzero(~flat & (rows >= 2 * LIMITS.chunks)).tolist():
-        a, b = int(start[k]), int(stop[k])
-        head = a + _flat_head(x[a:b], scale)
-        tail = b - _flat_head(x[head:b][::-1], scale)
-        found = [(p, q) for p, q in ((a, head), (tail, b)) if q - p >= 2]
-        pieces.append(np.array(found, dtype=np.int64).reshape(-1, 2))
-    both = np.concatenate(pieces).astype(np.int64)
-    both = both[np.argsort(both[:, 0], kind="stable")]
-    return both[:, 0], both[:, 1]
-
-
-def _flat_head(x: FloatArray, scale: CurrentScale) -> int:
-    """Number of rows from the first on that stay at the level they begin with (0: none)."""
-    if x.size < LIMITS.chunks:
-        return 0
-    level = float(np.median(x[: LIMITS.chunks + 1]))
-    off = np.abs(x - level) > max(4.0 * scale.noise_A, LIMITS.flat * abs(level))
-    left = np.flatnonzero(off[:-1] & off[1:])  # two rows running: one alone is a glitch
-    head = int(left[0]) if left.size else x.size
-    if head < LIMITS.chunks:
-        return 0
-    # The knee lies before the row at which the drift has grown to the tolerance.
-    level = float(np.median(x[:head]))
-    close = np.abs(x[:head] - level) <= max(4.0 * scale.noise_A, 1e-3 * abs(level))
-    knee = int(np.flatnonzero(close)[-1]) + 1 if close.any() else head
-    return knee if knee >= max(LIMITS.chunks, head // 2) else head
-
-
-def _merge_level(p: Plateaus, noise_A: FloatArray) -> Plateaus:
-    """Join neighbours of one level that only a glitch of one row, or nothing, parts."""
-    if p.start.size < 2:
-        return p
-    between = p.start[1:] - p.stop[:-1]
-    difference = np.abs(np.diff(p.level_A))
-    n = np.minimum(p.stop - p.start, LIMITS.level_rows)
-    noise = noise_A[p.start]
-    noise = np.maximum(noise[1:], noise[:-1])
-    error = 4.0 * noise * np.sqrt(1.0 / n[1:] + 1.0 / n[:-1])
-    larger = np.maximum(np.abs(p.level_A[1:]), np.abs(p.level_A[:-1]))
-    same = difference <= np.maximum(error, 0.5 * LIMITS.flat * larger)
-    same |= p.rest[1:] & p.rest[:-1]
-    joined = same & (between <= 1) & (p.rest[1:] == p.rest[:-1])
-    first = np.flatnonzero(np.concatenate(([True], ~joined)))
-    last = np.append(first[1:], p.start.size) - 1
-    rows = (p.stop - p.start).astype(np.float64)
-    level = np.add.reduceat(p.level_A * rows, first) / np.add.reduceat(rows, first)
-    return Plateaus(p.start[first], p.stop[last], level, p.rest[first])
-
-
-def _sharpened(x: FloatArray, p: Plateaus, scale: CurrentScale) -> Plateaus:
-    """Put each change found in the smoothed current where the raw samples have it.
-
-    The running median may move a change by some rows: the split with the least squares about
-    the two levels is the likeliest row.
-    """
-    reach = scale.smoothing_rows
-    # A running median leaves nothing shorter than half its width but pieces of a slope.
-    p = _chosen(p, p.stop - p.start > reach // 2)
-    start, stop = p.start.copy(), p.stop.copy()
-    for k in range(p.start.size - 1):
-        if start[k + 1] - stop[k] > reach:
-            continue
-        a = max(int(start[k]), int(stop[k]) - reach)
-        b = min(int(stop[k + 1]), int(start[k + 1]) + reach)
-        gain = (x[a:b] - p.level_A[k + 1]) ** 2 - (x[a:b] - p.level_A[k]) ** 2
-        # Cost of a split at s, up to a constant: the rows before s at the old level.
-        row = a + int(np.argmax(np.concatenate(([0.0], np.cumsum(gain)))))
-        stop[k] = start[k + 1] = row
-    return _chosen(p._replace(start=start, stop=stop), stop - start >= 1)
+    todo = np.empty((stop - start + 1, 2), dtype=np.int64)
+    todo[0, 0], todo[0, 1] = start, stop
+    open_, count = 1, 0
+    while open_ > 0:
+        open_ -= 1
+        a, b = todo[open_, 0], todo[open_, 1]
+        n = b - a
+        mean = (total[b] - total[a]) / n
+        low = high = x[a]
+        largest, split = 0.0, a + 1
+        for k in range(a, b):
+            low, high = min(low, x[k]), max(high, x[k])
+            away = abs(total[k + 1] - total[a] - (k + 1 - a) * mean)
+            if k + 1 < b and away > largest:
+                largest, split = away, k + 1
+        flat = high - low <= max(step_A, LIMITS.flat * abs(mean))
+        if not flat and n > 2:
+            bends = wide = 0.0
+            for k in range(a + 2, b):
+                bends += abs(x[k] - 2.0 * x[k - 1] + x[k - 2])
+            for k in range(a + 4, b):
+                wide += abs(x[k] - 2.0 * x[k - 2] + x[k - 4])
+            bends, wide = bends / (n - 2), wide / max(n - 4, 1)
+            sigma = bends / MEAN_BEND
+            white = wide <= (WHITE.growth + 1.5 / math.sqrt(n)) * bends
+            before = (total[split] - total[a]) / (split - a)
+            after = (total[b] - total[split]) / (b - split)
+            same = abs(before - after) <= WHITE.drift * abs(mean)
+            few = high - low <= WHITE.few * abs(mean)
+            flat = few and largest <= 0.5 * WHITE.change * sigma * math.sqrt(n)
+            spread = 0.0
+            for k in range(a, b):
+                spread += (x[k] - mean) ** 2
+            spread = max(sigma, math.sqrt(spread / n)) / max(abs(mean), 1e-12)
+            if n >= WHITE.rows and white and spread <= WHITE.scatter:
+                flat = flat or same or largest <= WHITE.change * sigma * math.sqrt(n)
+            if a == start and b == stop and n >= RISE_ROWS and white and spread <= WHITE.alone:
+                flat = flat or largest <= WHITE.quiet * sigma * math.sqrt(n)
+        if flat or n < 2:
+            parts[count, 0], parts[count, 1] = a, b
+            count += 1
+        else:  # the first half last, so that it is looked at next
+            todo[open_, 0], todo[open_, 1] = split, b
+            todo[open_ + 1, 0], todo[open_ + 1, 1] = a, split
+            open_ += 2
+    return count
