@@ -92,21 +92,22 @@ class Circuit:
     ) -> PulseFit:
         """A fit with its residual and the standard errors of the ``free`` parameters.
 
-        Those of least squares, with as many rows as residuals are independent. A time constant
-        whose branch has no resistance is not seen: inf. What was not free: 0.
+        The noise is equal in all rows, whatever weight they have, and as many rows count as
+        residuals are independent. A time constant whose branch has no resistance is not seen: inf.
+        What was not free: 0.
         """
         used = self.weight > 0.0
         root = np.sqrt(self.weight[used])
-        residual = root * self._residual_V(value)[used]
+        residual = self._residual_V(value)[used]
         jacobian = self._jacobian(value)[used] * root[:, None]
         names = value._fields
         shown = [k for k, n in enumerate(names) if n in free and np.any(jacobian[:, k])]
         size = np.linalg.norm(jacobian[:, shown], axis=0)
         inverse = np.linalg.pinv(jacobian[:, shown] / size) / size[:, None]
         variance = float(residual @ residual) / max(residual.size - len(free), 1)
-        variance *= residual.size / independent_samples(residual)
+        variance *= residual.size / independent_samples(root * residual)
         error = np.array([np.inf if n in free else 0.0 for n in names])
-        error[shown] = np.sqrt(variance) * np.linalg.norm(inverse, axis=1)
+        error[shown] = np.sqrt(variance) * np.linalg.norm(inverse * root, axis=1)
         return PulseFit(
             method=method,
             soc=self.data.mean_soc,
