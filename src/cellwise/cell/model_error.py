@@ -176,10 +176,6 @@ class ModelError:
         slow = sum(self.weights[k] for k in self._slow)
         return self.persistent_share * (self.weights[-1] / slow if slow > 0.0 else 1.0)
 
-    def scaled(self, times: float) -> ModelError:
-        """The same with every deviation so many times as large; shares as they are."""
-        return replace(self, std_V=_times(self.std_V, times))
-
     def with_slow(self, std_V: FloatArray, share: float) -> ModelError:
         """With as much more in the slowest process: over an even SOC grid [V], and a share."""
         points = max(len(std_V), len(self.std_V[-1][0]))
@@ -255,10 +251,6 @@ def in_bands(
 
 def _tuples(values: Any) -> Any:
     return tuple(_tuples(v) for v in values) if isinstance(values, list) else values
-
-
-def _times(tables: tuple[Table, ...], times: float) -> tuple[Table, ...]:
-    return tuple(tuple(tuple(times * v for v in row) for row in table) for table in tables)
 
 
 def _check(error: ModelError) -> None:

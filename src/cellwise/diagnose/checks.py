@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.least_squares import Fit
 from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.errors import InputError
-from cellwise.identify.refinement.sustained import charged_for_minutes
+from cellwise.identify.refinement.model_error import charged_for_minutes
 from cellwise.logs.cell_log import CellLog, check_is_log
 
 Logs = CellLog | Sequence[CellLog]

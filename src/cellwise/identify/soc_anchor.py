@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import STATED_STD, InitialSoc
-from cellwise.cell.initial_soc.unseen_past import Branches, rested_ocv, usual_load
+from cellwise.cell.initial_soc.rest import Branches, rested_ocv, usual_load
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
@@ -24,31 +25,37 @@ class AnchorErrors(NamedTuple):
     capacity : float        of the charge between a rest and the start: another age or temperature
     later_rests : float     later rests share one capacity and one OCV, and are wrong together: all
                             of them count as so many
-    assumed : float         a start known worse than this is not taken for full, only named so
-    plausible : float       deviations within which a log may still have begun full
     """
 
     ocv_V: float = 0.005
     capacity: float = 0.03
     later_rests: float = 2.0
-    assumed: float = 0.1
-    plausible: float = 2.0
 
 
 class FullTest(NamedTuple):
-    """When a test of the capacity began full: by its voltages, and what it moved before [1]."""
+    """When a log began full.
 
+    Every second one does, to ``std``, and any other SOC is as likely as the next: by ``odds``. A
+    test of the capacity that does not seem below ``likely``, and has ``moved`` no more before its
+    discharge.
+    """
+
+    odds: float = 2.0
     likely: float = 0.8
     moved: float = 0.01
     std: float = 0.01
 
 
 class LookedAt(NamedTuple):
-    """What shows a start: rests below a rate [1/h] of a length, without one the first rows [s]."""
+    """What shows a start: rests below a rate [1/h] of a length, without one the first rows [s].
+
+    ``past_s``: load that an unknown past is taken to be like.
+    """
 
     rest_rate: float = 0.01
     rest_s: float = 600.0
     first_s: float = 60.0
+    past_s: float = 600.0
 
 
 class UsualCell(NamedTuple):
@@ -107,14 +114,18 @@ def anchor_soc(
     mean = float(np.average(grid, weights=weight))
     std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
     before = float(np.min(log.counted_charge_Ah())) / capacity_Ah
-    if mean + ERRORS.plausible * std >= 1.0:
-        # Nothing speaks against full, and that is how tests begin; a voltage that says nothing at
-        # all is no reason to believe it.
-        sure = FULL_TEST.std if std <= ERRORS.assumed else std
-        return InitialSoc(1.0, min(max(std, 0.005), sure), f"{how}: full")
-    if abs(mean - before - 1.0) <= ERRORS.plausible * max(std, 0.01):
-        return InitialSoc(max(1.0 + before, 0.0), max(std, 0.005), f"{how}: charged full later")
+    for charged, said in ((0.0, "full"), (before, "charged full later")):
+        if likely_full(mean - charged, std):
+            known = min(max(std, 0.005), FULL_TEST.std)
+            return InitialSoc(max(1.0 + charged, 0.0), known, f"{how}: {said}")
     return InitialSoc(mean, max(std, 0.002), how)
+
+
+def likely_full(soc: float, std: float) -> bool:
+    """Whether a log that seems to begin at ``soc`` +- ``std`` began full, surely enough."""
+    wide = max(std, FULL_TEST.std)
+    density = math.exp(-0.5 * ((1.0 - soc) / wide) ** 2) / (math.sqrt(2.0 * math.pi) * wide)
+    return density > FULL_TEST.odds
 
 
 def full_before(
@@ -131,6 +142,12 @@ def full_before(
     if anchor.soc < FULL_TEST.likely or abs(before) > FULL_TEST.moved:
         return anchor
     return InitialSoc(1.0, min(anchor.std, FULL_TEST.std), "a test of the capacity: full")
+
+
+def mean_current_A(log: CellLog) -> float:
+    """Of the log's first minutes, which a past that nobody saw is taken to be like [A]."""
+    early = log.time_s <= log.time_s[0] + LOOKED_AT.past_s
+    return float(np.mean(log.known_current_A()[early]))
 
 
 def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:
@@ -171,7 +188,9 @@ def _evidence(
         q, v, e = np.array(found).T
         return q, v, e, f"{len(found)} rest(s) on the OCV"
     head = finite & (log.time_s <= log.time_s[0] + LOOKED_AT.first_s)
-    lifted = log.voltage_V[head] + resistance_ohm * current[head]
+    # What builds up over minutes is as much again, if the load has lasted; half of that is likely.
+    slow = resistance_ohm * mean_current_A(log)
+    lifted = log.voltage_V[head] + resistance_ohm * current[head] + slow
     drop = resistance_ohm * float(np.mean(np.abs(current[head])))
     return (
         np.array([float(np.mean(charge[head]))]),

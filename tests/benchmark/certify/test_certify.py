@@ -12,6 +12,7 @@ import pytest
 from cellwise.benchmark.certify import Limits, Sensor, certify, lives, read_export, read_sensor
 from cellwise.benchmark.certify import run as certify_run
 from cellwise.benchmark.certify.virtual_cells import Spread, aged, draw_cell
+from cellwise.cell.model_error import ModelError
 from cellwise.cli import main
 from cellwise.errors import InputError
 
@@ -116,7 +117,7 @@ def test_a_perfect_cell_and_sensor_leave_little(folder, monkeypatch):
 
 def _own_cell(model, index, seed, hours, dt_s, sensor, _):
     spread = SAME
-    certain = replace(model, error=model.error.scaled(0.0))
+    certain = replace(model, error=ModelError.of_white_and_slow(0.0, 0.0))
     cell = draw_cell(certain, 2 * index, seed, hours, dt_s, sensor, spread)
     assert cell.truth.capacity_Ah == pytest.approx(model.capacity_Ah)
     return cell

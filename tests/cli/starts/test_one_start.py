@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -72,3 +73,24 @@ def test_a_reference_that_nobody_states_begins_where_the_whole_log_does(model, d
         str(found["soc0_whole_log"]["value"]),
     )
     assert found["soc_rmse"] == pytest.approx(stated["soc_rmse"], rel=1e-6)
+
+
+def test_a_cold_cell_of_cut_drives_alone_states_how_badly_their_starts_are_known(
+    real_data, run_json, tmp_path
+):
+    """Jointly with tables, OCV and an unseen past nothing determines them: they say so."""
+    cell = real_data / "panasonic_18650pf"
+    begun, given = {}, ["--ocv", str(cell / "ocv_c20_p25.csv.gz"), "--nominal-ah", "2.9"]
+    for name, at in (("cycle_1", 0.85), ("cycle_3", 0.65), ("nn", 0.9)):
+        log = read_log(cell / f"drive_p00_{name}.csv.gz")
+        soc = 1.0 - log.counted_charge_Ah() / 2.9973
+        first = int(np.argmax((soc < at) & (log.current_A > 1.0)))
+        part = replace(log.part(first, len(log)), charge_Ah=None, soc0=None)
+        given += ["--drive", str(write_log(part, tmp_path / f"{name}.parquet"))]
+        begun[name] = soc[first]
+    notices = run_json("identify", *given, "-o", str(tmp_path / "m.json"))["notices"]
+    for name, true in begun.items():
+        said = rf"'{name}[^']*' begins at SOC ([\d.]+) \(fitted .* ([\d.]+)\)"
+        soc0, two_std = map(float, next(m for n in notices if (m := re.search(said, n))).groups())
+        assert abs(soc0 - true) < two_std, f"{name}: {soc0} +- {two_std}, true {true:.3f}"
+        assert two_std > 0.05

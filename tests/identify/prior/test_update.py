@@ -29,7 +29,7 @@ def test_data_narrow_what_they_show_and_nothing_widens(corrections, cell, flight
     found = update(corrections, [PriorLog(flight, 0.65, 0.005)])
     deviations = np.sqrt(np.diag(found.covariance))
     assert np.all(deviations <= 1.0 + 1e-9)
-    shape = corrections.ocv_map()
+    shape = corrections.ocv_map
     ocv = np.sqrt(np.einsum("ij,jk,ik->i", shape, found.covariance, shape))
     before = np.sqrt(np.einsum("ij,ij->i", shape, shape))
     assert ocv[55] < 0.5 * before[55]

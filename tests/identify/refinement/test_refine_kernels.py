@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from cellwise.identify.refinement.layout import (
-    ACTIVATION_UNIT_K,
     SKEW_UNIT_S,
     Layout,
     scalars_of,
@@ -18,7 +16,7 @@ from cellwise.identify.refinement.layout import (
 from cellwise.identify.refinement.problem import blocks_of
 from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
 from cellwise.identify.refinement.refine_kernels import choose_rows, voltage_and_jacobian
-from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_count
+from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
@@ -105,15 +103,6 @@ def blocks(layout: Layout) -> dict[str, slice]:
 
 
 @pytest.mark.parametrize(("branches", "hysteresis", "temperatures"), LAYOUTS)
-def test_blocks_fill_the_vector_without_overlap(branches, hysteresis, temperatures):
-    layout = make_layout(branches, hysteresis, temperatures)
-    parts = sorted(blocks(layout).values(), key=lambda s: s.start)
-    assert parts[0].start == 0
-    assert all(a.stop == b.start for a, b in pairwise(parts))
-    assert parts[-1].stop == layout.size
-
-
-@pytest.mark.parametrize(("branches", "hysteresis", "temperatures"), LAYOUTS)
 def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis, temperatures):
     rng = np.random.default_rng(branches + 10 * hysteresis)
     layout = make_layout(branches, hysteresis, temperatures)
@@ -160,35 +149,6 @@ def test_a_skew_beyond_the_interval_shows_the_interval_before():
     assert np.all(jacobian[1:, layout.skew] == 0.0)
     theta[layout.skew] = 2000.0 / SKEW_UNIT_S
     np.testing.assert_array_equal(evaluate(log, theta, layout)[1], voltage)
-
-
-def test_a_log_without_temperature_does_not_know_the_activation():
-    rng = np.random.default_rng(5)
-    layout = make_layout()
-    log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
-    assert np.all(evaluate(log, theta, layout)[2][:, layout.activation] == 0.0)
-
-
-def test_resistances_follow_arrhenius():
-    # Cold, every resistance grows by exp(E (1/T - 1/Tref)), and so does all overpotential.
-    rng = np.random.default_rng(6)
-    layout = make_layout(3, False)
-    log, theta = make_log(rng, temperature=False), make_theta(layout, rng)
-    theta[layout.asinh] = 0.0  # that law is not linear
-    theta[layout.own :] = 0.0
-    prepared, warm, _ = evaluate(log, theta, layout, skewed=False)
-    theta_ocv = theta.copy()
-    theta_ocv[layout.r0 : layout.r0 + layout.knots] = -40.0
-    for j in range(3):
-        theta_ocv[layout.r(j) : layout.r(j) + layout.knots] = -40.0
-    ocv = evaluate(log, theta_ocv, layout, skewed=False)[1]
-    cold_log = replace(log, temperature_C=np.full(len(log), 5.0))
-    cold = evaluate(cold_log, theta, layout, skewed=False)[1]
-    activation = theta[layout.activation] * ACTIVATION_UNIT_K
-    factor = np.exp(activation * (1.0 / 278.15 - 1.0 / 298.15))
-    np.testing.assert_allclose(cold - ocv, factor * (warm - ocv), rtol=1e-12, atol=1e-13)
-    assert factor > 1.5
-    assert prepared.dt_s.size == warm.size
 
 
 def constant_theta(layout, r0, pairs):
@@ -262,20 +222,6 @@ def step_through(log, soc, r0, pairs, m, gamma, h0=0.3):
         h = a * (h + np.sign(i)) - np.sign(i)
         out.append(3.2 + 0.8 * soc[k] - r0 * i - sum(v) + m * h)
     return np.array(out)
-
-
-def test_merging_keeps_the_charge_and_the_time():
-    rng = np.random.default_rng(10)
-    noisy = fine_log(rng)
-    noisy = replace(noisy, current_A=noisy.current_A + 0.01 * rng.standard_normal(len(noisy)))
-    prepared = prepare_log(RefineLog(noisy, soc_of(noisy)), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
-    rows = np.searchsorted(noisy.time_s, np.cumsum(prepared.dt_s))
-    charge = np.cumsum(noisy.current_A * noisy.interval_s)
-    np.testing.assert_allclose(
-        np.cumsum(prepared.current_A * prepared.dt_s), charge[rows], atol=1e-8
-    )
-    assert np.sum(prepared.dt_s) == pytest.approx(noisy.duration_s)
-    np.testing.assert_array_equal(prepared.soc, soc_of(noisy)[rows])
 
 
 def choose(time, current, threshold=0.05):
@@ -357,9 +303,3 @@ def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
     assert ends[kept] == time[row]
     assert ends[kept - 1] == time[row - 1]
     assert prepared.current_A[kept] * prepared.dt_s[kept] / 3600.0 == pytest.approx(0.2)
-
-
-def test_greville_points_are_where_the_layout_says():
-    # Every block but the OCV's has one coefficient per table knot.
-    assert greville(TABLE_KNOTS).size == make_layout().knots
-    assert greville(OCV_KNOTS).size == make_layout().knots_ocv

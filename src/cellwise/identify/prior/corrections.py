@@ -64,6 +64,9 @@ class Corrections:
     capacity_Ah : float       most probable capacity of the cell; the prior is scaled to it
     capacity_std : float      its standard deviation, of the logarithm
     window_V : (2,) float     an OCV never leaves this
+
+    ``ocv_map`` [V] and ``ln_r_maps`` (R0, R1, slow branches), of shape (points, size), are what the
+    variables move over the prior's grid.
     """
 
     def __init__(
@@ -73,16 +76,14 @@ class Corrections:
         self.prior = scaled_model(replace(prior, effects=kept), capacity_Ah)
         self.capacity_std = capacity_std
         self.window_V = window_V
-        self.ocv_rows = _dense(self.prior.soc, OCV_KNOTS)
-        self.table_rows = _dense(self.prior.soc, TABLE_KNOTS)
         at = greville(OCV_KNOTS)
         size = np.maximum(self.prior.error.at(at), USUAL.least_ocv_V)
-        self.ocv_root = size[:, None] * _root(
-            np.exp(-np.abs(at[:, None] - at[None, :]) / USUAL.ocv_length)
-        )
-        at = greville(TABLE_KNOTS)
+        alike = np.exp(-np.abs(at[:, None] - at[None, :]) / USUAL.ocv_length)
+        self.ocv_map = self._map(0, OCV_KNOTS, size[:, None] * _root(alike))
         share = max(self.prior.error.shown_share(), USUAL.least_ln_r)
-        self.table_root = share * _root(_alike(at, USUAL.table_length))
+        table = share * _root(_alike(greville(TABLE_KNOTS), USUAL.table_length))
+        first, width = spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS)
+        self.ln_r_maps = [self._map(first + k * width, TABLE_KNOTS, table) for k in range(3)]
         self.inverse_K = inverse_K(self.prior.temperature_C, REFERENCE_C)
 
     @property
@@ -90,22 +91,10 @@ class Corrections:
         """Number of variables."""
         return spline_count(OCV_KNOTS) + 3 * spline_count(TABLE_KNOTS) + 2
 
-    def ocv_V(self, z: FloatArray) -> FloatArray:
-        """Correction of the OCV on the prior's grid [V], shape (points,)."""
-        return np.asarray(self.ocv_rows @ (self.ocv_root @ z[: self.ocv_root.shape[0]]))
-
-    def ocv_map(self) -> FloatArray:
-        """The matrix of :meth:`ocv_V`, shape (points, size)."""
-        found = np.zeros((self.ocv_rows.shape[0], self.size))
-        found[:, : self.ocv_root.shape[0]] = self.ocv_rows @ self.ocv_root
-        return found
-
-    def r0_map(self) -> FloatArray:
-        """The matrix from the variables to the correction of ln R0, shape (points, size)."""
-        found = np.zeros((self.table_rows.shape[0], self.size))
-        first = self.ocv_root.shape[0]
-        width = self.table_root.shape[0]
-        found[:, first : first + width] = self.table_rows @ self.table_root
+    def _map(self, first: int, knots: FloatArray, root: FloatArray) -> FloatArray:
+        """From the variables to a correction over the prior's grid, shape (points, size)."""
+        found = np.zeros((self.prior.soc.size, self.size))
+        found[:, first : first + root.shape[1]] = _dense(self.prior.soc, knots) @ root
         return found
 
     def ln_capacity(self, z: FloatArray) -> float:
@@ -115,23 +104,21 @@ class Corrections:
     def model(self, z: FloatArray) -> CellModel:
         """The corrected model, shape of ``z`` (size,)."""
         prior = self.prior
-        first, width = self.ocv_root.shape[0], self.table_root.shape[0]
-        factors = []
-        for block in range(3):
-            part = z[first + block * width : first + (block + 1) * width]
-            size = self.table_rows @ (self.table_root @ part)
-            factors.append(np.exp(np.clip(size, -USUAL.largest_ln, USUAL.largest_ln)))
+        r0, r1, slow = (
+            np.exp(np.clip(each @ z, -USUAL.largest_ln, USUAL.largest_ln))
+            for each in self.ln_r_maps
+        )
         activation = USUAL.activation_K * float(z[-2])
         warm = np.exp(activation * self.inverse_K)[:, None] if self.inverse_K.size > 1 else 1.0
-        ocv = np.clip(prior.ocv_V + self.ocv_V(z), *self.window_V)
+        ocv = np.clip(prior.ocv_V + self.ocv_map @ z, *self.window_V)
         return replace(
             prior,
             capacity_Ah=prior.capacity_Ah * float(np.exp(self.ln_capacity(z))),
             ocv_V=np.array([monotone(row) for row in ocv]),
-            r0_ohm=warm * factors[0] * prior.r0_ohm,
-            r1_ohm=warm * factors[1] * prior.r1_ohm,
-            r2_ohm=warm * factors[2] * prior.r2_ohm,
-            effects=tuple(self._effect(e, warm * factors[2], activation) for e in prior.effects),
+            r0_ohm=warm * r0 * prior.r0_ohm,
+            r1_ohm=warm * r1 * prior.r1_ohm,
+            r2_ohm=warm * slow * prior.r2_ohm,
+            effects=tuple(self._effect(e, warm * slow, activation) for e in prior.effects),
         )
 
     def _effect(self, effect: Effect, factor: FloatArray, activation_K: float) -> Effect:

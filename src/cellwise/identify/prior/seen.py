@@ -96,8 +96,8 @@ def error_of(
         time_s, usual = item.log.time_s[rows], float(np.median(warm))
         residuals.append(ResidualLog(time_s, soc, drop, r, usual))
     shown = estimate_model_error(residuals)
-    ocv_std = _deviation(corrections.ocv_map(), found.covariance)
-    r0_std = _deviation(corrections.r0_map(), found.covariance)
+    ocv_std = _deviation(corrections.ocv_map, found.covariance)
+    r0_std = _deviation(corrections.ln_r_maps[0], found.covariance)
     unsure = float(np.median(r0_std))
     grid = np.linspace(0.0, 1.0, POINTS)
     return shown.with_slow(np.interp(grid, found.model.soc, ocv_std), unsure), ocv_std

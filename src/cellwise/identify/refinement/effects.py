@@ -45,7 +45,6 @@ class Evidence(NamedTuple):
 NEEDED = Evidence()
 SOC_PARTS = 10  # pulses are held out by tenths of the SOC in turn
 LOADED = 0.02  # of the largest current
-FAST_S = 0.2  # time constant from which the law is fitted where R0 holds a part of it
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
 OWN_ACTIVATION_STD_K = 1000.0
 # How far the surface's SOC lies below the mean at 1C [h], after how long [s], and how that grows
@@ -125,35 +124,30 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
         candidates = _candidates(joint)
     else:
         split = _without_pulses(joint.logs, joint.settings.iterations)
-        candidates = {"charge_transfer": (_transfer, _transfer_from_r0)}
+        candidates = {"charge_transfer": _transfer}
     few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
     if not split.held:
         result = joint.fit(joint.logs, joint.settings)
         return JointFit(joint, result, tuple(decided.values()), (), joint.logs, joint.settings)
-    best = plain = _tried(joint, split, joint.settings)
+    best = _tried(joint, split, joint.settings)
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
         refused = {}
         before = best
-        for name, changes in candidates.items():
-            trials = [change(joint, split, best) for change in changes]
-            gain, trial = max(((_gain(best, t), t) for t in trials), key=lambda x: x[0].low)
+        for name, change in candidates.items():
+            trial = change(joint, split, best)
+            gain = _gain(best, trial)
             accepted = gain.gain > NEEDED.gain and gain.low > 0.0
             if accepted:
                 best = trial
             else:
-                refused[name] = changes
+                refused[name] = change
             if accepted or decided.get(name) is None or decided[name].gain is None:
                 decided[name] = _decided(name, gain, accepted, split.of)
         candidates = refused if best is not before and len(refused) < len(candidates) else {}
     logs = tuple(replace(item, surface=best.surface) for item in joint.logs)
-    starts = [best.result.theta]
-    if best is not plain and not held:
-        # What pulses say of tau1 and R0 has more than one minimum: the lowest of all logs counts.
-        starts += [_lawful(joint, plain.result), _half_of_r0(joint, plain.result)]
-    results = [joint.fit(logs, best.settings, theta) for theta in starts]
-    result = min(results, key=lambda r: float(np.mean(np.square(r.rmse_V))))
+    result = joint.fit(logs, best.settings, best.result.theta)
     return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
 
 
@@ -195,48 +189,20 @@ def _decided(name: str, g: HeldOutGain, accepted: bool, held: str) -> Decided:
     return Decided(name, accepted, round(g.gain, 4), reason)
 
 
-def _candidates(joint: JointLogs) -> dict[str, tuple[Change, ...]]:
+def _candidates(joint: JointLogs) -> dict[str, Change]:
     """Changes to a trial by the effect's name."""
-    found: dict[str, tuple[Change, ...]] = {
-        "charge_transfer": (_transfer,),
-        "surface_soc": (_surface,),
-    }
+    found: dict[str, Change] = {"charge_transfer": _transfer, "surface_soc": _surface}
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
-        return {"temperature_dependence": (_own_activations,), **found}
+        return {"temperature_dependence": _own_activations, **found}
     return found
 
 
 def _transfer(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
     """The asinh law of the fast branch."""
     law = replace(best.settings, charge_transfer=True)
-    return _tried(joint, split, law, best.effects, _lawful(joint, best.result))
-
-
-def _transfer_from_r0(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
-    """The same with half of R0 in the fast branch at first.
-
-    Where the reaction is faster than the rows are apart, a linear fit has put it into R0, and from
-    there the time constant is minutes of fitting away.
-    """
-    law = replace(best.settings, charge_transfer=True)
-    return _tried(joint, split, law, best.effects, _half_of_r0(joint, best.result))
-
-
-def _lawful(joint: JointLogs, result: RefineResult) -> FloatArray:
-    """Parameters of a fit with the law where it begins."""
-    theta = result.theta.copy()
-    theta[result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
-    return theta
-
-
-def _half_of_r0(joint: JointLogs, result: RefineResult) -> FloatArray:
-    """The same with half of R0 in the fast branch."""
-    lay, theta = result.layout, _lawful(joint, result)
-    r0, r1, tau1 = (slice(at, at + lay.block) for at in (lay.r0, lay.r(0), lay.tau(0)))
-    half = theta[r0] - np.log(2.0)
-    theta[r0], theta[r1] = half, np.logaddexp(theta[r1], half)
-    theta[tau1] = np.log(FAST_S)
-    return theta
+    theta = best.result.theta.copy()
+    theta[best.result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
+    return _tried(joint, split, law, best.effects, theta)
 
 
 def _own_activations(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:

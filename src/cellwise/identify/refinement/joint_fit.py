@@ -25,7 +25,7 @@ from cellwise.identify.refinement.problem import RefineSettings, StartTables
 from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
-from cellwise.identify.soc_anchor import ERRORS, anchor_soc, full_before
+from cellwise.identify.soc_anchor import anchor_soc, full_before, likely_full, mean_current_A
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -63,6 +63,7 @@ QUICK_ROWS, QUICK_ITERATIONS = 800, 12  # compared rows of a log, where fits are
 BALANCE = 1.5  # over several temperatures: a log that is fitted worse counts less
 SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales with that
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
+ROUGH_S = 10.0  # within which R0 and R1 have answered
 USUAL_ACTIVATION_K = 3000.0  # of the resistances of lithium-ion cells, 2000 to 5000
 
 
@@ -84,7 +85,8 @@ class Candidate(NamedTuple):
 class JointLogs:
     """What the joint fit is made of: logs, from where, with which settings.
 
-    ``starts`` holds every log that was given, ``logs`` those that take part, in the same order.
+    ``starts`` holds every log that was given, ``logs`` those that take part, in the same order;
+    ``axis_std`` is by how much SOC the tables may be off with the starts that nobody stated.
     """
 
     logs: tuple[RefineLog, ...]
@@ -95,6 +97,7 @@ class JointLogs:
     reference_C: float
     grid_C: FloatArray
     notices: tuple[str, ...]
+    axis_std: float = 0.0
 
     def fit(
         self,
@@ -137,13 +140,14 @@ class JointLogs:
             return self
         first = self.fit(self.logs, self.settings, quick=QUICK_ITERATIONS, with_errors=True)
         fitted = iter(zip(*first.moved_starts, strict=True))
-        logs, soc0, notices = [], {}, []
+        logs, soc0, notices, unsure = [], {}, [], []
         for item, start in zip(self.logs, self.used, strict=True):
             if item.start_std > 0.0:
                 away, std = next(fitted)
                 began = start.soc0 + away
-                full = began + ERRORS.plausible * std >= 1.0
+                full = likely_full(began, std)
                 began = 1.0 if full else began
+                unsure += [] if full else [std]
                 soc0[id(item.log)] = began
                 soc = item.soc + (began - start.soc0)
                 item = replace(item, soc=soc, start_std=0.0, h0=start_hysteresis(began))
@@ -153,7 +157,9 @@ class JointLogs:
                 )
             logs.append(item)
         starts = tuple(s._replace(soc0=soc0.get(id(s.log), s.soc0)) for s in self.starts)
-        return replace(self, logs=tuple(logs), starts=starts, notices=(*self.notices, *notices))
+        axis_std = sum(unsure) / sum(item.compare is None for item in logs)
+        said = (*self.notices, *notices)
+        return replace(self, logs=tuple(logs), starts=starts, notices=said, axis_std=axis_std)
 
     @property
     def used(self) -> tuple[Start, ...]:
@@ -200,7 +206,8 @@ def gather_logs(
                                   weight=LIMITS.low_rate if c.low_rate else 1.0,
                                   compare=c.part, temperature_C=g.temperature_C,
                                   low_rate=c.low_rate, sample=sample,
-                                  start_std=0.0 if known else anchor.std))  # fmt: skip
+                                  start_std=0.0 if known else anchor.std,
+                                  past_V=resistance * mean_current_A(c.log)))  # fmt: skip
     if all(item.compare is not None for item in logs):
         raise InputError(
             "no log whose SOC at the start is known",
@@ -281,17 +288,22 @@ def _is_deep(log: CellLog, capacity_Ah: float) -> bool:
 
 
 def rough_resistance(groups: Sequence[Group]) -> float:
-    """R0 + R1 of the pulses, else the steepest answer of voltage to current in a load [ohm]."""
+    """R0 + R1 of the pulses, else the answer of voltage to current within ROUGH_S of a load [ohm].
+
+    From one mean to the next: row by row a voltage that lags answers with a fraction of it.
+    """
     tables = next((g.tables for g in groups if g.tables is not None), None)
     if tables is not None:
         return float(np.median(tables.values["r0_ohm"] + tables.values["r1_ohm"]))
     slopes = []
     loads = [log for g in groups for log, _ in g.tests.drive]
     for log in loads or [log for g in groups for log in g.tests.capacity]:
-        di, dv = np.diff(log.known_current_A()), np.diff(log.voltage_V)
-        strong = (np.abs(di) > 0.2 * np.max(np.abs(di))) & np.isfinite(dv)
-        if strong.any():
-            slopes.append(-float(np.sum(dv[strong] * di[strong]) / np.sum(di[strong] ** 2)))
+        seen = np.isfinite(log.voltage_V)
+        _, place = np.unique(log.time_s[seen] // ROUGH_S, return_inverse=True)
+        means = (np.bincount(place, x[seen]) for x in (log.known_current_A(), log.voltage_V))
+        di, dv = (np.diff(total / np.bincount(place)) for total in means)
+        if di.any():
+            slopes.append(-float(np.sum(dv * di) / np.sum(di**2)))
     return max(float(np.median(slopes)), 1e-5) if slopes else 1e-3
 
 

@@ -24,8 +24,8 @@ class Layout(NamedTuple):
     far the OCV of each is from the common one (temperatures x knots_ocv); then one number each:
     activation [K / 1000], sampling delay [s / 10], asinh law [10 / V]; the activation that each
     table of logarithms has beside the common one [K / 1000]; ln of the capacity that each of some
-    logs has over the common one (samples); by how much SOC each of some logs begins elsewhere than
-    was taken (starts).
+    logs has over the common one (samples); of each of some logs by how much SOC it begins elsewhere
+    than was taken, then what its unseen past left in the slow states [V] (starts each).
     """
 
     knots_ocv: int
@@ -100,9 +100,14 @@ class Layout(NamedTuple):
         return self.sample + self.samples
 
     @property
+    def past(self) -> int:
+        """First of what their unseen pasts left."""
+        return self.start + self.starts
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
-        return self.start + self.starts
+        return self.past + self.starts
 
     def tables(self) -> Iterator[int]:
         """First coefficient of every table of logarithms."""

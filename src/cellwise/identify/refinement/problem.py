@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.linalg.blas import dsyrk
 
+from cellwise.cell.initial_soc.rest import RELAXED_S
 from cellwise.identify.ocv.curve import LIMITS as BATCH
 from cellwise.identify.refinement.layout import (
     ACTIVATION_UNIT_K,
@@ -32,6 +33,7 @@ R_LIMITS_OHM = (1e-7, 10.0)
 LARGEST_DROP_V = 10.0  # of one resistance at 1C: where nothing was measured it may run up
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
+LEAST_PAST_V = 0.01  # what a past that nobody saw may have left in any case
 # OCV between temperatures: what the entropy of intercalation leaves room for.
 ENTROPY_V_PER_K = 4e-4
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
@@ -164,6 +166,9 @@ class Problem:
         self.own_capacity_std = np.full(layout.samples, OWN_CAPACITY.others)
         self.start_logs = [k for k, log in enumerate(self.logs) if log.start_std > 0.0]
         self.start_std = np.array([self.logs[k].start_std for k in self.start_logs])
+        self.level_V = np.full(len(self.start_logs), 0.01)
+        past_V = np.abs([self.logs[k].past_V for k in self.start_logs])
+        self.past_std_V = np.maximum(past_V, LEAST_PAST_V)
         # Nowhere beyond full or empty, as far as a counter and a capacity are sure of that.
         seen = [self.logs[k].soc for k in self.start_logs]
         self.start_limits = np.array([(-max(s.min(), 0.0), 1.0 - s.max()) for s in seen])
@@ -180,6 +185,9 @@ class Problem:
         self.own_capacity_std = np.where(other, OWN_CAPACITY.others, OWN_CAPACITY.batch)
         self.sizes_V = np.array(
             [max(1.4826 * float(np.median(np.abs(r))), LEAST_SIGMA_V) for r in residuals]
+        )
+        self.level_V = np.array(
+            [float(np.sqrt(np.mean(residuals[k] ** 2))) for k in self.start_logs]
         )
         worse = np.maximum(self.sizes_V / self.sigma, 1.0)
         self.share = self.weight / worse**self.settings.balance
@@ -205,6 +213,7 @@ class Problem:
             theta[lay.activation] = self.settings.activation_K / ACTIVATION_UNIT_K
         if self.settings.charge_transfer:
             theta[lay.asinh] = start.asinh_per_V / ASINH_UNIT_PER_V
+        theta[lay.past :] = [self.logs[k].past_V for k in self.start_logs]
         return self.inside(theta)
 
     def evaluate(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -222,6 +231,11 @@ class Problem:
             beside = own.copy()
             beside[at] += OWN_CAPACITY.step
             jacobian[:, at] = (self._moved(index, beside)[0] - voltage) / OWN_CAPACITY.step
+        if index in self.start_logs:
+            at = lay.past + self.start_logs.index(index)
+            fading = np.exp(-(log.time_s - log.time_s[0]) / RELAXED_S)
+            jacobian[:, at] = -fading
+            voltage -= own[at] * fading
         return log.measured_V - voltage, jacobian
 
     def _moved(self, index: int, own: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -327,7 +341,8 @@ class Problem:
         own = s.own_activation_std_K / ACTIVATION_UNIT_K
         weight[lay.own : lay.sample] = fixed if own == 0 else (0.3 * sigma) ** 2 / own**2
         weight[lay.sample : lay.start] = (0.3 * sigma / self.own_capacity_std) ** 2
-        weight[lay.start :] = (0.3 * sigma / self.start_std) ** 2
+        weight[lay.start : lay.past] = (self.level_V / self.start_std) ** 2
+        weight[lay.past :] = (self.level_V / self.past_std_V) ** 2
         weight[lay.skew] = 1e-2 * sigma**2 if s.skew else fixed
         weight[lay.asinh] = 1e-2 * sigma**2 if s.charge_transfer else fixed
         return weight
@@ -419,10 +434,11 @@ class Problem:
         inverse = np.linalg.pinv(system, hermitian=True)
         covariance = inverse @ (middle + mean_variance * held) @ inverse
         found = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        # A start is a level of its whole log, and what a model gets wrong of a level does not
-        # average out along it: the few errors that the priors are weighed against.
-        few = 0.3 * sigma * np.sqrt(np.maximum(np.diag(inverse)[self.layout.start :], 0.0))
-        found[self.layout.start :] = np.hypot(found[self.layout.start :], few)
+        # A start is a level of its log, and what a model gets wrong of a level is wrong of all
+        # logs of that kind: one error, as large as what the fit leaves.
+        starts = slice(self.layout.start, self.layout.past)
+        level = self.level_V * np.sqrt(np.maximum(np.diag(inverse)[starts], 0.0))
+        found[starts] = np.hypot(found[starts], level)
         return np.asarray(found)
 
     def inside(self, theta: FloatArray) -> FloatArray:
@@ -451,7 +467,7 @@ class Problem:
         np.clip(
             theta[lay.sample : lay.start], *OWN_CAPACITY.limits, out=theta[lay.sample : lay.start]
         )
-        np.clip(theta[lay.start :], *self.start_limits, out=theta[lay.start :])
+        np.clip(theta[lay.start : lay.past], *self.start_limits, out=theta[lay.start : lay.past])
         theta[lay.skew] = max(theta[lay.skew], 0.0)
         if self.settings.charge_transfer:
             theta[lay.asinh] = np.clip(theta[lay.asinh], 0.01, 20.0)

@@ -86,7 +86,8 @@ class RefineResult:
     @property
     def moved_starts(self) -> tuple[FloatArray, FloatArray]:
         """By how much SOC the logs whose start was fitted begin elsewhere, and standard errors."""
-        return self.theta[self.layout.start :], self.theta_std[self.layout.start :]
+        at = slice(self.layout.start, self.layout.past)
+        return self.theta[at], self.theta_std[at]
 
     @property
     def asinh_per_V(self) -> float:

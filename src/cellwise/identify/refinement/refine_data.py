@@ -52,7 +52,8 @@ class RefineLog:
     row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
     log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
     OCV and are no load; a log with a ``sample`` keeps a capacity of its own, of that number; one
-    whose SOC at the start is known to ``start_std`` only has it fitted where that is not 0.
+    whose SOC at the start is known to ``start_std`` only has it fitted where that is not 0, with
+    what a past that nobody saw left in the slow states, ``past_V`` +- as much.
     """
 
     log: CellLog
@@ -66,6 +67,7 @@ class RefineLog:
     low_rate: bool = False
     sample: int | None = None
     start_std: float = 0.0
+    past_V: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +97,7 @@ class PreparedLog:
     table_soc: FloatArray
     sample: int | None = None
     start_std: float = 0.0
+    past_V: float = 0.0
     first_temperature: int = 0
     temperatures: int = 1
 
@@ -190,6 +193,7 @@ def prepare_log(
         table_soc=table_soc,
         sample=item.sample,
         start_std=item.start_std,
+        past_V=item.past_V,
         first_temperature=first,
         temperatures=count,
     )

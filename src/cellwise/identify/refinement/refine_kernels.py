@@ -21,6 +21,7 @@ import numpy as np
 
 from cellwise.cell.compiled import cached, inline
 from cellwise.cell.equations import (
+    charge_transfer,
     hysteresis_decay,
     hysteresis_step,
     loaded_voltage,
@@ -34,6 +35,7 @@ from cellwise.cell.point_kernels import CellScalars
 from cellwise.identify.refinement.layout import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, SKEW_UNIT_S
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
+OVERVOLTAGE_STEP = 1e-4
 SUPPORT = 4  # cubic B-splines: four are active at any SOC
 
 
@@ -102,38 +104,16 @@ class TransferPartials(NamedTuple):
 
 @inline
 def transfer_partials(asinh_per_V: float, r_ohm: float, current_A: float) -> TransferPartials:
-    """Chain rule through `charge_transfer`, a ratio of two polynomials of the overvoltage."""
+    """Chain rule through `charge_transfer`, whose slope over the overvoltage is a difference."""
     overvoltage = asinh_per_V * r_ohm * current_A
-    y = abs(overvoltage)
-    above = 0.42143288 + y * 0.01126451
-    above_2 = 0.66171232 + y * above
-    above_3 = 1.0 + y * above_2
-    below = 0.11957555 + y * 0.00170013
-    below_2 = 0.59291773 + y * below
-    below_3 = 0.66171232 + y * below_2
-    below_4 = 1.0 + y * below_3
-    charge_transfer = above_3 / below_4
-    new_by_below_4 = -(charge_transfer / below_4 * r_ohm)
-    new_by_below_3 = new_by_below_4 * y
-    new_by_below_2 = new_by_below_3 * y
-    new_by_below = new_by_below_2 * y
-    new_by_above_3 = r_ohm * (1.0 / below_4)
-    new_by_above_2 = new_by_above_3 * y
-    new_by_above = new_by_above_2 * y
-    new_by_y = (
-        new_by_below_4 * below_3
-        + new_by_below_3 * below_2
-        + new_by_below_2 * below
-        + new_by_below * 0.00170013
-        + new_by_above_3 * above_2
-        + new_by_above_2 * above
-        + new_by_above * 0.01126451
+    near = OVERVOLTAGE_STEP * (1.0 + abs(overvoltage))
+    above, below = charge_transfer(overvoltage + near), charge_transfer(overvoltage - near)
+    by_overvoltage = r_ohm * (above - below) / (2.0 * near)
+    return TransferPartials(
+        charge_transfer(overvoltage) + by_overvoltage * asinh_per_V * current_A,
+        by_overvoltage * r_ohm * current_A,
+        by_overvoltage * asinh_per_V * r_ohm,
     )
-    new_by_overvoltage = new_by_y * math.copysign(1.0, overvoltage)
-    new_by_r_ohm = charge_transfer + new_by_overvoltage * (asinh_per_V * current_A)
-    new_by_asinh_per_V = new_by_overvoltage * (r_ohm * current_A)
-    new_by_current_A = new_by_overvoltage * (asinh_per_V * r_ohm)
-    return TransferPartials(new_by_r_ohm, new_by_asinh_per_V, new_by_current_A)
 
 
 class BranchPartials(NamedTuple):

@@ -20,18 +20,19 @@ from cellwise.identify.assemble import own_model
 from cellwise.identify.refinement.effects import NEEDED, JointFit, drive_temperatures
 from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS
 from cellwise.identify.refinement.model_error import (
+    MIDDLE,
+    POINTS,
     SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
     polarisation_V,
+    unseen_shares,
 )
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
-from cellwise.identify.refinement.sustained import unseen_shares
 from cellwise.typing import BoolArray, FloatArray
 
 MOST_FOLDS = 4
 STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
-MIDDLE = (0.1, 0.9)  # of the SOC, away from where a hair of charge is many millivolts
 
 
 def stated_error(fit: JointFit) -> ModelError:
@@ -52,7 +53,12 @@ def stated_error(fit: JointFit) -> ModelError:
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         # One activation for all of them: colder, another process limits, and may have none or two.
         beyond_K = abs(fit.result.activation_K)
-    return replace(error, activation_std_K=beyond_K)
+    error = replace(error, activation_std_K=beyond_K)
+    if joint.axis_std == 0.0:
+        return error
+    grid = np.linspace(0.0, 1.0, POINTS)
+    level = np.interp(grid, model.soc, model.ocv_V.mean(axis=0))
+    return error.with_slow(joint.axis_std * np.gradient(level, grid), 0.0)
 
 
 def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
