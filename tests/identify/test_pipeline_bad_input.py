@@ -172,12 +172,15 @@ def test_what_the_tests_do_not_show_is_the_priors(low_rate, tests):
 
 @pytest.mark.slow
 def test_a_drive_from_its_middle_beside_a_low_rate_test(low_rate):
-    """The OCV says where the drive begins; its start is fitted with the tables."""
+    """The OCV says where the drive begins, but for what its unseen past may have left."""
     found = run(drives(never_rests(0.6), ocv=(low_rate,)))
-    assert found.simulations[0].soc0 == pytest.approx(0.6, abs=0.01)
+    said = next(str(n) for n in found.notices if "fitted with the tables" in str(n))
+    two_sigma = float(said.rsplit("+- ", 1)[1].rstrip(")"))
+    assert two_sigma < 0.06
+    assert found.simulations[0].soc0 == pytest.approx(0.6, abs=two_sigma)
     driven = np.linspace(0.3, 0.6, 7)
     r0 = np.interp(driven, found.model.soc, found.model.r0_ohm[0])
-    assert r0 == pytest.approx(CELL.r0_ohm(driven), rel=0.02)
+    assert r0 == pytest.approx(CELL.r0_ohm(driven), rel=0.05)
 
 
 def test_one_pulse_beside_a_low_rate_test(one_pulse, low_rate):
