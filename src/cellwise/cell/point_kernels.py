@@ -89,16 +89,16 @@ class CellScalars(NamedTuple):
 
 
 class CellPoint(NamedTuple):
-    """The tables at one SOC and temperature; slopes over SOC."""
+    """The tables at one SOC and temperature, as the branches come; slopes over SOC."""
 
     ocv_V: float  # open-circuit voltage
     ocv_slope_V: float
     r0_ohm: float  # ohmic resistance
     r1_ohm: float  # resistance of the fast branch
-    tau1_s: float  # time constant of the fast branch
     r2_ohm: float  # resistance of the second branch
-    tau2_s: float  # time constant of the second branch
     r3_ohm: float  # resistance of the slow branch
+    tau1_s: float  # time constant of the fast branch
+    tau2_s: float  # time constant of the second branch
     tau3_s: float  # time constant of the slow branch
     m_V: float  # half the gap between charge and discharge branch
     error_V: float  # the model's slow voltage error
@@ -125,7 +125,7 @@ def point_of(table: FloatArray, at: np.uint64, k: np.uint64, f: float, g: float)
     entropy = table[at, k, ENTROPY] + f * (table[at, k1, ENTROPY] - table[at, k, ENTROPY])
     entropy_slope = (table[at, k1, ENTROPY] - table[at, k, ENTROPY]) * (n - 1)
     return CellPoint(
-        ocv, ocv_slope, r0, r1, tau1, r2, tau2, r3, tau3, m, error, entropy, entropy_slope
+        ocv, ocv_slope, r0, r1, r2, r3, tau1, tau2, tau3, m, error, entropy, entropy_slope
     )
 
 
@@ -137,10 +137,10 @@ def between(low: CellPoint, high: CellPoint, w: float) -> CellPoint:
         low.ocv_slope_V + w * (high.ocv_slope_V - low.ocv_slope_V),
         low.r0_ohm + w * (high.r0_ohm - low.r0_ohm),
         low.r1_ohm + w * (high.r1_ohm - low.r1_ohm),
-        low.tau1_s + w * (high.tau1_s - low.tau1_s),
         low.r2_ohm + w * (high.r2_ohm - low.r2_ohm),
-        low.tau2_s + w * (high.tau2_s - low.tau2_s),
         low.r3_ohm + w * (high.r3_ohm - low.r3_ohm),
+        low.tau1_s + w * (high.tau1_s - low.tau1_s),
+        low.tau2_s + w * (high.tau2_s - low.tau2_s),
         low.tau3_s + w * (high.tau3_s - low.tau3_s),
         low.m_V + w * (high.m_V - low.m_V),
         low.error_V + w * (high.error_V - low.error_V),

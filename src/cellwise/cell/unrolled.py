@@ -8,8 +8,9 @@ function with :func:`unrolled`, for states ``i`` and ``j``,
 - ``if i == j``, ``if i in BRANCHES``: only the branch that holds;
 - ``p[i, j]`` and ``x.p[i, j]``: an entry of a covariance, ``p12`` and ``x.p12``;
 - ``d.row[i]``: that of a column, ``x.state[i]``: the state itself, ``x.carry[i]`` what its sum
-  keeps; ``t.a[i]``, ``t.g[i]``, ``p.r[i]``: decay, drive, resistance; ``name[i]``: a number that
-  the function keeps for each, which ``name = {}`` says (without decay 1, without drive 0);
+  keeps; ``t.a[i]``, ``t.g[i]``, ``p.r[i]``, ``p.tau[i]``: decay, drive, resistance, time constant
+  (more in `CALLED`); ``name[i]``: a number that the function keeps for each, which ``name = {}``
+  says (without decay 1, without drive 0);
 - ``*(... for i in STATES)``: an argument for each; ``sum(... for i in STATES)``.
 """
 
@@ -21,7 +22,7 @@ import textwrap
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from cellwise.cell.description import State, carry, entry
 
@@ -31,6 +32,7 @@ def row(state: State) -> str:
     return state.letter if state.letter.isalpha() else f"v{state.letter}"
 
 
+ByState: TypeAlias = Any  # a record that is read by its states, ``x.r[i]``: no type checker does
 THERE = True  # ``a if THERE else b``: b where a state is not compiled in
 Written = TypeVar("Written", bound=Callable[..., Any])
 # How an attribute of one state is called; others: their name and the state's letter.
@@ -40,6 +42,10 @@ CALLED: dict[str, Callable[[State], str]] = {
     "row": row,
     "r": lambda s: f"r{s.letter}_ohm",
     "R": lambda s: f"R{s.letter}_OHM",
+    "tau": lambda s: f"tau{s.letter}_s",
+    "r_activation": lambda s: f"r{s.letter}_activation_K",
+    "tau_activation": lambda s: f"tau{s.letter}_activation_K",
+    "d": lambda s: f"d{s.letter}_V",
     "a": lambda s: s.decay,
     "g": lambda s: s.drive,
 }

@@ -41,7 +41,10 @@ def statements(body: list[ast.stmt]) -> list[str]:
                 continue  # an effect that is absent
             case ast.If():
                 found += statements(node.body)
-            case ast.Assign(value=ast.Attribute()):
+            case ast.For():
+                each = f"{ast.unparse(node.target)} in {ast.unparse(node.iter)}"
+                found += [f"{text}, {each}" for text in statements(node.body)]
+            case ast.Assign(value=ast.Attribute() | ast.Subscript()):
                 continue  # a field under a shorter name
             case ast.Assign() | ast.AugAssign():
                 found.append(ast.unparse(node))

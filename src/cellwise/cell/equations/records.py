@@ -7,7 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.cell.unrolled import unrolled
 from cellwise.typing import FloatArray
 
 
@@ -65,21 +68,22 @@ class Place(NamedTuple):
 @inline
 def with_soc(x: CellState, soc: float) -> CellState:
     """The same state at another SOC."""
-    return CellState(soc, x.v1_V, x.v2_V, x.v3_V, x.h, x.heat_K, x.slow_A)
+    return changed(x, "soc", soc)
 
 
 @inline
 def with_heat(x: CellState, heat_K: float) -> CellState:
     """The same state, warmer or colder."""
-    return CellState(x.soc, x.v1_V, x.v2_V, x.v3_V, x.h, heat_K, x.slow_A)
+    return changed(x, "heat_K", heat_K)
 
 
 @inline
+@unrolled
 def at_rest(soc: float, h: float) -> CellState:
     """A cell whose load was off for long."""
-    return CellState(soc, 0.0, 0.0, 0.0, h, 0.0, 0.0)
+    return CellState(soc, *(0.0 for i in BRANCHES), h, 0.0, 0.0)  # type: ignore[call-arg]
 
 
 def empty_state(soc: float, h: float = 0.0) -> CellState:
     """A cell at rest at the given SOC."""
-    return CellState(float(soc), 0.0, 0.0, 0.0, float(h), 0.0, 0.0)
+    return CellState(float(soc), *(0.0 for _ in BRANCHES), float(h))  # type: ignore[call-arg]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.equations.records import CellState, Transition
-from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.point_kernels import CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
 
 
 @inline
@@ -92,35 +95,39 @@ def hysteresis_step(h: float, ah: float, current_A: float) -> float:
 
 
 @inline
-def transition(cell: CellScalars, point: CellPoint, current_A: float, dt_s: float) -> Transition:
+@unrolled
+def transition(cell: CellScalars, point: ByState, current_A: float, dt_s: float) -> Transition:
     """Decay and drive of every state over an interval of constant current."""
-    a1 = decay(dt_s, point.tau1_s)
-    a2 = decay(dt_s, point.tau2_s)
-    a3 = 1.0
-    if point.r3_ohm != 0.0:
-        a3 = decay(dt_s, point.tau3_s)
+    a: dict[Any, float] = {}
+    for i in BRANCHES:
+        if i.option:
+            a[i] = 1.0
+            if point.r[i] != 0.0:
+                a[i] = decay(dt_s, point.tau[i])
+        else:
+            a[i] = decay(dt_s, point.tau[i])
     ah = 1.0
     if cell.hysteresis_rate != 0.0:
         ah = hysteresis_decay(cell, current_A, dt_s)
-    return Transition(
-        a1,
-        a2,
-        a3,
+    return Transition(  # type: ignore[call-arg]
+        *(a[i] for i in BRANCHES),
         ah,
         -(dt_s / cell.charge_As),
-        branch_gain(point.r1_ohm, a1),
-        branch_gain(point.r2_ohm, a2),
-        branch_gain(point.r3_ohm, a3),
+        *(branch_gain(point.r[i], a[i]) for i in BRANCHES),
     )
 
 
 @inline
+@unrolled
 def states_step(
-    state: CellState, t: Transition, current_A: float, soc: float, slow_A: float
+    state: ByState, t: ByState, current_A: float, soc: float, slow_A: float
 ) -> CellState:
     """Branches and hysteresis after an interval; SOC and surface as given, heat as it was."""
-    v1 = relaxed(state.v1_V, t.a1, t.g1, current_A)
-    v2 = relaxed(state.v2_V, t.a2, t.g2, current_A)
-    v3 = relaxed(state.v3_V, t.a3, t.g3, current_A)
     h = hysteresis_step(state.h, t.ah, current_A)
-    return CellState(soc, v1, v2, v3, h, state.heat_K, slow_A)
+    return CellState(  # type: ignore[call-arg]
+        soc,
+        *(relaxed(state.state[i], t.a[i], t.g[i], current_A) for i in BRANCHES),
+        h,
+        state.heat_K,
+        slow_A,
+    )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.states import decay
 from cellwise.cell.equations.temperature import arrhenius
 from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
 
 
 @inline
@@ -38,11 +40,12 @@ def surface_soc(cell: CellScalars, soc: float, slow_A: float, temperature_C: flo
 
 
 @inline
-def surfaced(point: CellPoint, below: CellPoint) -> CellPoint:
+@unrolled
+def surfaced(point: CellPoint, below: ByState) -> CellPoint:
     """A point with resistances and time constants of another."""
     # fmt: off
-    return CellPoint(
-        point.ocv_V, point.ocv_slope_V, below.r0_ohm, below.r1_ohm, below.tau1_s, below.r2_ohm,
-        below.tau2_s, below.r3_ohm, below.tau3_s, point.m_V, point.error_V, point.entropy_V,
-        point.entropy_slope_V,
+    return CellPoint(  # type: ignore[call-arg]
+        point.ocv_V, point.ocv_slope_V,
+        below.r0_ohm, *(below.r[i] for i in BRANCHES), *(below.tau[i] for i in BRANCHES),
+        point.m_V, point.error_V, point.entropy_V, point.entropy_slope_V,
     )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.equations.records import CellTables
 from cellwise.cell.equations.states import decay
 from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
 
 ZERO_CELSIUS_K = 273.15
 
@@ -34,7 +38,8 @@ def arrhenius(temperature_C: float, activation_K: float, reference_K: float) -> 
 
 
 @inline
-def at_temperature(cell: CellScalars, point: CellPoint, temperature_C: float) -> CellPoint:
+@unrolled
+def at_temperature(cell: ByState, point: ByState, temperature_C: float) -> CellPoint:
     r"""What temperature does to the tables beside their own axis.
 
     .. math:: OCV(T) = OCV + \frac{dOCV}{dT} (T - T_{ref}), \qquad
@@ -43,8 +48,12 @@ def at_temperature(cell: CellScalars, point: CellPoint, temperature_C: float) ->
     """
     ocv = point.ocv_V
     slope = point.ocv_slope_V
-    r0, r1, r2, r3 = point.r0_ohm, point.r1_ohm, point.r2_ohm, point.r3_ohm
-    tau1, tau2, tau3 = point.tau1_s, point.tau2_s, point.tau3_s
+    r0 = point.r0_ohm
+    r: dict[Any, float] = {}
+    tau: dict[Any, float] = {}
+    for i in BRANCHES:
+        r[i] = point.r[i]
+        tau[i] = point.tau[i]
     if cell.entropy_K != 0.0:
         warmer = (temperature_C + ZERO_CELSIUS_K) - cell.entropy_K
         ocv += point.entropy_V * warmer
@@ -52,20 +61,16 @@ def at_temperature(cell: CellScalars, point: CellPoint, temperature_C: float) ->
     if cell.activation_K != 0.0:
         scale = arrhenius(temperature_C, cell.activation_K, cell.reference_K)
         r0 *= scale
-        r1 *= scale
-        r2 *= scale
-        r3 *= scale
+        for i in BRANCHES:
+            r[i] *= scale
     if cell.branch_activation != 0.0:
         r0 *= arrhenius(temperature_C, cell.r0_activation_K, cell.reference_K)
-        r1 *= arrhenius(temperature_C, cell.r1_activation_K, cell.reference_K)
-        tau1 *= arrhenius(temperature_C, cell.tau1_activation_K, cell.reference_K)
-        r2 *= arrhenius(temperature_C, cell.r2_activation_K, cell.reference_K)
-        tau2 *= arrhenius(temperature_C, cell.tau2_activation_K, cell.reference_K)
-        r3 *= arrhenius(temperature_C, cell.r3_activation_K, cell.reference_K)
-        tau3 *= arrhenius(temperature_C, cell.tau3_activation_K, cell.reference_K)
+        for i in BRANCHES:
+            r[i] *= arrhenius(temperature_C, cell.r_activation[i], cell.reference_K)
+            tau[i] *= arrhenius(temperature_C, cell.tau_activation[i], cell.reference_K)
     # fmt: off
-    return CellPoint(
-        ocv, slope, r0, r1, tau1, r2, tau2, r3, tau3,
+    return CellPoint(  # type: ignore[call-arg]
+        ocv, slope, r0, *(r[i] for i in BRANCHES), *(tau[i] for i in BRANCHES),
         point.m_V, point.error_V, point.entropy_V, point.entropy_slope_V,
     )
 

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations.records import CellState
 from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
 
 
 @inline
-def polarisation(r0_ohm: float, current_A: float, v1_V: float, v2_V: float, v3_V: float) -> float:
-    """What the current takes off the OCV: R0 I + V1 + V2 + V3 [V]."""
-    return (r0_ohm * current_A + v1_V) + (v2_V + v3_V)
+def polarisation(r0_ohm: float, current_A: float, fast_V: float, slower_V: float) -> float:
+    """What the current takes off the OCV: R0 I + V1, and the slower branches V2 + V3 [V]."""
+    return (r0_ohm * current_A + fast_V) + slower_V
 
 
 @inline
-def drop_of(point: CellPoint, state: CellState, current_A: float) -> float:
+@unrolled
+def drop_of(point: CellPoint, state: ByState, current_A: float) -> float:
     """The same of a state at one point of the tables [V]."""
-    return polarisation(point.r0_ohm, current_A, state.v1_V, state.v2_V, state.v3_V)
+    slower_V = sum(state.state[i] for i in BRANCHES[1:])
+    return polarisation(point.r0_ohm, current_A, state.v1_V, slower_V)
 
 
 @inline
-def held_in_branches(state: CellState) -> float:
+@unrolled
+def held_in_branches(state: ByState) -> float:
     """What the branches hold in absolute value [V]."""
-    return abs(state.v1_V) + (abs(state.v2_V) + abs(state.v3_V))
+    held_V: float = abs(state.v1_V) + sum(abs(state.state[i]) for i in BRANCHES[1:])
+    return held_V
 
 
 @inline

@@ -147,7 +147,7 @@ def drop_of(
     point: CellPoint, x: CellState, current_A: float, factor: float, but: Correction
 ) -> float:
     """What the current takes off the OCV, with the factors [V]."""
-    fast_V = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0, 0.0)
+    fast_V = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0)
     return factor * fast_V + (within(but.tail) * x.v2_V + x.v3_V)
 
 

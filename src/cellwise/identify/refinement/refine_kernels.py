@@ -262,7 +262,7 @@ def voltage_and_jacobian(
             h_gamma = of_h.new_by_h * h_gamma + by_ln_rate
             h_skew = of_h.new_by_h * h_skew + of_h.new_by_current_A * slope
             h = hysteresis_step(h, hysteresis_decay(cell, seen, dt), seen)
-        drop = polarisation(r0, seen, v[0], v[1], v[2])
+        drop = polarisation(r0, seen, v[0], v[1] + v[2])
         voltage_V[k] = loaded_voltage(ocv, m, h, drop)
         if log.evaluate[k]:
             row = jacobian[out]
