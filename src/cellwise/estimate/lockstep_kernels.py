@@ -28,7 +28,7 @@ from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import gate
-from cellwise.estimate.filters.covariance_kernels import decayed
+from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
 from cellwise.estimate.filters.drift_kernels import counted_on
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
@@ -48,7 +48,7 @@ from cellwise.estimate.filters.step_kernels import innovate, say
 from cellwise.estimate.filters.update_kernels import Predicted, update
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
-from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, Slopes
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, tangent
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
@@ -137,13 +137,13 @@ def plain_step(
     )
     t = transition(cell, point, flow_A, dt_s)
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
-    over = Interval(old.cell, point, t, end, lane.temperature_C, 0.0, 0.0, 0.0, 0)
+    over = Interval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     p = with_noise(decayed(old.p, t), noise, s, over, 0.0)
     x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(
-        old, x, p, point, Slopes(point.ocv_slope_V, 0.0, 0.0, 0.0, 0.0, 0.0), lane.temperature_C,
+        old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
         old.watch.evidence_s, old.past, drift, None, followed, 0,
     )
     # fmt: on

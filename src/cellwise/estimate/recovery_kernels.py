@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline, part
-from cellwise.cell.equations import CellState, CellTables, loaded, look_up
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.equations import CellTables, loaded, look_up
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.filters.covariance_kernels import Branches, Covariance, uncorrelated
 from cellwise.estimate.sensing_kernels import REST_RATE
 
 RECOVERY_VARIANCE = 0.09
@@ -57,9 +59,10 @@ def start_branch(cell: CellScalars, r_ohm: float, current_A: float) -> tuple[flo
 
 
 @part
+@unrolled
 def soc_of_voltage(
     tables: CellTables,
-    x: CellState,
+    x: ByState,
     soc_variance: float,
     h_variance: float,
     c: Contradiction,
@@ -74,7 +77,7 @@ def soc_of_voltage(
     SOC may still hold, up to ``limit_V``. Beyond either end of the OCV that end is meant. On a
     plateau every SOC of it is as good: the variance is its width.
     """
-    branches_V = (x.v1_V + x.v2_V) + x.v3_V
+    branches_V = sum(x.state[i] for i in BRANCHES)
     step = 1.0 / (RESTART_POINTS - 1)
     ends = look_up(tables, 0.0, c.temperature_C, x.slow_A)
     low = ends.ocv_V - ends.r0_ohm * c.current_A - branches_V + ends.m_V * x.h
@@ -88,12 +91,11 @@ def soc_of_voltage(
     for turn in range(2):
         for k in range(RESTART_POINTS):
             s = k * step
-            point = loaded(tables, s, c.temperature_C, c.current_A, x.slow_A)
+            point: ByState = loaded(tables, s, c.temperature_C, c.current_A, x.slow_A)
             seen = point.ocv_V - point.r0_ohm * c.current_A - branches_V + point.m_V * x.h
             about = variance + point.error_V * point.error_V
             about += point.m_V * point.m_V * h_variance
-            r = point.r1_ohm * point.r1_ohm + point.r2_ohm * point.r2_ohm
-            past = held_A * held_A * (r + point.r3_ohm * point.r3_ohm)
+            past = held_A * held_A * sum(point.r[i] * point.r[i] for i in BRANCHES)
             about += min(past, limit_V * limit_V)
             off = target - seen
             away = s - x.soc
@@ -110,8 +112,9 @@ def soc_of_voltage(
 
 
 @inline
+@unrolled
 def recovered(
-    tables: CellTables, x: CellState, p: Covariance, c: Contradiction
+    tables: CellTables, x: ByState, p: Covariance, c: Contradiction
 ) -> tuple[float, Covariance]:
     """SOC after a lock-out, and the variances of all states."""
     held_A = START_REST_RATE * tables.cell.charge_As / 3600.0
@@ -121,19 +124,19 @@ def recovered(
         held_A = RECOVERY_RATE * tables.cell.charge_As / 3600.0
         limit_V = LOAD_LIMIT_V
         # Under load the resistances may be what is wrong, by as much as they are.
-        branch = c.drop_V * c.drop_V + x.v1_V * x.v1_V + x.v2_V * x.v2_V + x.v3_V * x.v3_V
-        branch += (p.p11 + p.p22) + p.p33
+        branch = c.drop_V * c.drop_V
+        for i in BRANCHES:
+            branch += x.state[i] * x.state[i]
+        branch += sum(p[i, i] for i in BRANCHES)
     wide, about = max(p.ss, RECOVERY_VARIANCE), c.variance_V2 + branch
     soc, variance = soc_of_voltage(tables, x, wide, p.phh, c, about, held_A, limit_V)
-    new = look_up(tables, soc, c.temperature_C, x.slow_A)
+    new: ByState = look_up(tables, soc, c.temperature_C, x.slow_A)
     branch = START_BRANCH_V * START_BRANCH_V
-    p11 = branch + min(held_A * new.r1_ohm, limit_V) ** 2
-    p22 = branch + min(held_A * new.r2_ohm, limit_V) ** 2
-    p33 = branch + min(held_A * new.r3_ohm, limit_V) ** 2
-    if c.followed:
-        p11 += x.v1_V * x.v1_V
-        p22 += x.v2_V * x.v2_V
-        p33 += x.v3_V * x.v3_V
-    if new.r3_ohm == 0.0:
-        p33 = 0.0
-    return soc, uncorrelated(variance, p11, p22, p33, p.phh)
+    v: dict[Any, float] = {}
+    for i in BRANCHES:
+        v[i] = branch + min(held_A * new.r[i], limit_V) ** 2
+        if c.followed:
+            v[i] += x.state[i] * x.state[i]
+        if new.r[i] == 0.0:
+            v[i] = 0.0
+    return soc, uncorrelated(variance, Branches(*(v[i] for i in BRANCHES)), p.phh)

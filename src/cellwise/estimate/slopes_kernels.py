@@ -6,8 +6,11 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import CellTables, loaded
 from cellwise.cell.point_kernels import OCV, CellPoint
+from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.filters.covariance_kernels import Branches, no_branches
 
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SHORTEST_CHORD = 1e-6
@@ -17,19 +20,24 @@ FLAT_SHARE = 0.25
 class Slopes(NamedTuple):
     """Slopes as a step takes them: tangents, or chords where SOC is badly known.
 
-    Of the voltage over SOC, its bend, of the branches' resistances (0 for tangents); ``spread`` is
-    the standard deviation of SOC, 0 while it is well known.
+    Of the voltage over SOC, its bend, ``rise`` of the branches' resistances (0 for tangents);
+    ``spread`` is the standard deviation of SOC, 0 while it is well known.
     """
 
     slope_V: float
     bend_V: float
     spread: float
-    r1_ohm: float
-    r2_ohm: float
-    r3_ohm: float
+    rise: Branches
 
 
 @inline
+def tangent(slope_V: float, spread: float) -> Slopes:
+    """The voltage as a straight line over SOC."""
+    return Slopes(slope_V, 0.0, spread, no_branches())
+
+
+@inline
+@unrolled
 def slopes_at(
     tables: CellTables,
     soc: float,
@@ -49,23 +57,21 @@ def slopes_at(
     OCV's, those of the branches drive the branch voltages.
     """
     if soc_variance <= WIDE_VARIANCE:
-        return Slopes(point.ocv_slope_V, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return tangent(point.ocv_slope_V, 0.0)
     spread = math.sqrt(soc_variance)
     low = min(max(soc - spread, 0.0), 1.0)
     high = min(max(soc + spread, 0.0), 1.0)
     if high - low < SHORTEST_CHORD:  # both beyond the same end
-        return Slopes(point.ocv_slope_V, 0.0, spread, 0.0, 0.0, 0.0)
-    a = loaded(tables, low, temperature_C, current_A, slow_A)
-    b = loaded(tables, high, temperature_C, current_A, slow_A)
+        return tangent(point.ocv_slope_V, spread)
+    a: ByState = loaded(tables, low, temperature_C, current_A, slow_A)
+    b: ByState = loaded(tables, high, temperature_C, current_A, slow_A)
     per = 1.0 / (high - low)
     ocv = (b.ocv_V - a.ocv_V) * per
     return Slopes(
         ocv - (b.r0_ohm - a.r0_ohm) * per * current_A,
         a.ocv_V + ocv * (soc - low) - point.ocv_V,
         spread,
-        (b.r1_ohm - a.r1_ohm) * per,
-        (b.r2_ohm - a.r2_ohm) * per,
-        (b.r3_ohm - a.r3_ohm) * per,
+        Branches(*((b.r[i] - a.r[i]) * per for i in BRANCHES)),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.equations import CellState
+from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
@@ -72,7 +72,7 @@ class Outlook:
         self._usual_C = model.usual_temperature_C
         self._load_A = self._bias_V = self._held_V = self._seen_s = 0.0
         self._warming = NOTHING_SEEN
-        self._ends(CellState(1.0, 0.0, 0.0, 0.0, 0.0), 0.0, self._least_A, 25.0)  # compiles
+        self._ends(empty_state(1.0), 0.0, self._least_A, 25.0)  # compiles
 
     def take(self, update: Any) -> None:
         """Follow one sample: an `Update` of a `LiveFilter`."""

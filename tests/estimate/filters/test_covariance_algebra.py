@@ -48,7 +48,7 @@ def test_a_soc_that_drives_the_branches_is_f_p_f_transposed():
     p = drawn(2)
     f = np.eye(len(CELL))
     f[1, 0], f[2, 0], f[3, 0] = 0.1, -0.2, 0.3
-    found = five.driven_by_soc(record(p), 0.1, -0.2, 0.3)
+    found = five.driven_by_soc(record(p), five.Branches(0.1, -0.2, 0.3))
     np.testing.assert_allclose(matrix(found), f @ p @ f.T, rtol=1e-12)
 
 
@@ -58,7 +58,7 @@ def test_noise_of_the_current_drives_soc_and_branches_together():
     g[:4] = T.gs, T.g1, T.g2, T.g3
     want = p + 0.5 * np.outer(g, g)
     want[np.diag_indices(4)] += 0.1, 0.2, 0.3, 0.4
-    found = five.noisy(record(p), T, 0.5, 0.5, 0.1, 0.2, 0.3, 0.4)
+    found = five.noisy(record(p), T, 0.5, 0.5, 0.1, five.Branches(0.2, 0.3, 0.4))
     np.testing.assert_allclose(matrix(found), want, rtol=1e-12)
 
 

@@ -16,10 +16,11 @@ from cellwise.cell.unrolled import row, unrolled
 VARIANCE_FLOOR = 1e-12
 
 # The upper triangle of P over the states, ss, s1 ... phh; one number for each of them, s, v1 ... h,
-# P H' or a gain. What follows from the table of states no type checker sees.
+# P H' or a gain; one for each branch. What follows from the table of states no type checker sees.
 if TYPE_CHECKING:
     Covariance: TypeAlias = Any
     Column: TypeAlias = Any
+    Branches: TypeAlias = Any
     CellState: TypeAlias = Any
     Transition: TypeAlias = Any
 else:
@@ -27,15 +28,26 @@ else:
 
     Covariance = NamedTuple("Covariance", [(entry(a, b), float) for a, b in triangle(CELL)])
     Column = NamedTuple("Column", [(row(s), float) for s in CELL])
-ByState: TypeAlias = dict[Any, float]  # what a function is handed as vs, v1 ... vh
+    Branches = NamedTuple("Branches", [(row(s), float) for s in BRANCHES])
 
 
 @inline
 @unrolled
-def uncorrelated(vs: float, v1: float, v2: float, v3: float, vh: float) -> Covariance:
+def no_branches() -> Branches:
+    """A zero for each branch."""
+    return Branches(*(0.0 for i in BRANCHES))
+
+
+@inline
+@unrolled
+def uncorrelated(ss: float, v: Branches, hh: float) -> Covariance:
     """States of these variances that know nothing of each other."""
-    v: ByState = {}
-    return Covariance(*(v[i] if i == j else 0.0 for i, j in triangle(CELL)))
+    return Covariance(
+        *(
+            0.0 if i != j else v.row[i] if i in BRANCHES else ss if i == SOC else hh
+            for i, j in triangle(CELL)
+        )
+    )
 
 
 @inline
@@ -53,17 +65,18 @@ def noisy(
     soc_A2: float,
     branch_A2: float,
     ws: float,
-    w1: float,
-    w2: float,
-    w3: float,
+    w: Branches,
 ) -> Covariance:
-    """A current of unknown size drives what it drives; the w are what a state gains alone."""
-    w: ByState = {}
+    """A current of unknown size drives what it drives; ws and w are what a state gains alone."""
     return Covariance(
         *(
             p[i, j]
             if not j.drive
-            else p[i, j] + ((soc_A2 if i == SOC else branch_A2) * t.g[i] * t.g[j] + w[i])
+            else p[i, j]
+            + (
+                (soc_A2 if i == SOC else branch_A2) * t.g[i] * t.g[j]
+                + (ws if i == SOC else w.row[i])
+            )
             if i == j
             else p[i, j] + (soc_A2 if i == SOC else branch_A2) * t.g[i] * t.g[j]
             for i, j in triangle(CELL)
@@ -73,20 +86,20 @@ def noisy(
 
 @inline
 @unrolled
-def driven_by_soc(p: Covariance, f1: float, f2: float, f3: float) -> Covariance:
+def driven_by_soc(p: Covariance, f: Branches) -> Covariance:
     """A SOC that is off drives the branches by the resistances' slopes: x_j += f_j soc."""
-    f: ByState = {}
     return Covariance(
         *(
             p[i, j]
             if i not in BRANCHES and j not in BRANCHES
-            else p[i, j] + f[j] * p.ss
+            else p[i, j] + f.row[j] * p.ss
             if i == SOC
-            else p[i, j] + f[i] * p[SOC, j]
+            else p[i, j] + f.row[i] * p[SOC, j]
             if j not in BRANCHES
-            else p[i, j] + f[i] * (2.0 * p[SOC, i] + f[i] * p.ss)
+            else p[i, j] + f.row[i] * (2.0 * p[SOC, i] + f.row[i] * p.ss)
             if i == j
-            else p[i, j] + (f[i] * p[SOC, j] + f[j] * p[SOC, i] + f[i] * f[j] * p.ss)
+            else p[i, j]
+            + (f.row[i] * p[SOC, j] + f.row[j] * p[SOC, i] + f.row[i] * f.row[j] * p.ss)
             for i, j in triangle(CELL)
         )
     )

@@ -11,10 +11,12 @@ deviation beforehand, ``Noise.offset_share`` of 1C.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations import Transition, relaxed
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.equations import relaxed
+from cellwise.cell.unrolled import CALLED, ByState, unrolled
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import REST_RATE
 
@@ -30,40 +32,37 @@ SHOWN, MAY_BE_LOAD = 25.0, 1.0
 LONG_S = 1e30  # infinite: used
 
 
-class Drift(NamedTuple):
-    """An offset of the current, per standard deviation that it has beforehand.
-
-    ``reach`` is the SOC by which one of them puts the filter's own estimate too low, ``d1_V`` to
-    ``d3_V`` by how much it puts the branches too high; ``information`` is what the voltages say of
-    it if there is one, one over its variance, ``score`` that times its mean, ``believed`` and
-    ``unsure`` its mean and variance over both hypotheses: the estimate that is carried is the
-    filter's own and ``believed`` x ``reach``. ``rest_s`` is for how long the current has stood
-    still near zero, infinite once that has been used, ``rest_A`` what it has been.
-    """
-
-    reach: float
-    score: float
-    information: float
-    believed: float
-    unsure: float
-    d1_V: float
-    d2_V: float
-    d3_V: float
-    rest_s: float
-    rest_A: float
+# An offset of the current, per standard deviation that it has beforehand. ``reach`` is the SOC by
+# which one of them puts the filter's own estimate too low, ``d1_V`` ... by how much it puts the
+# branches too high; ``information`` is what the voltages say of it if there is one, one over its
+# variance, ``score`` that times its mean, ``believed`` and ``unsure`` its mean and variance over
+# both hypotheses: the estimate that is carried is the filter's own and ``believed`` x ``reach``.
+# ``rest_s`` is for how long the current has stood still near zero, infinite once that has been
+# used, ``rest_A`` what it has been.
+if TYPE_CHECKING:
+    Drift: TypeAlias = Any
+else:
+    FIELDS = (
+        *("reach", "score", "information", "believed", "unsure"),
+        *(CALLED["d"](s) for s in BRANCHES),
+        *("rest_s", "rest_A"),
+    )
+    Drift = NamedTuple("Drift", [(name, float) for name in FIELDS])
 
 
 @inline
+@unrolled
 def no_drift() -> Drift:
     """Nothing counted yet, nothing known."""
-    return Drift(0.0, 0.0, 1.0, 0.0, CHANCE, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Drift(0.0, 0.0, 1.0, 0.0, CHANCE, *(0.0 for i in BRANCHES), 0.0, 0.0)
 
 
 @inline
+@unrolled
 def counted_on(
     noise: NoiseScalars,
     old: Drift,
-    t: Transition,
+    t: ByState,
     charge_As: float,
     counted_s: float,
     current_A: float,
@@ -90,9 +89,7 @@ def counted_on(
         information,
         old.believed,
         old.unsure,
-        relaxed(old.d1_V, t.a1, t.g1, offset_A),
-        relaxed(old.d2_V, t.a2, t.g2, offset_A),
-        relaxed(old.d3_V, t.a3, t.g3, offset_A),
+        *(relaxed(old.d[i], t.a[i], t.g[i], offset_A) for i in BRANCHES),
         math.inf if shows else rest_s,
         old.rest_A if stands else current_A,
     )
@@ -101,7 +98,8 @@ def counted_on(
 @inline
 def drift_variance(drift: Drift) -> float:
     """What an offset that is not known may have moved the SOC by, variance over both hypotheses."""
-    return drift.reach * drift.reach * drift.unsure
+    variance: float = drift.reach * drift.reach * drift.unsure
+    return variance
 
 
 @inline
@@ -119,13 +117,16 @@ def student(square: float) -> float:
 
 
 @inline
+@unrolled
 def dropped_by_offset(noise: NoiseScalars, d: Drift, r0_ohm: float, charge_As: float) -> float:
     """By what one deviation of the offset puts the drop over R0 and branches too high [V]."""
     offset_V = r0_ohm * noise.offset_soc_per_s * charge_As
-    return offset_V + ((d.d1_V + d.d2_V) + d.d3_V)
+    dropped_V: float = offset_V + sum(d.d[i] for i in BRANCHES)
+    return dropped_V
 
 
 @inline
+@unrolled
 def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: float) -> Drift:
     """After a voltage with the ``gain`` of the SOC; ``now`` is :func:`counted_on`.
 
@@ -142,7 +143,7 @@ def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: fl
     unsure = weight * (variance + (1.0 - weight) * offset * offset)
     # fmt: off
     return Drift(
-        now.reach - gain * seen_V, score, information, weight * offset, unsure, now.d1_V,
-        now.d2_V, now.d3_V, now.rest_s, now.rest_A,
+        now.reach - gain * seen_V, score, information, weight * offset, unsure,
+        *(now.d[i] for i in BRANCHES), now.rest_s, now.rest_A,
     )
     # fmt: on

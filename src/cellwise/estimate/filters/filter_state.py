@@ -9,7 +9,7 @@ import numpy as np
 from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
-from cellwise.estimate.filters.covariance_kernels import Covariance, uncorrelated
+from cellwise.estimate.filters.covariance_kernels import Covariance, no_branches, uncorrelated
 from cellwise.estimate.filters.drift_kernels import Drift, drift_variance, no_drift
 from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
@@ -141,6 +141,6 @@ ADAPTIVE_OUTPUTS = OUTPUTS + 10
 def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     """A cell known as ``start`` says; its branches are guessed at the first sample."""
     h = 1.0 if start.soc > 0.5 else -1.0
-    p = uncorrelated(start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance)
+    p = uncorrelated(start.variance, no_branches(), start.hysteresis_variance)
     cell, watch = at_rest(start.soc, h), first_watch(current_A)
     return EkfState(cell, p, 0.0, 1.0, 0.0, 0.0, no_drift(), watch, no_past())

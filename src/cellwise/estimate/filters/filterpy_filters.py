@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from cellwise.cell.description import BRANCHES, CELL, SOC, H
 from cellwise.cell.equations import CellState, advance, loaded, seen_current, transition, voltage_of
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outside, widened
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
+from cellwise.cell.unrolled import CALLED
 from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, voltage_variance
 from cellwise.estimate.filters.kalman import STATES, FilterOfModel, SigmaPoints
 from cellwise.estimate.noise import Noise
@@ -41,6 +43,11 @@ class Interval(NamedTuple):
     slow_A: float
 
 
+def resistances(point: CellPoint) -> FloatArray:
+    """Of the branches, shape (branches,)."""
+    return np.array([getattr(point, CALLED["r"](s)) for s in BRANCHES])
+
+
 class FilterpyFilter(FilterOfModel):
     """A filterpy filter over [soc, v1, v2, v3, h]; predict and update are the subclass's."""
 
@@ -52,8 +59,10 @@ class FilterpyFilter(FilterOfModel):
     def init(self, soc0: float, soc0_std: float = 0.15) -> Any:
         """A filterpy filter with the start of :class:`Ekf`, its branches still empty."""
         start, kf = self.start(soc0, soc0_std), self._filter()
-        kf.x = np.array([soc0, 0.0, 0.0, 0.0, 1.0 if soc0 > 0.5 else -1.0])
-        kf.P = np.diag([start.variance, 0.0, 0.0, 0.0, start.hysteresis_variance])
+        at = [CELL.index(SOC), CELL.index(H)]
+        kf.x, kf.P = np.zeros(STATES), np.zeros((STATES, STATES))
+        kf.x[at] = soc0, 1.0 if soc0 > 0.5 else -1.0
+        kf.P[at, at] = start.variance, start.hysteresis_variance
         return kf
 
     def _filter(self) -> Any:
@@ -94,7 +103,7 @@ class FilterpyFilter(FilterOfModel):
             now = Interval(dt, seen, flow, unknown, float(temperature[k]), heat_K, slow_A)
             if k == 0:
                 point = self.point(float(kf.x[0]), now)
-                for j, r in enumerate((point.r1_ohm, point.r2_ohm, point.r3_ohm), start=1):
+                for j, r in enumerate(resistances(point), start=1):
                     kf.x[j], kf.P[j, j] = start_branch(self.cell, float(r), seen)
             if gaps[k]:
                 kf.P[0, 0] += unseen_soc(noise, self.cell.charge_As, unknown, dt) ** 2
@@ -115,7 +124,7 @@ class FilterpyFilter(FilterOfModel):
             if evidence >= 0.0:
                 evidence += dt
             kf.x[0] = min(max(kf.x[0], 0.0), 1.0)
-            kf.x[4] = min(max(kf.x[4], -1.0), 1.0)
+            kf.x[-1] = min(max(kf.x[-1], -1.0), 1.0)
             soc[k], std[k] = kf.x[0], np.sqrt(kf.P[0, 0])
         innovation = voltage - predicted
         ratio = innovation**2 / (self.noise.gate**2 * variance)
@@ -133,13 +142,13 @@ class FilterpyFilter(FilterOfModel):
         return after
 
     def process(self, soc: float, now: Interval) -> tuple[FloatArray, FloatArray]:
-        """Diagonal of the transition, shape (5,), and process noise, shape (5, 5)."""
+        """Diagonal of the transition, shape (states,), and process noise."""
         noise = self._noise
         point = self.point(soc, now)
         t = transition(self.cell, point, now.flow_A, now.dt_s)
-        r = np.array([point.r1_ohm, point.r2_ohm, point.r3_ohm])
-        a = np.array([t.a1, t.a2, t.a3])
-        g = np.array([t.gs, t.g1, t.g2, t.g3, 0.0])
+        r = resistances(point)
+        a = np.array([getattr(t, s.decay) for s in BRANCHES])
+        g = np.array([getattr(t, s.drive) if s.drive else 0.0 for s in CELL])
         walk = noise.soc_per_sqrt_s**2 * now.dt_s
         branch = (share_at(noise, now.flow_A) * now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
@@ -155,7 +164,7 @@ class FilterpyFilter(FilterOfModel):
     def voltage_variance(self, x: FloatArray, now: Interval) -> tuple[float, int]:
         """Of one voltage about a perfect state, wider beyond the model's data; the status."""
         noise, soc = self._noise, float(x[0])
-        point, held = self.point(soc, now), float(np.abs(x[1:4]).sum())
+        point, held = self.point(soc, now), float(np.abs(x[1:-1]).sum())
         outside = is_outside(noise.valid, soc, now.temperature_C, now.seen_A)
         if outside:
             drop = abs(float(point.r0_ohm) * now.seen_A) + held

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.arguments import check_kind, number
 from cellwise.cell.compiled import announce, for_kernel
+from cellwise.cell.description import CELL
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import row_of
 from cellwise.cell.point_kernels import M
@@ -31,7 +32,7 @@ from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 
-STATES = 5
+STATES = len(CELL)
 
 
 class FilterOfModel:

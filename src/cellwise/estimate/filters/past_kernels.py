@@ -15,12 +15,15 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, part
+from cellwise.cell.description import BRANCHES, CELL, V3
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.packed import changed
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.cell.unrolled import unrolled
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import (
+    Branches,
     Column,
     Covariance,
     moved,
@@ -255,6 +258,7 @@ class Looked(NamedTuple):
 
 
 @inline
+@unrolled
 def look_again(
     tables: CellTables,
     noise: NoiseScalars,
@@ -276,12 +280,13 @@ def look_again(
     if past.first_variance > 0.0 and time_passed(before_s, since_s, 0, LOOKS):
         soc, ss, v3, p33, s3 = soc_of_level(tables, noise, past, warm_C, x, since_s, p.phh)
         x = changed(changed(x, "soc", soc), "v3_V", v3)
-        p = changed(uncorrelated(ss, p.p11, p.p22, p33, p.phh), "s3", s3)
+        v = Branches(*(p33 if i == V3 else p[i, i] for i in BRANCHES))
+        p = changed(uncorrelated(ss, v, p.phh), "s3", s3)
         return Looked(x, p, having_looked(past, since_s), True)
     if past.first_variance > 0.0 and time_passed(before_s, since_s, LOOKS, RECONSIDERED):
         more_V, variance = reconsidered(tables, past, warm_C, x, since_s)
         if variance > 0.0:
-            k = Column(p.s3, p.p13, p.p23, p.p33, p.p3h)
+            k = Column(*(p[i, V3] for i in CELL))
             x = moved(x, scaled(k, 1.0 / max(variance, p.p33)), more_V)
         past = having_looked(past, since_s)
     return Looked(x, p, past, False)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import (
     CellState,
     CellTables,
@@ -24,8 +25,10 @@ from cellwise.cell.plausibility.validity_kernels import (
     widened,
 )
 from cellwise.cell.point_kernels import CellPoint
+from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.evidence_kernels import share_at
 from cellwise.estimate.filters.covariance_kernels import (
+    Branches,
     Covariance,
     decayed,
     driven_by_soc,
@@ -44,8 +47,9 @@ SOC_HIGH = 1.0
 class Interval(NamedTuple):
     """An interval as a filter finds it: where it starts, what it does, the tables at its end.
 
-    Where the cell is new to the filter, ``old`` holds what its branches may hold and ``v`` their
-    variances. Beyond the model's validity the point has more slow error, and ``status`` says so.
+    Where the cell is new to the filter, ``old`` holds what its branches may hold and ``unknown``
+    their variances. Beyond the model's validity the point has more slow error, and ``status`` says
+    so.
     """
 
     old: CellState
@@ -53,42 +57,43 @@ class Interval(NamedTuple):
     t: Transition
     end: CellState
     warm_C: float
-    v11: float
-    v22: float
-    v33: float
+    unknown: Branches
     status: int
 
 
 @inline
+@unrolled
 def over_interval(
-    tables: CellTables, noise: NoiseScalars, x: CellState, soc: float, s: Sample, begins: bool
+    tables: CellTables, noise: NoiseScalars, x: ByState, soc: float, s: Sample, begins: bool
 ) -> Interval:
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
     warm = s.temperature_C + x.heat_K
     slow = slow_step(cell, x.slow_A, s.flow_A, s.dt_s)
-    point = loaded(tables, soc, warm, s.seen_A, slow)
-    old1, old2, old3 = x.v1_V, x.v2_V, x.v3_V
-    v11, v22, v33 = 0.0, 0.0, 0.0
+    point: ByState = loaded(tables, soc, warm, s.seen_A, slow)
+    held: dict[Any, float] = {}
+    unknown: dict[Any, float] = {}
+    for i in BRANCHES:
+        held[i], unknown[i] = x.state[i], 0.0
     if begins:
-        old1, v11 = start_branch(cell, point.r1_ohm, s.seen_A)
-        old2, v22 = start_branch(cell, point.r2_ohm, s.seen_A)
-        old3, v33 = start_branch(cell, point.r3_ohm, s.seen_A)
+        for i in BRANCHES:
+            held[i], unknown[i] = start_branch(cell, point.r[i], s.seen_A)
     t = transition(cell, point, s.flow_A, s.dt_s)
-    old = CellState(x.soc, old1, old2, old3, x.h, x.heat_K, x.slow_A)
+    old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)  # type: ignore[call-arg]
     end = states_step(old, t, s.flow_A, soc, slow)
-    held = abs(point.r0_ohm * s.seen_A) + held_in_branches(end)
+    drop_V = abs(point.r0_ohm * s.seen_A) + held_in_branches(end)
     status = 0
     if is_outside(noise.valid, soc, s.temperature_C, s.seen_A):
         status = OUTSIDE
-        more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, held)
+        more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, drop_V)
         point = widened(point, more)
     if s.no_warm_s > 0.0:
-        point = widened(point, lost_temperature_V(s.no_warm_s, held))
-    return Interval(old, point, t, end, warm, v11, v22, v33, status)
+        point = widened(point, lost_temperature_V(s.no_warm_s, drop_V))
+    return Interval(old, point, t, end, warm, Branches(*(unknown[i] for i in BRANCHES)), status)
 
 
 @inline
+@unrolled
 def with_noise(
     p: Covariance, noise: NoiseScalars, s: Sample, now: Interval, no_voltage_s: float
 ) -> Covariance:
@@ -98,7 +103,8 @@ def with_noise(
     does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval. A
     constant offset of the current is a hypothesis of its own, as long as voltages judge it.
     """
-    point, t = now.point, now.t
+    point: ByState = now.point
+    t: ByState = now.t
     lost = no_voltage_s > noise.hold_s
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
     q = noise.current_A * noise.current_A
@@ -110,9 +116,7 @@ def with_noise(
         q,
         q + s.gap_A2,
         per_sqrt_s * per_sqrt_s * s.dt_s,
-        share * point.r1_ohm * point.r1_ohm * (1.0 - t.a1 * t.a1),
-        share * point.r2_ohm * point.r2_ohm * (1.0 - t.a2 * t.a2),
-        share * point.r3_ohm * point.r3_ohm * (1.0 - t.a3 * t.a3),
+        Branches(*(share * point.r[i] * point.r[i] * (1.0 - t.a[i] * t.a[i]) for i in BRANCHES)),
     )
 
 
@@ -138,6 +142,7 @@ def drifted(tables: CellTables, s: Sample, ss: float) -> float:
 
 
 @inline
+@unrolled
 def by_tangents(
     tables: CellTables,
     noise: NoiseScalars,
@@ -147,16 +152,13 @@ def by_tangents(
     no_voltage_s: float,
 ) -> tuple[CellState, Covariance, Slopes]:
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
-    t, end, point = now.t, now.end, now.point
+    end, point = now.end, now.point
+    t: ByState = now.t
     ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
     p = changed(decayed(p, t), "ss", ss)
     at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
-        p = driven_by_soc(
-            p,
-            at.r1_ohm * (1.0 - t.a1) * s.flow_A,
-            at.r2_ohm * (1.0 - t.a2) * s.flow_A,
-            at.r3_ohm * (1.0 - t.a3) * s.flow_A,
-        )
+        drives = Branches(*(at.rise.row[i] * (1.0 - t.a[i]) * s.flow_A for i in BRANCHES))
+        p = driven_by_soc(p, drives)
     return end, with_noise(p, noise, s, now, no_voltage_s), at

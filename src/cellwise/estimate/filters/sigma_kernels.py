@@ -13,11 +13,13 @@ Points are drawn again between predict and update.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import BRANCHES, CELL, SOC
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step, terminal_voltage
 from cellwise.cell.point_kernels import CellPoint
+from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.filters.covariance_kernels import (
     VARIANCE_FLOOR,
     Column,
@@ -37,7 +39,7 @@ from cellwise.estimate.filters.predict_kernels import (
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes, flat_slope
+from cellwise.estimate.slopes_kernels import Slopes, flat_slope, tangent
 
 
 class SigmaScalars(NamedTuple):
@@ -69,13 +71,15 @@ class Voltage(NamedTuple):
 
 
 @inline
+@unrolled
 def along_soc(p: Covariance, ss: float) -> tuple[float, Column]:
     """SOC's deviation and the first column of the factor; a SOC known exactly keeps some."""
     root = math.sqrt(max(ss, VARIANCE_FLOOR))
-    return root, Column(ss / root, p.s1 / root, p.s2 / root, p.s3 / root, p.sh / root)
+    return root, Column(ss / root, *(p[SOC, i] / root for i in CELL[1:]))
 
 
 @inline
+@unrolled
 def by_points(
     tables: CellTables,
     noise: NoiseScalars,
@@ -90,44 +94,44 @@ def by_points(
     The slopes are those of the centre; their ``spread`` is above zero where the points have their
     own tables.
     """
-    old, point, t, c = now.old, now.point, now.t, sigma.reach
+    t, c = now.t, sigma.reach
+    old: ByState = now.old
+    point: ByState = now.point
     ss = unseen_variance(tables, noise, s, p.ss)
     root, along = along_soc(p, ss)
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
     # every point has the centre's.
     wide = ss > sigma.wide_variance
-    up, low = point, point
+    up: ByState = point
+    low: ByState = point
     if wide:
         up = loaded(tables, now.end.soc + c * root, now.warm_C, s.seen_A, now.end.slow_A)
         low = loaded(tables, now.end.soc - c * root, now.warm_C, s.seen_A, now.end.slow_A)
-    up1 = rc_step(old.v1_V + c * along.v1, s.flow_A, up.r1_ohm, up.tau1_s, s.dt_s)
-    up2 = rc_step(old.v2_V + c * along.v2, s.flow_A, up.r2_ohm, up.tau2_s, s.dt_s)
-    up3 = old.v3_V + c * along.v3
-    low1 = rc_step(old.v1_V - c * along.v1, s.flow_A, low.r1_ohm, low.tau1_s, s.dt_s)
-    low2 = rc_step(old.v2_V - c * along.v2, s.flow_A, low.r2_ohm, low.tau2_s, s.dt_s)
-    low3 = old.v3_V - c * along.v3
-    if point.r3_ohm != 0.0:
-        up3 = rc_step(up3, s.flow_A, up.r3_ohm, up.tau3_s, s.dt_s)
-        low3 = rc_step(low3, s.flow_A, low.r3_ohm, low.tau3_s, s.dt_s)
-    x = now.end
+    x: ByState = now.end
     per = 0.5 / c
-    d = Column(0.0, (up1 - low1) * per, (up2 - low2) * per, (up3 - low3) * per, t.ah * along.h)
-    e1 = (up1 + low1) - 2.0 * x.v1_V
-    e2 = (up2 + low2) - 2.0 * x.v2_V
-    e3 = (up3 + low3) - 2.0 * x.v3_V
-    v1 = x.v1_V + sigma.side * e1
-    v2 = x.v2_V + sigma.side * e2
-    v3 = x.v3_V + sigma.side * e3
+    above: dict[Any, float] = {}
+    below: dict[Any, float] = {}
+    e: dict[Any, float] = {}
+    v: dict[Any, float] = {}
+    for i in BRANCHES:
+        above[i] = old.state[i] + c * along.row[i]
+        below[i] = old.state[i] - c * along.row[i]
+        if point.r[i] != 0.0:
+            above[i] = rc_step(above[i], s.flow_A, up.r[i], up.tau[i], s.dt_s)
+            below[i] = rc_step(below[i], s.flow_A, low.r[i], low.tau[i], s.dt_s)
+        e[i] = (above[i] + below[i]) - 2.0 * x.state[i]
+        v[i] = x.state[i] + sigma.side * e[i]
+    d = Column(0.0, *((above[i] - below[i]) * per for i in BRANCHES), t.ah * along.h)
     p = decayed(without_outer(p, along), t)
-    p = with_outer(p, d, sigma.curve, Column(0.0, e1, e2, e3, 0.0))
+    p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
     p = with_noise(p, noise, s, now, no_voltage_s)
-    slope = point.ocv_slope_V
-    at = Slopes(slope, 0.0, root if wide else 0.0, 0.0, 0.0, 0.0)
-    return CellState(x.soc, v1, v2, v3, x.h, x.heat_K, x.slow_A), p, at
+    x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)  # type: ignore[call-arg]
+    return x, p, tangent(point.ocv_slope_V, root if wide else 0.0)
 
 
 @inline
+@unrolled
 def voltage_by_points(
     tables: CellTables,
     sigma: SigmaScalars,
@@ -135,14 +139,14 @@ def voltage_by_points(
     point: CellPoint,
     at: Slopes,
     warm_C: float,
-    x: CellState,
+    x: ByState,
     p: Covariance,
 ) -> Voltage:
     """Of the centre and of the pair, drawn again from the prediction."""
     c = sigma.reach
     root, along = along_soc(p, p.ss)
-    branches = (x.v1_V + x.v2_V) + x.v3_V
-    away = c * ((along.v1 + along.v2) + along.v3)
+    branches = sum(x.state[i] for i in BRANCHES)
+    away = c * sum(along.row[i] for i in BRANCHES)
     up = loaded(tables, x.soc + c * root, warm_C, s.seen_A, x.slow_A)
     low = loaded(tables, x.soc - c * root, warm_C, s.seen_A, x.slow_A)
     r_up = up.r0_ohm if at.spread > 0.0 else point.r0_ohm
@@ -154,14 +158,8 @@ def voltage_by_points(
     slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.seen_A) / (2.0 * c * root)
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column(without_outer(p, along), 0.0, point.m_V)
-    d = Column(
-        root * first,
-        rest.v1 + along.v1 * first,
-        rest.v2 + along.v2 * first,
-        rest.v3 + along.v3 * first,
-        rest.h + along.h * first,
-    )
-    known = explained(Column(0.0, rest.v1, rest.v2, rest.v3, rest.h), 0.0, point.m_V)
+    d = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))
+    known = explained(Column(0.0, *(rest.row[i] for i in CELL[1:])), 0.0, point.m_V)
     variance = known + first * first + sigma.curve * second * second
     bent = min(slope, point.ocv_slope_V) < flat_slope(tables)
     return Voltage(centre + sigma.side * second, d, variance, slope, bent)

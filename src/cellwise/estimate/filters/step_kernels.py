@@ -95,7 +95,7 @@ def predict(
     p, past, evidence = state.p, state.past, state.watch.evidence_s
     now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
     if evidence == NOT_BEGUN:
-        p = uncorrelated(p.ss, now.v11, now.v22, now.v33, p.phh)
+        p = uncorrelated(p.ss, now.unknown, p.phh)
         evidence = NO_VOLTAGE_YET
         past = past_at_start(cell, s, soc, p.ss)
     followed = state.drift.believed * state.drift.reach + capacity_soc(free)

@@ -6,11 +6,13 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, part
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
     charge_transfer,
+    held_in_branches,
     loaded,
     loaded_voltage,
     polarisation,
@@ -22,6 +24,7 @@ from cellwise.cell.plausibility.validity_kernels import (
     widened,
 )
 from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.evidence_kernels import voltage_variance
 from cellwise.estimate.noise import NoiseScalars
 
@@ -143,12 +146,14 @@ def correction_variance(
 
 
 @inline
+@unrolled
 def drop_of(
-    point: CellPoint, x: CellState, current_A: float, factor: float, but: Correction
+    point: CellPoint, x: ByState, current_A: float, factor: float, but: Correction
 ) -> float:
     """What the current takes off the OCV, with the factors [V]."""
     fast_V = polarisation(point.r0_ohm, current_A, x.v1_V, 0.0)
-    return factor * fast_V + (within(but.tail) * x.v2_V + x.v3_V)
+    slower_V: float = within(but.tail) * x.v2_V + sum(x.state[i] for i in BRANCHES[2:])
+    return factor * fast_V + slower_V
 
 
 @part
@@ -229,7 +234,7 @@ def end_variance(
     Of the SOC with ``slope_V``, of the model as the filters have it, of the correction.
     """
     x = load.end
-    branches = abs(x.v1_V) + (abs(x.v2_V) + abs(x.v3_V))
+    branches = held_in_branches(x)
     more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)
     beyond = soc_extrapolation_V(noise.valid, x.soc) - soc_extrapolation_V(
         noise.valid, now.cell.soc
