@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from cellwise.arguments import check_kind
+from cellwise.cell.description import State
 from cellwise.cell.effects import (
     BRANCH_ACTIVATIONS,
     EFFECTS,
@@ -24,6 +25,7 @@ from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
+from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
 from cellwise.plotting import Line, Panel, Plottable, Summarised
 from cellwise.typing import FloatArray
@@ -368,17 +370,18 @@ CONVERTED: dict[str, Callable[[CellModel, float], float]] = {
 def _packed(model: CellModel) -> CellTables:
     """The packed table (temperatures, soc points, COLUMNS), its temperatures, the scalars."""
     shape = model.ocv_V.shape
-    columns = [effect_table(_source(model, name), shape) for name in COLUMN_SOURCES.values()]
+    columns = [effect_table(value_of(model, name), shape) for name in COLUMN_SOURCES.values()]
     table = np.ascontiguousarray(np.stack(columns, axis=-1))
     scalars = {}
     for name, source in SCALAR_SOURCES.items():
-        value = float(_source(model, source))
+        value = float(value_of(model, source))
         convert = CONVERTED.get(name)
         scalars[name] = float(convert(model, value)) if convert else value
     return CellTables(table, np.ascontiguousarray(model.temperature_C), CellScalars(**scalars))
 
 
-def _source(model: CellModel, name: str) -> FloatArray | float:
+def value_of(model: CellModel, name: str) -> FloatArray | float:
+    """What a source of `point_kernels` names: of the model, or ``effect.parameter``."""
     if name == "error":
         return model.slow_error_tables_V()
     holder, _, parameter = name.rpartition(".")
@@ -386,6 +389,12 @@ def _source(model: CellModel, name: str) -> FloatArray | float:
         model.effect(EFFECTS[holder]) if holder else model, parameter
     )
     return value
+
+
+def branch_table(model: CellModel, kind: str, branch: State) -> FloatArray:
+    """Resistance (``r``) or time constant (``tau``) of a branch, shape (temperatures, points)."""
+    name = CALLED[kind](branch)
+    return effect_table(value_of(model, COLUMN_SOURCES[name]), model.ocv_V.shape)
 
 
 def _has_branch_activation(model: CellModel) -> bool:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cellwise.cell.effects import (
     IN_TABLES,
     Effect,
-    Hysteresis,
-    SlowDiffusion,
     beside_common_activation,
+    is_neutral,
 )
 from cellwise.cell.equations import look_up
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import COLUMN_SOURCES
 from cellwise.typing import FloatArray
 
 
@@ -42,14 +43,11 @@ def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
     def over(field: str) -> FloatArray:
         return np.array([[getattr(point, field) for point in row] for row in rows])
 
-    others: list[Effect] = [
-        e for e in model.effects if not isinstance(e, (*IN_TABLES, SlowDiffusion, Hysteresis))
-    ]
-    slow, hysteresis = model.effect(SlowDiffusion), model.effect(Hysteresis)
-    if np.any(slow.r3_ohm):
-        others.append(SlowDiffusion(over("r3_ohm"), over("tau3_s")))
-    if np.any(hysteresis.m_V):
-        others.append(replace(hysteresis, m_V=over("m_V")))
+    def resolved(effect: Effect) -> Effect:
+        sources = {s: c for c, s in COLUMN_SOURCES.items() if s.startswith(f"{effect.name}.")}
+        tables: dict[str, Any] = {s.partition(".")[2]: over(c) for s, c in sources.items()}
+        return replace(effect, **tables)
+
     return replace(
         model,
         ocv_V=over("ocv_V"),
@@ -59,5 +57,7 @@ def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
         r2_ohm=over("r2_ohm"),
         tau2_s=over("tau2_s"),
         temperature_C=np.asarray(temperature_C, dtype=np.float64),
-        effects=tuple(others),
+        effects=tuple(
+            resolved(e) for e in model.effects if not isinstance(e, IN_TABLES) and not is_neutral(e)
+        ),
     )

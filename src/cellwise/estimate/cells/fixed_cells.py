@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     CELL_MOST,
     HALF,
@@ -49,7 +51,6 @@ from cellwise.estimate.fixed.arithmetic import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up
-from cellwise.estimate.fixed.options import SLOW
 from cellwise.estimate.fixed.state import is_sound
 from cellwise.estimate.power.fixed_power import Way, ending, one_way, place_now
 from cellwise.estimate.status import (
@@ -310,6 +311,7 @@ def nearest_to_end(x: State, cells: Cells, count: int, side: float) -> int:
 
 
 @noinline
+@unrolled_by_option
 def way_of(m: Model, place: Place, x: State, a: Cell, side: float) -> Way:
     """What one cell can give (``side`` 1) or take (-1) over the horizon."""
     c = m.constant
@@ -317,8 +319,8 @@ def way_of(m: Model, place: Place, x: State, a: Cell, side: float) -> Way:
     ss = own_variance(c, x, a)
     own = with_cell(place, a)
     held_V = x.v1_V + x.v2_V
-    if SLOW:
-        held_V = held_V + x.v3_V
+    for i in BRANCHES[2:]:
+        held_V = held_V + x.state[i]
     worse_V = at_least(side * (a.resistance * held_V), ZERO)
     limit_V = c.power_low_V
     most_A = c.power_discharge_A

@@ -191,9 +191,9 @@ class FilterpyEkf(FilterpyFilter):
         kf.x = np.array(after[:STATES])
 
     def slopes(self, kf: ExtendedKalmanFilter, now: Interval) -> FloatArray:
-        """Derivatives of the voltage, shape (1, 5)."""
+        """Derivatives of the voltage, shape (1, states)."""
         point = self.point(float(kf.x[0]), now)
-        return np.array([[point.ocv_slope_V, -1.0, -1.0, -1.0, point.m_V]])
+        return np.array([[point.ocv_slope_V, *(-1.0 for _ in BRANCHES), point.m_V]])
 
     def seen(self, kf: ExtendedKalmanFilter, now: Interval) -> tuple[float, float]:
         """At the mean, and by the derivatives there."""

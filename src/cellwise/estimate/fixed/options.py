@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cellwise.cell.description import BRANCHES, CELL
 from cellwise.cell.effects import (
     ChargeAsymmetry,
     ChargeTransfer,
@@ -18,12 +19,11 @@ from cellwise.cell.effects import (
     RateDependence,
     SelfDischarge,
     SelfHeating,
-    SlowDiffusion,
     SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
 )
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, branch_table
 from cellwise.estimate.cells.settings import CellSettings
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ class Options:
 
     @property
     def states(self) -> int:
-        """States of the filter: SOC, two branches, and what is compiled in."""
-        return 3 + self.slow + self.hysteresis
+        """States of the filter: those that are always there, and what is compiled in."""
+        return sum(not s.option or bool(getattr(self, s.option)) for s in CELL)
 
     def defines(self) -> dict[str, int]:
         """The values as the C preprocessor sees them."""
@@ -116,7 +116,7 @@ def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options
     return Options(
         points=model.points,
         temperatures=model.temperature_C.size,
-        slow=int(np.any(np.asarray(model.effect(SlowDiffusion).r3_ohm) != 0.0)),
+        **{s.option: int(np.any(branch_table(model, "r", s))) for s in BRANCHES if s.option},
         hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
         arrhenius=arrhenius,
         efficiency=int(model.charge_efficiency != 1.0),

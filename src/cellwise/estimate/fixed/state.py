@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from cellwise.cell.description import BRANCHES, CARRIED, H
-from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import (
     CARRY_MOST,
     HALF,
@@ -57,7 +59,6 @@ from cellwise.estimate.fixed.options import (
     HEATING,
     HYSTERESIS,
     LEAK,
-    SLOW,
     SURFACE,
     WARM,
     WIDE,
@@ -222,10 +223,10 @@ def cross_gap(
         spread = (moved * moved) * unknown_A2
     x.ss = x.ss + spread
     if WIDE:
-        gain1 = risen(steps * p.gain1)
-        gain2 = risen(steps * p.gain2)
-        gain3 = risen(steps * p.gain3) if SLOW else ZERO
-        relax(x, p, gain1, gain2, gain3, bridge, unknown_A2)
+        gain: dict[Any, float] = {}
+        for i in BRANCHES:
+            gain[i] = risen(steps * p.gain[i]) if THERE else ZERO
+        relax(x, p, *(gain[i] for i in BRANCHES), bridge, unknown_A2)  # type: ignore[call-arg]
     else:
         for i in BRANCHES:
             x.p[i, i] = x.p[i, i] + (unknown_A2 * (p.r[i] * p.r[i]))
@@ -235,6 +236,7 @@ def cross_gap(
         x.heat_K = x.heat_K * vanishing(steps * c.heat_rate)
 
 
+@unrolled_by_option
 def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured_A2: float) -> None:
     """One interval of constant current.
 
@@ -243,7 +245,7 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured
     """
     share = c.share_variance if flow >= ZERO else c.charge_variance
     square_A2 = (share * (flow * flow)) + unmeasured_A2
-    relax(x, p, p.gain1, p.gain2, p.gain3, flow, square_A2)
+    relax(x, p, *(p.gain[i] for i in BRANCHES), flow, square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(flow))
         keep = ONE - rise

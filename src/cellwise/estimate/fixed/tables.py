@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.cell.description import BRANCHES
 from cellwise.cell.effects import (
     ChargeAsymmetry,
     ChargeTransfer,
@@ -16,16 +17,16 @@ from cellwise.cell.effects import (
     RateDependence,
     SelfDischarge,
     SelfHeating,
-    SlowDiffusion,
     SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
     effect_table,
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.model import TABLES, CellModel
+from cellwise.cell.model import TABLES, CellModel, branch_table
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.resolved import needs_rows, over_temperature
+from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
 from cellwise.estimate.cells.settings import cell_constants
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
@@ -193,25 +194,22 @@ def shortest_step_s(model: CellModel, options: Options) -> float:
 
 def _slowest_s(model: CellModel, options: Options) -> float:
     """The slowest time constant that is compiled in [s]."""
-    slowest = float(np.max(model.tau2_s))
-    if options.slow:
-        slowest = max(slowest, float(np.max(np.asarray(model.effect(SlowDiffusion).tau3_s))))
+    slowest = max(
+        float(np.max(branch_table(model, "tau", s)))
+        for s in BRANCHES
+        if not s.option or getattr(options, s.option)
+    )
     return max(slowest, model.effect(SurfaceSoc).tau_s) if options.surface else slowest
 
 
 def _columns(model: CellModel, dt_s: float, noise: Noise) -> dict[str, FloatArray]:
     shape = (model.temperature_C.size, model.points)
-    slow = model.effect(SlowDiffusion)
     return {
         "ocv_V": model.ocv_V,
         "error_V": noise.error_scale * model.slow_error_tables_V(),
         "r0_ohm": model.r0_ohm,
-        "r1_ohm": model.r1_ohm,
-        "lag1": lag(model.tau1_s, dt_s),
-        "r2_ohm": model.r2_ohm,
-        "lag2": lag(model.tau2_s, dt_s),
-        "r3_ohm": effect_table(slow.r3_ohm, shape),
-        "lag3": lag(effect_table(slow.tau3_s, shape), dt_s),
+        **{CALLED["r"](s): branch_table(model, "r", s) for s in BRANCHES},
+        **{f"lag{s.letter}": lag(branch_table(model, "tau", s), dt_s) for s in BRANCHES},
         "m_V": effect_table(model.effect(Hysteresis).m_V, shape),
     }
 
