@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.description import BRANCHES
+from cellwise.cell.description import BRANCHES, CELL
 from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.unrolled import unrolled
@@ -26,29 +27,42 @@ class CellTables(NamedTuple):
     cell: CellScalars
 
 
-class CellState(NamedTuple):
-    """What a cell carries from one interval to the next."""
+if TYPE_CHECKING:
+    Transition: TypeAlias = Any
 
-    soc: float
-    v1_V: float
-    v2_V: float
-    v3_V: float
-    h: float
-    heat_K: float = 0.0
-    slow_A: float = 0.0
+    class CellState(tuple[float, ...]):
+        """What a cell carries from one interval to the next: every state by its name, then these.
 
+        ``heat_K`` is its own warmth, ``slow_A`` the current that the surface has followed.
+        """
 
-class Transition(NamedTuple):
-    """An interval of constant current: factors a on the states, what one ampere adds g."""
+        soc: float
+        v1_V: float
+        v2_V: float
+        v3_V: float
+        h: float
+        heat_K: float
+        slow_A: float
+        _fields: ClassVar[tuple[str, ...]]
 
-    a1: float
-    a2: float
-    a3: float
-    ah: float
-    gs: float
-    g1: float
-    g2: float
-    g3: float
+        def __new__(cls, *numbers: float) -> Self:
+            """The states in the order of the table; the others 0 unless given."""
+
+        @classmethod
+        def _make(cls, numbers: Iterable[float]) -> Self: ...
+
+        def _replace(self, **numbers: float) -> Self: ...
+
+else:
+    CellState = NamedTuple(
+        "CellState", [*((s.name, float) for s in CELL), ("heat_K", float), ("slow_A", float)]
+    )
+    CellState.__new__.__defaults__ = (0.0, 0.0)
+    # An interval of constant current: factors a on the states, what one ampere adds g.
+    Transition = NamedTuple(
+        "Transition",
+        [(s.decay, float) for s in CELL if s.decay] + [(s.drive, float) for s in CELL if s.drive],
+    )
 
 
 class Place(NamedTuple):
@@ -81,9 +95,9 @@ def with_heat(x: CellState, heat_K: float) -> CellState:
 @unrolled
 def at_rest(soc: float, h: float) -> CellState:
     """A cell whose load was off for long."""
-    return CellState(soc, *(0.0 for i in BRANCHES), h, 0.0, 0.0)  # type: ignore[call-arg]
+    return CellState(soc, *(0.0 for i in BRANCHES), h, 0.0, 0.0)
 
 
 def empty_state(soc: float, h: float = 0.0) -> CellState:
     """A cell at rest at the given SOC."""
-    return CellState(float(soc), *(0.0 for _ in BRANCHES), float(h))  # type: ignore[call-arg]
+    return CellState(float(soc), *(0.0 for _ in BRANCHES), float(h))

@@ -109,7 +109,7 @@ def transition(cell: CellScalars, point: ByState, current_A: float, dt_s: float)
     ah = 1.0
     if cell.hysteresis_rate != 0.0:
         ah = hysteresis_decay(cell, current_A, dt_s)
-    return Transition(  # type: ignore[call-arg]
+    return Transition(
         *(a[i] for i in BRANCHES),
         ah,
         -(dt_s / cell.charge_As),
@@ -124,7 +124,7 @@ def states_step(
 ) -> CellState:
     """Branches and hysteresis after an interval; SOC and surface as given, heat as it was."""
     h = hysteresis_step(state.h, t.ah, current_A)
-    return CellState(  # type: ignore[call-arg]
+    return CellState(
         soc,
         *(relaxed(state.state[i], t.a[i], t.g[i], current_A) for i in BRANCHES),
         h,

@@ -79,7 +79,7 @@ def over_interval(
         for i in BRANCHES:
             held[i], unknown[i] = start_branch(cell, point.r[i], s.seen_A)
     t = transition(cell, point, s.flow_A, s.dt_s)
-    old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)  # type: ignore[call-arg]
+    old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     end = states_step(old, t, s.flow_A, soc, slow)
     drop_V = abs(point.r0_ohm * s.seen_A) + held_in_branches(end)
     status = 0
