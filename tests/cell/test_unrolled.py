@@ -39,6 +39,15 @@ def written(body, by_option=False):
             ["f(0, w1, w2, w3, 0, x.r2_ohm + x.r3_ohm)"],
         ),
         (
+            "r = {}\nfor i in BRANCHES[1:]:\n    r[i] *= t.tau[i]\n"
+            "    if i.option:\n        if p.r[i] != 0.0:\n            r[i] = d.d[i]",
+            [
+                "r2_ohm *= t.tau2_s",
+                "r3_ohm *= t.tau3_s",
+                "if p.r3_ohm != 0.0:\n    r3_ohm = d.d3_V",
+            ],
+        ),
+        (
             "for k in range(3):\n    for i in (V3,):\n        p[k] = x.carry[i]",
             ["for k in range(3):\n    p[k] = x.v3_carry_V"],
         ),

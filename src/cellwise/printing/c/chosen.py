@@ -10,11 +10,12 @@ import ast
 from collections.abc import Iterable
 from typing import Any
 
+from cellwise.cell.description import CELL
+
 # The option without which a kind of float is not there.
 FLOATS = {
     "float": "",
-    "SlowFloat": "SLOW",
-    "HysteresisFloat": "HYSTERESIS",
+    **{f"{s.option.capitalize()}Float": s.option.upper() for s in CELL if s.option},
     "WarmFloat": "WARM",
     "SurfaceFloat": "SURFACE",
 }
