@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis, SlowDiffusion
-from cellwise.cell.model import CellModel
+from cellwise.cell.description import BRANCHES
+from cellwise.cell.effects import Hysteresis
+from cellwise.cell.model import CellModel, branch_table
 from cellwise.typing import FloatArray
 
 REST_RATE = 0.01  # below C/100 a cell counts as resting
@@ -32,9 +33,10 @@ def rest_ocv(
     load : (interval_s, current_A)      rows of a use of the cell, (m,) each; there may be none
     """
     cell = model.at_temperature(temperature_C)
-    slow = cell.effect(SlowDiffusion)
-    pairs = ((cell.r1_ohm, cell.tau1_s), (cell.r2_ohm, cell.tau2_s), (slow.r3_ohm, slow.tau3_s))
-    r, tau = np.array([(np.median(a), np.median(b)) for a, b in pairs]).T
+    r, tau = (
+        np.array([np.median(branch_table(cell, kind, s)) for s in BRANCHES])
+        for kind in ("r", "tau")
+    )
     usual = usual_load(*load, tau, model.capacity_Ah)
     return rested_ocv(time_s, voltage_V, model.error.white_V, Branches(r, tau), usual)
 
