@@ -71,9 +71,10 @@ def mathml(tex: str, display: str) -> str:
 def homes() -> dict[str, str]:
     """Public name to the module that it comes from, as the face says."""
     for node in ast.parse(FACE.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_HOMES":
-            return dict(ast.literal_eval(node.value))
-    raise LookupError("no _HOMES in the public face")
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_NAMES":
+            names = ast.literal_eval(node.value).items()
+            return {name: home for home, listed in names for name in listed.split()}
+    raise LookupError("no _NAMES in the public face")
 
 
 def api_page() -> str:
