@@ -71,8 +71,8 @@ def resting() -> CellLog:
     return CellLog(np.arange(7200.0), np.zeros(7200), 3.9 + noise, name="rest")
 
 
-def r0_error(found) -> float:
-    soc = np.linspace(0.3, 0.9, 30)
+def r0_error(found, lowest: float = 0.3) -> float:
+    soc = np.linspace(lowest, 0.9, 30)
     r0 = np.interp(soc, found.model.soc, found.model.r0_ohm[0])
     return float(np.max(np.abs(r0 / CELL.r0_ohm(soc) - 1.0)))
 
@@ -204,7 +204,7 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
 
 def test_a_drive_beside_an_ocv_test_gives_the_truth_back(drive, low_rate):
     found = run(drives(drive, ocv=(low_rate,)))
-    assert r0_error(found) < 0.05
+    assert r0_error(found, lowest=0.5) < 0.02  # as far down as it drives
     assert found.fit.rmse_V < 2e-3
 
 
