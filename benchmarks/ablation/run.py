@@ -18,8 +18,7 @@ import numpy as np
 from benchmarks.ablation.panel import Case, cases
 from benchmarks.ablation.switches import Switch, switch_of
 from benchmarks.measured_data import HOW, data_folder
-from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
 

@@ -124,13 +124,7 @@ def test_arrhenius_scales_every_resistance_and_nothing_else(temperature):
     slow = SlowDiffusion(0.02, 900.0)
     factor = np.exp(energy * (1 / (temperature + 273.15) - 1 / 298.15))
     plain = curved_cell()
-    scaled = replace(
-        plain,
-        r0_ohm=plain.r0_ohm * factor,
-        r1_ohm=plain.r1_ohm * factor,
-        r2_ohm=plain.r2_ohm * factor,
-        effects=(SlowDiffusion(0.02 * factor, 900.0),),
-    )
+    scaled = replace(plain, effects=(slow,)).with_resistances(factor)
     log = random_log(np.random.default_rng(3), 400)
     log = replace(log, temperature_C=np.full(len(log), temperature))
     a = simulate(replace(plain, effects=(effect, slow)), log, 0.6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.adaptive import AdaptiveSettings
 from cellwise.estimate.filters.drift_kernels import no_drift
 from cellwise.estimate.filters.free_kernels import (
     forgotten,

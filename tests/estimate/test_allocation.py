@@ -12,7 +12,7 @@ from numba.core.runtime import _nrt_python, rtsys
 from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
 from cellwise.cell.simulate import simulate_rows
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.adaptive import AdaptiveSettings
 from cellwise.estimate.filters.coulomb import CoulombState, CountRules, gauge_rows
 from cellwise.estimate.filters.filter_state import ADAPTIVE_OUTPUTS, OUTPUTS, LogArrays, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints

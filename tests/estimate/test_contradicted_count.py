@@ -9,8 +9,7 @@ import pytest
 
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep

@@ -68,15 +68,15 @@ def test_a_known_charge_ends_when_it_was_predicted(charge):
     before = log.voltage_V[np.searchsorted(log.time_s, found.time_s)] < LIMIT_V - 0.02
     early = before & (truth > 600.0)
     assert early.sum() > 50
-    np.testing.assert_allclose(found.full_s[early], truth[early], rtol=0.03)
-    low, high = found.full_s_band[early].T
+    np.testing.assert_allclose(found.remaining_s[early], truth[early], rtol=0.03)
+    low, high = found.remaining_s_band[early].T
     assert np.all((low < truth[early]) & (truth[early] < high))
-    np.testing.assert_allclose(found.charge_A[early], 2.0, rtol=1e-6)
+    np.testing.assert_allclose(found.load_A[early], -2.0, rtol=1e-6)
     np.testing.assert_allclose(found.end_soc[early], soc[-1], atol=0.01)
     # What the charger gives is what flows in at its voltage.
     given = -np.cumsum((log.current_A * log.voltage_V)[::-1])[::-1] / 3600.0
     at = np.searchsorted(log.time_s, found.time_s[early])
-    np.testing.assert_allclose(found.full_Wh[early], given[at], rtol=0.03)
+    np.testing.assert_allclose(found.remaining_Wh[early], given[at], rtol=0.03)
 
 
 def test_a_stream_says_what_a_replay_says(charge):
@@ -91,7 +91,7 @@ def test_a_stream_says_what_a_replay_says(charge):
     whole = forecast_charge(
         model, replay(model, log, soc0=0.3, soc0_std=0.02), limit_V=LIMIT_V, taper_A=TAPER_A
     )
-    assert now.remaining_s == pytest.approx(whole.full_s[-1], rel=0.02)
+    assert now.remaining_s == pytest.approx(whole.remaining_s[-1], rel=0.02)
     row = outlook.columns(live.state, 25.0)
     assert row["full_s"] == now.remaining_s
     assert row["remaining_s"] is None  # nothing is drawn
@@ -146,9 +146,9 @@ def test_measured_charges_that_no_model_has_seen(real_data):
         done = (log.voltage_V > limit_V - 0.02) & (current > -1.02 * taper_A) & (current < 0.0)
         truth = log.time_s[np.flatnonzero(done)[0]] - found.time_s
         later = (truth > 60.0) & (truth < 3600.0)
-        low, high = found.full_s_band[later].T
+        low, high = found.remaining_s_band[later].T
         inside.append(np.mean((low <= truth[later]) & (truth[later] <= high)))
-        assert np.median(np.abs(found.full_s - truth)[later] / truth[later]) < 0.06, (
+        assert np.median(np.abs(found.remaining_s - truth)[later] / truth[later]) < 0.06, (
             path
         )  # asked: 0.05
     assert np.mean(inside) > 0.93
@@ -165,5 +165,5 @@ def test_the_band_has_a_charge_that_comes_to_its_voltage_early(name, real_data):
     done = (log.voltage_V > 4.18) & (current > -0.051) & (current < 0.0)
     truth = log.time_s[np.flatnonzero(done)[0]] - found.time_s
     rows = truth > 60.0
-    low, high = found.full_s_band[rows].T
+    low, high = found.remaining_s_band[rows].T
     assert np.mean((low <= truth[rows]) & (truth[rows] <= high)) > 0.9

@@ -10,8 +10,7 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.replay import replay
-from cellwise.forecast.convergence import expected_convergence_s, expected_std
+from cellwise.estimate.replay import expected_convergence_s, expected_std, replay
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, within_its_error
 

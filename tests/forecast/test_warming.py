@@ -167,9 +167,7 @@ def test_live_knows_the_warming_that_a_replay_knows():
 def test_what_a_resistance_is_off_by_grows_with_the_polarisation():
     """Twice the resistance, and a model that states its resistances as the uncertain part."""
     model = curved_cell()
-    aged = replace(
-        model, r0_ohm=1.5 * model.r0_ohm, r1_ohm=1.5 * model.r1_ohm, r2_ohm=1.5 * model.r2_ohm
-    )
+    aged = model.with_resistances(1.5)
     whole, truth = discharge(aged, np.full(4000, 4.0), 0.95)
     end_s, _ = until(whole, truth.soc, CUTOFF_V)
     now = int(0.4 * end_s)

@@ -28,8 +28,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.packed import place_of
-from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.adaptive_settings import AdaptiveSettings
+from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.fixed.layout import INPUT

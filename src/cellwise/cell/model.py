@@ -17,6 +17,7 @@ from cellwise.cell.effects import (
     Effect,
     Entropy,
     Hysteresis,
+    SlowDiffusion,
     TemperatureDependence,
     check_effect,
     effect_table,
@@ -48,6 +49,7 @@ class ModelTables(NamedTuple):
 
 
 TABLES = ModelTables._fields
+RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
 
 USUAL_C = 25.0  # where tests are made, and rooms are
 
@@ -210,11 +212,6 @@ class CellModel(Plottable, Summarised):
             return float(stock["spread"]["soc"]) * self.capacity_Ah
         return CAPACITY_STD * self.capacity_Ah
 
-    @property
-    def tables(self) -> ModelTables:
-        """The six tables together."""
-        return ModelTables(*(getattr(self, name) for name in TABLES))
-
     def effect(self, kind: type[E]) -> E:
         """The model's effect of one kind, or its neutral value."""
         for effect in self.effects:
@@ -227,6 +224,13 @@ class CellModel(Plottable, Summarised):
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect))
 
+    def with_resistances(self, factor: float) -> CellModel:
+        """The model with every resistance times a factor, that of a slow branch too."""
+        slow = self.effect(SlowDiffusion)
+        slower = replace(slow, r3_ohm=factor * np.asarray(slow.r3_ohm))
+        changed = replace(self, **{n: factor * getattr(self, n) for n in RESISTANCES})
+        return changed.with_effect(slower) if slow in self.effects else changed
+
     def parameters(self) -> CellTables:
         """What the kernels take: the packed table, its temperatures, the scalars."""
         table, grid, scalars = self._parameters
@@ -234,23 +238,28 @@ class CellModel(Plottable, Summarised):
 
     @cached_property
     def _parameters(self) -> CellTables:
-        return _packed(self)
+        shape = self.ocv_V.shape
+        columns = [effect_table(value_of(self, name), shape) for name in COLUMN_SOURCES.values()]
+        table = np.ascontiguousarray(np.stack(columns, axis=-1))
+        scalars = {}
+        for name, source in SCALAR_SOURCES.items():
+            value = float(value_of(self, source))
+            convert = CONVERTED.get(name)
+            scalars[name] = float(convert(self, value)) if convert else value
+        return CellTables(table, np.ascontiguousarray(self.temperature_C), CellScalars(**scalars))
 
     def at_temperature(self, temperature_C: float) -> CellModel:
         """The model's tables at one temperature, linear between its own."""
         if self.temperature_C.size == 1:
             return self
-        tables = self.tables._replace(
-            **{
-                name: _interpolate(self.temperature_C, getattr(self, name), temperature_C)
-                for name in TABLES
-            }
-        )
-        effects = tuple(self._effect_at(e, temperature_C) for e in self.effects)
+        grid = self.temperature_C
+        tables: dict[str, Any] = {
+            n: _interpolate(grid, getattr(self, n), temperature_C) for n in TABLES
+        }
         return replace(
             self,
-            **tables._asdict(),
-            effects=effects,
+            **tables,
+            effects=tuple(self._effect_at(e, temperature_C) for e in self.effects),
             temperature_C=np.array([float(temperature_C)]),
         )
 
@@ -365,19 +374,6 @@ CONVERTED: dict[str, Callable[[CellModel, float], float]] = {
         value + ZERO_CELSIUS_K if np.any(model.effect(Entropy).docv_dT_V_per_K) else 0.0
     ),
 }
-
-
-def _packed(model: CellModel) -> CellTables:
-    """The packed table (temperatures, soc points, COLUMNS), its temperatures, the scalars."""
-    shape = model.ocv_V.shape
-    columns = [effect_table(value_of(model, name), shape) for name in COLUMN_SOURCES.values()]
-    table = np.ascontiguousarray(np.stack(columns, axis=-1))
-    scalars = {}
-    for name, source in SCALAR_SOURCES.items():
-        value = float(value_of(model, source))
-        convert = CONVERTED.get(name)
-        scalars[name] = float(convert(model, value)) if convert else value
-    return CellTables(table, np.ascontiguousarray(model.temperature_C), CellScalars(**scalars))
 
 
 def value_of(model: CellModel, name: str) -> FloatArray | float:

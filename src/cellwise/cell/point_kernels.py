@@ -6,104 +6,72 @@ A parameter of a new effect is a field here, with where it comes from: a field o
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, get_type_hints
 
 import numpy as np
 
 from cellwise.cell.compiled import inline
 from cellwise.typing import FloatArray
 
-# Columns of the packed table.
-(OCV, R0, R1, TAU1, R2, TAU2, R3, TAU3, M, ERROR, ENTROPY) = range(11)
-COLUMN_SOURCES = {
-    "ocv_V": "ocv_V",
-    "r0_ohm": "r0_ohm",
-    "r1_ohm": "r1_ohm",
-    "tau1_s": "tau1_s",
-    "r2_ohm": "r2_ohm",
-    "tau2_s": "tau2_s",
-    "r3_ohm": "slow_diffusion.r3_ohm",
-    "tau3_s": "slow_diffusion.tau3_s",
-    "m_V": "hysteresis.m_V",
-    "error_V": "error",
-    "entropy_V": "entropy.docv_dT_V_per_K",
-}
-COLUMNS = len(COLUMN_SOURCES)
-SCALAR_SOURCES = {
-    "charge_As": "capacity_Ah",
-    "charge_efficiency": "charge_efficiency",
-    "activation_K": "temperature_dependence.activation_K",
-    "reference_K": "temperature_dependence.reference_C",
-    "hysteresis_rate": "hysteresis.gamma",
-    "skew_s": "time_skew.skew_s",
-    "rate_per_A": "rate_dependence.rate_h",
-    "charge_scale": "charge_asymmetry.charge_scale",
-    "leak_A": "self_discharge.leak_A",
-    "heating_K_per_W": "self_heating.rth_K_per_W",
-    "heating_s": "self_heating.thermal_s",
-    "branch_activation": "temperature_dependence.r0_K",
-    "r0_activation_K": "temperature_dependence.r0_K",
-    "r1_activation_K": "temperature_dependence.r1_K",
-    "tau1_activation_K": "temperature_dependence.tau1_K",
-    "r2_activation_K": "temperature_dependence.r2_K",
-    "tau2_activation_K": "temperature_dependence.tau2_K",
-    "r3_activation_K": "temperature_dependence.r3_K",
-    "tau3_activation_K": "temperature_dependence.tau3_K",
-    "asinh_per_V": "charge_transfer.asinh_per_V",
-    "surface_per_A": "surface_soc.depth_h",
-    "surface_s": "surface_soc.tau_s",
-    "surface_activation_K": "surface_soc.activation_K",
-    "surface_reference_K": "surface_soc.reference_C",
-    "entropy_K": "entropy.reference_C",
-}
-
 
 class CellScalars(NamedTuple):
-    """What a `CellModel` says beside its tables."""
+    """What a `CellModel` says beside its tables, and of what parameter."""
 
-    charge_As: float  # charge between SOC 1 and SOC 0
-    charge_efficiency: float  # share of the charge put in that stays
-    activation_K: float  # of every resistance
-    reference_K: float  # where the tables hold
-    hysteresis_rate: float  # e-folds of h per full charge
-    skew_s: float  # sampling delay of the voltage after the current
-    rate_per_A: float  # fall of R0, R1, R2 with the current
-    charge_scale: float  # factor on resistances on charge
-    leak_A: float  # self-discharge current
-    heating_K_per_W: float  # thermal resistance to the surface
-    heating_s: float  # thermal time constant
-    branch_activation: float  # 1 where one is not 0
-    r0_activation_K: float  # of R0 beside the common one
-    r1_activation_K: float  # of R1 beside the common one
-    tau1_activation_K: float  # of tau1
-    r2_activation_K: float  # of R2 beside the common one
-    tau2_activation_K: float  # of tau2
-    r3_activation_K: float  # of R3 beside the common one
-    tau3_activation_K: float  # of tau3
-    asinh_per_V: float  # of the fast branch's charge transfer
-    surface_per_A: float  # SOC that the surface is below the mean
-    surface_s: float  # time constant of the current that it follows
-    surface_activation_K: float  # of that depth
-    surface_reference_K: float  # where that depth holds
-    entropy_K: float  # where the OCV holds; 0: no entropy term
+    charge_As: Annotated[float, "capacity_Ah"]  # charge between SOC 1 and SOC 0
+    charge_efficiency: Annotated[float, "charge_efficiency"]  # of what is put in
+    activation_K: Annotated[float, "temperature_dependence.activation_K"]  # of every resistance
+    reference_K: Annotated[float, "temperature_dependence.reference_C"]  # where the tables hold
+    hysteresis_rate: Annotated[float, "hysteresis.gamma"]  # e-folds of h per full charge
+    skew_s: Annotated[float, "time_skew.skew_s"]  # sampling delay of the voltage after the current
+    rate_per_A: Annotated[float, "rate_dependence.rate_h"]  # fall of R0, R1, R2 with the current
+    charge_scale: Annotated[float, "charge_asymmetry.charge_scale"]  # on resistances on charge
+    leak_A: Annotated[float, "self_discharge.leak_A"]  # self-discharge current
+    heating_K_per_W: Annotated[float, "self_heating.rth_K_per_W"]  # to the surface
+    heating_s: Annotated[float, "self_heating.thermal_s"]  # thermal time constant
+    branch_activation: Annotated[float, "temperature_dependence.r0_K"]  # 1 where one is not 0
+    r0_activation_K: Annotated[float, "temperature_dependence.r0_K"]  # of R0 beside the common one
+    r1_activation_K: Annotated[float, "temperature_dependence.r1_K"]  # of R1 beside the common one
+    tau1_activation_K: Annotated[float, "temperature_dependence.tau1_K"]  # of tau1
+    r2_activation_K: Annotated[float, "temperature_dependence.r2_K"]  # of R2 beside the common one
+    tau2_activation_K: Annotated[float, "temperature_dependence.tau2_K"]  # of tau2
+    r3_activation_K: Annotated[float, "temperature_dependence.r3_K"]  # of R3 beside the common one
+    tau3_activation_K: Annotated[float, "temperature_dependence.tau3_K"]  # of tau3
+    asinh_per_V: Annotated[float, "charge_transfer.asinh_per_V"]  # of the fast branch
+    surface_per_A: Annotated[float, "surface_soc.depth_h"]  # SOC that the surface is below the mean
+    surface_s: Annotated[float, "surface_soc.tau_s"]  # time constant of the current that it follows
+    surface_activation_K: Annotated[float, "surface_soc.activation_K"]  # of that depth
+    surface_reference_K: Annotated[float, "surface_soc.reference_C"]  # where that depth holds
+    entropy_K: Annotated[float, "entropy.reference_C"]  # where the OCV holds; 0: no entropy term
 
 
 class CellPoint(NamedTuple):
-    """The tables at one SOC and temperature, as the branches come; slopes over SOC."""
+    """The tables at one SOC and temperature, and of what parameter each is; slopes over SOC."""
 
-    ocv_V: float  # open-circuit voltage
+    ocv_V: Annotated[float, "ocv_V"]  # open-circuit voltage
     ocv_slope_V: float
-    r0_ohm: float  # ohmic resistance
-    r1_ohm: float  # resistance of the fast branch
-    r2_ohm: float  # resistance of the second branch
-    r3_ohm: float  # resistance of the slow branch
-    tau1_s: float  # time constant of the fast branch
-    tau2_s: float  # time constant of the second branch
-    tau3_s: float  # time constant of the slow branch
-    m_V: float  # half the gap between charge and discharge branch
-    error_V: float  # the model's slow voltage error
-    entropy_V: float  # change of the OCV per kelvin
+    r0_ohm: Annotated[float, "r0_ohm"]  # ohmic resistance
+    r1_ohm: Annotated[float, "r1_ohm"]  # resistance of the fast branch
+    r2_ohm: Annotated[float, "r2_ohm"]  # resistance of the second branch
+    r3_ohm: Annotated[float, "slow_diffusion.r3_ohm"]  # resistance of the slow branch
+    tau1_s: Annotated[float, "tau1_s"]  # time constant of the fast branch
+    tau2_s: Annotated[float, "tau2_s"]  # time constant of the second branch
+    tau3_s: Annotated[float, "slow_diffusion.tau3_s"]  # time constant of the slow branch
+    m_V: Annotated[float, "hysteresis.m_V"]  # half the gap between charge and discharge branch
+    error_V: Annotated[float, "error"]  # the model's slow voltage error
+    entropy_V: Annotated[float, "entropy.docv_dT_V_per_K"]  # change of the OCV per kelvin
     entropy_slope_V: float
+
+
+def _sources(kind: type) -> dict[str, str]:
+    """Where the numbers of a record come from, by their names."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: x.__metadata__[0] for name, x in hints.items() if hasattr(x, "__metadata__")}
+
+
+SCALAR_SOURCES = _sources(CellScalars)
+COLUMN_SOURCES = _sources(CellPoint)  # the columns of the packed table
+COLUMNS = len(COLUMN_SOURCES)
+(OCV, R0, R1, R2, R3, TAU1, TAU2, TAU3, M, ERROR, ENTROPY) = range(COLUMNS)
 
 
 @inline

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating, SlowDiffusion
+from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
@@ -118,21 +118,17 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
     if validity.current_A is not None:
         low, high = validity.current_A
         validity = replace(validity, current_A=(low / share, high / share))
+    wider = model.with_resistances(share)
     return replace(
-        model,
+        wider,
         capacity_Ah=float(capacity_Ah),
-        r0_ohm=share * model.r0_ohm,
-        r1_ohm=share * model.r1_ohm,
-        r2_ohm=share * model.r2_ohm,
-        effects=tuple(_scaled(effect, share) for effect in model.effects),
+        effects=tuple(_scaled(e, share) for e in wider.effects),
         validity=validity,
         provenance={**model.provenance, "scaled_from_Ah": float(model.capacity_Ah)},
     )
 
 
 def _scaled(effect: Effect, share: float) -> Effect:
-    if isinstance(effect, SlowDiffusion):
-        return replace(effect, r3_ohm=share * np.asarray(effect.r3_ohm))
     if isinstance(effect, SelfHeating):
         return replace(effect, rth_K_per_W=share * effect.rth_K_per_W)
     if isinstance(effect, SelfDischarge):

@@ -186,9 +186,8 @@ def run_of(
     from cellwise.cell.plausibility.notice import ends_forecasts
     from cellwise.cli.replay_output import Run
     from cellwise.estimate.estimators import make_estimator
-    from cellwise.estimate.replay import replay
+    from cellwise.estimate.replay import expected_convergence_s, replay
     from cellwise.forecast.charging import forecast_charge
-    from cellwise.forecast.convergence import expected_convergence_s
     from cellwise.forecast.remaining import cutoff_of, forecast, forecast_at
     from cellwise.logs.cell_log import resample
 

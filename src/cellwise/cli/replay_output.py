@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from cellwise.cell.initial_soc.initial_soc import InitialSoc
     from cellwise.estimate.power.along import PowerTrace
     from cellwise.estimate.replay import Replay
-    from cellwise.forecast.charging import Charge
     from cellwise.forecast.plan import Outcome
     from cellwise.forecast.remaining import Flight, Forecast
     from cellwise.typing import FloatArray
@@ -37,7 +36,7 @@ class Run:
     far: str | None
     flight: Flight | None = None
     at_load: Forecast | None = None
-    charge: Charge | None = None
+    charge: Flight | None = None
     plan: Outcome | None = None
     displayed_percent: FloatArray | None = None
     hold: str = "power"

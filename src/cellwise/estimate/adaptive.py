@@ -2,38 +2,166 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from enum import IntFlag
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.compiled import announce
 from cellwise.cell.model import CellModel
-from cellwise.estimate.adaptive_settings import AdaptiveSettings, held_bits, reason
+from cellwise.errors import InputError
+from cellwise.estimate import status as bits
 from cellwise.estimate.filters import filter_state as layout
+from cellwise.estimate.filters import kalman
+from cellwise.estimate.filters import kalman_kernels as kernels
 from cellwise.estimate.filters.filter_state import TraceArrays
-from cellwise.estimate.filters.kalman import (
-    FilterOfModel,
-    check_state,
-    log_arrays,
-    reading_from,
-    trace_fields,
-)
-from cellwise.estimate.filters.kalman_kernels import (
-    AdaptiveState,
-    adaptive_rows,
-    adaptive_start,
-    adaptive_step,
-)
+from cellwise.estimate.filters.free_kernels import FreeRules, ResistanceRules
+from cellwise.estimate.filters.kalman_kernels import AdaptiveState, adaptive_rows
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IntArray
 
+ESTIMABLE = ("current_offset", "resistance", "capacity", "current_gain")
+
+
+class Held(IntFlag):
+    """Why a parameter was held in a step; 0: it was estimated."""
+
+    NOT_CHOSEN = 1
+    SOC_UNSURE = 2  # the SOC is not yet known well enough to look for anything else
+    NO_EXCITATION = 4  # the load hardly moves: a resistance and an OCV look alike
+    MODEL_MISFIT = 8  # beyond the model's data, or at an end of its SOC
+    NO_VOLTAGE = 16
+    NO_CURRENT = 32
+
+
+REASONS = dict(zip(Held, (
+    "not among the parameters to estimate", "SOC not known well enough", "the load hardly moves",
+    "the model does not explain the voltage", "no voltage", "no current",
+), strict=True))  # fmt: skip
+
+
+def reason(held: int) -> str | None:
+    """The reasons in words; None where the parameter is estimated."""
+    return "; ".join(text for bit, text in REASONS.items() if held & bit) or None
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """Parameters to estimate, what is believed of them before, and when they are held.
+
+    Currents are shares of 1C (the model's capacity over an hour), standard deviations all.
+
+    Parameters
+    ----------
+    learn : tuple of str         of ``current_offset``, ``resistance``, ``capacity``,
+                                 ``current_gain``; capacity and gain move the counted charge alike,
+                                 so only one of the two can be chosen
+    offset_C : float             sensor offset before any data
+    resistance : float           factor on the resistances, about 1
+    charge : float               capacity or gain, as a share
+    offset_C_per_sqrt_h, resistance_per_sqrt_h, charge_per_sqrt_h : float    how they wander
+    fault_probability, charge_probability : float
+                                 chance, before any data, that there is an offset, that capacity or
+                                 gain is not the model's
+    settled_soc : float          beyond this deviation of SOC only an offset is estimated
+    swing_V : float              below this RMS of the moving drop resistances are held
+    fast_s : float               what moves within it shows R0 and R1
+    """
+
+    learn: tuple[str, ...] = ("current_offset", "resistance", "capacity")
+    offset_C: float = 0.03
+    resistance: float = 0.08
+    charge: float = 0.08
+    offset_C_per_sqrt_h: float = 0.002
+    resistance_per_sqrt_h: float = 0.1
+    charge_per_sqrt_h: float = 0.002
+    fault_probability: float = 0.2
+    charge_probability: float = 0.02
+    settled_soc: float = 0.02
+    swing_V: float = 0.003
+    fast_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.learn if name not in ESTIMABLE]
+        if unknown:
+            raise InputError(
+                f"a parameter '{unknown[0]}' to estimate",
+                f"some of {', '.join(ESTIMABLE)}",
+                "Correct its name.",
+            )
+        if "capacity" in self.learn and "current_gain" in self.learn:
+            raise InputError(
+                "capacity and current_gain both to be estimated",
+                "one of the two",
+                "They move the counted charge alike, no data can separate them: drop one.",
+            )
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
+                raise InputError(f"{name} = {value}", "a number of at least 0", "Correct it.")
+        for name in ("fault_probability", "charge_probability"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise InputError(
+                    f"{name} = {getattr(self, name)}",
+                    "a probability between 0 and 1",
+                    "Leave the parameter out of `learn` where it cannot be wrong.",
+                )
+        if self.fast_s <= 0.0:
+            raise InputError(f"fast_s = {self.fast_s}", "seconds above 0", "Correct it.")
+
+    @property
+    def estimates_gain(self) -> bool:
+        """Whether a wrong charge is laid to the sensor's gain and not to the capacity."""
+        return "current_gain" in self.learn
+
+    @property
+    def offset_share(self) -> float:
+        """Deviation of the offset before any data, of 1C; 0 where it is not estimated."""
+        return self.offset_C if "current_offset" in self.learn else 0.0
+
+    def rules(self) -> FreeRules:
+        """What the kernels take."""
+        resistance = self.resistance if "resistance" in self.learn else 0.0
+        charge = self.charge if "capacity" in self.learn or self.estimates_gain else 0.0
+        hour = 3600.0
+
+        def odds(probability: float, prior: float) -> float:
+            return probability / (1.0 - probability) if prior > 0.0 else 0.0
+
+        def wander(per_sqrt_h: float, prior: float) -> float:
+            """As a share of what is believed before, in squares."""
+            return (per_sqrt_h / prior) ** 2 / hour if prior > 0.0 else 0.0
+
+        return FreeRules(
+            capacity=charge,
+            capacity_odds=odds(self.charge_probability, charge),
+            offset_odds=odds(self.fault_probability, self.offset_share),
+            capacity_wander=wander(self.charge_per_sqrt_h, charge),
+            offset_wander=wander(self.offset_C_per_sqrt_h, self.offset_share),
+            settled_variance=self.settled_soc**2,
+            resistances=ResistanceRules(
+                variance=resistance**2,
+                wander=self.resistance_per_sqrt_h**2 / hour if resistance > 0.0 else 0.0,
+                swing_V2=self.swing_V**2,
+                fast_s=self.fast_s,
+            ),
+        )
+
+
 CHARGE_LOW, CHARGE_HIGH = 0.5, 2.5
-# The share of rows in which a parameter has to be held for the reason to be reported at the end.
-MOSTLY = 0.5
+MOSTLY = 0.5  # of the rows: a parameter held in more is said to be, at the end
 SHOWN = 0.5
+
+
+def mostly(bits_of_rows: IntArray) -> str | None:
+    """Words for the reasons of most rows, if most rows were held."""
+    if bits_of_rows.size == 0 or np.mean(bits_of_rows != 0) <= MOSTLY:
+        return None
+    common = sum(bit for bit in Held if np.mean(bits_of_rows & bit != 0) > MOSTLY)
+    return reason(common or int(np.bitwise_or.reduce(bits_of_rows)))
 
 
 class Estimated(NamedTuple):
@@ -85,7 +213,7 @@ class Parameters(NamedTuple):
 class AdaptiveTrace(Trace):
     """A trace with the parameters, every array of shape (rows,); ``held`` is (3, rows).
 
-    ``held`` are the bits of :class:`cellwise.estimate.adaptive_settings.Held` for offset,
+    ``held`` are the bits of :class:`Held` for offset,
     resistance and capacity or gain.
     """
 
@@ -106,25 +234,22 @@ class AdaptiveTrace(Trace):
     def parameters(self, row: int = -1) -> Parameters:
         """Values at one row, the last by default; reasons are those of most rows up to there."""
         stop = len(self) if row == -1 else row + 1
-        offset, resistance, charge = (_mostly(bits[:stop]) for bits in self.held)
-        chance = float(self.charge_probability[row])
-        # Held and its chance, of the one that a change of charge is laid to and of the other.
-        laid, other = (charge, chance), ("the charge is laid to the other", None)
+        offset, resistance, charge = (mostly(why[:stop]) for why in self.held)
+        laid = charge, float(self.charge_probability[row])
+        other = "the charge is laid to the other", None
+        of_gain, of_capacity = (laid, other) if self.estimates_gain else (other, laid)
 
         def at(
             value: FloatArray, std: FloatArray, held: str | None, probability: float | None = None
         ) -> Estimated:
             return Estimated(float(value[row]), float(std[row]), probability, held)
 
+        capacity = at(self.capacity_Ah, self.capacity_std_Ah, *of_capacity)
         scale = at(self.resistance_scale, self.resistance_std, resistance)
-        gain = at(self.gain, self.gain_std, *(laid if self.estimates_gain else other))
-        capacity = at(
-            self.capacity_Ah, self.capacity_std_Ah, *(other if self.estimates_gain else laid)
-        )
-        probability = float(self.offset_probability[row])
+        chance = float(self.offset_probability[row])
         return Parameters(
-            offset_A=at(self.offset_A, self.offset_std_A, offset, probability),
-            gain=gain,
+            offset_A=at(self.offset_A, self.offset_std_A, offset, chance),
+            gain=at(self.gain, self.gain_std, *of_gain),
             resistance_scale=scale,
             capacity_Ah=capacity,
             soh_capacity=capacity.value / self.model_capacity_Ah,
@@ -132,20 +257,12 @@ class AdaptiveTrace(Trace):
         )
 
 
-def _mostly(bits: IntArray) -> str | None:
-    """Words for the reasons of most rows, if most rows were held."""
-    if bits.size == 0 or np.mean(bits != 0) <= MOSTLY:
-        return None
-    common = [1 << k for k in range(6) if np.mean(bits >> k & 1) > MOSTLY]
-    return reason(sum(common)) if common else reason(int(np.bitwise_or.reduce(bits)))
-
-
 class AdaptiveInfo(NamedTuple):
     """What may be looked at after a step; voltage to status as in ``EkfInfo``.
 
     ``capacity_Ah`` and ``gain`` stand for one change of charge: the one that was not chosen is the
     model's. ``*_probability`` is the chance that the model's value does not hold. ``held_*`` are
-    the bits of :class:`cellwise.estimate.adaptive_settings.Held`, 0 where it is estimated.
+    the bits of :class:`Held`, 0 where it is estimated.
     """
 
     soc: float
@@ -169,7 +286,7 @@ class AdaptiveInfo(NamedTuple):
     held_charge: int
 
 
-class Adaptive(FilterOfModel):
+class Adaptive(kalman.FilterOfModel):
     """The EKF with more that is free: beside the sensor's offset the capacity, and resistances.
 
     Parameters
@@ -177,12 +294,6 @@ class Adaptive(FilterOfModel):
     model : CellModel
     noise : Noise or None                 None: from the model's own validation error
     settings : AdaptiveSettings or None   which parameters, and what is believed of them
-
-    Examples
-    --------
-    >>> adaptive = Adaptive(model)                                       # doctest: +SKIP
-    >>> state = adaptive.init(soc0=0.5, soc0_std=0.2)                    # doctest: +SKIP
-    >>> state, info = adaptive.step(state, 1.2, 3.71, 25.0, dt_s=0.1)    # doctest: +SKIP
     """
 
     name = "adaptive"
@@ -202,7 +313,7 @@ class Adaptive(FilterOfModel):
 
     def init(self, soc0: float, soc0_std: float = 0.15, current_A: float = 0.0) -> AdaptiveState:
         """State at ``soc0`` that is known to ``soc0_std``; as :meth:`KalmanFilter.init`."""
-        return adaptive_start(self.start(soc0, soc0_std), self._rules, float(current_A))
+        return kernels.adaptive_start(self.start(soc0, soc0_std), self._rules, float(current_A))
 
     def step(
         self,
@@ -220,11 +331,11 @@ class Adaptive(FilterOfModel):
         ------
         InputError        dt_s negative or not finite; a state or a reading of another type
         """
-        check_state(state, AdaptiveState, self.name)
-        reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
-        announce(adaptive_step, f"the {self.name} step")
+        kalman.check_state(state, AdaptiveState, self.name)
+        reading = kalman.reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
+        announce(kernels.adaptive_step, f"the {self.name} step")
         out = self._room(1)
-        after = adaptive_step(
+        after = kernels.adaptive_step(
             self._tables, self._noise, self._rules, self._unknown, state, reading, out
         )
         known = self._parameters(out)
@@ -239,12 +350,12 @@ class Adaptive(FilterOfModel):
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
         """Replay a whole log; the same steps in one compiled loop."""
-        rows, start = log_arrays(log), self.start(soc0, soc0_std)
+        rows, start = kalman.log_arrays(log), self.start(soc0, soc0_std)
         out = self._room(len(log))
         announce(adaptive_rows, f"the estimator '{self.name}'")
         adaptive_rows(self._tables, self._noise, self._rules, start, self._unknown, rows, out)
         return AdaptiveTrace(
-            **trace_fields(log, out),
+            **kalman.trace_fields(log, out),
             **self._parameters(out),
             model_capacity_Ah=self.model.capacity_Ah,
             estimates_gain=self.settings.estimates_gain,
@@ -268,7 +379,22 @@ class Adaptive(FilterOfModel):
             "charge_probability": v[layout.OUT_CHARGE_FREE],
             "resistance_scale": v[layout.OUT_RESISTANCE],
             "resistance_std": v[layout.OUT_RESISTANCE_STD],
-            "held": held_bits(
-                self.settings, out.status, v[layout.OUT_SOC_VARIANCE], v[layout.OUT_MOVES] > 0.0
-            ),
+            "held": self._held(out),
         }
+
+    def _held(self, out: TraceArrays) -> IntArray:
+        """Why offset, resistance and capacity or gain were held in some rows, shape (3, rows).
+
+        An offset is asked for from the first voltage on, the others once the SOC is settled.
+        """
+        v, status, rules = out.values, out.status, self._rules
+        seen = np.where(status & (bits.VOLTAGE_INVALID | bits.VOLTAGE_FROZEN), Held.NO_VOLTAGE, 0)
+        seen |= np.where(status & bits.CURRENT_INVALID, Held.NO_CURRENT, 0)
+        unsure = v[layout.OUT_SOC_VARIANCE] > rules.settled_variance
+        settled = seen | np.where(unsure, Held.SOC_UNSURE, 0)
+        outside = np.where(status & (bits.CLAMPED | bits.OUTSIDE), Held.MODEL_MISFIT, 0)
+        still = np.where(v[layout.OUT_MOVES] > 0.0, 0, Held.NO_EXCITATION)
+        held = np.stack([seen, settled | still, settled | outside])
+        sizes = self.settings.offset_share, rules.resistances.variance, rules.capacity
+        held |= np.where(np.array(sizes) > 0.0, 0, Held.NOT_CHOSEN)[:, None]
+        return held.astype(np.int32)

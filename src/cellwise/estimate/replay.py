@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
-from cellwise.estimate.trace import Trace, TraceSums, nis_by_scale, trace_sums
+from cellwise.estimate.trace import Trace, nis_by_scale
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
@@ -109,20 +110,15 @@ class Replay(Plottable, Tabular):
         within = np.abs(self.soc_error) <= 2.0 * self.trace.soc_std
         return float(np.mean(within[known])) if known.any() else None
 
-    @cached_property
-    def sums(self) -> TraceSums:
-        """Sums over the trace: innovations, their squares, what was rejected."""
-        trace = self.trace
-        return trace_sums(
-            np.ascontiguousarray(trace.innovation_V),
-            np.ascontiguousarray(trace.innovation_variance_V2),
-            np.ascontiguousarray(trace.status, dtype=np.int32),
-        )
-
     @property
     def nis_mean(self) -> float | None:
         """Mean of innovation squared over its variance, over the voltages that were used."""
-        return self.sums.nis / self.sums.used if self.sums.used else None
+        return self.trace.nis_mean
+
+    @property
+    def voltage_rmse_V(self) -> float:
+        """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
+        return self.trace.voltage_rmse_V
 
     @cached_property
     def nis(self) -> tuple[float, ...] | None:
@@ -133,12 +129,6 @@ class Replay(Plottable, Tabular):
         filter that follows the model's error does not show it. None without a model.
         """
         return None if self.model is None else nis_by_scale(self.model, self.log, self.trace)
-
-    @property
-    def voltage_rmse_V(self) -> float:
-        """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
-        sums = self.sums
-        return math.sqrt(sums.squares_V2 / sums.known) if sums.known else math.nan
 
     @property
     def _seen(self) -> tuple[CellModel | None, CellLog, FloatArray, FloatArray]:
@@ -168,15 +158,15 @@ class Replay(Plottable, Tabular):
         if self.model is not None:
             warm = self.model.usual_temperature_C
             found += assumed_temperature_notices(self.model, self.log, warm)
-        if self.sums.known or np.any(np.isfinite(self.trace.voltage_V)):  # counting predicts none
-            rejected = self.sums.rejected / len(self.trace)
-            found += prediction_notices(self.log, self.voltage_rmse_V, rejected)
+        trace = self.trace
+        if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
+            found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
         limits = () if self.power is None else self.power.known.notices
         return (*in_order(found, self.log.notices), *limits)
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
-        errors, settled = self.errors, self.settled
+        errors, settled, rmse_V = self.errors, self.settled, self.voltage_rmse_V
         found = {
             "estimator": self.estimator,
             "samples": len(self.trace),
@@ -191,7 +181,7 @@ class Replay(Plottable, Tabular):
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,
             "nis": None if self.nis is None else list(self.nis),
-            "voltage_rmse_V": self.voltage_rmse_V if self.sums.known else None,
+            "voltage_rmse_V": rmse_V if math.isfinite(rmse_V) else None,
             "ns_per_step": self.ns_per_step,
         }
         if isinstance(self.trace, AdaptiveTrace):
@@ -328,3 +318,37 @@ def replay(
         reference = reference_soc(log, true0, reference_capacity_Ah)
     limits = power_along(asked, log, trace) if asked else None
     return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)
+
+
+def expected_std(model: CellModel, replayed: Replay, estimator: Estimator) -> FloatArray:
+    """The deviation of the SOC that a filter expects over a log's current, shape (rows,).
+
+    The recursion of the covariance needs a trajectory and no measurement: here that of the log's
+    current, counted back from the SOC at which the replay ends, with the voltage that the model
+    itself gives. From the replay's own start deviation. It says what this drive can show
+    (observability): nothing of how far the model is off beyond what it states.
+
+    Parameters
+    ----------
+    replayed : Replay         its log, its start's deviation, its final SOC
+    estimator : Estimator     as it made the replay; one that uses no voltage expects no convergence
+    """
+    log = replayed.log
+    counted = simulate(model, log, 0.5).soc - 0.5
+    start = float(np.clip(replayed.trace.soc[-1] - counted[-1], 0.0, 1.0))
+    voltage = np.where(np.isfinite(log.voltage_V), simulate(model, log, start).voltage_V, np.nan)
+    trace = estimator.run(replace(log, voltage_V=voltage), start, replayed.start.std)
+    return np.asarray(trace.soc_std, dtype=np.float64)
+
+
+def expected_convergence_s(
+    model: CellModel, replayed: Replay, estimator: Estimator
+) -> float | None:
+    """Time from which an error of that deviation stays within 2 points as likely as not.
+
+    Stays means for ten minutes or to the log's end; None: not on this log.
+    """
+    half = NormalDist().inv_cdf(0.75)  # half of a normal distribution lies within
+    time_s = replayed.log.time_s
+    row = converged_row(time_s, half * expected_std(model, replayed, estimator))
+    return None if row is None else float(time_s[row] - time_s[0])

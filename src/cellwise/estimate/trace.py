@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import rows
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN  # voltages that did not count
 LEAST_ROWS = 20
@@ -42,51 +39,33 @@ class Trace:
     def __len__(self) -> int:
         return self.time_s.size
 
+    @property
+    def used(self) -> BoolArray:
+        """Rows whose voltage was used, and whose innovation is known."""
+        counted = np.asarray(self.status, dtype=np.int64) & UNUSED == 0
+        return np.asarray(counted & np.isfinite(self.innovation_V))
+
+    @property
+    def nis_mean(self) -> float | None:
+        """Mean of innovation squared over its variance, over the voltages that were used."""
+        nis = self.innovation_V[self.used] ** 2 / self.innovation_variance_V2[self.used]
+        nis = nis[np.isfinite(nis)]
+        return float(np.mean(nis)) if nis.size else None
+
+    @property
+    def voltage_rmse_V(self) -> float:
+        """RMSE of the voltage predicted before each measurement was used [V]; NaN: none was."""
+        known = self.innovation_V[np.isfinite(self.innovation_V)]
+        return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+    @property
+    def rejected(self) -> float:
+        """Share of the rows that the gate rejected."""
+        return float(np.mean(np.asarray(self.status) & INNOVATION_REJECTED != 0))
+
     def __repr__(self) -> str:
         soc, band = self.soc[-1], 2.0 * self.soc_std[-1]
         return f"Trace({len(self)} rows, final SOC {soc:.4f} +- {band:.4f})"
-
-
-class TraceSums(NamedTuple):
-    """What is known of the innovations, which NIS were used, what the status said.
-
-    ``squares_V2`` is the sum of the known innovations' squares, ``nis`` that of the NIS of voltages
-    that were used, ``rejected`` counts rows, ``status`` has every bit that was ever set.
-    """
-
-    known: int
-    squares_V2: float
-    used: int
-    nis: float
-    rejected: int
-    status: int
-
-
-@rows
-def trace_sums(
-    innovation_V: FloatArray,
-    variance_V2: FloatArray,
-    status: IntArray,
-) -> TraceSums:
-    """Sums over the rows."""
-    known, used, rejections, bits = 0, 0, 0, 0
-    squares, nis = 0.0, 0.0
-    for k in range(innovation_V.size):
-        bits |= status[k]
-        if status[k] & INNOVATION_REJECTED:
-            rejections += 1
-        square = innovation_V[k] * innovation_V[k]
-        if not math.isfinite(square):
-            continue
-        known += 1
-        squares += square
-        if status[k] & UNUSED:
-            continue
-        ratio = square / variance_V2[k]
-        if math.isfinite(ratio):
-            used += 1
-            nis += ratio
-    return TraceSums(known, squares, used, nis, rejections, bits)
 
 
 def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, ...] | None:
@@ -97,8 +76,7 @@ def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, .
     None where too few voltages were used.
     """
     error = model.error
-    innovation = np.asarray(trace.innovation_V, dtype=np.float64)
-    used = np.isfinite(innovation) & (np.asarray(trace.status, dtype=np.int64) & UNUSED == 0)
+    innovation, used = np.asarray(trace.innovation_V, dtype=np.float64), trace.used
     if used.sum() < LEAST_ROWS:
         return None
     bands = in_bands(log.time_s[used], innovation[used], error.scales_s)

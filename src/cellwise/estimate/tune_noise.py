@@ -13,7 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.trace import UNUSED, Trace
+from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -127,7 +127,7 @@ def tune_noise(
         },
     )
     after = noise_of(found.x)
-    old, new = (tuple(mean_nis(t) for t in run(n)) for n in (before, after))
+    old, new = (tuple(t.nis_mean or np.nan for t in run(n)) for n in (before, after))
     if not np.all(np.isfinite(old)):
         bad = logs[int(np.argmin(np.isfinite(old)))].name
         raise InputError(
@@ -153,11 +153,3 @@ def log_likelihood(log: CellLog, trace: Trace, noise: Noise) -> float:
     dt = log.interval_s[known]
     weight = np.minimum(dt / memory, 1.0) if memory > 0.0 else np.ones_like(dt)
     return float(-0.5 * np.sum(weight * (square + np.log(2.0 * np.pi * variance))))
-
-
-def mean_nis(trace: Trace) -> float:
-    """Mean of innovation squared over its variance, over the voltages that were used."""
-    used = ((trace.status & UNUSED) == 0) & np.isfinite(trace.innovation_V)
-    if not used.any():
-        return float("nan")
-    return float(np.mean(trace.innovation_V[used] ** 2 / trace.innovation_variance_V2[used]))

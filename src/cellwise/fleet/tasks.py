@@ -170,7 +170,6 @@ class ReplayTask(LogTask):
         settled, estimated = figures.pop("settled"), figures.pop("parameters", None) or {}
         start = figures.pop("soc0")
         trace = found.trace
-        rejected = found.sums.rejected / len(trace)
         row = {
             **figures,
             "soc0": start["value"],
@@ -179,9 +178,9 @@ class ReplayTask(LogTask):
             "soc_min": float(np.min(trace.soc)),
             "soc_max": float(np.max(trace.soc)),
             "settled_rmse": None if settled is None else settled["rmse"],
-            "rejected_share": rejected,
-            "status": found.sums.status,
-            "sign": self._sign(found, rejected),
+            "rejected_share": trace.rejected,
+            "status": int(np.bitwise_or.reduce(trace.status)),
+            "sign": self._sign(found, trace.rejected),
         }
         for name in ("offset_A", "capacity_Ah"):
             if name in estimated:

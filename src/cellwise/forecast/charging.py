@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.along_kernels import WINDOW_S
-from cellwise.forecast.remaining import along, at_most, load_of, present_load
+from cellwise.forecast.along_kernels import WINDOW_S, Load
+from cellwise.forecast.remaining import Flight, at_most, flight_of, present_load, warms_unseen
 from cellwise.typing import FloatArray
 
 CHARGER_S = 30.0  # a charge that lasts; regenerative braking does not
@@ -26,37 +23,6 @@ LEAST_FALL = 0.05  # of the current, to take a decay from
 DECAY_SHARE = 0.65
 BOTH_FACTOR = 2.2  # two deviations of what both say: both miss that a decay slows down
 TAPER_C = 0.05  # where a charger ends that nobody asked about: 1/20 of the capacity per hour
-
-
-@dataclass(frozen=True, eq=False)
-class Charge:
-    """Time and energy to full along a log, shape (moments,), bands of two deviations (moments, 2).
-
-    ``charge_A`` is the mean charging current of the last minute, positive; the charger is taken to
-    hold it until the voltage is ``limit_V``, and then that voltage until the current has fallen to
-    ``taper_A``. The energy is what the charger gives.
-    """
-
-    name: str
-    limit_V: float
-    taper_A: float
-    time_s: FloatArray
-    soc: FloatArray
-    soc_std: FloatArray
-    charge_A: FloatArray
-    full_s: FloatArray
-    full_s_band: FloatArray
-    full_Wh: FloatArray
-    full_Wh_band: FloatArray
-    end_soc: FloatArray
-
-    def to_dict(self) -> dict[str, Any]:
-        """The last moment on the charger, as JSON values."""
-        moments = ("time_s", "soc", "soc_std", "charge_A", "full_s", "full_Wh", "end_soc")
-        last: dict[str, Any] = {name: float(getattr(self, name)[-1]) for name in moments}
-        for name in ("full_s_band", "full_Wh_band"):
-            last[name] = getattr(self, name)[-1].tolist()
-        return {"limit_V": self.limit_V, "taper_A": self.taper_A, **last}
 
 
 def limit_of(model: CellModel, given: float | None) -> float:
@@ -174,8 +140,11 @@ def forecast_charge(
     *,
     limit_V: float | None = None,
     taper_A: float | None = None,
-) -> Charge | None:
-    """Time to full along a replay, wherever the cell is being charged.
+) -> Flight | None:
+    """Time and energy to full along a replay, wherever the cell is being charged.
+
+    The charger is taken to hold the mean current of the last minute until the voltage is its own,
+    and then that voltage until the current has fallen to its end. The energy is what it gives.
 
     Parameters
     ----------
@@ -186,7 +155,8 @@ def forecast_charge(
 
     Returns
     -------
-    Charge or None            None where the log holds no charging of C/50 or more
+    Flight or None            of negative loads; None where the log holds no charging of C/50 or
+                              more
 
     Raises
     ------
@@ -199,38 +169,25 @@ def forecast_charge(
     charging = current < -least_A
     # A charger holds its current from the first row on: what was before is no part of it.
     since_s = np.maximum.accumulate(np.where(charging, log.time_s[0], log.time_s))
-    mean_A, _ = present_load(log, current, since_s)
+    mean_A, mean_W = present_load(log, current, since_s)
     mean_A = np.where(np.isfinite(mean_A), mean_A, current)
     steady = log.time_s - since_s >= CHARGER_S
     wanted = at_most(charging & steady & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
-    load = load_of(model, mean_A, wanted, limit, "current")._replace(taper_A=taper)
-    found = along(model, replay, load)
-    full_s, full_J = found["usual.time_s"], found["usual.energy_J"]
+    load = Load(mean_A, np.nan, wanted, False, limit, warms_unseen(model), taper)
+    found = flight_of(model, replay, load, mean_W)
     held = charging & (log.voltage_V > limit - HELD_V)
     before_s = np.maximum.accumulate(np.where(held, -np.inf, log.time_s))
     for place, k in enumerate(np.flatnonzero(wanted)):
         first = int(np.searchsorted(log.time_s, before_s[k], "right"))
         rows = slice(min(first, k), k + 1)
-        both_s = with_decay(full_s[place], log.time_s[rows], -current[rows], taper)
+        model_s = found.remaining_s[place]
+        both_s = with_decay(model_s, log.time_s[rows], -current[rows], taper)
         if held[k] and both_s is not None:
-            times = both_s / max(full_s[place], 1.0)
-            full_J[place] *= times
-            found["energy_J"][place] *= times
-            full_s[place] = both_s
-            found["time_s"][place] = both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
-    return Charge(
-        name=log.name,
-        limit_V=limit,
-        taper_A=taper,
-        time_s=log.time_s[wanted],
-        soc=replay.trace.soc[wanted],
-        soc_std=replay.trace.soc_std[wanted],
-        charge_A=-found["load_A"],
-        full_s=full_s,
-        full_s_band=found["time_s"],
-        full_Wh=full_J / 3600.0,
-        full_Wh_band=found["energy_J"] / 3600.0,
-        end_soc=found["usual.soc"],
-    )
+            times = both_s / max(model_s, 1.0)
+            found.remaining_Wh[place] *= times
+            found.remaining_Wh_band[place] *= times
+            found.remaining_s[place] = both_s
+            found.remaining_s_band[place] = both_s / BOTH_FACTOR, both_s * BOTH_FACTOR
+    return found

@@ -15,7 +15,7 @@ from cellwise.cell.compiled import rows
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.charging import HELD_V, Charge
+from cellwise.forecast.charging import HELD_V
 from cellwise.forecast.remaining import Flight
 from cellwise.typing import FloatArray
 
@@ -46,13 +46,6 @@ class Display(NamedTuple):
     taper_A: float
 
 
-class Bounds(NamedTuple):
-    """SOC at which the device switches off, and at which its charger ends."""
-
-    empty: float
-    full: float
-
-
 @rows
 def moved_on(shown: float, target: float, moved: float, catch_up: float) -> float:
     r"""A share that goes down with a load, 0..1, towards where the estimate goes.
@@ -71,16 +64,20 @@ def moved_on(shown: float, target: float, moved: float, catch_up: float) -> floa
 @rows
 def displayed(
     how: Display,
-    bounds: Bounds,
+    ends: tuple[float, float],
     shown: float,
     soc: float,
     current_A: float,
     voltage_V: float,
     dt_s: float,
 ) -> float:
-    """The share shown after a sample, 0..1; NaN before: it begins where the estimate is."""
-    width = bounds.full - bounds.empty
-    target = min(max((soc - bounds.empty) / width, 0.0), 1.0)
+    """The share shown after a sample, 0..1; NaN before: it begins where the estimate is.
+
+    ``ends``: SOC at which forecasts say that the device switches off, and that its charger ends.
+    """
+    empty = min(max(ends[0], 0.0), LARGEST_EMPTY)
+    width = min(max(ends[1], empty + LARGEST_EMPTY), 1.0) - empty
+    target = min(max((soc - empty) / width, 0.0), 1.0)
     moved = abs(current_A) * dt_s / (how.charge_As * width)
     if shown != shown:
         return target
@@ -98,16 +95,16 @@ def displayed(
 @rows
 def displayed_rows(
     how: Display,
-    bounds: tuple[FloatArray, FloatArray],
+    ends: tuple[FloatArray, FloatArray],
     log: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
-    """Every row of a log: ``bounds`` empty and full, ``log`` SOC, current, voltage, interval."""
-    empty, full = bounds
+    """Every row of a log: both ``ends``, ``log`` SOC, current, voltage, interval."""
+    empty, full = ends
     soc, current_A, voltage_V, dt_s = log
     shown = math.nan
     for k in range(soc.size):
-        here = Bounds(empty[k], full[k])
+        here = empty[k], full[k]
         shown = displayed(how, here, shown, soc[k], current_A[k], voltage_V[k], dt_s[k])
         out[k] = shown
 
@@ -138,20 +135,13 @@ def display_of(
     return Display(charge_As, catch_up, idle_A, cutoff_V, limit_V - HELD_V, taper_A)
 
 
-def bounds_of(empty_soc: float, full_soc: float) -> Bounds:
-    """SOC at the device's own ends, from forecasts; NaN: 0 and 1."""
-    empty = 0.0 if math.isnan(empty_soc) else min(max(empty_soc, 0.0), LARGEST_EMPTY)
-    full = 1.0 if math.isnan(full_soc) else min(max(full_soc, empty + LARGEST_EMPTY), 1.0)
-    return Bounds(empty, full)
-
-
 class Displayed:
     """What is shown, sample by sample."""
 
     def __init__(self, how: Display) -> None:
         self.share = math.nan
         self._how = how
-        self._empty = self._full = math.nan
+        self._empty, self._full = 0.0, 1.0
 
     def expect(self, empty_soc: float | None = None, full_soc: float | None = None) -> None:
         """What forecasts say of the SOC at which the device switches off, its charger ends."""
@@ -160,30 +150,25 @@ class Displayed:
 
     def take(self, soc: float, current_A: float, voltage_V: float, dt_s: float) -> float:
         """Percentage after a sample; a missing current moves nothing."""
-        bounds = bounds_of(self._empty, self._full)
+        ends = self._empty, self._full
         amps = current_A if math.isfinite(current_A) else 0.0
-        self.share = displayed(self._how, bounds, self.share, soc, amps, voltage_V, dt_s)
+        self.share = displayed(self._how, ends, self.share, soc, amps, voltage_V, dt_s)
         return 100.0 * self.share
 
 
 def display_along(
-    how: Display, replay: Replay, flight: Flight | None, charge: Charge | None
+    how: Display, replay: Replay, flight: Flight | None, charge: Flight | None
 ) -> FloatArray:
     """Percentage at every row of a replay, shape (n,), with what its forecasts say of the ends."""
     log = replay.log
-    empty = _held(log.time_s, flight, 0.0)
-    full = _held(log.time_s, charge, 1.0)
-    empty = np.clip(empty, 0.0, LARGEST_EMPTY)
-    full = np.clip(full, empty + LARGEST_EMPTY, 1.0)
-    out = np.empty(len(log))
+    ends = _held(log.time_s, flight, 0.0), _held(log.time_s, charge, 1.0)
     current = np.ascontiguousarray(log.known_current_A())
-    voltage = np.nan_to_num(np.array(log.voltage_V), nan=0.5 * (how.cutoff_V + how.limit_V))
-    soc = np.ascontiguousarray(replay.trace.soc)
-    displayed_rows(how, (empty, full), (soc, current, voltage, log.interval_s), out)
+    soc, out = np.ascontiguousarray(replay.trace.soc), np.empty(len(log))
+    displayed_rows(how, ends, (soc, current, np.array(log.voltage_V), log.interval_s), out)
     return 100.0 * out
 
 
-def _held(time_s: FloatArray, forecasts: Flight | Charge | None, before: float) -> FloatArray:
+def _held(time_s: FloatArray, forecasts: Flight | None, before: float) -> FloatArray:
     """SOC at the end by the last forecast, at every time; ``before`` the first one."""
     if forecasts is None:
         return np.full(time_s.size, before)

@@ -13,7 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.ahead_kernels import NEVER, Going, Outcome, with_ends
+from cellwise.forecast.ahead_kernels import NEVER, Going, with_ends
 from cellwise.forecast.along_kernels import WINDOW_S, ocv_and_error, parts_of
 from cellwise.forecast.charging import BOTH_FACTOR, ChargerSeen, limit_of, taper_of
 from cellwise.forecast.remaining import check_load, uncertain_of, warms_unseen
@@ -69,10 +69,10 @@ class Outlook:
         limit, taper = limit_of(model, limit_V), taper_of(model, taper_A)
         self._charger = ChargerSeen(limit, taper, self._least_A)
         self._unseen = warms_unseen(model)
-        self._usual_C = model.usual_temperature_C
+        self._usual_C, self._usual_V = model.usual_temperature_C, float(np.median(model.ocv_V))
         self._load_A = self._bias_V = self._held_V = self._seen_s = 0.0
         self._warming = NOTHING_SEEN
-        self._ends(empty_state(1.0), 0.0, self._least_A, 25.0)  # compiles
+        self._at(empty_state(1.0), 0.0, self._least_A, 25.0)  # compiles
 
     def take(self, update: Any) -> None:
         """Follow one sample: an `Update` of a `LiveFilter`."""
@@ -116,13 +116,6 @@ class Outlook:
         load_A = float(np.median(self._loads_A)) if self._loads_A else None
         return self._forecast(state, temperature_C, load_A)
 
-    def at_given(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
-        """The same at the load that was given; None where none was."""
-        if state is None or self.given_W is None:
-            return None
-        ocv_V, _ = ocv_and_error(self._tables, state.cell.soc, temperature_C)
-        return self._forecast(state, temperature_C, self.given_W / ocv_V, self.given_W)
-
     def to_full(self, state: EkfState | None, temperature_C: float) -> ForecastNow | None:
         """Time and energy to full; None without a state or a charger."""
         now = self._on_charger(state, temperature_C)
@@ -150,7 +143,8 @@ class Outlook:
             "median_load_remaining": self.at_median(state, temperature_C),
         }
         if self.given_W is not None:
-            loads["given_load_remaining"] = self.at_given(state, temperature_C)
+            given_W, near_A = self.given_W, self.given_W / self._usual_V
+            loads["given_load_remaining"] = self._forecast(state, temperature_C, near_A, given_W)
         loads["full"] = self.to_full(state, temperature_C)
         row: dict[str, Any] = {}
         for name, now in loads.items():
@@ -172,24 +166,16 @@ class Outlook:
     ) -> ForecastNow | None:
         if state is None or load_A is None:
             return None
-        end = self._ends(state.cell, state.soc_std, load_A, temperature_C, power_W)
-        never = end.usual.reason == NEVER
-        return ForecastNow(
-            end.load_A,
-            math.inf if never else end.usual.time_s,
-            (end.time_s[0], math.inf if never else end.time_s[1]),
-            end.usual.energy_J / 3600.0,
-            end.usual.soc,
-        )
+        return self._at(state.cell, state.soc_std, load_A, temperature_C, power_W)
 
-    def _ends(
+    def _at(
         self,
         at: CellState,
         soc_std: float,
         load_A: float,
         temperature_C: float,
         power_W: float = math.nan,
-    ) -> Outcome:
+    ) -> ForecastNow:
         """To empty, or on a charger to full."""
         _, error_V = ocv_and_error(self._tables, at.soc, temperature_C)
         offset_V, share = parts_of(self._uncertain, error_V, self._bias_V, self._held_V)
@@ -198,4 +184,12 @@ class Outlook:
         if load_A < 0.0:
             end_V, taper_A = self._charger.limit_V, self._charger.taper_A
         go = Going(load_A, True, power_W, offset_V, share, end_V, temperature_C, lump, taper_A)
-        return with_ends(self._tables, at, soc_std, go, self._uncertain)
+        end = with_ends(self._tables, at, soc_std, go, self._uncertain)
+        never = end.usual.reason == NEVER
+        return ForecastNow(
+            end.load_A,
+            math.inf if never else end.usual.time_s,
+            (end.time_s[0], math.inf if never else end.time_s[1]),
+            end.usual.energy_J / 3600.0,
+            end.usual.soc,
+        )

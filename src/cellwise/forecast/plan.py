@@ -21,7 +21,14 @@ from cellwise.cell.model import CAPACITY_STD, CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.ahead_kernels import Away, Going, Uncertain, through
-from cellwise.forecast.remaining import cutoff_of, state_at, uncertain_of
+from cellwise.forecast.along_kernels import FilteredRows, Load, moment
+from cellwise.forecast.remaining import (
+    cutoff_of,
+    filtered_rows,
+    start_state,
+    uncertain_of,
+    warms_unseen,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -231,6 +238,16 @@ def forecast_plan(
         energy_Wh=float(np.median(found[:, 2])) / 3600.0,
         plans=len(plans),
     )
+
+
+def state_at(
+    model: CellModel, replay: Replay, row: int, cutoff_V: float
+) -> tuple[CellState, Going, float]:
+    """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
+    rows = FilteredRows(*(x[: row + 1] for x in filtered_rows(model, replay)))
+    load = Load(rows.current_A, np.nan, rows.soc < 0.0, True, cutoff_V, warms_unseen(model))
+    state, go = moment(model.parameters(), start_state(rows), rows, load, uncertain_of(model))
+    return CellState(*state), Going(*go), float(rows.soc_std[-1])
 
 
 def mean_powers(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:

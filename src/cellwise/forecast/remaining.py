@@ -21,7 +21,6 @@ from cellwise.forecast.ahead_kernels import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
-    Going,
     Outcome,
     Uncertain,
 )
@@ -31,7 +30,6 @@ from cellwise.forecast.along_kernels import (
     Load,
     asks_temperature,
     forecast_rows,
-    moment,
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -42,6 +40,11 @@ MOST_FORECASTS = 400
 # A load below this share of the one at which a usual ampere-hour is drawn is that of standing.
 STANDING = 0.2
 PEAK_SHARE = 1e-3  # of the rows are beyond a usual peak
+# What of a moment is said of a charge.
+ON_CHARGER = (
+    *("time_s", "soc", "soc_std", "remaining_s", "remaining_s_band", "remaining_Wh"),
+    *("remaining_Wh_band", "end_soc"),
+)
 
 
 class Forecast(NamedTuple):
@@ -78,7 +81,8 @@ class Flight:
     load of at least C/50 has no forecast. ``typical`` is the same at the usual load, the mean
     of all these under way: that of the last minute swings with every bend. The lower end of its
     band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
-    what :func:`forecast_at` was asked for beside them.
+    what :func:`forecast_at` was asked for beside them. On a charger the load is negative: time and
+    energy to full, ``cutoff_V`` the voltage that it holds, ``taper_A`` the current at its end.
     """
 
     name: str
@@ -99,6 +103,7 @@ class Flight:
     by_voltage: BoolArray
     typical: Flight | None = None
     given: Forecast | None = None
+    taper_A: float = 0.0
     validity: Validity = UNKNOWN
 
     def __len__(self) -> int:
@@ -131,12 +136,17 @@ class Flight:
 
     def to_dict(self) -> dict[str, Any]:
         """The last moment as JSON values, keys as the command prints them."""
+        now = self.last._asdict()
+        if self.taper_A > 0.0:
+            full = {k.replace("remaining", "full"): v for k, v in now.items() if k in ON_CHARGER}
+            charge_A = -self.last.load_A
+            return {"limit_V": self.cutoff_V, "taper_A": self.taper_A, **full, "charge_A": charge_A}
         return {
             "cutoff_V": self.cutoff_V,
             "hold": self.hold,
             "window_s": WINDOW_S,
             "moments": len(self),
-            **self.last._asdict(),
+            **now,
             "typical": None if self.typical is None else self.typical.last._asdict(),
         }
 
@@ -187,16 +197,16 @@ def forecast(
     wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
     if not wanted.any():
         return None
-    load = load_of(model, load_A, wanted, cutoff, hold)
-    flight = _flight(model, replay, load, load_W)
+    load = Load(load_A, np.nan, wanted, hold == "power", cutoff, warms_unseen(model))
+    flight = flight_of(model, replay, load, load_W)
     busy = under_way(load_A[wanted])
     usual_A, usual_W = (
         np.full(len(log), np.mean(x[wanted][busy])) for x in (load_A, load_W)
     )  # fmt: skip
     load = load._replace(current_A=usual_A)
-    typical = _flight(model, replay, load, usual_W)
+    typical = flight_of(model, replay, load, usual_W)
     drop_V = _peak_drop_V(log, load_A >= usual_A)
-    at_peaks = _flight(model, replay, load._replace(cutoff_V=cutoff + drop_V), usual_W)
+    at_peaks = flight_of(model, replay, load._replace(cutoff_V=cutoff + drop_V), usual_W)
     for low, band in (
         (at_peaks.remaining_s_band, typical.remaining_s_band),
         (at_peaks.remaining_Wh_band, typical.remaining_Wh_band),
@@ -247,11 +257,11 @@ def forecast_at(
     check_load(load, hold)
     rows = len(replay.log)
     ocv_V = float(np.interp(replay.trace.soc[-1], model.soc, np.atleast_2d(model.ocv_V)[0]))
-    load_A = np.full(rows, load / ocv_V if hold == "power" else load)
-    going = load_of(model, load_A, np.arange(rows) == rows - 1, cutoff, hold)
-    if hold == "power":
-        going = going._replace(power_W=load)
-    return _flight(model, replay, going, load_A * ocv_V).last
+    power = hold == "power"
+    load_A = np.full(rows, load / ocv_V if power else load)
+    wanted, power_W = np.arange(rows) == rows - 1, load if power else np.nan
+    asked = Load(load_A, power_W, wanted, power, cutoff, warms_unseen(model))
+    return flight_of(model, replay, asked, load_A * ocv_V).last
 
 
 def check_load(load: float, hold: str) -> None:
@@ -270,22 +280,23 @@ def check_load(load: float, hold: str) -> None:
         )
 
 
-def load_of(
-    model: CellModel,
-    load_A: FloatArray,
-    wanted: BoolArray,
-    cutoff_V: float,
-    hold: Hold,
-) -> Load:
-    """A load of every row as the kernels take it."""
-    unseen = warms_unseen(model)
-    return Load(load_A, np.nan, wanted, hold == "power", cutoff_V, unseen)
+def flight_of(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) -> Flight:
+    """The wanted rows through the kernel; ``load_W`` is what is said of the load's power.
 
+    An end that never comes is infinite.
+    """
+    log, trace, rows, wanted = replay.log, replay.trace, filtered_rows(model, replay), load.wanted
+    out = np.empty((int(np.count_nonzero(wanted)), size_of(Outcome)))
+    forecast_rows(model.parameters(), start_state(rows), rows, load, uncertain_of(model), out)
 
-def _flight(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) -> Flight:
-    """The wanted rows through the kernel; ``load_W`` is what is said of the load's power."""
-    found = along(model, replay, load)
-    log, trace, wanted = replay.log, replay.trace, load.wanted
+    def found(path: str, many: int = 1) -> FloatArray:
+        first = place_of(Outcome, path)
+        return out[:, first : first + many] if many > 1 else out[:, first]
+
+    time_s, energy_Wh = found("usual.time_s"), found("usual.energy_J") / 3600.0
+    time_s_band, energy_Wh_band = found("time_s", 2), found("energy_J", 2) / 3600.0
+    never = found("usual.reason") == NEVER
+    time_s[never] = energy_Wh[never] = time_s_band[never, 1] = energy_Wh_band[never, 1] = np.inf
     return Flight(
         name=log.name,
         cutoff_V=load.cutoff_V,
@@ -293,48 +304,23 @@ def _flight(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) ->
         time_s=log.time_s[wanted],
         soc=trace.soc[wanted],
         soc_std=np.nan_to_num(trace.soc_std)[wanted],
-        load_A=found["load_A"],
+        load_A=found("load_A"),
         load_W=load_W[wanted],
-        remaining_s=found["usual.time_s"],
-        remaining_s_band=found["time_s"],
-        remaining_Wh=found["usual.energy_J"] / 3600.0,
-        remaining_Wh_band=found["energy_J"] / 3600.0,
-        end_voltage_V=found["usual.voltage_V"],
-        end_voltage_V_band=found["voltage_V"],
-        end_soc=found["usual.soc"],
-        by_voltage=found["usual.reason"] == BY_VOLTAGE,
+        remaining_s=time_s,
+        remaining_s_band=time_s_band,
+        remaining_Wh=energy_Wh,
+        remaining_Wh_band=energy_Wh_band,
+        end_voltage_V=found("usual.voltage_V"),
+        end_voltage_V_band=found("voltage_V", 2),
+        end_soc=found("usual.soc"),
+        by_voltage=found("usual.reason") == BY_VOLTAGE,
+        taper_A=load.taper_A,
         validity=model.validity,
     )
 
 
-def along(model: CellModel, replay: Replay, load: Load) -> dict[str, FloatArray]:
-    """Numbers of an `Outcome` at every wanted row; an end that never comes is infinite."""
-    rows = _filtered(model, replay)
-    out = np.empty((int(np.count_nonzero(load.wanted)), size_of(Outcome)))
-    forecast_rows(model.parameters(), _start(rows), rows, load, uncertain_of(model), out)
-    single = ("time_s", "energy_J", "voltage_V", "soc", "reason")
-    found = {f"usual.{name}": out[:, place_of(Outcome, f"usual.{name}")] for name in single}
-    found["load_A"] = out[:, place_of(Outcome, "load_A")]
-    for name in ("time_s", "energy_J", "voltage_V"):
-        first = place_of(Outcome, f"{name}.low")
-        found[name] = out[:, first : first + 2]
-    never = found["usual.reason"] == NEVER
-    for name in ("time_s", "energy_J"):
-        found[f"usual.{name}"][never] = found[name][never, 1] = np.inf
-    return found
-
-
-def state_at(
-    model: CellModel, replay: Replay, row: int, cutoff_V: float
-) -> tuple[CellState, Going, float]:
-    """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
-    rows = FilteredRows(*(x[: row + 1] for x in _filtered(model, replay)))
-    load = load_of(model, rows.current_A, rows.soc < 0.0, cutoff_V, "power")
-    state, go = moment(model.parameters(), _start(rows), rows, load, uncertain_of(model))
-    return CellState(*state), Going(*go), float(rows.soc_std[-1])
-
-
-def _filtered(model: CellModel, replay: Replay) -> FilteredRows:
+def filtered_rows(model: CellModel, replay: Replay) -> FilteredRows:
+    """A replay as the kernels read it."""
     log, trace = replay.log, replay.trace
     measured_C = log.temperature_C
     return FilteredRows(
@@ -348,7 +334,8 @@ def _filtered(model: CellModel, replay: Replay) -> FilteredRows:
     )
 
 
-def _start(rows: FilteredRows) -> CellState:
+def start_state(rows: FilteredRows) -> CellState:
+    """A cell at rest, as the log begins."""
     return empty_state(rows.soc[0], start_hysteresis(float(rows.soc[0])))
 
 

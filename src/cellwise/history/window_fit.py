@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from cellwise.cell.effects import SlowDiffusion, TemperatureDependence
+from cellwise.cell.effects import TemperatureDependence
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
@@ -140,19 +140,8 @@ def fit_window(model: CellModel, log: CellLog) -> WindowFit | None:
 
 def changed_model(model: CellModel, ln_capacity: float, ln_resistance: float) -> CellModel:
     """The model of the cell as it has aged: another capacity, resistances by one factor."""
-    factor = float(np.exp(ln_resistance))
-    effects = tuple(
-        replace(e, r3_ohm=factor * np.asarray(e.r3_ohm)) if isinstance(e, SlowDiffusion) else e
-        for e in model.effects
-    )
-    return replace(
-        model,
-        capacity_Ah=model.capacity_Ah * float(np.exp(ln_capacity)),
-        r0_ohm=factor * model.r0_ohm,
-        r1_ohm=factor * model.r1_ohm,
-        r2_ohm=factor * model.r2_ohm,
-        effects=effects,
-    )
+    aged = model.with_resistances(float(np.exp(ln_resistance)))
+    return replace(aged, capacity_Ah=model.capacity_Ah * float(np.exp(ln_capacity)))
 
 
 def _compared(log: CellLog) -> IndexArray:

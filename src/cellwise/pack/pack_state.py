@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.estimate.saved_state import read_saved
 from cellwise.files import write_atomically
 from cellwise.pack.differences import SELF_DISCHARGE, SIZE, usual_spread
 from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
@@ -72,46 +74,45 @@ def posterior(
 def spread_between(evidence: PackEvidence) -> FloatArray:
     """Standard deviation between the cells of each difference, shape (SIZE,).
 
-    Expectation-maximisation with robust moments, so that one odd cell does not widen what is
-    normal; few cells leave the usual spread as it is.
+    Few cells leave the usual spread as it is.
     """
     usual = usual_spread().cells
-    spread = usual.copy()
-    there = evidence.rows > 0
-    cells = float(np.count_nonzero(there))
-    for _ in range(USUAL.passes):
-        start = CellDeltas.unknown(evidence.rows.size, spread)
-        mean, covariance = posterior(start.mean, start.covariance, evidence)
-        mean = mean[there]
-        seen = robust_std(mean - np.median(mean, axis=0))
-        unseen = np.median(np.diagonal(covariance[there], axis1=1, axis2=2), axis=0)
-        variance = seen**2 + np.minimum(unseen, spread**2)
-        blended = (cells * variance + USUAL.weight * usual**2) / (cells + USUAL.weight)
-        spread = np.maximum(np.sqrt(blended), USUAL.least_share * usual)
-    return spread
+    same = CellDeltas.unknown(evidence.rows.size, np.zeros(SIZE))
+    return np.sqrt(_moved(same, evidence, usual**2, (USUAL.least_share * usual) ** 2))
 
 
 def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
     """Variance of the cells' changes since then, beyond what was expected, (SIZE,).
 
-    By expectation-maximisation over the cells as :func:`spread_between`: in a pack that was
-    balanced meanwhile all cells' SOC have moved, and no one of them is odd for it.
+    In a pack that was balanced meanwhile all cells' SOC have moved, and no one of them is odd for
+    it.
     """
-    usual = usual_spread().month ** 2
+    return _moved(past, evidence, usual_spread().month ** 2, np.zeros(SIZE))
+
+
+def _moved(
+    past: CellDeltas, evidence: PackEvidence, usual: FloatArray, least: FloatArray
+) -> FloatArray:
+    """Variance over the cells of what moved them from where they were, (SIZE,).
+
+    Expectation-maximisation with robust moments, so that one odd cell does not widen what is
+    normal, about the ``usual`` variance.
+    """
     there = evidence.rows > 0
     cells = float(np.count_nonzero(there))
-    drift = usual.copy()
+    found = usual.copy()
     for _ in range(USUAL.passes):
-        before = past.covariance + np.diag(drift)
+        own = np.diag(found)
+        before = past.covariance + own
         mean, after = posterior(past.mean, before, evidence)
-        share = np.linalg.solve(before, np.broadcast_to(np.diag(drift), before.shape))
-        share = np.swapaxes(share, 1, 2)
+        share = np.swapaxes(np.linalg.solve(before, np.broadcast_to(own, before.shape)), 1, 2)
         change = np.einsum("cij,cj->ci", share, mean - past.mean)[there]
-        left = np.diag(drift) - share @ np.diag(drift) + share @ after @ np.swapaxes(share, 1, 2)
+        left = own - share @ own + share @ after @ np.swapaxes(share, 1, 2)
         unseen = np.median(np.diagonal(left[there], axis1=1, axis2=2), axis=0)
-        moved = robust_std(change - np.median(change, axis=0))
-        drift = (cells * (moved**2 + unseen) + USUAL.weight * usual) / (cells + USUAL.weight)
-    return drift
+        variance = robust_std(change - np.median(change, axis=0)) ** 2 + unseen
+        found = (cells * variance + USUAL.weight * usual) / (cells + USUAL.weight)
+        found = np.maximum(found, least)
+    return found
 
 
 class Drift(NamedTuple):
@@ -154,7 +155,7 @@ class PackState:
         }
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any], where: str) -> Self:
+    def from_dict(cls, data: Mapping[str, Any], where: str) -> Self:
         """From JSON values.
 
         Raises
@@ -202,15 +203,4 @@ def read_state(path: str | Path) -> PackState:
     ------
     InputError        no such file, or none that :func:`write_state` wrote
     """
-    where = f"'{path}'"
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"no file {where}", "a pack's state", "Check the path.") from None
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{where}, which cannot be read as JSON ({error})", "a pack's state", "Start without."
-        ) from None
-    if not isinstance(data, dict):
-        raise InputError(f"no object in {where}", "a pack's state", "Start without it.")
-    return PackState.from_dict(data, where)
+    return PackState.from_dict(read_saved(path), f"'{path}'")

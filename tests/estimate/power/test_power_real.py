@@ -11,8 +11,7 @@ from benchmarks.accuracy.power import panasonic_model, pulse_powers
 from benchmarks.measured_data import measured_log
 
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.replay import replay
-from cellwise.forecast.convergence import expected_convergence_s
+from cellwise.estimate.replay import expected_convergence_s, replay
 
 CAPACITY_AH = 2.9973
 # The issue asks for 3 % in the median; measured with the EKF, and why, see docs/tried.md.

@@ -4,96 +4,43 @@ A model without an effect is a model with that effect's neutral value, so there 
 equations. The order of operations is part of them: the same bits come out wherever they are used.
 """
 
-from cellwise.cell.equations.interval import advance, loaded, look_up
-from cellwise.cell.equations.load import charge_transfer, transfer_resistance, under_load
-from cellwise.cell.equations.lookup import BEYOND, moved, place_of, tables_at
-from cellwise.cell.equations.records import (
-    CellState,
-    CellTables,
-    Place,
-    Transition,
-    at_rest,
-    empty_state,
-    with_heat,
-    with_soc,
-)
-from cellwise.cell.equations.states import (
-    branch_gain,
-    charge_used,
-    decay,
-    hysteresis_decay,
-    hysteresis_step,
-    rc_step,
-    relaxed,
-    soc_step,
-    states_step,
-    transition,
-)
-from cellwise.cell.equations.surface import followed, slow_step, surface_soc, surfaced
-from cellwise.cell.equations.temperature import (
-    ZERO_CELSIUS_K,
-    arrhenius,
-    at_temperature,
-    heat_step,
-    inverse_kelvin,
-    needs_temperature,
-    thermal_factor,
-)
-from cellwise.cell.equations.voltage import (
-    drop_of,
-    held_in_branches,
-    loaded_voltage,
-    polarisation,
-    seen_current,
-    terminal_voltage,
-    voltage_of,
-)
-
-__all__ = [
-    "BEYOND",
-    "ZERO_CELSIUS_K",
-    "CellState",
-    "CellTables",
-    "Place",
-    "Transition",
-    "advance",
-    "arrhenius",
-    "at_rest",
-    "at_temperature",
-    "branch_gain",
-    "charge_transfer",
-    "charge_used",
-    "decay",
-    "drop_of",
-    "empty_state",
-    "followed",
-    "heat_step",
-    "held_in_branches",
-    "hysteresis_decay",
-    "hysteresis_step",
-    "inverse_kelvin",
-    "loaded",
-    "loaded_voltage",
-    "look_up",
-    "moved",
-    "needs_temperature",
-    "place_of",
-    "polarisation",
-    "rc_step",
-    "relaxed",
-    "seen_current",
-    "slow_step",
-    "soc_step",
-    "states_step",
-    "surface_soc",
-    "surfaced",
-    "tables_at",
-    "terminal_voltage",
-    "thermal_factor",
-    "transfer_resistance",
-    "transition",
-    "under_load",
-    "voltage_of",
-    "with_heat",
-    "with_soc",
-]
+from cellwise.cell.equations.interval import advance as advance
+from cellwise.cell.equations.interval import loaded as loaded
+from cellwise.cell.equations.interval import look_up as look_up
+from cellwise.cell.equations.load import charge_transfer as charge_transfer
+from cellwise.cell.equations.load import transfer_resistance as transfer_resistance
+from cellwise.cell.equations.load import under_load as under_load
+from cellwise.cell.equations.lookup import BEYOND as BEYOND
+from cellwise.cell.equations.records import CellState as CellState
+from cellwise.cell.equations.records import CellTables as CellTables
+from cellwise.cell.equations.records import Transition as Transition
+from cellwise.cell.equations.records import at_rest as at_rest
+from cellwise.cell.equations.records import empty_state as empty_state
+from cellwise.cell.equations.records import with_heat as with_heat
+from cellwise.cell.equations.records import with_soc as with_soc
+from cellwise.cell.equations.states import branch_gain as branch_gain
+from cellwise.cell.equations.states import charge_used as charge_used
+from cellwise.cell.equations.states import decay as decay
+from cellwise.cell.equations.states import hysteresis_decay as hysteresis_decay
+from cellwise.cell.equations.states import hysteresis_step as hysteresis_step
+from cellwise.cell.equations.states import rc_step as rc_step
+from cellwise.cell.equations.states import relaxed as relaxed
+from cellwise.cell.equations.states import soc_step as soc_step
+from cellwise.cell.equations.states import states_step as states_step
+from cellwise.cell.equations.states import transition as transition
+from cellwise.cell.equations.surface import followed as followed
+from cellwise.cell.equations.surface import slow_step as slow_step
+from cellwise.cell.equations.surface import surface_soc as surface_soc
+from cellwise.cell.equations.temperature import ZERO_CELSIUS_K as ZERO_CELSIUS_K
+from cellwise.cell.equations.temperature import at_temperature as at_temperature
+from cellwise.cell.equations.temperature import heat_step as heat_step
+from cellwise.cell.equations.temperature import inverse_kelvin as inverse_kelvin
+from cellwise.cell.equations.temperature import needs_temperature as needs_temperature
+from cellwise.cell.equations.temperature import thermal_factor as thermal_factor
+from cellwise.cell.equations.voltage import drop_of as drop_of
+from cellwise.cell.equations.voltage import held_in_branches as held_in_branches
+from cellwise.cell.equations.voltage import loaded_voltage as loaded_voltage
+from cellwise.cell.equations.voltage import polarisation as polarisation
+from cellwise.cell.equations.voltage import seen_current as seen_current
+from cellwise.cell.equations.voltage import terminal_voltage as terminal_voltage
+from cellwise.cell.equations.voltage import voltage_of as voltage_of

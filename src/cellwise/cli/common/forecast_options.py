@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.limits import OperatingLimits
     from cellwise.estimate.power.state_of_power import Hold, PowerSettings
     from cellwise.estimate.replay import Replay
-    from cellwise.forecast.charging import Charge
     from cellwise.forecast.display import Display
     from cellwise.forecast.plan import Outcome, Plan
     from cellwise.forecast.remaining import Flight
@@ -182,7 +181,7 @@ def display_of(
     model: CellModel,
     found: Replay,
     flight: Flight | None,
-    charge: Charge | None,
+    charge: Flight | None,
 ) -> FloatArray | None:
     """The displayed percentage at every row; None where it is not asked for."""
     how = how_displayed(arguments, model)
