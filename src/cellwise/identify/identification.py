@@ -15,7 +15,7 @@ from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.pulse_fit.pulse_parameters import PulseFit

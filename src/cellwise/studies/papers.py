@@ -25,8 +25,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import plain_model
 from cellwise.identify.capacity.capacity_choice import capacity_table, usable_tests
-from cellwise.identify.hppc.pulse_quality import PulseQuality
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse, PulseQuality
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
 from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.identify.papers.segments import SEGMENTS

@@ -14,7 +14,7 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_test import CapacityTest
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.identification import (
     Identification,
     OwnLog,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
