@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.identify.capacity import capacity_choice, half_cycles
 from cellwise.identify.hppc import pulse_quality, pulses
-from cellwise.identify.ocv import curve, ocv_function, ocv_lowrate, ocv_rests
+from cellwise.identify.ocv import curve, ocv_lowrate, ocv_rests
 from cellwise.identify.pulse_fit import pulse_data
 
 IDENTIFY = "cellwise.identify"
@@ -106,7 +106,7 @@ RULES = (
     Rule("short rests", _record(ocv_rests, "LIMITS", rest_s=0.0)),
     Rule("relaxation extrapolated", ((RESTS, "_relaxed_V", lambda _, v: float(v[-1])),)),
     Rule("climbs short of full", ((RESTS, "_climbs_short_of_full", _no),)),
-    Rule("points condensed", _record(ocv_function, "POINTS", most=10**9)),
+    Rule("points condensed", _record(curve, "POINTS", most=10**9)),
     Rule("mean by soundness", ((LOW, "_mean_of_branches", _plain_mean),)),
     Rule("whole by charge", _record(ocv_lowrate, "LIMITS", nearly_all=np.inf)),
     Rule("HPPC reaches empty", ((MEASURED_CAPACITY, "hppc_reaches_empty", _no),)),

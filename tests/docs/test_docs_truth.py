@@ -26,7 +26,7 @@ from cellwise.identify.capacity.capacity_choice import CapacityRow
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
+from cellwise.identify.pulse_fit.circuit import PulseParameters
 from cellwise.logs import Gap
 from sources import tree_of
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
+from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.identify.tables import cubic_fit, pulse_tables
 
 # Table 4 of the LFP040AHA paper: a + b s + c s^2 + d s^3 in ohm and farad.

@@ -17,8 +17,8 @@ from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog

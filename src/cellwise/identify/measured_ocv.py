@@ -12,8 +12,13 @@ from cellwise.errors import InputError
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
-from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice
-from cellwise.identify.ocv.ocv_function import POINTS
+from cellwise.identify.ocv.curve import (
+    POINTS,
+    OcvCurve,
+    combine_ocv,
+    curve_from_points,
+    sample_notice,
+)
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 

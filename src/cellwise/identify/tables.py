@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.refinement.splines import (
     TABLE_KNOTS,
     curvature_penalty,

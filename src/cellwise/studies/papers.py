@@ -30,8 +30,8 @@ from cellwise.identify.identification import Identification, IdentifySettings, T
 from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.identify.papers.segments import SEGMENTS
 from cellwise.identify.pipeline import Progress, identify_cell
+from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.identify.tables import cubic_fit, pulse_tables
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log

@@ -5,7 +5,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
-from cellwise.identify.ocv.ocv_function import fit_monotone_spline
+from cellwise.identify.ocv.curve import fit_monotone_spline
 from cellwise.logs import read_log
 
 

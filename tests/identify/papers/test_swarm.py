@@ -7,8 +7,8 @@ import pytest
 
 from cellwise.identify.papers.swarm import BOX, SWARM, costs_of, fit_swarm
 from cellwise.identify.pulse_fit.circuit import Circuit as Window
+from cellwise.identify.pulse_fit.circuit import PulseParameters
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
-from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
 
 

@@ -9,9 +9,9 @@ from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import cut_pulse, fitted_stop, pulse_data
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.logs import CellLog, read_log
 from closed_form import Circuit, closed_pulse, stamps
 from rich_cell import Logger, gitt, rich_nmc, run

@@ -19,8 +19,12 @@ from cellwise.identify.capacity.half_cycles import (
     find_half_cycles,
     join_logs,
 )
-from cellwise.identify.ocv.curve import GRID_INTERVALS, OcvCurve, curve_from_points
-from cellwise.identify.ocv.ocv_function import fit_monotone_spline
+from cellwise.identify.ocv.curve import (
+    GRID_INTERVALS,
+    OcvCurve,
+    curve_from_points,
+    fit_monotone_spline,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
