@@ -76,7 +76,6 @@ def _record(module: ModuleType, name: str, **changes: Any) -> tuple[tuple[str, s
 
 RULES = (
     Rule("nothing", ()),
-    Rule("rises", ((PHASES, "without_ramps", _first),)),
     Rule("constant voltage joined", ((PHASES, "_join_cv", _first),)),
     Rule("drives joined", ((PHASES, "_join_dynamic", _first),)),
     Rule("plan per rate", ((QUALITY, "_planned_s", _planned),)),

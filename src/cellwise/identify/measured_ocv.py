@@ -42,28 +42,25 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     """
     tests = checked.tests
     notices: list[str] = []
+    unlike: Notice | None = None
+    curve = rests = _of_rests(tests, capacity_Ah, notices)
     slow = nearest_test(checked.low_rate, checked.default_C)
-    low_rate = None
     if slow:
-        low_rate = ocv_from_low_rate(slow if len(slow) > 1 else slow[0], capacity_Ah=capacity_Ah)
-        notices.extend(low_rate.notes)
-    rests = _of_rests(tests, capacity_Ah, notices)
-    if low_rate is not None and rests is not None and rests.points_soc.size >= POINTS.fewest:
-        unlike = sample_notice(rests, low_rate, capacity_Ah)
-        both = combine_ocv(rests, low_rate)
-        return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
-    if low_rate is not None:
-        return MeasuredOcv(low_rate, (), tuple(notices))
-    if rests is not None:
-        return MeasuredOcv(rests, (), (*notices, *rests.notes))
-    if tests.capacity:
+        curve = ocv_from_low_rate(slow, capacity_Ah=capacity_Ah)
+        notices[:0] = curve.notes
+        if rests is not None and rests.points_soc.size >= POINTS.fewest:
+            unlike = sample_notice(rests, curve, capacity_Ah)
+            curve = combine_ocv(rests, curve)
+    elif rests is not None:
+        notices.extend(rests.notes)
+    elif tests.capacity:
         curve = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity_Ah)
-        said = "OCV taken from the slowest capacity test: it carries its polarisation"
-        return MeasuredOcv(curve, (), (*notices, said))
-    if not tests.drive:
+        notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
+    elif tests.drive:
+        curve = _of_drives(tests, capacity_Ah, notices)
+    if curve is None:
         raise _no_ocv(tests, notices[-1])
-    curve, said = _of_drives(tests, capacity_Ah)
-    return MeasuredOcv(curve, (), (*notices, said))
+    return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
 def pulse_counts(tests: TestLogs) -> tuple[str, int]:
@@ -100,7 +97,7 @@ def _no_ocv(tests: TestLogs, why: str) -> InputError:
     )
 
 
-def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
+def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve:
     """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
     soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah
@@ -118,9 +115,8 @@ def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
             "Add `ocv=LOG` or `hppc=LOG`.",
         )
     begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
-    said = f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}"
+    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}")
     source = f"drive {log.name}"
-    curve = curve_from_points(
+    return curve_from_points(
         np.array(points), np.array(level), capacity_Ah=capacity_Ah, source=source
     )
-    return curve, said

@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.identify.hppc.pulse_quality import passive_misfit
 from cellwise.identify.hppc.pulses import find_pulses
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs import CellLog, read_log
 from synthetic import HppcPlan, driven_log, hppc_log, lfp_cell, nmc_cell
 
 
@@ -160,13 +160,7 @@ def test_gaps_and_missing_voltages_in_a_pulse_are_named():
 
 
 def test_panasonic_pulses_are_distorted_at_the_ends_of_the_range_only(real_data):
-    import pandas as pd
-
-    table = pd.read_csv(real_data / "panasonic_18650pf" / "hppc_p25.csv.gz")
-    log = CellLog(
-        table.time_s.to_numpy(), table.current_A.to_numpy(), table.voltage_V.to_numpy(),
-        charge_Ah=table.ampere_hours.to_numpy(),
-    )  # fmt: skip
+    log = read_log(real_data / "panasonic_18650pf" / "hppc_p25.csv.gz")
     pulses = [p for p in find_pulses(log) if p.role == "pulse"]
     soc = {p.start: 1.0 - log.charge_Ah[p.start - 1] / 2.997 for p in pulses}
     distorted = [soc[p.start] for p in pulses if p.quality == "distorted"]
