@@ -41,7 +41,6 @@ class IdentifySettings:
     refine : bool                      fit the tables to whole logs after the pulses
     branches : int                     2 (plain Thevenin) or 3 (with the slow branch)
     hysteresis : bool or None          None: when both low-rate branches show a gap
-    activation_std_K : float           how far the Arrhenius activation may leave its prior
     temperature_C : float or None      temperature of the tests where no log measures it
     prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
                                        a stock model where the logs see too little of the SOC range
@@ -55,7 +54,6 @@ class IdentifySettings:
     refine: bool = True
     branches: int = 3
     hysteresis: bool | None = None
-    activation_std_K: float = 1000.0
     temperature_C: float | None = None
     prior: CellModel | None = None
     name: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -59,21 +60,23 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     elif tests.drive:
         curve = _of_drives(tests, capacity_Ah, notices)
     if curve is None:
-        raise _no_ocv(tests, notices[-1])
+        why = notices[-1].partition("; expected")[0]
+        raise InputError(
+            f"{pulse_counts(tests)}, and no open-circuit voltage ({why})",
+            "a low-rate test, or an HPPC log with healthy pulses and rests at several SOC",
+            "Add `ocv=LOG` (a C/20 discharge), or give such an HPPC log.",
+        )
     return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
-def pulse_counts(tests: TestLogs) -> tuple[str, int]:
-    """The pulses of each log by quality, as text, and how many are healthy."""
-    values, healthy = [], 0
+def pulse_counts(tests: TestLogs) -> str:
+    """The pulses of each log by quality, as text."""
+    values = []
     for log, _ in tests.hppc:
-        counts: dict[str, int] = {}
-        for p in find_pulses(log):
-            counts[p.quality] = counts.get(p.quality, 0) + 1
+        counts = Counter(p.quality for p in find_pulses(log))
         listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
         values.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
-        healthy += counts.get("healthy", 0)
-    return "; ".join(values), healthy
+    return "; ".join(values)
 
 
 def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
@@ -86,15 +89,6 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCur
     except InputError as error:
         notices.append(f"no OCV from the rests of '{log.name}': {error}")
         return None
-
-
-def _no_ocv(tests: TestLogs, why: str) -> InputError:
-    counts, healthy = pulse_counts(tests)
-    return InputError(
-        f"{counts}, and no open-circuit voltage ({why.partition('; expected')[0]})",
-        "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
-        "Add `ocv=LOG` (a C/20 discharge), or give an HPPC log with rests at several SOC.",
-    )
 
 
 def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve:

@@ -61,16 +61,16 @@ def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) ->
     if start.left_out:
         return OwnLog(role, False, simulation, begins, None, {}, start.left_out)
     fits = simulate(of_log, log, start.soc0)
-    if _rmse_V(_known(simulation, start.rows)) > WORSE * _rmse_V(_known(fits, start.rows)):
+    if _rmse_V(simulation, start.rows) > WORSE * _rmse_V(fits, start.rows):
         begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
     sides = directions(log) if role in ("ocv", "capacity") else {}
-    errors = {name: _known(simulation, rows) for name, rows in sides.items()}
-    rmse = {name: _rmse_V(error) for name, error in errors.items() if error.size}
+    rmse = {n: _rmse_V(simulation, x) for n, x in sides.items() if _known(simulation, x).size}
     away = start.capacity_scale - 1.0
-    said = []
+    said = _gaps(simulation, sides)
     if abs(away) >= SAME_CAPACITY:
-        said = [f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"]
-    said += _gaps(log, sides, errors)
+        said.insert(
+            0, f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
+        )
     return OwnLog(role, True, simulation, begins, start.rows, rmse, "; ".join(said))
 
 
@@ -205,9 +205,8 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
     found = {}
     for name, sign in (("discharge", 1.0), ("charge", -1.0)):
         rows = np.zeros(len(log), dtype=np.bool_)
-        for half in halves:
-            if sign * half.charge_Ah >= 0.5 * most:
-                rows[half.steady_start : half.steady_stop] = True
+        for half in (h for h in halves if sign * h.charge_Ah >= 0.5 * most):
+            rows[half.steady_start : half.steady_stop] = True
         if np.count_nonzero(rows) >= FEWEST_ROWS:
             found[name] = rows
     return found
@@ -219,19 +218,21 @@ def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
     return np.asarray(error[np.isfinite(error)])
 
 
-def _rmse_V(error_V: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error_V**2))) if error_V.size else 0.0
+def _rmse_V(simulation: Simulation, rows: BoolArray | None) -> float:
+    error = _known(simulation, rows)
+    return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
 
 
-def _gaps(log: CellLog, sides: dict[str, BoolArray], errors: dict[str, FloatArray]) -> list[str]:
+def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> list[str]:
     """The residual of a low-rate or capacity test that has a side the model does not follow."""
     said = []
-    for name, error in errors.items():
+    for name, rows in sides.items():
+        error = _known(simulation, rows)
         if error.size >= FEWEST_ROWS and abs(float(np.median(error))) >= CLEAR_GAP_V:
             low, high = 1e3 * np.quantile(error, (0.1, 0.9))
             said.append(f"its {name} lies {low:+.0f} to {high:+.0f} mV from the model")
     if said and len(sides) == 2:
-        charge = log.counted_charge_Ah()
+        charge = simulation.log.counted_charge_Ah()
         out, back = (float(np.ptp(charge[sides[name]])) for name in ("discharge", "charge"))
         said.append(f"{back:.3f} Ah came back of {out:.3f} Ah")
         said.append(
