@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.identify.capacity import capacity_choice, half_cycles
-from cellwise.identify.hppc import passive_misfit, pulse_quality, pulses
-from cellwise.identify.ocv import curve, ocv_function, ocv_lowrate, ocv_rests
+from cellwise.identify.hppc import pulse_quality, pulses
+from cellwise.identify.ocv import curve, ocv_lowrate, ocv_rests
 from cellwise.identify.pulse_fit import pulse_data
 
 IDENTIFY = "cellwise.identify"
@@ -45,11 +45,12 @@ def _yes(*_: Any, **__: Any) -> bool:
     return True
 
 
-def _planned(v: Any, loads: Any, durations: Any) -> Any:
+def _planned(_: Any, pulses: Any) -> Any:
     from cellwise.identify.hppc.pulse_quality import _commonest
 
-    kind = np.array([f"{x.role} {x.current_A > 0.0}" for x in loads])
-    return np.array([_commonest(durations[kind == k]) for k in kind])
+    kind = np.array([f"{p.role} {p.sign}" for p in pulses])
+    duration = np.array([p.duration_s for p in pulses])
+    return np.array([_commonest(duration[kind == k]) for k in kind])
 
 
 def _plain_mean(discharge_V: Any, charge_V: Any) -> Any:
@@ -75,22 +76,21 @@ def _record(module: ModuleType, name: str, **changes: Any) -> tuple[tuple[str, s
 
 RULES = (
     Rule("nothing", ()),
-    Rule("rises", ((PHASES, "without_ramps", _first),)),
     Rule("constant voltage joined", ((PHASES, "_join_cv", _first),)),
     Rule("drives joined", ((PHASES, "_join_dynamic", _first),)),
-    Rule("plan per rate", ((QUALITY, "_expected", _planned),)),
+    Rule("plan per rate", ((QUALITY, "_planned_s", _planned),)),
     Rule("siblings' misfit", _record(pulse_quality, "LIMITS", siblings=10**9)),
     Rule("distorted", ((QUALITY, "_border", lambda *_: np.inf),)),
     Rule("spurious", ((QUALITY, "_spurious", _none),)),
     Rule("trimmed", ((QUALITY, "_trimmed", _none),)),
-    Rule("way back is a pulse", ((PULSES, "_giving_back_are_pulses", lambda x, _: tuple(x)),)),
+    Rule("way back is a pulse", ((PULSES, "_giving_back_are_pulses", lambda x: tuple(x)),)),
     Rule("border of moves", ((PULSES, "_role_border", lambda _: 600.0),)),
     Rule("border by plans", ((PULSES, "_role_border", _by_gap),)),
     Rule("pulses of a drive", _record(pulses, "KINDS", drive=np.inf)),
     Rule("smallest pulse", _record(pulses, "KINDS", smallest=0.0)),
     Rule("level without its rise", ((PULSES, "_level", lambda x: float(np.median(x))),)),
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
-    Rule("edges of a misfit", _record(passive_misfit, "WINDOW", settling_rows=0)),
+    Rule("edges of a misfit", _record(pulse_quality, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
     Rule("what was before a pulse", _record(pulse_data, "WINDOW", before_s=0.0)),
     Rule("balanced rows", _record(pulse_data, "WINDOW", balance=(1.0, 1.0))),
@@ -105,7 +105,7 @@ RULES = (
     Rule("short rests", _record(ocv_rests, "LIMITS", rest_s=0.0)),
     Rule("relaxation extrapolated", ((RESTS, "_relaxed_V", lambda _, v: float(v[-1])),)),
     Rule("climbs short of full", ((RESTS, "_climbs_short_of_full", _no),)),
-    Rule("points condensed", _record(ocv_function, "POINTS", most=10**9)),
+    Rule("points condensed", _record(curve, "POINTS", most=10**9)),
     Rule("mean by soundness", ((LOW, "_mean_of_branches", _plain_mean),)),
     Rule("whole by charge", _record(ocv_lowrate, "LIMITS", nearly_all=np.inf)),
     Rule("HPPC reaches empty", ((MEASURED_CAPACITY, "hppc_reaches_empty", _no),)),

@@ -29,7 +29,8 @@ from cellwise import (
 from cellwise.cell.model import CellModel
 from cellwise.estimate.power.along import presents_along
 from cellwise.estimate.power.limit_kernels import present_at
-from cellwise.identify.hppc.pulses import Pulse, find_pulses
+from cellwise.identify.hppc.pulse_quality import Pulse
+from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.logs import CellLog
 
 HORIZON_S = 10.0

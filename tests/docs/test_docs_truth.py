@@ -24,9 +24,9 @@ from cellwise.estimate.replay import SocErrors
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_choice import CapacityRow
 from cellwise.identify.capacity.capacity_test import CapacityTest
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
+from cellwise.identify.pulse_fit.circuit import PulseParameters
 from cellwise.logs import Gap
 from sources import tree_of
 

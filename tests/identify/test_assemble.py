@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
 from cellwise.identify.assemble import (
     GRID_POINTS,
-    monotone,
     refined_model,
 )
 from cellwise.identify.refinement.refine import RefineSettings, refine
@@ -69,20 +67,6 @@ def test_effects_that_were_fitted():
 def test_the_slow_branch_becomes_an_effect():
     _, _, _, model = refined(Truth(), branches=3)
     assert np.all(np.asarray(model.effect(SlowDiffusion).tau3_s) > model.tau2_s)
-
-
-def test_monotone_is_the_nearest_rising_curve():
-    rng = np.random.default_rng(0)
-    wavy = np.linspace(3.0, 3.6, 12) + 0.15 * rng.standard_normal(12)
-    found = monotone(wavy)
-    assert np.all(np.diff(found) > 0.0)
-    steps = minimize(
-        lambda x: np.sum((x[0] + np.concatenate(([0.0], np.cumsum(x[1:] ** 2))) - wavy) ** 2),
-        np.concatenate(([wavy[0]], np.full(11, 0.2))),
-        options={"maxiter": 5000, "gtol": 1e-10},
-    ).x
-    oracle = steps[0] + np.concatenate(([0.0], np.cumsum(steps[1:] ** 2)))
-    np.testing.assert_allclose(found, oracle, atol=1e-4)
 
 
 def test_what_no_log_has_seen_is_admitted():

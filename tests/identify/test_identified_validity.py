@@ -9,7 +9,7 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.validity import log_validity
+from cellwise.identify.own_logs import log_validity
 from cellwise.logs.cell_log import CellLog
 
 QUICK = IdentifySettings(nominal_Ah=5.0, refine=False)

@@ -16,18 +16,11 @@ from cellwise.cell.model_file import read_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.logs import read_log, write_log
-from rich_cell import Logger, drive, gitt, hppc, rich_nmc, run
+from rich_cell import Logger, drive, rich_nmc, run
 
 pytestmark = pytest.mark.slow
 
 CELL = rich_nmc(3.0)
-PULSES_UP = [(-3.0, 10.0), (0.0, 600.0), (-1.5, 720.0), (0.0, 3600.0)]
-ONE = {
-    "--hppc gitt": (gitt(CELL, rest_s=3600.0), 1.0),
-    "--hppc pulses": (hppc(CELL), 1.0),
-    "--hppc charge pulses from empty": ([(0.0, 1800.0), *(PULSES_UP * 10)], 0.0),
-    "--drive drive": (drive(CELL, seed=5), 1.0),
-}
 PANASONIC = "panasonic_18650pf"
 JUDGED = ("us06", "hwfta", "nn")
 
@@ -53,15 +46,13 @@ def check_range(said: dict, log, capacity_Ah: float) -> None:
     assert np.ptp(said["validity"]["soc"]) == pytest.approx(reached, abs=0.03)
 
 
-@pytest.mark.parametrize("name", ONE)
-def test_one_test_of_a_made_cell(name, tmp_path, capsys):
+def test_one_drive_of_a_made_cell(tmp_path, capsys):
     """Drives that it has not seen within 15 mV; valid where it went."""
-    steps, soc0 = ONE[name]
-    log = run(CELL, steps, soc0, Logger(1.0), seed=3, name="test").log
-    kind, file = name.split()[0], tmp_path / "test.csv.gz"
+    log = run(CELL, drive(CELL, seed=5), 1.0, Logger(1.0), seed=3, name="test").log
+    file = tmp_path / "test.csv.gz"
     write_log(replace(log, soc0=None), file)
-    stated = f"{file}@soc0=1" if kind == "--drive" else str(file)
-    model, said = identified([kind, stated, "--nominal-ah", "3"], tmp_path, capsys)
+    given = ["--drive", f"{file}@soc0=1", "--nominal-ah", "3"]
+    model, said = identified(given, tmp_path, capsys)
     check_range(said, log, model.capacity_Ah)
     drives = [run(CELL, drive(CELL, seed=s), 1.0, Logger(1.0), seed=s).log for s in (7, 11)]
     assert missed_V(model, drives) < 0.015

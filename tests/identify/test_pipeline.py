@@ -155,28 +155,11 @@ def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
     assert stays < 1e-3 * 15.0
 
 
-@pytest.mark.slow
-def test_a_stated_temperature_overrides_the_measured_one():
-    tests = nmc_tests()
-    found = identify_cell(replace(tests, hppc=((tests.hppc[0][0], 21.0),)), QUICK)
-    assert found.model.temperature_C.tolist() == [21.0]
-    bare = tuple((replace(log, temperature_C=None), None) for log, _ in tests.hppc)
-    found = identify_cell(replace(tests, hppc=bare), replace(QUICK, temperature_C=40.0))
-    assert found.model.temperature_C.tolist() == [40.0]
-
-
 def test_an_hppc_test_alone_is_enough():
     found = identify_cell(TestLogs(hppc=nmc_tests().hppc), replace(NMC, nominal_Ah=None))
     assert_valid(found.model)
     assert found.capacity_choice == "hppc-total"
     assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
-
-
-def test_long_discharges_serve_as_pulses_where_there_are_no_short_ones():
-    # The protocol of the NCR18650B paper: ten discharges of 10 %, an hour of rest after each.
-    found = identify_cell(nmc_tests("hppc_c3"), QUICK)
-    assert len(found.temperatures[0].pulse_sets[0].fits) >= 5
-    assert_valid(found.model)
 
 
 def test_pulses_are_counted_by_quality(nmc):

@@ -80,32 +80,41 @@ def r0_error(found, lowest: float = 0.3) -> float:
 # --- refused ------------------------------------------------------------------------------------
 
 
-def test_nothing_given():
-    with pytest.raises(InputError, match="`hppc=LOG` or `drive=LOG`"):
-        run(TestLogs())
+REFUSED = {
+    "nothing": (lambda x: TestLogs(), QUICK, "`hppc=LOG` or `drive=LOG`"),
+    "no pulse": (lambda x: pulses(resting()), QUICK, "no pulse at all in 'rest'"),
+    "no pulse, refined": (lambda x: pulses(resting()), SETTINGS, "no pulse at all in 'rest'"),
+    "no pulse beside an OCV": (
+        lambda x: pulses(resting(), ocv=x("low_rate")), QUICK, "no pulse at all in 'rest'",
+    ),
+    "one long discharge": (
+        lambda x: pulses(discharge(0.3, 0.9, "C/3"), ocv=x("low_rate")),
+        QUICK,
+        "less than a third of the charge",
+    ),
+    "no rest": (lambda x: pulses(never_rests()), QUICK, r"no pulse at all.*no rest"),
+    "one pulse, no OCV": (
+        lambda x: pulses(x("one_pulse")),
+        QUICK,
+        r"healthy pulse.*no open-circuit voltage.*`ocv=LOG`",
+    ),
+    "a drive, no capacity": (
+        lambda x: drives(x("drive")), replace(SETTINGS, nominal_Ah=None), "`nominal_Ah=X`",
+    ),
+    "a drive, half a capacity test": (
+        lambda x: drives(x("drive"), capacity=discharge(0.5, 0.5, "half")),
+        replace(SETTINGS, nominal_Ah=None),
+        "no complete capacity test",
+    ),
+    "drives alone, not refined": (lambda x: drives(x("drive")), QUICK, "`refine=False`"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("settings", [SETTINGS, QUICK], ids=["refined", "plain"])
-def test_no_pulses(low_rate, settings):
-    with pytest.raises(InputError, match="no pulse at all in 'rest'"):
-        run(pulses(resting()), settings)
-    with pytest.raises(InputError, match="no pulse at all in 'rest'"):
-        run(pulses(resting(), ocv=(low_rate,)), QUICK)
-
-
-def test_one_long_discharge_is_no_pulse(low_rate):
-    with pytest.raises(InputError, match="less than a third of the charge"):
-        run(pulses(discharge(0.3, 0.9, "C/3"), ocv=(low_rate,)), QUICK)
-
-
-def test_a_log_that_never_rests_is_no_hppc_test():
-    with pytest.raises(InputError, match=r"no pulse at all.*no rest"):
-        run(pulses(never_rests()), QUICK)
-
-
-def test_one_pulse_without_an_ocv(one_pulse):
-    with pytest.raises(InputError, match=r"healthy pulse.*no open-circuit voltage.*`ocv=LOG`"):
-        run(pulses(one_pulse), QUICK)
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_with_what_is_missing(case, request):
+    tests, settings, said = REFUSED[case]
+    with pytest.raises(InputError, match=said):
+        run(tests(request.getfixturevalue), settings)
 
 
 @pytest.mark.parametrize("which", ["hppc", "ocv", "capacity", "drive"])
@@ -125,22 +134,6 @@ def test_a_swapped_sign_in_any_log_is_refused(hppc, low_rate, drive, which, sett
 def test_a_nominal_capacity_that_is_none(hppc, nominal):
     with pytest.raises(InputError, match="nominal capacity"):
         run(pulses(hppc), nominal_Ah=nominal)
-
-
-def test_a_drive_without_any_capacity(drive):
-    with pytest.raises(InputError, match="`nominal_Ah=X`"):
-        run(drives(drive), nominal_Ah=None)
-
-
-def test_a_drive_whose_only_capacity_test_stops_half_way(drive):
-    part = discharge(0.5, 0.5, "half")
-    with pytest.raises(InputError, match="capacity"):
-        run(drives(drive, capacity=(part,)), nominal_Ah=None)
-
-
-def test_drives_without_refinement(drive):
-    with pytest.raises(InputError, match="`refine=False`"):
-        run(drives(drive), QUICK)
 
 
 @pytest.mark.parametrize("rows", [2, 3, 12])

@@ -9,8 +9,8 @@ import pytest
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
-from cellwise.identify.hppc.pulses import Pulse
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
+from cellwise.identify.hppc.pulse_quality import Pulse
+from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.logs.cell_log import CellLog
 from cellwise.studies.papers import cycle_error, polynomials, split_tests
 

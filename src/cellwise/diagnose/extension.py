@@ -32,7 +32,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import Cause, Parameter
 from cellwise.diagnose.causes.coordinates import CURRENT_NAMES, UNSEEN_NAMES, Coordinates
 from cellwise.diagnose.fit.rows import shifted_current
-from cellwise.identify.validity import joined, log_validity
+from cellwise.identify.own_logs import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 
 # Effects that have tables over the temperatures: made again from the tables of the point.

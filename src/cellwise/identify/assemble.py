@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from cellwise.cell.effects import (
     ChargeTransfer,
@@ -170,39 +171,31 @@ def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
     )
 
 
-def relative_errors(result: RefineResult) -> dict[str, float]:
-    """Median standard error of each table over its knots: a share, for the OCV volts."""
-    lay, std = result.layout, result.theta_std
-
-    def median(at: int, size: int) -> float:
-        return float(np.median(std[at : at + size]))
-
-    found = {"ocv_V": median(0, lay.knots_ocv), "r0_ohm": median(lay.r0, lay.knots)}
-    for j in range(lay.branches):
-        found[f"r{j + 1}_ohm"] = median(lay.r(j), lay.knots)
-        found[f"tau{j + 1}_s"] = median(lay.tau(j), lay.knots)
-    if lay.hysteresis:
-        found["m_V"] = median(lay.m, lay.knots)
-        found["gamma"] = float(std[lay.gamma])
-    return found
-
-
 def monotone(voltage_V: FloatArray) -> FloatArray:
     """Nearest OCV that never falls with SOC (isotonic regression), with a least rise per step."""
-    from scipy.optimize import isotonic_regression
-
     level = np.asarray(isotonic_regression(voltage_V).x)
     steps = np.maximum(np.diff(level), KEPT.rise_V)
     return np.concatenate(([level[0]], level[0] + np.cumsum(steps)))
 
 
 def table_summary(result: RefineResult) -> dict[str, Any]:
-    """What the provenance says of a refinement."""
+    """What the provenance says of a refinement; standard errors: median over the knots of a table.
+
+    Those of resistances, time constants and gamma are shares, of OCV and hysteresis volts.
+    """
+    lay, std = result.layout, result.theta_std
+    where = {"ocv_V": (0, lay.knots_ocv), "r0_ohm": (lay.r0, lay.knots)}
+    for j in range(lay.branches):
+        where |= {f"r{j + 1}_ohm": (lay.r(j), lay.knots), f"tau{j + 1}_s": (lay.tau(j), lay.knots)}
+    if lay.hysteresis:
+        where |= {"m_V": (lay.m, lay.knots), "gamma": (lay.gamma, 1)}
     return {
         "method": "whole-log least squares, cubic B-splines over SOC",
         "logs": [p.name for p in result.logs],
         "rmse_V": list(result.rmse_V),
-        "standard_error": relative_errors(result),
+        "standard_error": {
+            n: float(np.median(std[a : a + size])) for n, (a, size) in where.items()
+        },
         "knots_soc": result.knots.tolist(),
         "iterations": result.iterations,
         "residual_sigma_V": result.sigma_V,

@@ -73,15 +73,22 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
             f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
         )
     for log in logs:
-        _check_sign(log)
+        found = verify_sign(log)
+        if found.verdict == "contradicted":
+            raise InputError(
+                f"log '{log.name}' whose voltage rises with its discharge current "
+                f"({'; '.join(found.evidence[:2])})",
+                "positive current on discharge",
+                "Give `sign='charge-positive'`, or swap the sign in the file.",
+            )
         check_one_cell(log)
     _check_voltages(logs)
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
     contradictions = []
     for log, stated in (*tests.hppc, *tests.drive):
-        found = None if stated is None else other_temperature(log, stated)
-        if found is not None:
-            contradictions.append(Notice(VOLT_PER_KELVIN * found[0], found[1]))
+        other = None if stated is None else other_temperature(log, stated)
+        if other is not None:
+            contradictions.append(Notice(VOLT_PER_KELVIN * other[0], other[1]))
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
     tests = replace(tests, drive=drives)
@@ -93,17 +100,6 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     ]
     low_rate = tuple(low_rate_tests(tests.ocv, default))
     return CheckedLogs(tests, low_rate, default, tuple(contradictions), tuple(read))
-
-
-def _check_sign(log: CellLog) -> None:
-    found = verify_sign(log)
-    if found.verdict == "contradicted":
-        raise InputError(
-            f"log '{log.name}' whose voltage rises with its discharge current "
-            f"({'; '.join(found.evidence[:2])})",
-            "positive current on discharge",
-            "Give `sign='charge-positive'`, or swap the sign in the file.",
-        )
 
 
 def _check_voltages(logs: tuple[CellLog, ...]) -> None:
@@ -170,15 +166,11 @@ def grouped_by_temperature(
     for test in (*low_rate, *((log,) for log in tests.capacity)):
         at = home if tests.hppc else nearest(test[0], None)
         warm |= {id(log): at for log in test}
-    return {
-        t: TestLogs(
-            hppc=tuple(pair for pair in tests.hppc if warm[id(pair[0])] == t),
-            drive=tuple(pair for pair in tests.drive if warm[id(pair[0])] == t),
-            capacity=tuple(log for log in tests.capacity if warm[id(log)] == t),
-            ocv=tuple(log for log in tests.ocv if warm[id(log)] == t),
-        )
-        for t in merged
-    }
+
+    def of(temperature_C: float) -> TestLogs:
+        return tests.only(lambda log: warm[id(log)] == temperature_C)
+
+    return {t: of(t) for t in merged}
 
 
 def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:

@@ -19,7 +19,7 @@ from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import cut_pulse
 from cellwise.identify.soc_anchor import anchor_soc
-from cellwise.identify.tables import GRID_POINTS, PulseTables, pulse_tables
+from cellwise.identify.tables import PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
 
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
@@ -63,11 +63,11 @@ def fit_all_pulses(
         fits = [f for s in sets for f in s.fits]
         if part.hppc and not fits and not part.drive:
             raise InputError(
-                pulse_counts(part)[0],
+                pulse_counts(part),
                 "a healthy pulse after a rest that moves less than a third of the charge",
                 "Give an HPPC log whose pulses stay within the voltage limits, or a drive.",
             )
-        tables = pulse_tables(fits, GRID_POINTS, settings.tables) if fits else None
+        tables = pulse_tables(fits, settings.tables) if fits else None
         groups.append(Group(temperature_C, part, sets, tables))
     slow = [n for g in groups for s in g.pulse_sets for n in _late_rows(s)]
     return FittedPulses(tuple(groups), _exchanged(groups), tuple(slow))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -15,10 +15,10 @@ from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
@@ -41,7 +41,6 @@ class IdentifySettings:
     refine : bool                      fit the tables to whole logs after the pulses
     branches : int                     2 (plain Thevenin) or 3 (with the slow branch)
     hysteresis : bool or None          None: when both low-rate branches show a gap
-    activation_std_K : float           how far the Arrhenius activation may leave its prior
     temperature_C : float or None      temperature of the tests where no log measures it
     prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
                                        a stock model where the logs see too little of the SOC range
@@ -55,7 +54,6 @@ class IdentifySettings:
     refine: bool = True
     branches: int = 3
     hysteresis: bool | None = None
-    activation_std_K: float = 1000.0
     temperature_C: float | None = None
     prior: CellModel | None = None
     name: str = ""
@@ -96,6 +94,15 @@ class TestLogs:
         every = {id(log): log for log in (*driven, *self.ocv, *self.capacity)}
         return tuple(every.values())
 
+    def only(self, keep: Callable[[CellLog], bool]) -> TestLogs:
+        """Those of the logs that are wanted."""
+        return TestLogs(
+            hppc=tuple(pair for pair in self.hppc if keep(pair[0])),
+            ocv=tuple(filter(keep, self.ocv)),
+            capacity=tuple(filter(keep, self.capacity)),
+            drive=tuple(pair for pair in self.drive if keep(pair[0])),
+        )
+
     def sources(self) -> dict[str, list[str]]:
         """Where the logs of each kind came from, for a model's provenance."""
         kinds = {
@@ -109,25 +116,23 @@ class TestLogs:
 
 def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     """Logs with the temperature that is stated of each, whichever way they were given."""
-    given = list(logs) if isinstance(logs, (tuple, list)) else [logs]
-    if len(given) == 2 and isinstance(given[0], CellLog) and not _is_log(given[1]):
-        given = [tuple(given)]
-    pairs = [(one, None) if isinstance(one, CellLog) else one for one in given]
+    several = isinstance(logs, (tuple, list)) and not _is_pair(logs)
+    pairs = [
+        (one, None) if isinstance(one, CellLog) else one for one in (logs if several else [logs])
+    ]
     for one in pairs:
-        if not _is_log(one):
+        if not _is_pair(one):
             raise InputError(
                 f"{name} of TestLogs with a {type(one).__name__}",
                 "a log, logs, or pairs of a log and its temperature [degC]",
                 f"Write TestLogs({name}=read_log('a.csv')) or "
                 f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
             )
-    return pairs
+    return [(log, stated) for log, stated in pairs]
 
 
-def _is_log(one: Any) -> bool:
-    """Whether it is a log, or a pair of a log and its temperature."""
-    if isinstance(one, CellLog):
-        return True
+def _is_pair(one: Any) -> bool:
+    """Whether it is a log and its temperature or None."""
     return (
         isinstance(one, (tuple, list))
         and len(one) == 2
@@ -338,17 +343,11 @@ class Identification(Plottable, Summarised):
 
     def _effects(self) -> list[dict[str, Any]]:
         """Effects that were tried, and those that the model has without a trial."""
-        tried = {d.name: d.to_dict() for d in self.decided}
+        rows = {d.name: d for d in self.decided}
         for effect in self.model.effects:
             why = "part of every model whose logs can show it"
-            usual: dict[str, Any] = {
-                "name": effect.name,
-                "accepted": True,
-                "gain": None,
-                "reason": why,
-            }
-            tried.setdefault(effect.name, usual)
-        return list(tried.values())
+            rows.setdefault(effect.name, Decided(effect.name, True, None, why))
+        return [d.to_dict() for d in rows.values()]
 
     def __repr__(self) -> str:
         return (

@@ -84,12 +84,6 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
         usable = ()
         if measured:
             notices.append("no capacity test reached the lower limit: none is used")
-    if not usable and total is None and nominal is None:
-        raise InputError(
-            "nothing that says how large the cell is",
-            "a capacity test, an HPPC log over the whole range, or a nominal capacity",
-            "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
-        )
     notices.extend(f"capacity test {t.left_out}" for t in usable if not t.complete)
     choices = capacity_choices(usable, nominal, total, temperature_C=checked.default_C)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,8 +13,13 @@ from cellwise.errors import InputError
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
-from cellwise.identify.ocv.curve import OcvCurve, combine_ocv, curve_from_points, sample_notice
-from cellwise.identify.ocv.ocv_function import POINTS
+from cellwise.identify.ocv.curve import (
+    POINTS,
+    OcvCurve,
+    combine_ocv,
+    curve_from_points,
+    sample_notice,
+)
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 
@@ -37,41 +43,40 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     """
     tests = checked.tests
     notices: list[str] = []
+    unlike: Notice | None = None
+    curve = rests = _of_rests(tests, capacity_Ah, notices)
     slow = nearest_test(checked.low_rate, checked.default_C)
-    low_rate = None
     if slow:
-        low_rate = ocv_from_low_rate(slow if len(slow) > 1 else slow[0], capacity_Ah=capacity_Ah)
-        notices.extend(low_rate.notes)
-    rests = _of_rests(tests, capacity_Ah, notices)
-    if low_rate is not None and rests is not None and rests.points_soc.size >= POINTS.fewest:
-        unlike = sample_notice(rests, low_rate, capacity_Ah)
-        both = combine_ocv(rests, low_rate)
-        return MeasuredOcv(both, () if unlike is None else (unlike,), tuple(notices))
-    if low_rate is not None:
-        return MeasuredOcv(low_rate, (), tuple(notices))
-    if rests is not None:
-        return MeasuredOcv(rests, (), (*notices, *rests.notes))
-    if tests.capacity:
+        curve = ocv_from_low_rate(slow, capacity_Ah=capacity_Ah)
+        notices[:0] = curve.notes
+        if rests is not None and rests.points_soc.size >= POINTS.fewest:
+            unlike = sample_notice(rests, curve, capacity_Ah)
+            curve = combine_ocv(rests, curve)
+    elif rests is not None:
+        notices.extend(rests.notes)
+    elif tests.capacity:
         curve = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity_Ah)
-        said = "OCV taken from the slowest capacity test: it carries its polarisation"
-        return MeasuredOcv(curve, (), (*notices, said))
-    if not tests.drive:
-        raise _no_ocv(tests, notices[-1])
-    curve, said = _of_drives(tests, capacity_Ah)
-    return MeasuredOcv(curve, (), (*notices, said))
+        notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
+    elif tests.drive:
+        curve = _of_drives(tests, capacity_Ah, notices)
+    if curve is None:
+        why = notices[-1].partition("; expected")[0]
+        raise InputError(
+            f"{pulse_counts(tests)}, and no open-circuit voltage ({why})",
+            "a low-rate test, or an HPPC log with healthy pulses and rests at several SOC",
+            "Add `ocv=LOG` (a C/20 discharge), or give such an HPPC log.",
+        )
+    return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
-def pulse_counts(tests: TestLogs) -> tuple[str, int]:
-    """The pulses of each log by quality, as text, and how many are healthy."""
-    values, healthy = [], 0
+def pulse_counts(tests: TestLogs) -> str:
+    """The pulses of each log by quality, as text."""
+    values = []
     for log, _ in tests.hppc:
-        counts: dict[str, int] = {}
-        for p in find_pulses(log):
-            counts[p.quality] = counts.get(p.quality, 0) + 1
+        counts = Counter(p.quality for p in find_pulses(log))
         listed = ", ".join(f"{n} {quality}" for quality, n in counts.items())
         values.append(f"{listed + ' pulse(s)' if listed else 'no pulse at all'} in '{log.name}'")
-        healthy += counts.get("healthy", 0)
-    return "; ".join(values), healthy
+    return "; ".join(values)
 
 
 def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
@@ -86,16 +91,7 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCur
         return None
 
 
-def _no_ocv(tests: TestLogs, why: str) -> InputError:
-    counts, healthy = pulse_counts(tests)
-    return InputError(
-        f"{counts}, and no open-circuit voltage ({why.partition('; expected')[0]})",
-        "a low-rate test beside it" if healthy else "at least one healthy pulse after a rest",
-        "Add `ocv=LOG` (a C/20 discharge), or give an HPPC log with rests at several SOC.",
-    )
-
-
-def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
+def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve:
     """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
     soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah
@@ -113,9 +109,8 @@ def _of_drives(tests: TestLogs, capacity_Ah: float) -> tuple[OcvCurve, str]:
             "Add `ocv=LOG` or `hppc=LOG`.",
         )
     begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
-    said = f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}"
+    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}")
     source = f"drive {log.name}"
-    curve = curve_from_points(
+    return curve_from_points(
         np.array(points), np.array(level), capacity_Ah=capacity_Ah, source=source
     )
-    return curve, said

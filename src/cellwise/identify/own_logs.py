@@ -1,8 +1,10 @@
-"""Eighth station: every log that was given, simulated back with the finished model."""
+"""Eighth station: every log that was given, simulated back; what those of the fit covered."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from cellwise.cell.plausibility.notice import (
     in_order,
     soc_notices,
 )
+from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model
@@ -31,6 +34,8 @@ FEWEST_ROWS = 5
 WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
 SAME_CAPACITY = 0.005  # counters of one tester differ by so much
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
+# Left out at each end: a pulse of a few rows in hours of rest counts, a sensor's spike does not.
+TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
 
 def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
@@ -56,16 +61,16 @@ def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) ->
     if start.left_out:
         return OwnLog(role, False, simulation, begins, None, {}, start.left_out)
     fits = simulate(of_log, log, start.soc0)
-    if _rmse_V(_known(simulation, start.rows)) > WORSE * _rmse_V(_known(fits, start.rows)):
+    if _rmse_V(simulation, start.rows) > WORSE * _rmse_V(fits, start.rows):
         begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
     sides = directions(log) if role in ("ocv", "capacity") else {}
-    errors = {name: _known(simulation, rows) for name, rows in sides.items()}
-    rmse = {name: _rmse_V(error) for name, error in errors.items() if error.size}
+    rmse = {n: _rmse_V(simulation, x) for n, x in sides.items() if _known(simulation, x).size}
     away = start.capacity_scale - 1.0
-    said = []
+    said = _gaps(simulation, sides)
     if abs(away) >= SAME_CAPACITY:
-        said = [f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"]
-    said += _gaps(log, sides, errors)
+        said.insert(
+            0, f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
+        )
     return OwnLog(role, True, simulation, begins, start.rows, rmse, "; ".join(said))
 
 
@@ -131,6 +136,68 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
     return found
 
 
+def log_validity(
+    log: CellLog,
+    soc: FloatArray | None,
+    stated_C: float | None = None,
+    rows: BoolArray | None = None,
+) -> Validity:
+    """What one log covered.
+
+    Parameters
+    ----------
+    soc : (n,) float or None      of every row; None: not known
+    stated_C : float or None      temperature where none was measured; None: not known [degC]
+    rows : (n,) bool or None      those that took part; None: all
+    """
+    part = np.ones(len(log), dtype=np.bool_) if rows is None else rows
+    trim = max(TRIMMED_ROWS, round(TRIMMED_SHARE * np.count_nonzero(part)))
+    warm = None if log.temperature_C is None else covered(log.temperature_C[part], trim)
+    if warm is None and stated_C is not None:
+        warm = float(stated_C), float(stated_C)
+    seen = None if soc is None else covered(np.clip(soc[part], 0.0, 1.0), trim)
+    return Validity(seen, warm, covered(log.interval_current_A[part], trim))
+
+
+def identified_validity(
+    tests: TestLogs,
+    used: Sequence[OwnLog],
+    measured_soc: FloatArray,
+    temperature_C: float | None = None,
+) -> Validity:
+    """What the logs that took part in an identification covered together.
+
+    Parameters
+    ----------
+    tests : TestLogs                        with the temperatures that were stated
+    used : sequence of OwnLog               the logs that the model was fitted on
+    measured_soc : (m,) float               where the OCV was measured
+    temperature_C : float or None           of tests that measured none, as stated [degC]
+    """
+    stated = {id(log): warm for log, warm in (*tests.hppc, *tests.drive) if warm is not None}
+    loads: list[Validity] = []
+    slow: list[Validity] = []
+    fitted = set()
+    for own in used:
+        s = own.simulation
+        fitted.add(id(s.log))
+        warm = stated.get(id(s.log), temperature_C)
+        part = log_validity(s.log, s.soc, warm, own.compared)
+        (slow if own.role == "ocv" else loads).append(part)
+    slow += [log_validity(x, None, temperature_C) for x in tests.ocv if id(x) not in fitted]
+    # A low-rate test shows no resistance: where loads were measured, their temperatures count.
+    if joined(loads).temperature_C is not None:
+        slow = [replace(p, temperature_C=None) for p in slow]
+    if measured_soc.size:
+        slow.append(Validity(soc=covered(np.clip(measured_soc, 0.0, 1.0))))
+    return joined([*loads, *slow])
+
+
+def joined(parts: Iterable[Validity]) -> Validity:
+    """What all of them covered together."""
+    return reduce(Validity.joined, parts, UNKNOWN)
+
+
 def directions(log: CellLog) -> dict[str, BoolArray]:
     """Rows of the log's discharges and charges that move much; shape (n,) each."""
     halves = find_half_cycles(join_logs(log))
@@ -138,9 +205,8 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
     found = {}
     for name, sign in (("discharge", 1.0), ("charge", -1.0)):
         rows = np.zeros(len(log), dtype=np.bool_)
-        for half in halves:
-            if sign * half.charge_Ah >= 0.5 * most:
-                rows[half.steady_start : half.steady_stop] = True
+        for half in (h for h in halves if sign * h.charge_Ah >= 0.5 * most):
+            rows[half.steady_start : half.steady_stop] = True
         if np.count_nonzero(rows) >= FEWEST_ROWS:
             found[name] = rows
     return found
@@ -152,19 +218,21 @@ def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
     return np.asarray(error[np.isfinite(error)])
 
 
-def _rmse_V(error_V: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error_V**2))) if error_V.size else 0.0
+def _rmse_V(simulation: Simulation, rows: BoolArray | None) -> float:
+    error = _known(simulation, rows)
+    return float(np.sqrt(np.mean(error**2))) if error.size else 0.0
 
 
-def _gaps(log: CellLog, sides: dict[str, BoolArray], errors: dict[str, FloatArray]) -> list[str]:
+def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> list[str]:
     """The residual of a low-rate or capacity test that has a side the model does not follow."""
     said = []
-    for name, error in errors.items():
+    for name, rows in sides.items():
+        error = _known(simulation, rows)
         if error.size >= FEWEST_ROWS and abs(float(np.median(error))) >= CLEAR_GAP_V:
             low, high = 1e3 * np.quantile(error, (0.1, 0.9))
             said.append(f"its {name} lies {low:+.0f} to {high:+.0f} mV from the model")
     if said and len(sides) == 2:
-        charge = log.counted_charge_Ah()
+        charge = simulation.log.counted_charge_Ah()
         out, back = (float(np.ptp(charge[sides[name]])) for name in ("discharge", "charge"))
         said.append(f"{back:.3f} Ah came back of {out:.3f} Ah")
         said.append(

@@ -10,7 +10,7 @@ one: the update of a prior.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 
@@ -22,8 +22,9 @@ from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
 from cellwise.errors import InputError
 from cellwise.identify.assemble import moved_ocv_notice, plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
-from cellwise.identify.fitted_pulses import FittedPulses, Group, fit_all_pulses
+from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
+    Decided,
     Fitted,
     Identification,
     IdentifySettings,
@@ -32,10 +33,12 @@ from cellwise.identify.identification import (
     TestLogs,
 )
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
-from cellwise.identify.measured_ocv import MeasuredOcv, measure_ocv
+from cellwise.identify.measured_ocv import measure_ocv
+from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.own_logs import (
     check_possible,
     check_serves,
+    identified_validity,
     other_capacities,
     own_log_notices,
     simulate_back,
@@ -47,8 +50,6 @@ from cellwise.identify.refinement.joint_fit import gather_logs
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.stated_error import stated_error
 from cellwise.identify.soc_anchor import anchor_soc
-from cellwise.identify.tables import PulseTables
-from cellwise.identify.validity import identified_validity
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
@@ -141,8 +142,82 @@ def _of_tests(
     ocv = measure_ocv(checked, capacity.capacity_Ah)
     say("pulses")
     pulses = fit_all_pulses(checked, ocv.curve, capacity.capacity_Ah, settings)
-    fit = _joint_fit if settings.refine else _pulses_alone
-    return fit(checked, capacity, ocv, pulses, settings, say)
+    wrong, said = (*ocv.contradictions, *pulses.contradictions), (*ocv.notices, *pulses.notices)
+    results: dict[float, RefineResult] = {}
+    decided: tuple[Decided, ...] = ()
+    if settings.refine:
+        say("refinement")
+        joint = gather_logs(pulses.groups, ocv.curve, capacity.capacity_Ah, settings)
+        fit = fit_with_effects(joint)
+        model, starts, decided = (
+            replace(fit.model, error=stated_error(fit)),
+            fit.starts,
+            fit.decided,
+        )
+        results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
+        wrong = (*wrong, *other_capacities(starts))
+        said = (*said, *fit.joint.notices, *moved_ocv_notice(fit.of_loads()))
+    else:
+        model, starts = _pulses_alone(checked, pulses.groups, ocv.curve, capacity.capacity_Ah)
+    sets = [s for g in pulses.groups for s in g.pulse_sets]
+    # The voltage window that the laboratory tests kept to.
+    tests = checked.tests
+    levels = [x.voltage_V for x in (*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc))]
+    low, high = (round(float(end(np.concatenate(levels))), 2) if levels else None
+                 for end in (np.nanmin, np.nanmax))  # fmt: skip
+    return Fitted(
+        model=replace(model, voltage_min_V=low, voltage_max_V=high),
+        ocv=ocv.curve,
+        starts=starts,
+        temperatures=tuple(
+            TemperatureResult(g.temperature_C, g.pulse_sets, results.get(g.temperature_C))
+            for g in pulses.groups
+        ),
+        measured_soc=ocv.curve.points_soc,
+        decided=decided,
+        provenance={
+            "ocv": {"source": ocv.curve.source, "notes": list(ocv.curve.notes)},
+            "pulses": {
+                "method": settings.method,
+                "tables": settings.tables,
+                "logs": [s.log.name for s in sets],
+                "fitted": sum(len(s.fits) for s in sets),
+            },
+            "refinement": [
+                {"temperature_C": t, **table_summary(result)} for t, result in results.items()
+            ],
+        },
+        contradictions=wrong,
+        notices=said,
+    )
+
+
+def _pulses_alone(
+    checked: CheckedLogs, groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float
+) -> tuple[CellModel, tuple[Start, ...]]:
+    """The pulses' tables as they are, as the papers take them; where each log begins.
+
+    Raises
+    ------
+    InputError        a temperature without a pulse
+    """
+    tables = [g.tables for g in groups if g.tables is not None]
+    if len(tables) < len(groups):
+        bare = next(g.temperature_C for g in groups if g.tables is None)
+        raise InputError(
+            f"no pulse at {bare:g} degC without refinement",
+            "an HPPC log with pulses, or refinement",
+            "Leave out `refine=False`.",
+        )
+    model = plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])
+    resistance = float(np.median(model.r0_ohm + model.r1_ohm))
+    anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
+    starts = []
+    for log in checked.tests.logs():
+        fitted = id(log) in anchors
+        anchor = anchors[id(log)] if fitted else anchor_soc(log, curve, capacity_Ah, resistance)
+        starts.append(Start(log, anchor.soc, None, "" if fitted else "not part of the fit"))
+    return model, tuple(starts)
 
 
 def _of_what_there_is(
@@ -167,101 +242,3 @@ def _of_what_there_is(
         raise InputError(short.found, short.expected, hint) from None
     said = f"the tests alone give no model ({short.found}): it is a prior, updated on them"
     return replace(fitted, contradictions=(*fitted.contradictions, Notice(RANGE_V, said)))
-
-
-def _joint_fit(
-    checked: CheckedLogs,
-    capacity: MeasuredCapacity,
-    ocv: MeasuredOcv,
-    pulses: FittedPulses,
-    settings: IdentifySettings,
-    say: Progress,
-) -> Fitted:
-    """Tables of all temperatures fitted to whole logs at once; effects; the model's own error."""
-    say("refinement")
-    joint = gather_logs(pulses.groups, ocv.curve, capacity.capacity_Ah, settings)
-    fit = fit_with_effects(joint)
-    model = replace(fit.model, error=stated_error(fit))
-    results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
-    fitted = _fitted(checked, ocv, pulses, settings, model, fit.starts, results)
-    return replace(
-        fitted,
-        decided=fit.decided,
-        contradictions=(*fitted.contradictions, *other_capacities(fit.starts)),
-        notices=(*fitted.notices, *fit.joint.notices, *moved_ocv_notice(fit.of_loads())),
-    )
-
-
-def _pulses_alone(
-    checked: CheckedLogs,
-    capacity: MeasuredCapacity,
-    ocv: MeasuredOcv,
-    pulses: FittedPulses,
-    settings: IdentifySettings,
-    say: Progress,
-) -> Fitted:
-    """The pulses' tables as they are, as the papers take them."""
-    tables = [_tables_of(g) for g in pulses.groups]
-    warm = [g.temperature_C for g in pulses.groups]
-    model = plain_model(tables, ocv.curve, capacity.capacity_Ah, warm)
-    resistance = float(np.median(model.r0_ohm + model.r1_ohm))
-    anchors = {id(p.log): p.anchor for g in pulses.groups for p in g.pulse_sets}
-    starts = []
-    for log in checked.tests.logs():
-        anchor = anchors.get(id(log))
-        why_not = "" if anchor else "not part of the fit"
-        anchor = anchor or anchor_soc(log, ocv.curve, capacity.capacity_Ah, resistance)
-        starts.append(Start(log, anchor.soc, None, why_not))
-    return _fitted(checked, ocv, pulses, settings, model, tuple(starts), {})
-
-
-def _fitted(
-    checked: CheckedLogs,
-    ocv: MeasuredOcv,
-    pulses: FittedPulses,
-    settings: IdentifySettings,
-    model: CellModel,
-    starts: tuple[Start, ...],
-    results: Mapping[float, RefineResult],
-) -> Fitted:
-    """What both fits say of OCV, pulses and tables, and where their numbers came from."""
-    tests, curve = checked.tests, ocv.curve
-    sets = [s for g in pulses.groups for s in g.pulse_sets]
-    # The voltage window that the laboratory tests kept to.
-    levels = [x.voltage_V for x in (*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc))]
-    low, high = (round(float(end(np.concatenate(levels))), 2) if levels else None
-                 for end in (np.nanmin, np.nanmax))  # fmt: skip
-    return Fitted(
-        model=replace(model, voltage_min_V=low, voltage_max_V=high),
-        ocv=curve,
-        starts=starts,
-        temperatures=tuple(
-            TemperatureResult(g.temperature_C, g.pulse_sets, results.get(g.temperature_C))
-            for g in pulses.groups
-        ),
-        measured_soc=curve.points_soc,
-        provenance={
-            "ocv": {"source": curve.source, "notes": list(curve.notes)},
-            "pulses": {
-                "method": settings.method,
-                "tables": settings.tables,
-                "logs": [s.log.name for s in sets],
-                "fitted": sum(len(s.fits) for s in sets),
-            },
-            "refinement": [
-                {"temperature_C": t, **table_summary(result)} for t, result in results.items()
-            ],
-        },
-        contradictions=(*ocv.contradictions, *pulses.contradictions),
-        notices=(*ocv.notices, *pulses.notices),
-    )
-
-
-def _tables_of(group: Group) -> PulseTables:
-    if group.tables is None:
-        raise InputError(
-            f"no pulse at {group.temperature_C:g} degC without refinement",
-            "an HPPC log with pulses, or refinement",
-            "Leave out `refine=False`.",
-        )
-    return group.tables

@@ -13,23 +13,35 @@ from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.ocv.ocv_rests import find_ocv_rests
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import BoolArray
 
 
-class AnchorErrors(NamedTuple):
-    """How far what a log shows of its start may be off.
+class Anchor(NamedTuple):
+    """What shows where a log begins, and how far it may be off.
 
     Parameters
     ----------
-    ocv_V : float           of a finished rest [V]
-    capacity : float        of the charge between a rest and the start: another age or temperature
-    later_rests : float     later rests share one capacity and one OCV, and are wrong together: all
-                            of them count as so many
+    rest_rate, rest_s : float   rests: below a rate [1/h], of a length [s]
+    first_s : float             without one the first rows [s]
+    past_s : float              load that an unknown past is taken to be like [s]
+    ocv_V : float               error of a finished rest [V]
+    capacity : float            of the charge between a rest and the start: another age, temperature
+    later_rests : float         later rests share one capacity and one OCV, and are wrong together:
+                                all of them count as so many
+    r, tau_s : tuple            branches before any is fitted: parts of the rough resistance, [s]
+    white_V : float             noise of a voltage [V]
     """
 
+    rest_rate: float = 0.01
+    rest_s: float = 600.0
+    first_s: float = 60.0
+    past_s: float = 600.0
     ocv_V: float = 0.005
     capacity: float = 0.03
     later_rests: float = 2.0
+    r: tuple[float, ...] = (0.4, 0.5, 0.5)
+    tau_s: tuple[float, ...] = (3.0, 60.0, 1200.0)
+    white_V: float = 0.001
 
 
 class FullTest(NamedTuple):
@@ -46,34 +58,12 @@ class FullTest(NamedTuple):
     std: float = 0.01
 
 
-class LookedAt(NamedTuple):
-    """What shows a start: rests below a rate [1/h] of a length, without one the first rows [s].
-
-    ``past_s``: load that an unknown past is taken to be like.
-    """
-
-    rest_rate: float = 0.01
-    rest_s: float = 600.0
-    first_s: float = 60.0
-    past_s: float = 600.0
-
-
-class UsualCell(NamedTuple):
-    """Branches before any is fitted: parts of the rough resistance, [s]; noise of a voltage [V]."""
-
-    r: tuple[float, ...] = (0.4, 0.5, 0.5)
-    tau_s: tuple[float, ...] = (3.0, 60.0, 1200.0)
-    white_V: float = 0.001
-
-
-ERRORS, FULL_TEST, LOOKED_AT, USUAL = AnchorErrors(), FullTest(), LookedAt(), UsualCell()
+ANCHOR, FULL_TEST = Anchor(), FullTest()
+Evidence = list[tuple[float, float, float]]
 
 
 def anchor_soc(
-    log: CellLog,
-    ocv: OcvCurve,
-    capacity_Ah: float,
-    resistance_ohm: float,
+    log: CellLog, ocv: OcvCurve, capacity_Ah: float, resistance_ohm: float
 ) -> InitialSoc:
     """SOC at the first row: as stated of the log, else what fits the rests of the whole log best.
 
@@ -95,24 +85,27 @@ def anchor_soc(
         return InitialSoc(log.soc0, STATED_STD, "stated")
     grid = np.linspace(0.0, 1.0, 1001)
     level = np.maximum.accumulate(ocv.function.evaluate(grid))
-    half = _half_gap(ocv, grid)
+    half = np.zeros(grid.size)  # of the gap between the low-rate branches, where both are known
+    if ocv.gap_V is not None and np.any(known := np.isfinite(ocv.gap_V)):
+        half = 0.5 * np.abs(np.interp(grid, ocv.soc[known], ocv.gap_V[known]))
     slope = np.gradient(level, grid)
-    charge, voltage, error, how = _evidence(log, capacity_Ah, resistance_ohm)
-    voltage = np.clip(voltage, level[0], level[-1])  # beyond an end that end is meant
+    seen, how = _evidence(log, capacity_Ah, resistance_ohm)
+    later = [abs(q) > 1e-3 * capacity_Ah for q, _, _ in seen]
+    shared = min(1.0, ANCHOR.later_rests / max(sum(later), 1))
     cost = np.zeros(grid.size)
-    later = np.abs(charge) > 1e-3 * capacity_Ah
-    share = np.where(later, min(1.0, ERRORS.later_rests / max(int(later.sum()), 1)), 1.0)
-    for q, v, e, w in zip(charge, voltage, error, share, strict=True):
+    for (q, v, e), is_later in zip(seen, later, strict=True):
         at = grid - q / capacity_Ah
-        expected = np.interp(at, grid, level)
-        wide = np.hypot(e, np.interp(at, grid, half))
         # The further from the start, the more a capacity of another temperature or age matters.
-        wide = np.hypot(wide, np.interp(at, grid, slope) * ERRORS.capacity * abs(q) / capacity_Ah)
+        scale = np.interp(at, grid, slope) * ANCHOR.capacity * abs(q) / capacity_Ah
+        wide = np.sqrt(e**2 + np.interp(at, grid, half) ** 2 + scale**2)
+        # Beyond an end of the curve that end is meant.
+        away = np.clip(v, level[0], level[-1]) - np.interp(at, grid, level)
         outside = np.maximum(0.0, np.maximum(at - 1.0, -at))  # beyond full or empty is unlikely
-        cost += w * np.minimum(((v - expected) / wide) ** 2, 25.0) + (outside / 0.01) ** 2
-    weight = np.exp(-0.5 * (cost - cost.min()))
-    mean = float(np.average(grid, weights=weight))
-    std = float(np.sqrt(np.average((grid - mean) ** 2, weights=weight)))
+        weight = shared if is_later else 1.0
+        cost += weight * np.minimum((away / wide) ** 2, 25.0) + (outside / 0.01) ** 2
+    likely = np.exp(-0.5 * (cost - cost.min()))
+    mean = float(np.average(grid, weights=likely))
+    std = float(np.sqrt(np.average((grid - mean) ** 2, weights=likely)))
     before = float(np.min(log.counted_charge_Ah())) / capacity_Ah
     for charged, said in ((0.0, "full"), (before, "charged full later")):
         if likely_full(mean - charged, std):
@@ -146,22 +139,11 @@ def full_before(
 
 def mean_current_A(log: CellLog) -> float:
     """Of the log's first minutes, which a past that nobody saw is taken to be like [A]."""
-    early = log.time_s <= log.time_s[0] + LOOKED_AT.past_s
+    early = log.time_s <= log.time_s[0] + ANCHOR.past_s
     return float(np.mean(log.known_current_A()[early]))
 
 
-def _half_gap(ocv: OcvCurve, grid: FloatArray) -> FloatArray:
-    """Half the gap between the low-rate branches where both are known, else zero [V]."""
-    gap = ocv.gap_V
-    if gap is None or not np.any(np.isfinite(gap)):
-        return np.zeros(grid.size)
-    known = np.isfinite(gap)
-    return np.asarray(0.5 * np.abs(np.interp(grid, ocv.soc[known], gap[known])))
-
-
-def _evidence(
-    log: CellLog, capacity_Ah: float, resistance_ohm: float
-) -> tuple[FloatArray, FloatArray, FloatArray, str]:
+def _evidence(log: CellLog, capacity_Ah: float, resistance_ohm: float) -> tuple[Evidence, str]:
     """Charge since the start, voltage at rest and its error, of every rest worth using."""
     current = log.known_current_A()
     charge = log.counted_charge_Ah()
@@ -170,32 +152,28 @@ def _evidence(
         raise InputError(
             f"no voltage in log '{log.name}'", "measured voltages", "Check the column."
         )
-    found_rests = find_ocv_rests(log, min_rest_s=LOOKED_AT.rest_s)
-    rests = [r for r in found_rests if r.duration_s >= LOOKED_AT.rest_s]
-    found = [(r.charge_Ah, r.final_V, ERRORS.ocv_V + 0.5 * abs(r.remaining_V)) for r in rests]
-    loaded = np.abs(current) >= LOOKED_AT.rest_rate * capacity_Ah
+    found = [
+        (r.charge_Ah, r.final_V, ANCHOR.ocv_V + 0.5 * abs(r.remaining_V))
+        for r in find_ocv_rests(log, min_rest_s=ANCHOR.rest_s)
+        if r.duration_s >= ANCHOR.rest_s
+    ]
+    loaded = np.abs(current) >= ANCHOR.rest_rate * capacity_Ah
     resting = finite[: int(np.argmax(loaded)) if loaded.any() else len(log)]
     last = int(np.flatnonzero(resting)[-1]) if resting.any() else 0
     # One row without current is no rest, and a car at a light has come from a load.
     if log.time_s[last] > log.time_s[0]:
         rows, use = np.flatnonzero(resting), slice(last + 1, None)
-        tau_s = np.array(USUAL.tau_s)
+        tau_s = np.array(ANCHOR.tau_s)
         load = usual_load(log.interval_s[use], current[use], tau_s, capacity_Ah)
-        branches = Branches(resistance_ohm * np.array(USUAL.r), tau_s)
-        rest = rested_ocv(log.time_s[rows], log.voltage_V[rows], USUAL.white_V, branches, load)
-        found.append((float(charge[last]), rest.ocv_V, float(np.hypot(ERRORS.ocv_V, rest.std_V))))
+        branches = Branches(resistance_ohm * np.array(ANCHOR.r), tau_s)
+        rest = rested_ocv(log.time_s[rows], log.voltage_V[rows], ANCHOR.white_V, branches, load)
+        found.append((float(charge[last]), rest.ocv_V, float(np.hypot(ANCHOR.ocv_V, rest.std_V))))
     if found:
-        q, v, e = np.array(found).T
-        return q, v, e, f"{len(found)} rest(s) on the OCV"
-    head = finite & (log.time_s <= log.time_s[0] + LOOKED_AT.first_s)
+        return found, f"{len(found)} rest(s) on the OCV"
+    head = finite & (log.time_s <= log.time_s[0] + ANCHOR.first_s)
     # What builds up over minutes is as much again, if the load has lasted; half of that is likely.
     slow = resistance_ohm * mean_current_A(log)
-    lifted = log.voltage_V[head] + resistance_ohm * current[head] + slow
-    drop = resistance_ohm * float(np.mean(np.abs(current[head])))
-    return (
-        np.array([float(np.mean(charge[head]))]),
-        np.array([float(np.mean(lifted))]),
-        # In the cold the drop after seconds is several times the one after milliseconds.
-        np.array([2 * ERRORS.ocv_V + 1.5 * drop]),
-        "first minute under load",
-    )
+    lifted = float(np.mean(log.voltage_V[head] + resistance_ohm * current[head])) + slow
+    # In the cold the drop after seconds is several times the one after milliseconds.
+    error = 2 * ANCHOR.ocv_V + 1.5 * resistance_ohm * float(np.mean(np.abs(current[head])))
+    return [(float(np.mean(charge[head])), lifted, error)], "first minute under load"

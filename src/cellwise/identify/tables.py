@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.refinement.splines import (
     TABLE_KNOTS,
     curvature_penalty,
@@ -53,9 +53,7 @@ class PulseTables:
     cubic: dict[str, tuple[float, float, float, float]]
 
 
-def pulse_tables(
-    fits: Sequence[PulseFit], points: int = GRID_POINTS, kind: TableKind = "spline"
-) -> PulseTables:
+def pulse_tables(fits: Sequence[PulseFit], kind: TableKind = "spline") -> PulseTables:
     """Tables over SOC from fitted pulses, each weighted by its own standard error.
 
     Spline: penalised cubic B-splines of the logarithm, so positive by construction. Cubic: least
@@ -65,7 +63,7 @@ def pulse_tables(
     ------
     InputError        no pulse that shows a time constant
     """
-    grid = np.linspace(0.0, 1.0, points)
+    grid = np.linspace(0.0, 1.0, GRID_POINTS)
     soc = np.array([f.soc for f in fits])
     values: dict[str, FloatArray] = {}
     cubic: dict[str, tuple[float, float, float, float]] = {}

@@ -25,14 +25,13 @@ from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import plain_model
 from cellwise.identify.capacity.capacity_choice import capacity_table, usable_tests
-from cellwise.identify.hppc.pulse_quality import PulseQuality
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse, PulseQuality
 from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
 from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.identify.papers.segments import SEGMENTS
 from cellwise.identify.pipeline import Progress, identify_cell
+from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.identify.tables import cubic_fit, pulse_tables
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
@@ -248,7 +247,7 @@ def _on_relaxation(paper: Identification, hppc: CellLog) -> ErrorMetrics:
     pulses = paper.temperatures[0].pulse_sets[0]
     soc = pulses.anchor.soc - hppc.counted_charge_Ah() / paper.model.capacity_Ah
     edges = [(p.stop, p.relax_stop, p.current_A, float(soc[p.stop - 1])) for p in pulses.pulses]
-    tables = pulse_tables(relaxation_segments(hppc, edges), paper.model.points)
+    tables = pulse_tables(relaxation_segments(hppc, edges))
     warm = [float(paper.model.temperature_C[0])]
     model = plain_model([tables], paper.ocv, paper.model.capacity_Ah, warm)
     return simulate(model, hppc, paper.simulations[0].soc0).metrics

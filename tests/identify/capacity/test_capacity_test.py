@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import measure_capacities
@@ -36,23 +37,12 @@ class Tester:
             self._row(0.0, 60.0)
         return self
 
-    def move(self, current, limit, charge=None):
+    def move(self, current, limit, charge=np.inf):
         """Constant current until the limit or, before it, until the charge has flowed."""
-        sign, left = np.sign(current), np.inf if charge is None else charge
-        while left > 1e-12:
-            dt = self.row_s
-            after = self.soc - current * dt / 3600.0 / FULL_AH
-            if sign * (ocv(after) - R_OHM * current - limit) < 0:
-                low, high = 0.0, dt  # the instant at which the limit is met, by bisection
-                for _ in range(60):
-                    dt = 0.5 * (low + high)
-                    v = ocv(self.soc - current * dt / 3600.0 / FULL_AH) - R_OHM * current
-                    low, high = (dt, high) if sign * (v - limit) > 0 else (low, dt)
-                self._row(current, max(dt, 1e-6))
-                return self
-            if abs(current) * dt / 3600.0 >= left:
-                dt = 3600.0 * left / abs(current)
-            left -= abs(current) * dt / 3600.0
+        end = brentq(lambda s: ocv(s) - R_OHM * current - limit, -1.0, 2.0)
+        moved = min(charge, max(FULL_AH * (self.soc - end) * np.sign(current), 0.0))
+        seconds = 3600.0 * moved / abs(current)
+        for dt in np.diff(np.append(np.arange(0.0, seconds, self.row_s), max(seconds, 1e-6))):
             self._row(current, dt)
         return self
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from cellwise.data import load_dataset
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.measured_capacity import (
@@ -51,11 +50,6 @@ def test_without_a_nominal_capacity_a_part_counts_and_is_said():
 def test_a_climb_moves_what_it_brings_in():
     log = steps_of(gitt(CELL, charge=True), soc0=0.0)
     assert hppc_total_Ah(log) == pytest.approx(float(np.ptp(log.charge_Ah)), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["nmc_hppc", "nmc_hppc_c3", "nmc_hppc_c20", "lfp_hppc"])
-def test_the_embedded_tests_end_empty(name):
-    assert hppc_reaches_empty(load_dataset(name))
 
 
 def test_measured_tests_end_empty_and_their_parts_do_not(real_data):

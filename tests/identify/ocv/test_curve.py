@@ -1,61 +1,181 @@
-"""Rests and low-rate branches together: the shape of one, the level of the other."""
+"""The OCV's curve: strictly rising, exact slopes, robust; of two sources, of two samples."""
+
+import re
 
 import numpy as np
 import pytest
 
-from cellwise.identify.ocv.curve import combine_ocv, curve_from_points
+from cellwise.data import load_dataset
+from cellwise.errors import InputError
+from cellwise.identify.ocv.curve import (
+    combine_ocv,
+    curve_from_points,
+    fit_monotone_spline,
+    sample_notice,
+)
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.logs import read_log
+from rich_cell import Logger, hppc, low_rate, rich_nmc, run
 
 
-def ocv(s):
-    return (
-        3.4
-        + 0.5 * s
-        + 0.04 * np.tanh((s - 0.6) / 0.04)
-        - 0.5 * np.exp(-s / 0.04)
-        + 0.1 * np.exp((s - 1.0) / 0.03)
-    )
+def lfp(s):
+    """Two flat steps and two steep ends, 2.6 to 3.5 V."""
+    steps = 0.02 * np.tanh((s - 0.68) / 0.03) + 0.03 * np.tanh((s - 0.3) / 0.05)
+    return 3.29 + steps - 0.6 * np.exp(-s / 0.025) + 0.2 * np.exp((s - 1.0) / 0.015)
+
+
+def narrow(s):
+    """A cell used between 2.9 and 4.1 V."""
+    return 2.9 + 0.45 * (1 - np.exp(-s / 0.04)) + 0.75 * s
+
+
+def stepped(s):
+    """A step between two rests of every 5 %."""
+    ends = 0.1 * np.exp((s - 1.0) / 0.03) - 0.5 * np.exp(-s / 0.04)
+    return 3.4 + 0.5 * s + 0.04 * np.tanh((s - 0.6) / 0.04) + ends
 
 
 def rms(x):
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-DENSE = np.linspace(0.0, 1.0, 800)
-LOW_RATE = curve_from_points(DENSE, ocv(DENSE) - 0.03, capacity_Ah=3.0, source="low rate")
-LEVELS = np.arange(0.05, 1.001, 0.05)
+# --- the spline
+
+
+@pytest.mark.parametrize("curve", [lfp, narrow])
+def test_it_rises_strictly_everywhere_with_exact_slopes(curve):
+    rng = np.random.default_rng(3)
+    s = np.sort(rng.uniform(0.02, 0.99, 40))
+    f = fit_monotone_spline(s, curve(s) + rng.normal(0.0, 4e-3, s.size))
+    assert np.all(np.diff(f.evaluate(np.linspace(-0.1, 1.1, 2401))) > 0.0)
+    at, h = np.arange(-0.0953, 1.1, 0.005), 1e-6
+    numeric = (f.evaluate(at + h) - f.evaluate(at - h)) / (2 * h)
+    assert f.slope(at) == pytest.approx(numeric, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("curve", [lfp, narrow])
+def test_spline_averages_noise_out(curve):
+    rng = np.random.default_rng(5)
+    s = np.linspace(0.0, 1.0, 2000)
+    f = fit_monotone_spline(s, curve(s) + rng.normal(0.0, 5e-3, s.size))
+    middle = (s > 0.05) & (s < 0.95)
+    assert rms((f.evaluate(s) - curve(s))[middle]) < 0.4 * 5e-3
+
+
+@pytest.mark.parametrize(
+    ("soc", "voltage", "said"),
+    [
+        ([0.1, 0.5, 0.7, 0.9], [3.1, np.nan, 3.7, 3.9], "3 usable"),
+        ([0.5] * 6, [3.5] * 6, "does not rise"),
+        ([0.1, 0.3, 0.6, 0.9], [3.9, 3.7, 3.4, 3.1], "does not rise"),
+        ([10.0, 30.0, 60.0, 90.0], [3.1, 3.3, 3.6, 3.9], "percent"),
+    ],
+)
+def test_bad_points_are_refused(soc, voltage, said):
+    with pytest.raises(InputError, match=said):
+        fit_monotone_spline(np.array(soc), np.array(voltage))
+
+
+@pytest.mark.parametrize(
+    ("path", "limit_V"),
+    [
+        ("panasonic_18650pf/ocv_c20_p25", 4e-3),
+        ("plett_a123/ocv_p25_s1", 7e-3),
+        ("plett_a123/ocv_n25_s1", 6e-3),
+        ("lg_18650hg2/ocv_c20_p25_549", 4e-3),
+    ],
+)
+def test_spline_through_every_twentieth_predicts_the_rest_of_a_real_curve(real_data, path, limit_V):
+    log = read_log(real_data / f"{path}.csv.gz")
+    charge = log.counted_charge_Ah()
+    rows = (log.current_A > 0.0) & (charge < 0.999 * charge.max())
+    s, v = 1.0 - charge[rows] / charge.max(), log.voltage_V[rows]
+    levels, order = np.arange(0.05, 1.0, 0.05), np.argsort(s)
+    f = fit_monotone_spline(levels, np.interp(levels, s[order], v[order]))
+    between = (s > 0.05) & (s < 0.95)
+    assert rms(f.evaluate(s[between]) - v[between]) < limit_V
+
+
+# --- rests and a low-rate curve
 
 
 def test_rests_set_the_level_of_the_low_rate_shape():
-    rests = curve_from_points(LEVELS, ocv(LEVELS), capacity_Ah=3.0, source="rests")
-    both = combine_ocv(rests, LOW_RATE)
+    dense, levels = np.linspace(0.0, 1.0, 800), np.arange(0.05, 1.001, 0.05)
+    low = curve_from_points(dense, stepped(dense) - 0.03, capacity_Ah=3.0, source="low rate")
+    rests = curve_from_points(levels, stepped(levels), capacity_Ah=3.0, source="rests")
+    both = combine_ocv(rests, low)
     s = np.linspace(0.05, 1.0, 300)
-    assert both.function.evaluate(s) == pytest.approx(ocv(s), abs=1.5e-3)
+    assert both.function.evaluate(s) == pytest.approx(stepped(s), abs=1.5e-3)
     # The rests alone miss the step between them.
-    assert rms(both.function.evaluate(s) - ocv(s)) < 0.5 * rms(rests.function.evaluate(s) - ocv(s))
+    alone = rests.function.evaluate(s) - stepped(s)
+    assert rms(both.function.evaluate(s) - stepped(s)) < 0.5 * rms(alone)
     assert "low rate" in both.source
     assert "rests" in both.source
 
 
-def test_panasonic_low_rate_curve_is_moved_onto_the_rests(real_data):
-    folder = real_data / "panasonic_18650pf"
-    low = ocv_from_low_rate(read_log(folder / "ocv_c20_p25.csv.gz"))
-    rests = ocv_from_rests(read_log(folder / "hppc_p25.csv.gz"), capacity_Ah=low.capacity_Ah)
-    both = combine_ocv(rests, low)
-    left = both.function.evaluate(rests.points_soc) - rests.points_V
-    # It stays on the counter's scale, and is moved onto the rests as well as that allows.
-    assert rms(left) < 0.5 * rms(low.function.evaluate(rests.points_soc) - rests.points_V)
-
-
-@pytest.mark.parametrize("tag", ["p10", "p25", "p40"])
-def test_leaf_low_rate_shape_fits_rests_a_quarter_volt_away(real_data, tag):
-    folder = real_data / "nissan_leaf"
-    low = ocv_from_low_rate(read_log(folder / "cycling_c15_10c_24c_40c.csv.gz"))
-    log = read_log(folder / f"hppc_{tag}.csv.gz")
-    rests = ocv_from_rests(log, capacity_Ah=low.capacity_Ah)
-    both = combine_ocv(rests, low)
+@pytest.mark.parametrize(
+    ("slow", "pulses", "most_V"),
+    [
+        ("panasonic_18650pf/ocv_c20_p25", "panasonic_18650pf/hppc_p25", None),
+        *(("nissan_leaf/cycling_c15_10c_24c_40c", f"nissan_leaf/hppc_{t}", 6e-3)
+          for t in ("p10", "p25", "p40")),
+    ],
+)  # fmt: skip
+def test_a_measured_low_rate_curve_is_moved_onto_the_rests(real_data, slow, pulses, most_V):
+    """On the counter's scale as well as that allows; the Leaf's rests lie a quarter volt away."""
+    low = ocv_from_low_rate(read_log(real_data / f"{slow}.csv.gz"))
+    rests = ocv_from_rests(read_log(real_data / f"{pulses}.csv.gz"), capacity_Ah=low.capacity_Ah)
+    before, left = (c.function.evaluate(rests.points_soc) - rests.points_V
+                    for c in (low, combine_ocv(rests, low)))  # fmt: skip
+    assert rms(left) < 0.5 * rms(before)
     middle = (rests.points_soc > 0.1) & (rests.points_soc < 0.99)
-    left = (both.function.evaluate(rests.points_soc) - rests.points_V)[middle]
-    assert rms(left) < 6e-3
+    assert most_V is None or rms(left[middle]) < most_V
+
+
+# --- two samples of a cell: their capacities come back from the same two voltages
+
+
+@pytest.fixture(scope="module")
+def slow():
+    cell = rich_nmc(3.0)
+    return run(cell, low_rate(cell), 1.0, Logger(10.0), seed=1, name="one").log
+
+
+def compared(slow_log, pulse_log):
+    curve = ocv_from_low_rate(slow_log)
+    rests = ocv_from_rests(pulse_log, capacity_Ah=curve.capacity_Ah)
+    return sample_notice(rests, curve, curve.capacity_Ah)
+
+
+@pytest.mark.parametrize("share", [0.88, 0.955, 0.99, 1.0, 1.05])
+def test_the_ratio_of_the_capacities_comes_back(slow, share):
+    other = rich_nmc(3.0 * share)
+    notice = compared(slow, run(other, hppc(other), 1.0, Logger(1.0), seed=2, name="two").log)
+    if abs(share - 1.0) < 0.03:
+        assert notice is None
+        return
+    said = float(re.search(r"\(([+-][0-9.]+) %\)", notice.text)[1])
+    assert said == pytest.approx(100.0 * (share - 1.0), abs=0.5)
+    assert "one" in notice.text
+    assert "two" in notice.text
+
+
+@pytest.mark.parametrize("name", ["nmc_hppc", "nmc_hppc_c3", "lfp_hppc"])
+def test_the_embedded_tests_are_of_one_cell(name):
+    cell = name.split("_")[0]
+    assert compared(load_dataset(f"{cell}_ocv_c20"), load_dataset(name)) is None
+
+
+def test_another_make_is_known_by_the_shape(real_data):
+    curve = read_log(real_data / "lg_18650hg2/ocv_c20_p25_549.csv.gz")
+    pulses = read_log(real_data / "panasonic_18650pf/hppc_p25.csv.gz")
+    assert "do not look like one cell" in compared(curve, pulses).text
+
+
+def test_a_low_rate_sensor_with_an_offset_is_no_sample_of_this_cell():
+    """16 mA of 150: the counter makes 3.36 of 3.02 Ah, and the rests of the pulses say so."""
+    cell = rich_nmc(3.0)
+    off = run(cell, low_rate(cell), 1.0, Logger(10.0, offset_A=0.016), seed=1, name="off").log
+    notice = compared(off, run(cell, hppc(cell), 1.0, Logger(1.0), seed=2).log)
+    assert "a current sensor that is off" in notice.text

@@ -142,13 +142,6 @@ def test_lg_charge_counter_runs_ahead_without_crossing_the_branches(real_data):
     assert np.all(curve.gap_V[inside] > 0.0)
 
 
-def test_leaf_charge_that_meets_the_limit_halfway_is_not_averaged(real_data):
-    log = read_log(real_data / "nissan_leaf/cycling_c15_10c_24c_40c.csv.gz")
-    curve = ocv_from_low_rate(log)
-    assert curve.source.startswith("discharge branch")
-    assert curve.capacity_Ah == pytest.approx(30.0, abs=0.3)
-
-
 def test_embedded_nmc_charge_ends_where_the_physics_model_says(datasets):
     # Catalogue: the C/20 charge without CV ends at SOC 0.9867 of an inventory that began at 0.997.
     curve = ocv_from_low_rate(read_log(datasets / "nmc/ocv_c20.parquet"))

@@ -33,22 +33,6 @@ def test_single_branch_step_gives_the_closed_form(current):
     assert fit.ocv_V == pytest.approx(3.6)
 
 
-def test_segments_that_end_after_five_tau_find_the_branch():
-    """What (8) assumes: the fast response is over at t2."""
-    circuit = Circuit(r1=1.0e-3, tau1=1.2, r2=0.0, slope=0.0)
-    fit = fit_segments(closed_pulse(circuit, stamps(pulse_hz=100.0)))
-    assert fit.tau1_s == pytest.approx(1.2, rel=2e-3)
-    assert fit.r1_ohm == pytest.approx(1.0e-3, rel=0.02)
-
-
-def test_paper_row_spacing():
-    """One row per second and a pulse of 1080 s at C/3, as the paper's test."""
-    t = stamps(pulse_s=1080.0, rest_s=3600.0, pulse_hz=1.0, before_s=10.0)
-    fit = fit_segments(closed_pulse(Circuit(), t, 1.097, 1080.0, 3.29))
-    assert fit.tau2_s == pytest.approx(1079.0 / 5.0)
-    assert fit.tau1_s == pytest.approx(108.0 / 5.0)
-
-
 def test_errors_of_the_resistances_follow_from_the_noise():
     rng = np.random.default_rng(0)
     t = stamps(pulse_hz=10.0)

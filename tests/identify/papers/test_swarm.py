@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.identify.papers.swarm import BOX, SWARM, costs_of, fit_swarm
-from cellwise.identify.pulse_fit.circuit import Circuit as Window
+from cellwise.identify.papers.swarm import BOX, SWARM, fit_swarm
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
-from cellwise.identify.pulse_fit.pulse_parameters import PulseParameters
 from closed_form import Circuit, closed_pulse, random_circuit, stamps
 
 
@@ -32,23 +30,6 @@ def test_comes_close_to_the_optimum_with_five_free_parameters():
         ratio.append(fit.rmse_V / 1e-3)
         assert fit.r0_ohm == pytest.approx(circuit.r0, rel=0.5)
     assert np.median(ratio) < 1.1
-
-
-def test_costs_are_those_of_the_model():
-    rng = np.random.default_rng(0)
-    t = stamps(rng, jitter=0.4)
-    data = closed_pulse(Circuit(), t, noise=1e-3 * rng.standard_normal(t.size))
-    window = Window(data)
-    positions = np.array(
-        [[2e-3, 1e-3, 4.0, 1.5e-3, 60.0, 3.61], [1e-3, 2e-3, 2.0, 1e-3, 30.0, 3.6]]
-    )
-    swapped = positions[:1].copy()
-    swapped[0, [2, 4]] = 60.0, 4.0
-    costs = costs_of(window, np.vstack((positions, swapped)))
-    for position, found in zip(positions, costs, strict=False):
-        rmse_V = window.rmse_V(PulseParameters(*position))
-        assert found == pytest.approx(np.sum(window.weight) * rmse_V**2, rel=1e-9)
-    assert np.isinf(costs[2])
 
 
 @pytest.mark.slow

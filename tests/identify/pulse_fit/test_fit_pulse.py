@@ -9,12 +9,12 @@ from cellwise.errors import InputError
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
-from cellwise.identify.pulse_fit.pulse_data import cut_pulse, fitted_stop, pulse_data
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit
+from cellwise.identify.pulse_fit.pulse_data import cut_pulse, pulse_data
 from cellwise.logs import CellLog, read_log
 from closed_form import Circuit, closed_pulse, stamps
-from rich_cell import Logger, gitt, rich_nmc, run
+from rich_cell import rich_nmc
 from synthetic import HppcPlan, SyntheticCell, hppc_log, nmc_cell
 
 FULL_TEST = HppcPlan(
@@ -50,26 +50,6 @@ def test_other_testers_and_plans(plan):
     error = np.abs([np.array(f.value[:5]) / truth(cell, f.soc) - 1.0 for f in fits])
     for level in range(5):
         assert np.all(np.median(error[8 * level : 8 * level + 8], axis=0) < 0.05)
-
-
-@pytest.mark.parametrize("rate", [1.0, 0.5, 0.2, 0.1])
-@pytest.mark.parametrize("period_s", [1.0, 10.0])
-def test_r0_of_a_long_step_is_not_that_of_minutes(rate, period_s):
-    """Over hours two branches went to 100 and 1500 s, and R0 was 50 % too high."""
-    log = run(RICH, gitt(RICH, rate=rate, rest_s=3600.0), 1.0, Logger(period_s), seed=3).log
-    soc = 1.0 - log.counted_charge_Ah() / 3.0
-    chosen = pulses_to_fit(find_pulses(log))
-    fits = [fit_pulse(cut_pulse(log, p, soc, RICH.ocv_V)) for p in chosen]
-    for fit, pulse in zip(fits, chosen, strict=True):
-        assert fit.soc == pytest.approx(0.5 * (soc[pulse.start - 1] + soc[fitted_stop(log, pulse)]),
-                                        abs=0.01)  # fmt: skip
-    at = np.array([f.soc for f in fits])
-    after = RICH.r0_ohm(at)
-    for r, tau in RICH.branches:
-        after = after - r(at) * np.expm1(-period_s / tau(at))
-    r0 = np.array([f.r0_ohm for f in fits])
-    assert float(np.median(r0 / RICH.r0_ohm(at))) > 0.95
-    assert float(np.median(r0 / after)) < 1.05
 
 
 # --- windows -------------------------------------------------------------------------------------
@@ -146,19 +126,6 @@ def test_voltage_that_arrives_late_is_left_out():
 
 
 # --- one interface -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["varpro", "segments", "pso"])
-def test_every_method_returns_the_same_kind_of_thing(method):
-    data = closed_pulse(Circuit(), stamps(pulse_hz=5.0))
-    fit = fit_pulse(data, method)
-    assert fit.method == method
-    assert fit.soc == pytest.approx(data.mean_soc)
-    assert fit.current_A == pytest.approx(20.0)
-    assert all(np.isfinite(fit.value))
-    assert fit.rmse_V >= 0.0
-    assert fit.tau1_s < fit.tau2_s
-    assert fit.c1_F == pytest.approx(fit.tau1_s / fit.r1_ohm)
 
 
 def test_a_wrong_method_and_a_window_of_too_few_rows_are_refused():

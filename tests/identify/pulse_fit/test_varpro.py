@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
-from cellwise.identify.pulse_fit.circuit import Circuit as Window
 from cellwise.identify.pulse_fit.fit_pulse import fit_varpro
 from cellwise.identify.pulse_fit.pulse_data import pulse_data
 from closed_form import Circuit, closed_form, closed_pulse, random_circuit, stamps
@@ -77,41 +75,6 @@ def test_tabulated_ocv_is_what_saves_tau2():
     np.testing.assert_allclose(values(fit)[:5], Circuit().values[:5], rtol=1e-3)
     assert fit.ocv_V == pytest.approx(ocv(0.5 - 80.0 * 30.0 / 3600.0 / 40.0), abs=1e-4)
     assert abs(fit_varpro(pulse_data(*args)).tau2_s / Circuit().tau2 - 1.0) > 0.3
-
-
-def residual(theta, data):
-    """Residual by convolution sums, for scipy."""
-    r0, r1, log_tau1, r2, log_tau2, ocv = theta
-    flow = data.current_A
-    model = ocv + data.ocv_V - np.interp(data.mean_soc, data.soc[::-1], data.ocv_V[::-1])
-    model = model - 1e-3 * r0 * flow
-    for r, tau in ((r1, np.exp(log_tau1)), (r2, np.exp(log_tau2))):
-        u, out = 0.0, np.empty(flow.size)
-        for k, a in enumerate(np.exp(-data.interval_s / tau)):
-            u = a * u + (1.0 - a) * flow[k]
-            out[k] = u
-        model = model - 1e-3 * r * out
-    return 1e3 * np.sqrt(data.weight) * (data.voltage_V - model)
-
-
-def test_scipy_reaches_no_lower_cost():
-    rng = np.random.default_rng(11)
-    for _ in range(15):
-        circuit = random_circuit(rng)
-        t = stamps(rng, jitter=0.3, pulse_s=40.0, rest_s=200.0, fast_s=10.0, pulse_hz=4.0)
-        noise = 10 ** rng.uniform(-4.0, -2.5)
-        data = closed_pulse(circuit, t, 30.0, 40.0, 40.0, noise * rng.standard_normal(t.size))
-        fit = fit_varpro(data)
-        bounds = Window(data).tau_bounds()
-        fast, slow = np.log([bounds.fastest_s, bounds.slowest_s])
-        low = np.array([0.0, 0.0, fast, 0.0, fast, -9.0])
-        high = np.array([99.0, 99.0, slow, 99.0, slow, 9.0])
-        for start in (circuit.values, values(fit)):
-            x0 = start * [1e3, 1e3, 1, 1e3, 1, 1]
-            x0[[2, 4]] = np.log(x0[[2, 4]])
-            x0 = np.clip(x0, low + 1e-9, high - 1e-9)
-            found = least_squares(residual, x0, args=(data,), bounds=(low, high), max_nfev=60)
-            assert fit.rmse_V**2 * np.sum(data.weight) <= 2e-6 * found.cost * (1.0 + 1e-4)
 
 
 @pytest.mark.parametrize("seed", range(5))

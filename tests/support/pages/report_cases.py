@@ -14,7 +14,7 @@ from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
 from cellwise.identify.capacity.capacity_test import CapacityTest
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.identification import (
     Identification,
     OwnLog,
@@ -22,7 +22,7 @@ from cellwise.identify.identification import (
     TemperatureResult,
 )
 from cellwise.identify.ocv.curve import curve_from_points
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
+from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.identify.refinement.layout import Layout
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count

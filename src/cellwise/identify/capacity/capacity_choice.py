@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress, groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,6 @@ class CapacityRow:
     """What the tests at one rate say: means over ``n`` tests, and the spread of their totals."""
 
     rate: str
-    rate_C: float
     cc_Ah: float
     cv_Ah: float
     total_Ah: float
@@ -86,31 +86,20 @@ def parse_rate(name: str) -> float:
 def usable_tests(
     tests: Iterable[CapacityTest], *, temperature_C: float = REFERENCE_C
 ) -> tuple[CapacityTest, ...]:
-    """The complete tests at one temperature.
+    """The complete tests at one temperature; none where none is complete.
 
     Parameters
     ----------
     tests : of CapacityTest
     temperature_C : float        of the model; the tests nearest to it are taken. Tests of
                                  unknown temperature count as being at it.
-
-    Raises
-    ------
-    InputError        no complete test
     """
-    everything = tuple(tests)
-    whole = [t for t in everything if t.complete]
-    if not whole:
-        raise InputError(
-            "no capacity test that goes from full to the lower limit "
-            f"({'; '.join(t.left_out for t in everything)})",
-            "at least one complete discharge",
-            "Use a complete test, give the limits of the cell, or leave the capacity tests out.",
-        )
-    start = {id(t): temperature_C if t.temperature_C is None else t.temperature_C for t in whole}
+    whole = [t for t in tests if t.complete]
     steady = [t for t in whole if not t.cooled] or whole
-    nearest = min((start[id(t)] for t in steady), key=lambda at: abs(at - temperature_C))
-    return tuple(t for t in steady if abs(start[id(t)] - nearest) <= NEAR.same_C)
+    at = [temperature_C if t.temperature_C is None else t.temperature_C for t in steady]
+    nearest = min(at, key=lambda one: abs(one - temperature_C), default=temperature_C)
+    near = [abs(one - nearest) <= NEAR.same_C for one in at]
+    return tuple(compress(steady, near))
 
 
 def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
@@ -118,10 +107,23 @@ def capacity_table(tests: Iterable[CapacityTest]) -> tuple[CapacityRow, ...]:
 
     Give it :func:`usable_tests` where several temperatures are mixed.
     """
-    groups: dict[str, list[CapacityTest]] = {}
-    for test in sorted((t for t in tests if t.complete), key=lambda t: t.rate_C):
-        groups.setdefault(rate_name(test.rate_C), []).append(test)
-    return tuple(_row(rate, group) for rate, group in groups.items())
+    whole = sorted((t for t in tests if t.complete), key=lambda t: t.rate_C)
+    rows = []
+    for rate, group in groupby(whole, lambda t: rate_name(t.rate_C)):
+        alike = list(group)
+        totals = [t.total_Ah for t in alike]
+        efficiencies = [e for t in alike if (e := t.coulombic_efficiency) is not None]
+        row = CapacityRow(
+            rate=rate,
+            cc_Ah=float(np.mean([t.cc_Ah for t in alike])),
+            cv_Ah=float(np.mean([t.cv_Ah for t in alike])),
+            total_Ah=float(np.mean(totals)),
+            spread_Ah=max(totals) - min(totals),
+            n=len(alike),
+            coulombic_efficiency=float(np.mean(efficiencies)) if efficiencies else None,
+        )
+        rows.append(row)
+    return tuple(rows)
 
 
 def format_capacity_table(rows: Sequence[CapacityRow]) -> str:
@@ -156,14 +158,13 @@ def capacity_choices(
 
     Raises
     ------
-    InputError        tests are given and none is complete; nothing at all is given
+    InputError        neither a complete test nor another capacity is given
     """
-    tests = tuple(tests)
     choices: dict[str, float] = {}
     if nominal_Ah is not None:
         choices["nominal"] = float(nominal_Ah)
-    if tests:
-        rows = capacity_table(usable_tests(tests, temperature_C=temperature_C))
+    rows = capacity_table(usable_tests(tests, temperature_C=temperature_C))
+    if rows:
         choices["cc-average"] = float(np.mean([r.cc_Ah for r in rows]))
         choices["cc-cv-average"] = float(np.mean([r.total_Ah for r in rows]))
         choices |= {f"rate:{r.rate}": r.total_Ah for r in rows}
@@ -171,9 +172,10 @@ def capacity_choices(
         choices["hppc-total"] = float(hppc_total_Ah)
     if not choices:
         raise InputError(
-            "neither a capacity test, nor an HPPC log, nor a nominal capacity",
+            "nothing that says how large the cell is: no complete capacity test, HPPC log or "
+            "nominal capacity",
             "one of them",
-            "Add `capacity=LOG` or `nominal_Ah=X`.",
+            "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
         )
     return choices
 
@@ -205,29 +207,12 @@ def choose_capacity(choices: Mapping[str, float], name: str | None = None) -> tu
         return wanted, choices[wanted]
     if wanted.startswith("rate:"):
         rate = parse_rate(wanted.removeprefix("rate:"))
-        for key in choices:
-            if key.startswith("rate:"):
-                other = parse_rate(key.removeprefix("rate:"))
-                if abs(rate / other - 1.0) <= 0.01:
-                    return key, choices[key]
+        for key in (k for k in choices if k.startswith("rate:")):
+            if abs(rate / parse_rate(key.removeprefix("rate:")) - 1.0) <= 0.01:
+                return key, choices[key]
     there = ", ".join(f"{key} ({value:.3f} Ah)" for key, value in choices.items())
     raise InputError(
         f"the capacity choice '{name}'",
         f"one of: {there}",
         "Choose one of these, or add the test that measures it.",
-    )
-
-
-def _row(rate: str, tests: Sequence[CapacityTest]) -> CapacityRow:
-    totals = [t.total_Ah for t in tests]
-    efficiencies = [e for t in tests if (e := t.coulombic_efficiency) is not None]
-    return CapacityRow(
-        rate=rate,
-        rate_C=float(np.mean([t.rate_C for t in tests])),
-        cc_Ah=float(np.mean([t.cc_Ah for t in tests])),
-        cv_Ah=float(np.mean([t.cv_Ah for t in tests])),
-        total_Ah=float(np.mean(totals)),
-        spread_Ah=max(totals) - min(totals),
-        n=len(tests),
-        coulombic_efficiency=float(np.mean(efficiencies)) if efficiencies else None,
     )

@@ -129,22 +129,16 @@ def find_half_cycles(trace: Trace) -> tuple[HalfCycle, ...]:
     return tuple(halves)
 
 
-def whole_discharges(log: CellLog) -> tuple[Trace, list[HalfCycle]]:
-    """Discharges that move at least half of what the largest one of the log does."""
-    trace = join_logs(log)
-    down = [h for h in find_half_cycles(trace) if h.charge_Ah > 0.0]
-    most = max((h.charge_Ah for h in down), default=0.0)
-    return trace, [h for h in down if h.charge_Ah >= LIMITS.whole * most]
-
-
 def discharge_rows(log: CellLog) -> BoolArray:
     """Rows of the first whole discharge of a log, from the row before it to its lowest voltage.
 
-    Shape (n,); all False without a discharge.
+    Whole is one that moves at least half of what the largest does. Shape (n,); all False without.
     """
-    trace, down = whole_discharges(log)
+    trace = join_logs(log)
+    down = [h for h in find_half_cycles(trace) if h.charge_Ah > 0.0]
+    most = max((h.charge_Ah for h in down), default=0.0)
     rows = np.zeros(len(log), dtype=np.bool_)
-    for half in down[:1]:
+    for half in [h for h in down if h.charge_Ah >= LIMITS.whole * most][:1]:
         lowest = int(np.argmin(trace.voltage_V[half.begin : half.steady_stop]))
         rows[half.begin : half.begin + lowest + 1] = True
     return rows

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Literal, NamedTuple
+from itertools import groupby, pairwise
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,15 +13,13 @@ from cellwise.identify.hppc.plateaus import (
     RISE_ROWS,
     RISE_S,
     CurrentScale,
-    Plateaus,
+    PhaseKind,
+    Span,
     current_scale,
     find_plateaus,
-    without_ramps,
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
-
-PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 
 
 class _Limits(NamedTuple):
@@ -43,15 +41,14 @@ class Phase:
     """A stretch of a log in which the tester did one thing.
 
     Rows ``start`` to ``stop`` (not included) are the rows whose *intervals* belong to the phase:
-    row k carries the interval from row k-1 to row k. The phase begins at the time of row
-    ``start - 1``, and the voltage there is ``voltage_start_V``.
+    row k carries the interval from row k-1 to row k: the phase begins at the time of row
+    ``start - 1``.
 
     kind : ``rest``, ``cc`` (constant current), ``cv`` (voltage held while the current falls),
         ``dynamic`` (anything else)
     current_A : mean over time, positive on discharge [A]
     duration_s : length [s]
     charge_Ah : charge removed, by the tester's counter where there is one [Ah]
-    voltage_start_V, voltage_end_V : at the instants at which it begins and ends [V]
     """
 
     kind: PhaseKind
@@ -60,20 +57,11 @@ class Phase:
     current_A: float
     duration_s: float
     charge_Ah: float
-    voltage_start_V: float
-    voltage_end_V: float
 
     @property
     def charging(self) -> bool:
         """Whether charge flows into the cell."""
         return self.kind != "rest" and self.current_A < 0.0
-
-
-class _Span(NamedTuple):
-    kind: PhaseKind
-    start: int
-    stop: int
-    level_A: float
 
 
 class _Signals(NamedTuple):
@@ -108,18 +96,15 @@ def find_phases(log: CellLog) -> tuple[Phase, ...]:
     if log in _FOUND:
         return _FOUND[log]
     current = log.known_current_A()
-    scale = current_scale(current)
-    voltage = filled(log.voltage_V)
-    signals = _Signals(log.time_s, current, voltage, voltage_tolerance(log), scale)
-    plateaus = without_ramps(find_plateaus(current, scale), log.time_s)
-    spans = _join_dynamic(_join_cv(_assemble(plateaus, signals), signals), signals)
-    _FOUND[log] = _finish(spans, signals, log)
+    scale, voltage = current_scale(current), filled(log.voltage_V)
+    signals = _Signals(log.time_s, current, voltage, _voltage_tolerance(voltage), scale)
+    spans = _assemble(find_plateaus(current, scale), signals)
+    _FOUND[log] = _finish(_join_dynamic(_join_cv(spans, signals), signals), signals, log)
     return _FOUND[log]
 
 
-def voltage_tolerance(log: CellLog) -> float:
+def _voltage_tolerance(v: FloatArray) -> float:
     """Scatter within which a voltage counts as held [V]: noise and resolution of the log."""
-    v = filled(log.voltage_V)
     n = v.size // 8 * 8
     noise = 0.0
     if n:
@@ -137,27 +122,27 @@ def filled(voltage_V: FloatArray) -> FloatArray:
     return np.interp(rows, rows[~bad], voltage_V[~bad])
 
 
-def _assemble(plateaus: Plateaus, s: _Signals) -> list[_Span]:
+def _assemble(plateaus: list[Span], s: _Signals) -> list[Span]:
     """Plateaus and what lies between them, as spans that touch."""
-    spans: list[_Span] = []
+    spans: list[Span] = []
     at, n = 0, s.time_s.size
-    for start, stop, level, rest in zip(*(a.tolist() for a in plateaus), strict=True):
+    for plateau in plateaus:
+        start = plateau.start
         if start > at:
-            between, start = _between(at, start, spans[-1] if spans else None, level, s)
+            between, start = _between(at, start, spans[-1] if spans else None, plateau.level_A, s)
             spans.extend(between)
-        spans.append(_Span("rest" if rest else "cc", start, stop, level))
-        at = stop
-    if at < n:
-        if n - at == 1 and spans:  # the last row alone says nothing
-            spans[-1] = spans[-1]._replace(stop=n)
-        else:
-            spans.extend(_moving(at, n, s)[0])
+        spans.append(plateau._replace(start=start))
+        at = plateau.stop
+    if n - at == 1 and spans:  # the last row alone says nothing
+        spans[-1] = spans[-1]._replace(stop=n)
+    elif at < n:
+        spans.extend(_moving(at, n, s)[0])
     return spans
 
 
 def _between(
-    a: int, b: int, before: _Span | None, after_A: float, s: _Signals
-) -> tuple[list[_Span], int]:
+    a: int, b: int, before: Span | None, after_A: float, s: _Signals
+) -> tuple[list[Span], int]:
     """What rows a to b between two plateaus are, and where the second one begins with its rise."""
     inside = s.current_A[a:b]
     begin_A = before.level_A if before is not None else float(inside[0])
@@ -178,7 +163,7 @@ def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale
     return bool(within and np.all(on >= -scale.step_A))
 
 
-def _moving(a: int, b: int, s: _Signals) -> tuple[list[_Span], int]:
+def _moving(a: int, b: int, s: _Signals) -> tuple[list[Span], int]:
     """Rows that hold no level: constant voltage with what leads to it, or dynamic; where they end.
 
     The last rows, up to a tester's rise, may lead from the constant voltage to what follows.
@@ -195,14 +180,14 @@ def _moving(a: int, b: int, s: _Signals) -> tuple[list[_Span], int]:
     if not whole and _held(a, b, s):
         first, last, whole = a, b, True
     if not whole:
-        return [_Span("dynamic", a, b, float(np.mean(s.current_A[a:b])))], b
+        return [Span("dynamic", a, b, float(np.mean(s.current_A[a:b])))], b
     spans = []
     if first > a:
         head = s.current_A[a:first]
         flat = np.ptp(head) <= max(s.scale.step_A, HEAD * float(np.max(np.abs(head))))
         kind: PhaseKind = "cc" if flat or s.seconds(a, first) <= RISE_S else "dynamic"
-        spans.append(_Span(kind, a, first, float(np.mean(head))))
-    spans.append(_Span("cv", first, last, float(np.mean(s.current_A[first:last]))))
+        spans.append(Span(kind, a, first, float(np.mean(head))))
+    spans.append(Span("cv", first, last, float(np.mean(s.current_A[first:last]))))
     return spans, last
 
 
@@ -220,19 +205,19 @@ def _held(a: int, b: int, s: _Signals) -> bool:
     return bool(high - low <= 2.0 * s.tolerance_V)
 
 
-def _join_cv(spans: list[_Span], s: _Signals) -> list[_Span]:
+def _join_cv(spans: list[Span], s: _Signals) -> list[Span]:
     """Steps of a falling current at one voltage belong to one constant-voltage phase."""
     ohm = _resistance(spans, s)
-    out: list[_Span] = []
+    out: list[Span] = []
     for span in spans:
         while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, ohm, s):
             last = out.pop()
-            span = _Span("cv", last.start, span.stop, span.level_A)
+            span = Span("cv", last.start, span.stop, span.level_A)
         out.append(span)
     return out
 
 
-def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _Signals) -> bool:
+def _continues(last: Span, span: Span, before: Span | None, ohm: float, s: _Signals) -> bool:
     """Whether two spans are parts of one constant-voltage phase."""
     if "rest" in (last.kind, span.kind) or last.level_A * span.level_A <= 0.0:
         return False
@@ -252,7 +237,7 @@ def _continues(last: _Span, span: _Span, before: _Span | None, ohm: float, s: _S
     return ohm * fall > 4.0 * s.tolerance_V and s.still(last.start, last.stop, held)
 
 
-def _resistance(spans: list[_Span], s: _Signals) -> float:
+def _resistance(spans: list[Span], s: _Signals) -> float:
     """Median of the voltage step over the current step where the current switches [ohm]."""
     ratios = []
     for one, two in pairwise(spans):
@@ -262,51 +247,28 @@ def _resistance(spans: list[_Span], s: _Signals) -> float:
     return float(np.median(ratios)) if ratios else 0.0
 
 
-def _join_dynamic(spans: list[_Span], s: _Signals) -> list[_Span]:
+def _join_dynamic(spans: list[Span], s: _Signals) -> list[Span]:
     """Short levels one after another, and what moves between them, are one dynamic phase."""
-    short = [x.kind == "dynamic" or s.seconds(x.start, x.stop) < LIMITS.drive_s for x in spans]
-    out: list[_Span] = []
-    k = 0
-    while k < len(spans):
-        end = k
-        while end < len(spans) and short[end]:
-            end += 1
-        group = spans[k:end]
+    out: list[Span] = []
+    for short, spans_ in groupby(
+        spans, lambda x: x.kind == "dynamic" or s.seconds(x.start, x.stop) < LIMITS.drive_s
+    ):
+        group = list(spans_)
         moves = any(x.kind == "dynamic" for x in group)
-        if len(group) > 1 and (moves or len(group) >= LIMITS.drive_levels):
-            out.append(_Span("dynamic", group[0].start, group[-1].stop, 0.0))
-            k = end
-        elif group:
-            out.extend(group)
-            k = end
-        else:
-            out.append(spans[k])
-            k += 1
+        if short and len(group) > 1 and (moves or len(group) >= LIMITS.drive_levels):
+            group = [Span("dynamic", group[0].start, group[-1].stop, 0.0)]
+        out += group
     return out
 
 
-def _finish(spans: list[_Span], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
+def _finish(spans: list[Span], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
     charge = log.counted_charge_Ah()
     flow = np.concatenate(([0.0], np.cumsum(s.current_A * log.interval_s)))
     phases = []
     for kind, start, stop, _ in spans:
         first = max(start - 1, 0)
-        duration = float(log.time_s[stop - 1] - log.time_s[first])
-        mean = (
-            (flow[stop] - flow[start]) / duration
-            if duration > 0.0
-            else float(np.mean(s.current_A[start:stop]))
-        )
-        phases.append(
-            Phase(
-                kind=kind,
-                start=start,
-                stop=stop,
-                current_A=float(mean),
-                duration_s=duration,
-                charge_Ah=float(charge[stop - 1] - charge[first]),
-                voltage_start_V=float(s.voltage_V[first]),
-                voltage_end_V=float(s.voltage_V[stop - 1]),
-            )
-        )
+        seconds = float(log.time_s[stop - 1] - log.time_s[first])
+        mean = (flow[stop] - flow[start]) / seconds if seconds > 0.0 else s.current_A[start]
+        moved = float(charge[stop - 1] - charge[first])
+        phases.append(Phase(kind, start, stop, float(mean), seconds, moved))
     return tuple(phases)

@@ -9,14 +9,15 @@ because the device that makes it may be another one.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.cell.compiled import cached
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
+PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 RowArray = NDArray[np.int64]
 
 
@@ -75,13 +76,13 @@ class CurrentScale(NamedTuple):
     range_A: float
 
 
-class Plateaus(NamedTuple):
-    """Runs of rows at one level: rows ``start`` to ``stop`` (not included), each (m,)."""
+class Span(NamedTuple):
+    """Rows ``start`` to ``stop`` (not included) of one kind, and their mean current [A]."""
 
-    start: RowArray
-    stop: RowArray
-    level_A: FloatArray
-    rest: BoolArray
+    kind: PhaseKind
+    start: int
+    stop: int
+    level_A: float
 
 
 def current_scale(current_A: FloatArray) -> CurrentScale:
@@ -122,15 +123,13 @@ def _lower_mean(x: FloatArray, lag: int) -> float:
     return float(np.mean(lower)) if lower.size else 0.0
 
 
-def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> Plateaus:
-    """Runs of at least two rows at one level, in order; what lies between them moves.
+def find_plateaus(current_A: FloatArray, scale: CurrentScale) -> list[Span]:
+    """Rests and constant currents of at least two rows, in order; what lies between them moves.
 
     Parameters
     ----------
     current_A : (n,) float       finite [A]
-    scale : CurrentScale         found from the current where it is not given
     """
-    scale = scale or current_scale(current_A)
     # One row alone, far off two neighbours that are alike, is a glitch of the sensor.
     x = current_A.copy()
     middle = 0.5 * (x[2:] + x[:-2])
@@ -150,9 +149,11 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale | None = None) -> P
             count = _levels(x, total, a, b, scale.step_A, parts)
             found += _without_slopes(x, total, parts[:count])
     # The first row of a log may be all that is seen of the rest before.
-    held = [(a, b) for a, b in found if b - a >= 2 or (a == 0 and rest[0])]
-    start, stop = np.array(held, dtype=np.int64).reshape(-1, 2).T
-    return Plateaus(start, stop, (total[stop] - total[start]) / (stop - start), rest[start])
+    return [
+        Span("rest" if rest[a] else "cc", a, b, float(total[b] - total[a]) / (b - a))
+        for a, b in found
+        if b - a >= 2 or (a == 0 and rest[0])
+    ]
 
 
 def _without_slopes(x: FloatArray, total: FloatArray, parts: RowArray) -> list[tuple[int, int]]:
@@ -180,32 +181,6 @@ def _without_slopes(x: FloatArray, total: FloatArray, parts: RowArray) -> list[t
             b += 1  # the first row of a fall
         found.append((a, b))
     return found
-
-
-def without_ramps(p: Plateaus, time_s: FloatArray) -> Plateaus:
-    """Drop the short pieces into which a slow rise breaks between two levels.
-
-    They are a few rows long, lead from the one level towards the other without turning back, and
-    take no longer than a tester needs.
-
-    Parameters
-    ----------
-    p : Plateaus
-    time_s : (n,) float       [s]
-    """
-    short = (p.stop - p.start <= RISE_ROWS) & ~p.rest
-    short[:1] = short[-1:] = False
-    kept = ~short
-    for pieces in np.split(
-        np.flatnonzero(short), np.flatnonzero(np.diff(np.flatnonzero(short)) > 1) + 1
-    ):
-        if pieces.size == 0:
-            continue
-        first, last = int(pieces[0]) - 1, int(pieces[-1]) + 1
-        climb = np.diff(p.level_A[first : last + 1])
-        took_s = time_s[p.start[last] - 1] - time_s[p.stop[first] - 1]
-        kept[pieces] = took_s > RISE_S or not (np.all(climb > 0.0) or np.all(climb < 0.0))
-    return Plateaus(p.start[kept], p.stop[kept], p.level_A[kept], p.rest[kept])
 
 
 @cached()

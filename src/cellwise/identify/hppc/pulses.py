@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.identify.hppc.passive_misfit import Load, PulseRole
 from cellwise.identify.hppc.phases import Phase, find_phases
-from cellwise.identify.hppc.pulse_quality import (
-    LIMITS,
-    PulseQuality,
-    Verdict,
-    judge_loads,
-)
+from cellwise.identify.hppc.pulse_quality import LIMITS, Pulse, judge
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -41,44 +35,13 @@ class _Limits(NamedTuple):
 KINDS = _Limits()
 
 
-@dataclass(frozen=True)
-class Pulse:
-    """A constant current after a rest.
-
-    Rows ``start`` to ``stop`` (not included) are those whose intervals carry the current;
-    ``rest_before_start`` to ``start`` is the rest before, ``stop`` to ``relax_stop`` the one after
-    (none where the next current follows at once). Of a trimmed pulse, rows from ``cc_stop`` on
-    hold the voltage instead of the current.
-
-    current_A : level, positive on discharge [A]
-    duration_s, charge_Ah : of rows start to stop; charge from the current [s, Ah]
-    role : ``pulse``, or ``move``: a long one that takes the cell to another SOC
-    quality, reason : verdict, and its reason
-    """
-
-    start: int
-    stop: int
-    cc_stop: int
-    rest_before_start: int
-    relax_stop: int
-    current_A: float
-    duration_s: float
-    charge_Ah: float
-    role: PulseRole
-    quality: PulseQuality
-    reason: str
-
-
 def find_pulses(log: CellLog) -> tuple[Pulse, ...]:
     """Find and judge the pulses of a log, short ones and moves, in order.
 
     A pulse is a constant current right after a rest, followed by a rest or by another constant
     current. Empty where there is none: a log that never rests, a drive, noise.
     """
-    flow = log.known_current_A() * log.interval_s / 3600.0
-    loads = _loads(log, find_phases(log), flow)
-    verdicts = judge_loads(log, loads)
-    return tuple(_pulse(log, flow, x, verdict) for x, verdict in zip(loads, verdicts, strict=True))
+    return judge(log, _giving_back_are_pulses(_loads(log, find_phases(log))))
 
 
 def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
@@ -90,11 +53,12 @@ def pulses_to_fit(pulses: Sequence[Pulse]) -> tuple[Pulse, ...]:
     return tuple(healthy) if many else short or tuple(healthy)
 
 
-def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Load, ...]:
+def _loads(log: CellLog, phases: Sequence[Phase]) -> list[Pulse]:
     """Constant currents after a rest, with the voltage-held part that belongs to them."""
     border = _role_border(phases)
     shortest, rested = _shortest(phases)
     current = log.known_current_A()
+    charge = np.cumsum(current * log.interval_s) / 3600.0
     smallest = KINDS.smallest * float(np.max(np.abs(current)))
     loads = []
     for k, phase in enumerate(phases):
@@ -106,14 +70,14 @@ def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Loa
         after = k + 2 if held else k + 1
         if after < len(phases) and phases[after].kind == "dynamic":
             continue
-        rest = k - 1
+        rest, relaxed = k - 1, after
         while rest > 0 and phases[rest - 1].kind == "rest":
             rest -= 1
-        relaxed = after
         while relaxed < len(phases) and phases[relaxed].kind == "rest":
             relaxed += 1
-        seconds = sum(p.duration_s for p in phases[k:after])
-        level = _level(current[phase.start : max(cc_stop, phase.start + 1)])
+        start, stop = phase.start, phases[after - 1].stop
+        seconds = float(log.time_s[stop - 1] - log.time_s[start - 1])
+        level = _level(current[start : max(cc_stop, start + 1)])
         # Before the log's first row the cell may have rested for as long as one likes.
         known = rest > 0 or rested > KINDS.rest_s
         if known and sum(p.duration_s for p in phases[rest:k]) < rested:
@@ -121,31 +85,31 @@ def _loads(log: CellLog, phases: Sequence[Phase], flow: FloatArray) -> tuple[Loa
         if seconds < shortest or (seconds <= border and abs(level) < smallest):
             continue
         loads.append(
-            Load(
-                rest_start=phases[rest].start,
-                start=phase.start,
+            Pulse(
+                start=start,
+                stop=stop,
                 cc_stop=cc_stop,
-                stop=phases[after - 1].stop,
+                rest_before_start=phases[rest].start,
                 relax_stop=phases[relaxed - 1].stop,
                 current_A=level,
+                duration_s=seconds,
+                charge_Ah=float(charge[stop - 1] - charge[start - 1]),
                 role="move" if seconds > border else "pulse",
             )
         )
-    return _giving_back_are_pulses(loads, flow)
+    return loads
 
 
-def _giving_back_are_pulses(loads: list[Load], flow_Ah: FloatArray) -> tuple[Load, ...]:
+def _giving_back_are_pulses(loads: Sequence[Pulse]) -> tuple[Pulse, ...]:
     """Long loads against the way of the moves, of no more charge than the short ones, are pulses.
 
     A weak current that gives back what a strong pulse took lasts ten times as long as that.
     """
-    moved = [float(np.sum(flow_Ah[x.start : x.stop])) for x in loads]
-    pairs = list(zip(moved, loads, strict=True))
-    most = max((abs(q) for q, x in pairs if x.role == "pulse"), default=0.0)
-    way = sum(q for q, x in pairs if x.role == "move")
+    most = KINDS.margin * max((abs(p.charge_Ah) for p in loads if p.role == "pulse"), default=0.0)
+    way = sum(p.charge_Ah for p in loads if p.role == "move")
     return tuple(
-        x._replace(role="pulse") if q * way < 0.0 and abs(q) <= KINDS.margin * most else x
-        for q, x in pairs
+        replace(p, role="pulse") if p.charge_Ah * way < 0.0 and abs(p.charge_Ah) <= most else p
+        for p in loads
     )
 
 
@@ -207,20 +171,3 @@ def _level(current: FloatArray) -> float:
     """Level of a constant current without the rows of its rise [A]."""
     size = np.abs(current)
     return float(np.median(current[size >= 0.9 * np.median(size)]))
-
-
-def _pulse(log: CellLog, flow_Ah: FloatArray, x: Load, verdict: Verdict) -> Pulse:
-    t = log.time_s
-    return Pulse(
-        start=x.start,
-        stop=x.stop,
-        cc_stop=x.cc_stop,
-        rest_before_start=x.rest_start,
-        relax_stop=x.relax_stop,
-        current_A=x.current_A,
-        duration_s=float(t[x.stop - 1] - t[x.start - 1]),
-        charge_Ah=float(np.sum(flow_Ah[x.start : x.stop])),
-        role=x.role,
-        quality=verdict.quality,
-        reason=verdict.reason,
-    )

@@ -19,8 +19,12 @@ from cellwise.identify.capacity.half_cycles import (
     find_half_cycles,
     join_logs,
 )
-from cellwise.identify.ocv.curve import GRID_INTERVALS, OcvCurve, curve_from_points
-from cellwise.identify.ocv.ocv_function import fit_monotone_spline
+from cellwise.identify.ocv.curve import (
+    GRID_INTERVALS,
+    OcvCurve,
+    curve_from_points,
+    fit_monotone_spline,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -113,7 +117,14 @@ def ocv_from_low_rate(
             # Charge that is lost on the way cannot make the cell fuller than full.
             scale_Ah = capacity * (max(ratio, 1.0) if averaged else 1.0)
         charge = _branch(trace, returned, empty, scale_Ah)
-    soc, level, chosen = _chosen(discharge, charge, averaged)
+    first_branch = next(b for b in (discharge, charge) if b is not None)
+    soc, level = first_branch.soc, first_branch.voltage_V
+    chosen = "charge branch" if discharge is None else "discharge branch"
+    if averaged and discharge is not None and charge is not None:
+        covered = min(discharge.cover, charge.cover) >= LIMITS.cover
+        if covered and _alike(discharge, charge):
+            soc, chosen = np.linspace(0.0, 1.0, GRID_INTERVALS + 1), BOTH
+            level = _mean_of_branches(discharge.grid_V, charge.grid_V)
     return curve_from_points(
         soc,
         level,
@@ -156,22 +167,6 @@ def _branch(trace: Trace, half: HalfCycle, soc_begin: float, scale_Ah: float) ->
 def _alike(discharge: Branch, charge: Branch) -> bool:
     """Whether both were measured at about one rate."""
     return 1.0 / LIMITS.alike_rate <= charge.rate / discharge.rate <= LIMITS.alike_rate
-
-
-def _chosen(
-    discharge: Branch | None, charge: Branch | None, averaged: bool
-) -> tuple[FloatArray, FloatArray, str]:
-    """SOC, voltage and name of what is taken for the OCV."""
-    if discharge is not None and charge is not None:
-        covered = min(discharge.cover, charge.cover) >= LIMITS.cover
-        if averaged and covered and _alike(discharge, charge):
-            grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
-            return grid, _mean_of_branches(discharge.grid_V, charge.grid_V), BOTH
-    if discharge is not None:
-        return discharge.soc, discharge.voltage_V, "discharge branch"
-    if charge is None:  # a half cycle was found, in one direction or the other
-        raise AssertionError
-    return charge.soc, charge.voltage_V, "charge branch"
 
 
 def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brute, lsq_linear, minimize
 
-from cellwise.identify.ocv.ocv_function import POINTS, checked_points
+from cellwise.identify.ocv.curve import POINTS, checked_points
 from cellwise.typing import FloatArray
 
 LN_C = slice(-8.0, 0.5, 0.5)  # of what ln(s + c) stays clear of zero by: 0.0003 to 1 of SOC

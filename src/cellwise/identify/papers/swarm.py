@@ -18,9 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.identify.pulse_fit.circuit import Circuit
+from cellwise.identify.pulse_fit.circuit import Circuit, PulseFit, PulseParameters
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
 

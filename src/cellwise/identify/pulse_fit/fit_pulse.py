@@ -15,9 +15,8 @@ from scipy.optimize import least_squares, nnls
 from cellwise.errors import InputError
 from cellwise.identify.papers.segments import fit_segments
 from cellwise.identify.papers.swarm import fit_swarm
-from cellwise.identify.pulse_fit.circuit import Circuit
+from cellwise.identify.pulse_fit.circuit import Circuit, PulseFit, PulseParameters
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.pulse_fit.pulse_parameters import PulseFit, PulseParameters
 from cellwise.typing import FloatArray
 
 Method = Literal["varpro", "segments", "pso"]

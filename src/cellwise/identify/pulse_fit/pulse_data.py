@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.errors import InputError
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -26,7 +25,6 @@ class _Window(NamedTuple):
     # R0 takes in all that is fast. What is slow is for the refinement on the whole log.
     step_s: float = 300.0
     step_rows: int = 25
-    settled: int = 10  # rows at least, for six unknowns
     balance: tuple[float, float] = (0.02, 5.0)  # of a relaxation row over a pulse row
 
 
@@ -239,19 +237,3 @@ def fitted_stop(log: CellLog, pulse: Pulse) -> int:
     begin_s = float(log.time_s[max(pulse.start - 1, 0)])
     shown = int(np.searchsorted(log.time_s, begin_s + WINDOW.step_s, "right"))
     return min(max(shown, pulse.start + WINDOW.step_rows), pulse.stop)
-
-
-def check_rows(data: PulseData) -> None:
-    """Refuse a pulse of which too few rows count.
-
-    Raises
-    ------
-    InputError
-    """
-    settled = np.count_nonzero(data.weight)
-    if settled < WINDOW.settled:
-        raise InputError(
-            f"{settled} settled rows of {data.time_s.size} in pulse '{data.name}'",
-            f"at least {WINDOW.settled} rows for 6 unknowns",
-            "Log the pulse faster or longer, or leave it out.",
-        )

@@ -220,7 +220,6 @@ def gather_logs(
     fit = RefineSettings(
         branches=settings.branches if long else 2,
         hysteresis=hysteresis,
-        activation_std_K=settings.activation_std_K,
         skew=any(item.skewed for item in logs),
         samples=sum(item.sample is not None for item in logs),
         balance=BALANCE if several else 0.0,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.identify.hppc.pulses import Pulse
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.identification import Identification, PulseSet
 from cellwise.report.page import style
 from cellwise.report.page.markup import MOST, Markup, details, record_table
