@@ -16,39 +16,7 @@ from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    CELL_MOST,
-    HALF,
-    KNOW_NOTHING_SOC,
-    KNOW_NOTHING_VARIANCE,
-    LARGE,
-    LARGEST_FLOAT,
-    NO_VOLTAGE_YET,
-    ONE,
-    RECOVERY_VARIANCE,
-    SCALE_MOST,
-    SOC_VARIANCE_MOST,
-    THREE_CELLS,
-    TWO,
-    VARIANCE_FLOOR,
-    ZERO,
-    Capability,
-    Cell,
-    CellOutput,
-    Cells,
-    Constants,
-    F,
-    Floats,
-    Sample,
-    State,
-    U,
-    at_least,
-    clip,
-    noinline,
-    not_negative,
-    size_within,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up
 from cellwise.estimate.fixed.state import is_sound

@@ -41,6 +41,16 @@ HysteresisFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
 SurfaceFloat: TypeAlias = Any
 
+# Options: what is compiled in. They are known when numba compiles and when C is printed.
+SLOW = HYSTERESIS = 0  # states
+EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
+TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
+WARM = SCALED = 0  # any of these, any factor on all resistances
+WIDE = 0  # care of a SOC that is badly known, and of sensors
+VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
+POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
+HEALTH = CELLS = 0  # what a history says, the cells of a pack
+
 ZERO, QUARTER, HALF, ONE, TWO = F(0.0), F(0.25), F(0.5), F(1.0), F(2.0)
 THREE, FOUR, SIXTY_FOURTH = F(3.0), F(4.0), F(0.015625)
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)

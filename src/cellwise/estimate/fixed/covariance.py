@@ -10,23 +10,8 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, H, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    LARGE,
-    ONE,
-    TWO,
-    VARIANCE_FLOOR,
-    ZERO,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    add,
-    at_least,
-    clip,
-    not_negative,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import WIDE
 
 
 class Column(NamedTuple):

@@ -6,41 +6,10 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    EVIDENCE_MOST,
-    FIRST_VOLTAGE,
-    FROZEN,
-    FROZEN_READINGS,
-    HALF,
-    LARGE,
-    LOAD_LIMIT_V,
-    ONE,
-    RECOVERY_VARIANCE,
-    REST_LIMIT_V,
-    RESTART_POINTS,
-    RESTART_ROUNDING,
-    RESTART_STEP,
-    SIXTH,
-    THREE,
-    ZERO,
-    Constants,
-    F,
-    State,
-    U,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    root,
-    size_below,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import Column, column_of, forget_correlations
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up
-from cellwise.estimate.fixed.options import HYSTERESIS, THERMAL, VALIDITY
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.fixed.state import admitted, guess_branches
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN

@@ -6,48 +6,8 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    ABOVE_2,
-    ABOVE_3,
-    BELOW_2,
-    BELOW_3,
-    BELOW_4,
-    BEYOND,
-    HALF,
-    LARGE,
-    LEAST_FALL,
-    ONE,
-    SHORTEST_CHORD,
-    TRANSFER_1,
-    ZERO,
-    Constants,
-    F,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    SurfaceFloat,
-    U,
-    WarmFloat,
-    between,
-    clip,
-    known_fraction,
-    magnitude,
-    noinline,
-    not_negative,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.options import (
-    ARRHENIUS,
-    ASYMMETRY,
-    DEPTH,
-    HYSTERESIS,
-    RATE,
-    SCALED,
-    SURFACE,
-    TEMPERATURES,
-    TRANSFER,
-    WIDE,
-)
 
 # Columns of the table: as the options have them once a step is compiled, by name in C.
 OCV_V = ERROR_V = R0_OHM = M_V = 0

@@ -1,6 +1,6 @@
 """What is compiled into a fixed step: effects and care, as a model needs them.
 
-The upper-case names stand for the options inside the step. They are known when a loop is compiled
+Inside the step upper-case names stand for them (`arithmetic`), known when a loop is compiled
 (``rows``) and when C is printed, so that what is not asked for costs nothing.
 """
 
@@ -141,16 +141,6 @@ def _watched(model: CellModel) -> int:
     """What of a model's validity a step looks at."""
     valid = model.validity
     return 2 if valid.temperature_C is not None else int(valid.known)
-
-
-SLOW = HYSTERESIS = 0  # states
-EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
-TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
-WARM = SCALED = 0  # any of these, any factor on all resistances
-WIDE = 0  # care of a SOC that is badly known, and of sensors
-VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
-POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
-HEALTH = CELLS = 0  # what a history says, the cells of a pack
 
 
 def flags_of(options: Options) -> dict[str, int]:

@@ -4,39 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    EVIDENCE_MOST,
-    FIRST_VOLTAGE,
-    HALF,
-    INTERVAL,
-    KNOW_NOTHING_VARIANCE,
-    LARGE,
-    LONGEST_GAP,
-    NO_INTERVAL,
-    NOT_BEGUN,
-    ONE,
-    REPEATED,
-    TEMPERATURE_HIGH_C,
-    TEMPERATURE_LOW_C,
-    ZERO,
-    Constants,
-    F,
-    Output,
-    Sample,
-    State,
-    U,
-    WarmFloat,
-    add,
-    not_negative,
-    out_of_range,
-    root,
-    size_within,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, SKEW, WARM, WIDE
 from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
     CLAMPED,

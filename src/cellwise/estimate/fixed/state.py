@@ -6,40 +6,7 @@ from typing import Any
 
 from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    CARRY_MOST,
-    HALF,
-    HEAT_MOST_K,
-    LARGE,
-    LEAST_SCALE,
-    LEAST_SHARE,
-    MOST_SCALE,
-    MOST_SHARE,
-    NOT_BEGUN,
-    ONE,
-    REST_LIMIT_V,
-    SOC_VARIANCE_MOST,
-    START_LOAD_SHARE,
-    TEMPERATURE_HIGH_C,
-    TEMPERATURE_LOW_C,
-    ZERO,
-    Constants,
-    F,
-    State,
-    U,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    not_negative,
-    positive_above,
-    positive_within,
-    risen,
-    size_below,
-    size_within,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     add_variance,
     covariance_is_sound,
@@ -52,17 +19,6 @@ from cellwise.estimate.fixed.covariance import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import (
-    CELLS,
-    EFFICIENCY,
-    HEALTH,
-    HEATING,
-    HYSTERESIS,
-    LEAK,
-    SURFACE,
-    WARM,
-    WIDE,
-)
 from cellwise.estimate.status import OUT_OF_RANGE
 
 

@@ -5,37 +5,7 @@ The correction: gate, recovery, weight.
 
 from __future__ import annotations
 
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    FIRST_VOLTAGE,
-    INTERVAL,
-    KNOW_NOTHING_SOC,
-    KNOW_NOTHING_VARIANCE,
-    NO_VOLTAGE_YET,
-    NOT_BEGUN,
-    ONE,
-    REPEATED,
-    SOC_VARIANCE_MOST,
-    THREE,
-    VARIANCE_FLOOR,
-    WIDE_VARIANCE,
-    ZERO,
-    Constants,
-    F,
-    Output,
-    Sample,
-    State,
-    U,
-    clip,
-    magnitude,
-    not_negative,
-    out_of_range,
-    positive_above,
-    positive_within,
-    root,
-    size_below,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
     Innovation,
@@ -58,7 +28,6 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import cross_gap, guess_branches, heat, is_sound, predict, start
 from cellwise.estimate.status import (

@@ -6,30 +6,7 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    FOUR,
-    HALF,
-    LARGE,
-    LEAST_SPAN_V,
-    ONE,
-    POWER_TRIALS,
-    SUSTAINED,
-    ZERO,
-    Capability,
-    F,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    SurfaceFloat,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    positive_above,
-    risen,
-    root,
-    vanishing,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
@@ -39,15 +16,6 @@ from cellwise.estimate.fixed.lookup import (
     look_up,
     place_of,
     under_surface,
-)
-from cellwise.estimate.fixed.options import (
-    DEPTH,
-    HEALTH,
-    HEATING,
-    HYSTERESIS,
-    SURFACE,
-    VALIDITY,
-    WARM,
 )
 from cellwise.estimate.fixed.state import is_sound, taken
 

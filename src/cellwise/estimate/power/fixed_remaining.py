@@ -4,44 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.estimate.fixed.arithmetic import (
-    DEVIATIONS_MOST,
-    FOUR,
-    HALF,
-    LARGE,
-    LEAST_SPAN_V,
-    LONGEST,
-    NORMAL_1,
-    NORMAL_2,
-    NORMAL_3,
-    NORMAL_4,
-    NORMAL_5,
-    NORMAL_6,
-    ONE,
-    PHASE_PARTS_MOST,
-    PHASE_PARTS_PER_S,
-    PHASE_TURNS,
-    REMAINING_PARTS,
-    TWO,
-    ZERO,
-    F,
-    Landing,
-    Outlook,
-    Phases,
-    State,
-    U,
-    at_least,
-    clip,
-    known_fraction,
-    magnitude,
-    noinline,
-    not_negative,
-    root,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place
-from cellwise.estimate.fixed.options import HEALTH
 from cellwise.estimate.fixed.state import is_sound, taken
 from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on, place_now
 
