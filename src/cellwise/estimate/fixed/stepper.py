@@ -10,7 +10,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from functools import lru_cache
-from types import FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -200,9 +200,16 @@ def specialised(options: Options) -> dict[str, Any]:
     modules = [module for module in STEP_MODULES if module not in absent]
     for f in [f for module in modules for f in functions_of(module)]:
         scope = {**f.__globals__, **columns, **flags_of(options), **made}
-        own = FunctionType(f.__code__, scope, f.__name__)
+        own = FunctionType(_single(f.__code__), scope, f.__name__)
         made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made
+
+
+def _single(code: CodeType) -> CodeType:
+    """The same code with its numbers in float32."""
+    return code.replace(
+        co_consts=tuple(F(c) if isinstance(c, float) else c for c in code.co_consts)
+    )
 
 
 @lru_cache
