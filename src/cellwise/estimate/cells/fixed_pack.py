@@ -120,7 +120,7 @@ class FixedPack:
         stepper = self._stepper()
         self._check(state, stepper)
         handed = state.mean, state.cells, self.count
-        return stepper.need("power").answer("pack_power_of", CAPABILITY, *handed)
+        return stepper.need("power").answer("pack_power", CAPABILITY, *handed)
 
     def run(
         self,
@@ -165,7 +165,7 @@ class FixedPack:
 
     def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
         cells = np.zeros(self.count, dtype=CELL)
-        stepper.call("cells_begin", cells, self.count)
+        stepper.call("start_cells", cells, self.count)
         return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def _check(self, state: PackState, stepper: Stepper) -> None:

@@ -32,9 +32,11 @@ Landing: TypeAlias = Any
 Phase: TypeAlias = Any
 Cell: TypeAlias = Any
 CellOutput: TypeAlias = Any
-Cells: TypeAlias = Any  # arrays: of cells, of floats, of phases
+Cells: TypeAlias = Any  # arrays: of cells, floats, phases, samples, outputs
 Floats: TypeAlias = Any
 Phases: TypeAlias = Any
+Samples: TypeAlias = Any
+Outputs: TypeAlias = Any
 # There where an option is.
 SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
