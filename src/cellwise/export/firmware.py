@@ -19,7 +19,7 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, put, write_sources
-from cellwise.printing.c.firmware import PUBLIC
+from cellwise.printing.firmware import PUBLIC
 
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);

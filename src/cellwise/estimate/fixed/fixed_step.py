@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
-from cellwise.estimate.fixed.options import Asked
+from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,

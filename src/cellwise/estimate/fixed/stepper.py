@@ -21,12 +21,19 @@ from cellwise.arguments import shown
 from cellwise.cell.compiled import cached
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
-from cellwise.estimate.cells import fixed_cells
-from cellwise.estimate.cells.fixed_cells import cell_of, mean_voltage, step_cells
 from cellwise.estimate.filters.filter_state import EkfInfo
-from cellwise.estimate.fixed import arithmetic, covariance, innovation, lookup, sensing, state
+from cellwise.estimate.fixed import (
+    arithmetic,
+    covariance,
+    fixed_cells,
+    innovation,
+    lookup,
+    sensing,
+    state,
+)
 from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import *
+from cellwise.estimate.fixed.fixed_cells import cell_of, mean_voltage, step_cells
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, ROW, Model, row_names, state_type
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import step

@@ -22,9 +22,9 @@ from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.stepper import STEP_MODULES
-from cellwise.printing.c.c99 import SCALARS, Function, Program
-from cellwise.printing.c.chosen import chosen, with_notes
-from cellwise.printing.c.text import comment, comments_of, float_literal
+from cellwise.printing.c99 import SCALARS, Function, Program
+from cellwise.printing.chosen import chosen, with_notes
+from cellwise.printing.text import comment, comments_of, float_literal
 
 READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellwise.arguments import shown
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
 from cellwise.estimate.fixed.layout import CAPABILITY, CELL, CELL_OUTPUT, INPUT
+from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,

@@ -11,8 +11,8 @@ import ast
 from dataclasses import dataclass, field
 from typing import Any
 
-from cellwise.printing.c.chosen import FLOATS, note_of
-from cellwise.printing.c.text import broken, comment, float_literal
+from cellwise.printing.chosen import FLOATS, note_of
+from cellwise.printing.text import broken, comment, float_literal
 
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
 RECORDS = {
