@@ -164,7 +164,7 @@ const page = (() => {
       if (Number.isFinite(amps)) { sum += amps; many++; }
     }
     if (!(sum > many * data.least_load_A)) return [NaN, NaN, NaN];  // at rest or charging
-    exports.cellwise_remaining_of(model, state, sum / many, 1, ahead);
+    exports.cellwise_remaining(model, state, sum / many, 1, ahead);
     return [...new Float32Array(exports.memory.buffer, ahead, 3)];
   }
   /* Remaining time of any sample: from the state that was kept before it. */

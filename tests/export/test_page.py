@@ -126,7 +126,7 @@ def test_the_page_has_the_bits_of_python_over_200_000_samples(tmp_path):
     assert shown == f"{100 * expected['soc'][123456]:.1f} %"
     stepper, state, _ = python_rows(model, records[:123457], 0.6, 0.1)
     load = float(np.mean(records["current_A"][123397:123457].astype(float)))
-    ahead = stepper.answer("remaining_of", OUTLOOK, state, load, True)
+    ahead = stepper.answer("remaining", OUTLOOK, state, load, True)
     assert left == (float(ahead["time_s"][0]) if load > 0.02 * model.capacity_Ah else None)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion, SurfaceSoc
 from cellwise.cell.plausibility.validity import Validity
-from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.c_tables import firmware_folder, write_sources
 from example_cells import curved_cell

@@ -100,7 +100,7 @@ def test_a_pack_gives_the_same_bytes_within_the_room_there_is(core):
     stepper = numba_stepper(tables)
     state, cells = np.zeros(1, dtype=state_type(tables.options)), np.zeros(96, dtype=CELL)
     stepper.begin(state, 0.8, 0.09)
-    stepper.call("cells_begin", cells, cells.size)
+    stepper.call("start_cells", cells, cells.size)
     outputs = stepper.pack_rows(state, cells, samples.copy(), pack_voltages(samples, 96))
     assert state["cells_at"][0] == samples["sequence"][-1]
     assert run.outputs.tobytes() == outputs.tobytes()

@@ -16,10 +16,10 @@ from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
 from cellwise.printing.__main__ import main
-from cellwise.printing.c.c99 import Function, Program
-from cellwise.printing.c.chosen import chosen
-from cellwise.printing.c.firmware import EVERYTHING, print_header, print_source
-from cellwise.printing.c.text import broken, comment, float_literal
+from cellwise.printing.c99 import Function, Program
+from cellwise.printing.chosen import chosen
+from cellwise.printing.firmware import EVERYTHING, print_header, print_source
+from cellwise.printing.text import broken, comment, float_literal
 
 PROGRAM = Program(
     structs={

@@ -17,8 +17,8 @@ from cellwise.cell.effects import (
     SurfaceSoc,
 )
 from cellwise.cell.plausibility.validity import Validity
-from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.fixed.layout import INPUT
+from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings

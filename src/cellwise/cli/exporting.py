@@ -72,7 +72,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
     from functools import partial
 
-    from cellwise.estimate.cells.settings import CellSettings
+    from cellwise.estimate.fixed.options import CellSettings
     from cellwise.estimate.fixed.tables import fixed_step_tables
     from cellwise.export.c_tables import prefixed
     from cellwise.export.package import (

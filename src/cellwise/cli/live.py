@@ -58,7 +58,7 @@ def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
 def run_live_command(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
     from cellwise.cli.live_output import LineWriter, live_panel, warned_once
-    from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+    from cellwise.estimate.power.limits import LEAST_LOAD_C
     from cellwise.live import Counts, open_source, run_live
     from cellwise.live.run import LatencyMeter, check_any
     from cellwise.live.source import sender_to

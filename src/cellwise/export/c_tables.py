@@ -16,7 +16,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.files import shipped_folder
-from cellwise.printing.c.firmware import print_header, print_source
+from cellwise.printing.firmware import print_header, print_source
 
 BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c")
 # Every optimisation that keeps IEEE 754 float32, and no contraction.

@@ -90,7 +90,7 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
         return inputs, outputs
     cell_W = 3.7 * model.capacity_Ah
     plan = np.array([(seconds, share * cell_W) for seconds, share in PLAN], dtype=PHASE)
-    landing = stepper.answer("plan_of", LANDING, state, plan, plan.size, True, VECTOR.above)
+    landing = stepper.answer("plan", LANDING, state, plan, plan.size, True, VECTOR.above)
     return inputs, outputs, plan, landing
 
 

@@ -19,23 +19,24 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed, put, write_sources
+from cellwise.printing.firmware import PUBLIC
 
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
-void cellwise_power_of(const void *model, const void *x, void *out);
-void cellwise_remaining_of(const void *model, const void *x, float load_A, bool holds_power,
-                           void *out);
-void cellwise_plan_of(const void *model, const void *x, const void *phases, uint32_t count,
-                      bool holds_power, float above, void *out);
-uint32_t cellwise_set_health_of(const void *model, void *x, float share, float scale);
-void cellwise_cells_begin(const void *model, void *cells, uint32_t count);
+void cellwise_power(const void *model, const void *x, void *out);
+void cellwise_remaining(const void *model, const void *x, float load_A, bool holds_power,
+                        void *out);
+void cellwise_plan(const void *model, const void *x, const void *phases, uint32_t count,
+                   bool holds_power, float above, void *out);
+uint32_t cellwise_set_health(const void *model, void *x, float share, float scale);
+void cellwise_cells_init(const void *model, void *cells, uint32_t count);
 void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count, void *in,
                         const void *voltage_V, void *out, uint32_t samples);
 void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
                        void *out);
-void cellwise_pack_power_of(const void *model, const void *x, const void *cells, uint32_t count,
-                            void *out);
+void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
+                         void *out);
 extern const char cellwise_cell[];
 """
 
@@ -74,7 +75,7 @@ class HostLibrary(Stepper):
 
     def _call(self, name: str, *handed: Any) -> Any:
         """A function of the C; of an array its memory."""
-        function = getattr(self._library, f"cellwise_{'init' if name == 'begin' else name}")
+        function = getattr(self._library, PUBLIC.get(name, f"cellwise_{name}"))
         pointers = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
         return function(self._model, *pointers)
 

@@ -17,8 +17,8 @@ from typing import Any
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
+from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.estimate.fixed.tables import FixedStepTables, shortest_step_s
 from cellwise.estimate.noise import Noise
 from cellwise.export.c_tables import filled, firmware_folder, prefixed, put, write_sources

@@ -34,7 +34,7 @@ from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CellLog
 
 EXPORTED = (
-    *("cellwise_init", "cellwise_rows", "cellwise_remaining_of"),
+    *("cellwise_init", "cellwise_rows", "cellwise_remaining"),
     *("cellwise_cell", "__heap_base"),
 )
 WASM_FLAGS = (

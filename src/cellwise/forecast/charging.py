@@ -6,7 +6,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
-from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.along_kernels import WINDOW_S, Load
 from cellwise.forecast.remaining import Flight, at_most, flight_of, present_load, warms_unseen

@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.cell.equations import CellState, empty_state
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfState
-from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
 from cellwise.forecast.ahead_kernels import NEVER, Going, with_ends
 from cellwise.forecast.along_kernels import WINDOW_S, ocv_and_error, parts_of

@@ -15,7 +15,7 @@ from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
-from cellwise.estimate.power.fixed_tables import LEAST_LOAD_C
+from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.ahead_kernels import (
     BY_VOLTAGE,

@@ -17,12 +17,12 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
-from cellwise.estimate.cells.fixed_pack import FixedPack, PackState
-from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf
+from cellwise.estimate.fixed.fixed_pack import FixedPack, PackState
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL
+from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_dict
 from cellwise.files import write_atomically

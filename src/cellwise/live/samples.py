@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import MOST_CELLS
+from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.logs.files.columns import TIDY_NAMES, Unit, tidy_name
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.packs.cells import known_column

@@ -9,9 +9,9 @@ import pytest
 
 from cellwise import InputError
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.cells.fixed_pack import FixedPack
-from cellwise.estimate.cells.settings import CellSettings
+from cellwise.estimate.fixed.fixed_pack import FixedPack
 from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.options import CellSettings
 from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import CellLog
 from cellwise.pack.pack_estimate import estimate_pack

@@ -67,8 +67,8 @@ def test_the_same_bits_in_c_and_never_nan(case):
         phases["load"] = load_A * rng.normal(1.0, 1.0, phases.size)
         found = []
         for name, kind, handed in (
-            ("remaining_of", OUTLOOK, (load_A, holds_power)),
-            ("plan_of", LANDING, (phases, phases.size, holds_power, 0.4)),
+            ("remaining", OUTLOOK, (load_A, holds_power)),
+            ("plan", LANDING, (phases, phases.size, holds_power, 0.4)),
         ):
             ours, theirs = (x.answer(name, kind, state, *handed) for x in (stepper, library))
             assert ours.tobytes() == theirs.tobytes()

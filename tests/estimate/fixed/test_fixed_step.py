@@ -15,7 +15,6 @@ from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
 from cellwise.estimate.fixed.stepper import compiled, numba_stepper, start_state
-from cellwise.estimate.fixed.stepper import rows as step_rows
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.status import Status
 from cellwise.logs.cell_log import CellLog, resample
@@ -151,12 +150,12 @@ def test_as_good_as_the_float64_ekf(dt_s):
 
 
 def test_compiled_code_is_single_precision_without_liberties():
-    cached = compiled(step_rows, STEPPER.tables.options)
+    cached = compiled("rows", STEPPER.tables.options)
     options = {k: v for k, v in cached.targetoptions.items() if k != "nopython"}
     rows = njit(**options)(cached.py_func)  # numba keeps no text of what it has cached
     tables = STEPPER.tables
     samples = steady(2)
-    rows(tables.constants, tables.table, begun(), samples, np.zeros(2, OUTPUT), 2)
+    rows(tables.constants, tables.table, begun()[0], samples, np.zeros(2, OUTPUT), np.uint32(2))
     text = "".join(rows.inspect_llvm().values())
     assert "define" in text
     assert "fpext" not in text

@@ -23,13 +23,13 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
-from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed import lookup
+from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import resample
-from cellwise.printing.c.firmware import print_header, print_source
+from cellwise.printing.firmware import print_header, print_source
 from example_cells import curved_cell
 from firmware_cases import power_asked
 

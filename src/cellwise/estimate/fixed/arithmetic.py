@@ -32,17 +32,27 @@ Landing: TypeAlias = Any
 Phase: TypeAlias = Any
 Cell: TypeAlias = Any
 CellOutput: TypeAlias = Any
-Cells: TypeAlias = Any  # arrays: of cells, of floats, of phases
+Cells: TypeAlias = Any  # arrays: of cells, floats, phases, samples, outputs
 Floats: TypeAlias = Any
 Phases: TypeAlias = Any
+Samples: TypeAlias = Any
+Outputs: TypeAlias = Any
 # There where an option is.
 SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
 SurfaceFloat: TypeAlias = Any
 
-ZERO, QUARTER, HALF, ONE, TWO = F(0.0), F(0.25), F(0.5), F(1.0), F(2.0)
-THREE, FOUR, SIXTY_FOURTH = F(3.0), F(4.0), F(0.015625)
+# Options: what is compiled in. They are known when numba compiles and when C is printed.
+SLOW = HYSTERESIS = 0  # states
+EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
+TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
+WARM = SCALED = 0  # any of these, any factor on all resistances
+WIDE = 0  # care of a SOC that is badly known, and of sensors
+VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
+POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
+HEALTH = CELLS = 0  # what a history says, the cells of a pack
+
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 LARGEST_FLOAT = F(float.fromhex("0x1.fffffep+127"))
 
@@ -133,7 +143,7 @@ def size_below(x: float, limit: float) -> bool:
 
 def not_negative(x: float, limit: float) -> bool:
     """Within 0..limit, and not -0: the C compares bits."""
-    return (math.copysign(ONE, x) > ZERO) & (x <= limit)
+    return (math.copysign(1.0, x) > 0.0) & (x <= limit)
 
 
 def positive_within(x: float, low: float, high: float) -> bool:
@@ -191,13 +201,13 @@ def out_of_range(x: float) -> int:
 def risen(z: float) -> float:
     """1 - exp(-z) for z >= 0, with exp(z) by its first five terms: exact at 0, rises to 1."""
     fourth = SIXTH + (z * TWENTY_FOURTH)
-    grown = z * (ONE + (z * (HALF + (z * fourth))))
-    return grown / (ONE + grown)
+    grown = z * (1.0 + (z * (0.5 + (z * fourth))))
+    return grown / (1.0 + grown)
 
 
 def vanishing(z: float) -> float:
     """exp(-z) for z >= 0, to 1e-4 of itself."""
-    left = ONE - risen((z if z < FURTHEST else FURTHEST) * SIXTY_FOURTH)
+    left = 1.0 - risen((z if z < FURTHEST else FURTHEST) * 0.015625)
     for _ in range(6):
         left = left * left
     return left
@@ -210,13 +220,13 @@ def root(square: float) -> float:
     One below 1/4 is multiplied by 4 until it is not.
     """
     scaled = square
-    unit = ONE
-    r = ONE
+    unit = 1.0
+    r = 1.0
     for _ in range(24):
-        if scaled >= QUARTER:
+        if scaled >= 0.25:
             break
-        scaled = FOUR * scaled
-        unit = HALF * unit
+        scaled = 4.0 * scaled
+        unit = 0.5 * unit
     for _ in range(5):
-        r = HALF * (r + (scaled / r))
+        r = 0.5 * (r + (scaled / r))
     return r * unit

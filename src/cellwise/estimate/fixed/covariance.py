@@ -10,23 +10,8 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, H, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    LARGE,
-    ONE,
-    TWO,
-    VARIANCE_FLOOR,
-    ZERO,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    add,
-    at_least,
-    clip,
-    not_negative,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import WIDE
 
 
 class Column(NamedTuple):
@@ -71,7 +56,7 @@ def forget_correlations(x: State) -> None:
     """Only the diagonal stays."""
     for i, j in triangle(CELL):
         if i != j:
-            x.p[i, j] = ZERO
+            x.p[i, j] = 0.0
 
 
 @unrolled_by_option
@@ -80,9 +65,9 @@ def start_covariance(x: State, soc_variance: float) -> None:
     forget_correlations(x)
     x.ss = soc_variance
     for i in BRANCHES:
-        x.p[i, i] = ZERO
+        x.p[i, i] = 0.0
     for i in (H,):
-        x.p[i, i] = ONE
+        x.p[i, i] = 1.0
 
 
 @unrolled_by_option
@@ -98,7 +83,7 @@ def relax(
     gain: dict[Any, float] = {}  # as handed over
     a: dict[Any, float] = {}
     for i in BRANCHES:
-        a[i] = ONE - gain[i]
+        a[i] = 1.0 - gain[i]
         if i in CARRIED:
             x.state[i], x.carry[i] = add(
                 x.state[i], x.carry[i], gain[i] * ((p.r[i] * flow) - x.state[i])
@@ -108,7 +93,7 @@ def relax(
         for j in (SOC, H):
             x.p[i, j] = x.p[i, j] - (gain[i] * x.p[i, j])
         x.p[i, i] = x.p[i, i] + (
-            (gain[i] * (ONE + a[i])) * ((square_A2 * (p.r[i] * p.r[i])) - x.p[i, i])
+            (gain[i] * (1.0 + a[i])) * ((square_A2 * (p.r[i] * p.r[i])) - x.p[i, i])
         )
     for i, j in triangle(BRANCHES):
         if i != j:
@@ -129,8 +114,8 @@ def forget_hysteresis(x: State) -> None:
     """Nothing is known of h."""
     for i in (H,):
         for j in (SOC, *BRANCHES):
-            x.p[i, j] = ZERO
-        x.p[i, i] = ONE
+            x.p[i, j] = 0.0
+        x.p[i, i] = 1.0
 
 
 @unrolled_by_option
@@ -141,7 +126,7 @@ def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
         f[i] = (w.rise[i] * p.gain[i]) * flow
     for i, j in triangle(BRANCHES):
         if i == j:
-            x.p[i, i] = x.p[i, i] + (f[i] * ((TWO * x.p[SOC, i]) + (f[i] * x.ss)))
+            x.p[i, i] = x.p[i, i] + (f[i] * ((2.0 * x.p[SOC, i]) + (f[i] * x.ss)))
         else:
             both = ((f[i] * x.p[SOC, j]) + (f[j] * x.p[SOC, i])) + ((f[i] * f[j]) * x.ss)
             x.p[i, j] = x.p[i, j] + both
@@ -156,7 +141,7 @@ def column_of(x: State, p: Point, slope: float) -> Column:
     """The column, and the innovation variance that the state explains."""
     c: dict[Any, float] = {}
     for i in CELL:
-        c[i] = (slope * x.p[SOC, i]) if THERE else ZERO
+        c[i] = (slope * x.p[SOC, i]) if THERE else 0.0
         for j in BRANCHES:
             c[i] = c[i] - x.p[i, j]
         for j in (H,):
@@ -166,7 +151,7 @@ def column_of(x: State, p: Point, slope: float) -> Column:
         variance = variance - c[j]
     for j in (H,):
         variance = variance + (p.m_V * c[j])
-    variance = variance if variance > ZERO else ZERO
+    variance = variance if variance > 0.0 else 0.0
     return Column(variance, *(c[i] for i in CELL))
 
 
@@ -179,7 +164,7 @@ def move(x: State, d: Column, inverse: float, innovation: float) -> None:
         else:
             x.state[i] = x.state[i] + ((d.row[i] * inverse) * innovation)
     for i in (H,):
-        x.state[i] = clip(x.state[i], -ONE, ONE)
+        x.state[i] = clip(x.state[i], -1.0, 1.0)
 
 
 @unrolled_by_option
@@ -192,6 +177,6 @@ def narrow(x: State, d: Column, inverse: float) -> None:
                 add_variance(x, -(k * d.s))
                 x.ss = clip(x.ss, VARIANCE_FLOOR, LARGE) if WIDE else at_least(x.ss, VARIANCE_FLOOR)
             elif i == j:
-                x.p[i, j] = at_least(x.p[i, j] - (k * d.row[j]), ZERO)
+                x.p[i, j] = at_least(x.p[i, j] - (k * d.row[j]), 0.0)
             else:
                 x.p[i, j] = x.p[i, j] - (k * d.row[j])

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import CellSettings
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
-from cellwise.estimate.fixed.options import Asked
+from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,
@@ -119,7 +118,7 @@ class FixedStep:
         ------
         InputError        no time step; not asked for when this was made
         """
-        return self._need_stepper().need("power").answer("power_of", CAPABILITY, state)
+        return self._need_stepper().need("power").answer("power", CAPABILITY, state)
 
     def remaining(
         self, state: NDArray[Any], load_A: float, hold: Literal["current", "power"] = "current"
@@ -138,7 +137,7 @@ class FixedStep:
         stepper = self._need_stepper().need("remaining")
         _check_hold(hold)
         load = one_reading("load_A", load_A, "ampere")
-        return stepper.answer("remaining_of", OUTLOOK, state, load, hold == "power")
+        return stepper.answer("remaining", OUTLOOK, state, load, hold == "power")
 
     def plan(
         self,
@@ -162,7 +161,7 @@ class FixedStep:
         stepper = self._need_stepper().need("remaining")
         _check_hold(hold)
         pairs = np.ascontiguousarray(phases, dtype=np.float32).reshape(-1, 2).view(PHASE)[:, 0]
-        return stepper.answer("plan_of", LANDING, state, pairs, pairs.size, hold == "power", above)
+        return stepper.answer("plan", LANDING, state, pairs, pairs.size, hold == "power", above)
 
     def set_health(
         self, state: NDArray[Any], capacity_share: float, resistance_scale: float
@@ -182,7 +181,7 @@ class FixedStep:
         check_record(state, stepper.tables, self.name)
         share = one_reading("capacity_share", capacity_share, "a share")
         scale = one_reading("resistance_scale", resistance_scale, "a factor")
-        if stepper.call("set_health_of", state, share, scale):
+        if stepper.call("set_health", state, share, scale):
             raise InputError(
                 f"capacity_share = {share:g}, resistance_scale = {scale:g}",
                 "a share of 0.1 to 2, a scale of 0.1 to 20, a sound state",

@@ -6,41 +6,10 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    EVIDENCE_MOST,
-    FIRST_VOLTAGE,
-    FROZEN,
-    FROZEN_READINGS,
-    HALF,
-    LARGE,
-    LOAD_LIMIT_V,
-    ONE,
-    RECOVERY_VARIANCE,
-    REST_LIMIT_V,
-    RESTART_POINTS,
-    RESTART_ROUNDING,
-    RESTART_STEP,
-    SIXTH,
-    THREE,
-    ZERO,
-    Constants,
-    F,
-    State,
-    U,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    root,
-    size_below,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import Column, column_of, forget_correlations
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up
-from cellwise.estimate.fixed.options import HYSTERESIS, THERMAL, VALIDITY
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.fixed.state import admitted, guess_branches
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
@@ -75,21 +44,21 @@ def search(
     Branches may hold what ``held_A`` would leave there. Beyond either end of the OCV that end is
     meant.
     """
-    before = ONE / at_least(x.ss, RECOVERY_VARIANCE)
+    before = 1.0 / at_least(x.ss, RECOVERY_VARIANCE)
     most_V2 = limit_V * limit_V
     least = LARGE
-    total = ZERO
-    first = ZERO
-    second = ZERO
-    p = look_up(m, place, ZERO, seen)
+    total = 0.0
+    first = 0.0
+    second = 0.0
+    p = look_up(m, place, 0.0, seen)
     low = voltage_of(x, p, p.r0_ohm * seen)
-    p = look_up(m, place, ONE, seen)
+    p = look_up(m, place, 1.0, seen)
     high = voltage_of(x, p, p.r0_ohm * seen)
     target = clip(voltage, low, high) if low < high else clip(voltage, high, low)
     for k in range(RESTART_POINTS):
         away = (F(k) * RESTART_STEP) - x.soc
         p = look_up(m, place, F(k) * RESTART_STEP, seen)
-        ohm2 = ZERO
+        ohm2 = 0.0
         for i in BRANCHES:
             ohm2 = ohm2 + (p.r[i] * p.r[i])
         held = (held_A * held_A) * ohm2
@@ -97,8 +66,8 @@ def search(
         if HYSTERESIS:
             about = about + ((p.m_V * p.m_V) * x.phh)
         off = target - voltage_of(x, p, p.r0_ohm * seen)
-        cost = HALF * (((away * away) * before) + ((off * off) / about))
-        weight = ONE / root(about)
+        cost = 0.5 * (((away * away) * before) + ((off * off) / about))
+        weight = 1.0 / root(about)
         if cost < least:
             faded = vanishing(least - cost)
             total = faded * total
@@ -111,13 +80,13 @@ def search(
         first = first + (weight * away)
         second = second + (weight * (away * away))
     x.ss = at_least(x.ss, RECOVERY_VARIANCE)
-    if total > ZERO:
+    if total > 0.0:
         mean = first / total
         square = (second / total) - (mean * mean)
-        if within(mean, -ONE, ONE) and within(square, -ONE, ONE):
-            x.soc = clip(x.soc + mean, ZERO, ONE)
-            x.soc_carry = ZERO
-            x.ss = at_least(square, ZERO) + RESTART_ROUNDING
+        if within(mean, -1.0, 1.0) and within(square, -1.0, 1.0):
+            x.soc = clip(x.soc + mean, 0.0, 1.0)
+            x.soc_carry = 0.0
+            x.ss = at_least(square, 0.0) + RESTART_ROUNDING
 
 
 @noinline
@@ -142,7 +111,7 @@ def recover(
     variance = one_V2 + c.branch_variance_V2
     kept: dict[Any, float] = {}
     for i in BRANCHES:
-        kept[i] = ZERO
+        kept[i] = 0.0
     if x.evidence >= FIRST_VOLTAGE:
         held_A = c.recovery_A
         limit_V = LOAD_LIMIT_V
@@ -205,7 +174,7 @@ def watch_voltage(
         status = U(VOLTAGE_FROZEN)
     else:
         moved = magnitude(r0_ohm * (seen - x.frozen_A))
-        off = magnitude(innovation) > (HALF * moved)
+        off = magnitude(innovation) > (0.5 * moved)
         if x.repeats < COUNT_MOST:
             x.repeats = U(x.repeats + 1)
         if x.repeats >= FROZEN_READINGS and moved > c.frozen_V and off:
@@ -252,13 +221,13 @@ def extrapolated(c: Constants, x: State, seen: float, polarisation_V: float) -> 
     order; what lies beyond in SOC is in the table of the error.
     """
     far_A = at_least(c.valid_charge_A - seen, seen - c.valid_discharge_A)
-    share = c.share_per_A * at_least(far_A, ZERO)
-    moved_V = ZERO
+    share = c.share_per_A * at_least(far_A, 0.0)
+    moved_V = 0.0
     if THERMAL:
         far_K = at_least(c.valid_cold_C - x.temperature_C, x.temperature_C - c.valid_warm_C)
-        far_K = at_least(far_K, ZERO)
+        far_K = at_least(far_K, 0.0)
         z = c.share_per_K * far_K
-        share = share + (z * (ONE + (z * (HALF + (z * SIXTH)))))
+        share = share + (z * (1.0 + (z * (0.5 + (z * SIXTH)))))
         moved_V = c.voltage_per_K * far_K
     return F((share * polarisation_V) + moved_V)
 
@@ -271,7 +240,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
-    share = c.share_variance if s.seen >= ZERO else c.charge_variance
+    share = c.share_variance if s.seen >= 0.0 else c.charge_variance
     one_V2 = p.noise_V2 + (
         (share * (polarisation_V * polarisation_V))
         + ((c.current_variance_A2 + s.unmeasured_A2) * (p.r0_ohm * p.r0_ohm))
@@ -281,6 +250,6 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         one_V2 = one_V2 + (beyond_V * beyond_V)
     # An OCV that bends by c at one standard deviation is off its tangent by c z^2.
     column = column_of(x, p, w.slope_V)
-    explained_V2 = column.variance + (THREE * (w.bend_V * w.bend_V))
+    explained_V2 = column.variance + (3.0 * (w.bend_V * w.bend_V))
     variance_V2 = explained_V2 + one_V2
     return Innovation(voltage_V, variance_V2, explained_V2, one_V2, polarisation_V, column)

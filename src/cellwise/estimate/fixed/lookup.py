@@ -6,48 +6,8 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    ABOVE_2,
-    ABOVE_3,
-    BELOW_2,
-    BELOW_3,
-    BELOW_4,
-    BEYOND,
-    HALF,
-    LARGE,
-    LEAST_FALL,
-    ONE,
-    SHORTEST_CHORD,
-    TRANSFER_1,
-    ZERO,
-    Constants,
-    F,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    SurfaceFloat,
-    U,
-    WarmFloat,
-    between,
-    clip,
-    known_fraction,
-    magnitude,
-    noinline,
-    not_negative,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.options import (
-    ARRHENIUS,
-    ASYMMETRY,
-    DEPTH,
-    HYSTERESIS,
-    RATE,
-    SCALED,
-    SURFACE,
-    TEMPERATURES,
-    TRANSFER,
-    WIDE,
-)
 
 # Columns of the table: as the options have them once a step is compiled, by name in C.
 OCV_V = ERROR_V = R0_OHM = M_V = 0
@@ -114,17 +74,17 @@ class Slopes(NamedTuple):
 def place_of(m: Model, temperature_C: float) -> Place:
     """Neighbouring tables of a temperature, and the Arrhenius factor."""
     low = U(0)
-    weight = ZERO
-    scale = ONE
+    weight = 0.0
+    scale = 1.0
     if TEMPERATURES:
         while low < U(m.constant.grid_C.size - 2) and temperature_C > m.constant.grid_C[low + 1]:
             low = U(low + 1)
         weight = (temperature_C - m.constant.grid_C[low]) * m.constant.per_K[low]
-        weight = clip(weight, ZERO, ONE)
+        weight = clip(weight, 0.0, 1.0)
     if ARRHENIUS:
         most = F(m.constant.arrhenius.size - 1)
         y = (temperature_C - m.constant.arrhenius_low_C) * m.constant.arrhenius_per_K
-        y = clip(y, ZERO, most)
+        y = clip(y, 0.0, most)
         k = U(y)
         if k > U(m.constant.arrhenius.size - 3):
             k = U(m.constant.arrhenius.size - 3)
@@ -133,20 +93,20 @@ def place_of(m: Model, temperature_C: float) -> Place:
         start = m.constant.arrhenius[k]
         first = m.constant.arrhenius[k + 1] - start
         second = m.constant.arrhenius[k + 2] - m.constant.arrhenius[k + 1]
-        scale = start + (f * (first + ((HALF * (f - ONE)) * (second - first))))
-    return Place(low, weight, scale, ZERO)
+        scale = start + (f * (first + ((0.5 * (f - 1.0)) * (second - first))))
+    return Place(low, weight, scale, 0.0)
 
 
 def within_one(soc: float) -> float:
     """The nearer end of 0..1 for a SOC beyond it."""
-    return soc if not_negative(soc, ONE) else (ZERO if soc < HALF else ONE)
+    return soc if not_negative(soc, 1.0) else (0.0 if soc < 0.5 else 1.0)
 
 
 def depth_at(c: Constants, temperature_C: float) -> float:
     """SOC that the particles' surface is below the mean at 1 A and one temperature."""
     most = F(c.depth.size - 1)
     y = (temperature_C - c.depth_low_C) * c.depth_per_K
-    y = clip(y, ZERO, most)
+    y = clip(y, 0.0, most)
     k = U(y)
     if k > U(c.depth.size - 2):
         k = U(c.depth.size - 2)
@@ -157,7 +117,7 @@ def depth_at(c: Constants, temperature_C: float) -> float:
 def under_surface(c: Constants, x: State, at: Place, temperature_C: WarmFloat) -> Place:
     """The same place with the lag of the particles' surface."""
     depth = depth_at(c, temperature_C) if DEPTH else c.surface_per_A
-    lag = clip(depth * x.slow_A, -ONE, ONE)
+    lag = clip(depth * x.slow_A, -1.0, 1.0)
     return Place(at.low, at.weight, at.scale, lag)
 
 
@@ -169,7 +129,7 @@ def aged(x: State, at: Place) -> Place:
 def index_of(x: float, points: int) -> int:
     """Lower point of the SOC interval that holds x, a SOC in units of the grid."""
     if WIDE:
-        held = x if x > ZERO else ZERO
+        held = x if x > 0.0 else 0.0
         k = U(held) if held < F(points - 2) else U(points - 2)
     else:
         # x is within 0..points - 1
@@ -203,9 +163,9 @@ def charge_transfer(overvoltage: float) -> float:
     The fraction of the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60.
     """
     y = overvoltage if overvoltage < LARGE else LARGE
-    above = ONE + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))))
+    above = 1.0 + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))))
     below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))))
-    return known_fraction(above / (ONE + (y * below)))
+    return known_fraction(above / (1.0 + (y * below)))
 
 
 @unrolled_by_option
@@ -220,8 +180,8 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
         x = soc * F(points - 1)
         k = index_of(x, points)
         f = x - F(k)
-        f = clip(f, -(BEYOND * F(points - 1)), ONE + (BEYOND * F(points - 1)))
-        g = clip(f, ZERO, ONE)
+        f = clip(f, -(BEYOND * F(points - 1)), 1.0 + (BEYOND * F(points - 1)))
+        g = clip(f, 0.0, 1.0)
     else:
         x = within_one(soc) * F(points - 1)
         k = index_of(x, points)
@@ -242,17 +202,17 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     r: dict[Any, float] = {}
     gain: dict[Any, float] = {}
     for i in BRANCHES:
-        r[i] = read(m, place, at, R[i], share) if THERE else ZERO
-        gain[i] = ONE / read(m, place, at, LAG[i], share) if THERE else ZERO
-    m_V = read(m, place, k, M_V, g) if HYSTERESIS else ZERO
+        r[i] = read(m, place, at, R[i], share) if THERE else 0.0
+        gain[i] = 1.0 / read(m, place, at, LAG[i], share) if THERE else 0.0
+    m_V = read(m, place, k, M_V, g) if HYSTERESIS else 0.0
     if SCALED:
         scale = place.scale
-        if ASYMMETRY and current < ZERO:
+        if ASYMMETRY and current < 0.0:
             scale = scale * m.constant.charge_scale
         for i in (V3,):  # knows no rate
             r[i] = r[i] * scale
         if RATE:
-            fall = ONE + (m.constant.rate_per_A * magnitude(current))
+            fall = 1.0 + (m.constant.rate_per_A * magnitude(current))
             scale = scale / clip(fall, LEAST_FALL, LARGE)
         r0_ohm = r0_ohm * scale
         for i in (V1, V2):
@@ -272,7 +232,7 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
 
 def no_slopes(p: Point) -> Slopes:
     """SOC is well known: the OCV's tangent, and nothing else."""
-    return Slopes(p.slope_V, ZERO, ZERO, ZERO, ZERO, ZERO)
+    return Slopes(p.slope_V, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @noinline
@@ -285,15 +245,15 @@ def slopes_of(
     A far-off start must not be corrected with the slope of where it stands. A SOC that is far off
     brings the resistances of another SOC with it, so R0's slope joins the OCV's.
     """
-    low = clip(soc - spread, ZERO, ONE)
-    high = clip(soc + spread, ZERO, ONE)
+    low = clip(soc - spread, 0.0, 1.0)
+    high = clip(soc + spread, 0.0, 1.0)
     slope_V = p.slope_V
-    bend_V = ZERO
+    bend_V = 0.0
     rise: dict[Any, float] = {}
     for i in BRANCHES:
-        rise[i] = ZERO if THERE else ZERO  # noqa: RUF034  # named where it is there
+        rise[i] = 0.0 if THERE else 0.0  # noqa: RUF034  # named where it is there
     if (high - low) >= SHORTEST_CHORD:
-        per = ONE / (high - low)
+        per = 1.0 / (high - low)
         end = look_up(m, place, low, current)
         ocv = end.ocv_V
         ohmic = end.r0_ohm

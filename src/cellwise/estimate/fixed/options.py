@@ -1,6 +1,6 @@
 """What is compiled into a fixed step: effects and care, as a model needs them.
 
-The upper-case names stand for the options inside the step. They are known when a loop is compiled
+Inside the step upper-case names stand for them (`arithmetic`), known when a loop is compiled
 (``rows``) and when C is printed, so that what is not asked for costs nothing.
 """
 
@@ -22,12 +22,61 @@ from cellwise.cell.effects import (
     SurfaceSoc,
     TemperatureDependence,
     TimeSkew,
+    is_neutral,
 )
 from cellwise.cell.model import CellModel, branch_table
-from cellwise.estimate.cells.settings import CellSettings
+from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
+
+MOST_CELLS = 1000
+ARRHENIUS_POINTS = 161  # of each table over temperature
+# An option, and the effect that needs it.
+OPTION_OF = {
+    "hysteresis": Hysteresis,
+    "leak": SelfDischarge,
+    "skew": TimeSkew,
+    "rate": RateDependence,
+    "asymmetry": ChargeAsymmetry,
+    "transfer": ChargeTransfer,
+    "surface": SurfaceSoc,
+}
+
+
+@dataclass(frozen=True)
+class CellSettings:
+    """Differences of cells from the mean cell, one standard deviation each.
+
+    ``soc``, ``capacity``, ``resistance`` (relative) at the start, their change ``*_month`` in
+    thirty days, ``sensor_V`` that two cells' sensors differ by for good, ``lag_s`` that a cell is
+    polled later than the others, ``memory_s`` for how long an error of a cell's voltage lasts.
+
+    What is known of a pack that was never seen: three times what new cells of one batch differ by
+    (capacity 1 %, resistance 3 %: Rumpf et al., J. Energy Storage 14 (2017) 224), since a weak cell
+    is what is looked for, and SOC as it is without balancing. Cell monitors: 1 to 2 mV, polled
+    within tenths of a second.
+    """
+
+    soc: float = 0.03
+    capacity: float = 0.03
+    resistance: float = 0.10
+    soc_month: float = 0.002
+    capacity_month: float = 0.001
+    resistance_month: float = 0.002
+    sensor_V: float = 0.0015
+    lag_s: float = 0.10
+    memory_s: float = 3600.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (isinstance(value, (int, float)) and np.isfinite(value) and value > 0.0):
+                raise InputError(
+                    f"{field.name} = {value!r} for the cells of a pack",
+                    "a number above zero",
+                    "Leave it out for what is usual.",
+                )
 
 
 @dataclass(frozen=True)
@@ -104,30 +153,22 @@ class Asked:
     cells: CellSettings | None = None
 
 
-def options_of(model: CellModel, asked: Asked, arrhenius_points: int) -> Options:
-    """What a model and a wish need; an effect at its neutral value needs nothing.
-
-    ``arrhenius_points`` are those of each table over temperature where the model has that effect.
-    """
-    arrhenius = arrhenius_points if model.effect(TemperatureDependence).activation_K != 0.0 else 0
-    surface = model.effect(SurfaceSoc)
-    depth = arrhenius_points if surface.depth_h != 0.0 and surface.activation_K != 0.0 else 0
+def options_of(model: CellModel, asked: Asked) -> Options:
+    """What a model and a wish need; an effect at its neutral value needs nothing."""
+    needed = {option: int(not is_neutral(model.effect(e))) for option, e in OPTION_OF.items()}
+    arrhenius = ARRHENIUS_POINTS if model.effect(TemperatureDependence).activation_K != 0.0 else 0
+    activated = needed["surface"] and model.effect(SurfaceSoc).activation_K != 0.0
+    depth = ARRHENIUS_POINTS if activated else 0
     warm = model.temperature_C.size > 1 or arrhenius > 0 or depth > 0
     return Options(
         points=model.points,
         temperatures=model.temperature_C.size,
         **{s.option: int(np.any(branch_table(model, "r", s))) for s in BRANCHES if s.option},
-        hysteresis=int(np.any(np.asarray(model.effect(Hysteresis).m_V) != 0.0)),
+        **needed,
         arrhenius=arrhenius,
         efficiency=int(model.charge_efficiency != 1.0),
-        leak=int(model.effect(SelfDischarge).leak_A != 0.0),
-        skew=int(model.effect(TimeSkew).skew_s != 0.0),
-        rate=int(model.effect(RateDependence).rate_h != 0.0),
-        asymmetry=int(model.effect(ChargeAsymmetry).charge_scale != 1.0),
-        transfer=int(model.effect(ChargeTransfer).asinh_per_V != 0.0),
-        surface=int(surface.depth_h != 0.0),
         depth=depth,
-        heating=int(warm and model.effect(SelfHeating).rth_K_per_W != 0.0),
+        heating=int(warm and not is_neutral(model.effect(SelfHeating))),
         wide=int(asked.wide),
         validity=_watched(model),
         power=int(asked.power is not None),
@@ -141,16 +182,6 @@ def _watched(model: CellModel) -> int:
     """What of a model's validity a step looks at."""
     valid = model.validity
     return 2 if valid.temperature_C is not None else int(valid.known)
-
-
-SLOW = HYSTERESIS = 0  # states
-EFFICIENCY = LEAK = SKEW = RATE = ASYMMETRY = TRANSFER = SURFACE = HEATING = 0  # effects
-TEMPERATURES = ARRHENIUS = DEPTH = 0  # several temperatures, tables over temperature
-WARM = SCALED = 0  # any of these, any factor on all resistances
-WIDE = 0  # care of a SOC that is badly known, and of sensors
-VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
-POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
-HEALTH = CELLS = 0  # what a history says, the cells of a pack
 
 
 def flags_of(options: Options) -> dict[str, int]:

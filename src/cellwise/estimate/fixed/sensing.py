@@ -4,39 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    EVIDENCE_MOST,
-    FIRST_VOLTAGE,
-    HALF,
-    INTERVAL,
-    KNOW_NOTHING_VARIANCE,
-    LARGE,
-    LONGEST_GAP,
-    NO_INTERVAL,
-    NOT_BEGUN,
-    ONE,
-    REPEATED,
-    TEMPERATURE_HIGH_C,
-    TEMPERATURE_LOW_C,
-    ZERO,
-    Constants,
-    F,
-    Output,
-    Sample,
-    State,
-    U,
-    WarmFloat,
-    add,
-    not_negative,
-    out_of_range,
-    root,
-    size_within,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import within_one
-from cellwise.estimate.fixed.options import HEALTH, HEATING, LEAK, SKEW, WARM, WIDE
 from cellwise.estimate.fixed.state import taken
 from cellwise.estimate.status import (
     CLAMPED,
@@ -82,7 +51,7 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     missing = U(0)
     silent = U(0)
     current = sample.current_A
-    unmeasured_A2 = ZERO
+    unmeasured_A2 = 0.0
     # The first sample ends no interval; a sequence number that was taken before ends none either.
     if x.evidence != NOT_BEGUN:
         elapsed = U(sample.sequence - x.sequence)
@@ -97,7 +66,7 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
         silent = U(1)
     if silent != U(0) or news == REPEATED:
         current = x.current_A
-    temperature_C = ZERO
+    temperature_C = 0.0
     if WARM:
         if not within(sample.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
             status = U(status | TEMPERATURE_INVALID)
@@ -119,8 +88,8 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
                 silent = U(silent + 1)
         if silent > c.hold_steps:
             status = U(status | CURRENT_LOST)
-            seen = ZERO
-            flow = ZERO
+            seen = 0.0
+            flow = 0.0
             unmeasured_A2 = c.lost_A2
     elif silent != U(0):
         unmeasured_A2 = c.lost_A2
@@ -131,15 +100,15 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
     """SOC over the interval that ends now: charge comes first, then the branches at the new SOC."""
     status = s.status
     missing = s.missing
-    bridge = ZERO
+    bridge = 0.0
     if s.news == INTERVAL:
         used = taken(c, x, s.flow)
         if missing != U(0):
             status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
-                bridge = HALF * (s.current + x.current_A)
+                bridge = 0.5 * (s.current + x.current_A)
                 if WIDE and s.silent > c.hold_steps:
-                    bridge = ZERO
+                    bridge = 0.0
                 used = used + (taken(c, x, bridge) * F(missing))
             else:  # nobody knows what flowed; self-discharge goes on
                 missing = missing if missing < LONGEST_GAP else LONGEST_GAP
@@ -149,7 +118,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                         lost = lost * x.per_capacity
                     used = used + lost
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
-        if s.unmeasured_A2 > ZERO:
+        if s.unmeasured_A2 > 0.0:
             if WIDE:
                 # It may keep one sign for as long as it is away: the deviation grows, not the
                 # variance.
@@ -176,9 +145,9 @@ def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> in
     and the next one re-initialises the state.
     """
     status = U(0)
-    if not not_negative(x.soc, ONE):
+    if not not_negative(x.soc, 1.0):
         x.soc = within_one(x.soc)
-        x.soc_carry = ZERO
+        x.soc_carry = 0.0
         status = U(CLAMPED)
     if s.news != REPEATED:
         x.current_A = s.current

@@ -6,40 +6,7 @@ from typing import Any
 
 from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    CARRY_MOST,
-    HALF,
-    HEAT_MOST_K,
-    LARGE,
-    LEAST_SCALE,
-    LEAST_SHARE,
-    MOST_SCALE,
-    MOST_SHARE,
-    NOT_BEGUN,
-    ONE,
-    REST_LIMIT_V,
-    SOC_VARIANCE_MOST,
-    START_LOAD_SHARE,
-    TEMPERATURE_HIGH_C,
-    TEMPERATURE_LOW_C,
-    ZERO,
-    Constants,
-    F,
-    State,
-    U,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    not_negative,
-    positive_above,
-    positive_within,
-    risen,
-    size_below,
-    size_within,
-    vanishing,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     add_variance,
     covariance_is_sound,
@@ -52,24 +19,13 @@ from cellwise.estimate.fixed.covariance import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Point, Slopes
-from cellwise.estimate.fixed.options import (
-    CELLS,
-    EFFICIENCY,
-    HEALTH,
-    HEATING,
-    HYSTERESIS,
-    LEAK,
-    SURFACE,
-    WARM,
-    WIDE,
-)
 from cellwise.estimate.status import OUT_OF_RANGE
 
 
 @unrolled_by_option
 def is_sound(c: Constants, x: State) -> bool:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
-    if not not_negative(x.soc, ONE):
+    if not not_negative(x.soc, 1.0):
         return False
     if WIDE and not size_within(x.ss_carry, CARRY_MOST):
         return False
@@ -80,7 +36,7 @@ def is_sound(c: Constants, x: State) -> bool:
         if not size_within(x.state[i], LARGE):
             return False
     for i in (H,):
-        if not size_within(x.state[i], ONE):
+        if not size_within(x.state[i], 1.0):
             return False
     if not (size_within(x.current_A, LARGE) and not_negative(x.mismatch, LARGE)):
         return False
@@ -90,11 +46,11 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
         return False
-    if WIDE and not size_within(x.contradicted, ONE):
+    if WIDE and not size_within(x.contradicted, 1.0):
         return False
     if WIDE and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
-    if HEALTH and not positive_within(x.per_capacity, ONE / MOST_SHARE, ONE / LEAST_SHARE):
+    if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
         return False
@@ -113,7 +69,7 @@ def set_health(m: Model, x: State, capacity_share: float, resistance_scale: floa
     share = positive_within(capacity_share, LEAST_SHARE, MOST_SHARE)
     scale = positive_within(resistance_scale, LEAST_SCALE, MOST_SCALE)
     if share and scale and is_sound(m.constant, x):
-        x.per_capacity = ONE / capacity_share
+        x.per_capacity = 1.0 / capacity_share
         x.resistance_scale = resistance_scale
         status = U(0)
     return status
@@ -125,33 +81,33 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     """A cell at rest; its branches are guessed at the first sample."""
     x.soc = soc
     for i in BRANCHES:
-        x.state[i] = ZERO
+        x.state[i] = 0.0
     for i in CARRIED:
-        x.carry[i] = ZERO
+        x.carry[i] = 0.0
     for i in (H,):
-        x.state[i] = ONE if soc > HALF else -ONE
+        x.state[i] = 1.0 if soc > 0.5 else -1.0
     start_covariance(x, soc_variance)
-    x.current_A = ZERO
-    x.mismatch = ONE
+    x.current_A = 0.0
+    x.mismatch = 1.0
     if HEATING:
-        x.heat_K = ZERO
+        x.heat_K = 0.0
     if SURFACE:
-        x.slow_A = ZERO
+        x.slow_A = 0.0
     if WARM:
         x.temperature_C = c.temperature_C
     if WIDE:
-        x.ss_carry = ZERO
-        x.contradicted = ZERO
-        x.voltage_V = ZERO
-        x.frozen_A = ZERO
+        x.ss_carry = 0.0
+        x.contradicted = 0.0
+        x.voltage_V = 0.0
+        x.frozen_A = 0.0
         x.repeats = U(0)
         x.no_current = U(0)
         x.no_voltage = U(0)
     if HEALTH:
-        x.per_capacity = ONE
-        x.resistance_scale = ONE
+        x.per_capacity = 1.0
+        x.resistance_scale = 1.0
     if CELLS:
-        x.mean_V = ZERO
+        x.mean_V = 0.0
         x.cells_at = U(0)
         x.turn = U(0)
     x.sequence = U(0)
@@ -175,7 +131,7 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
     Nearly nothing at rest, half of the load's steady voltage under load.
     """
     if WIDE:
-        flow = ZERO
+        flow = 0.0
         spread = c.start_rest_A
         limit_V = REST_LIMIT_V
         if not size_below(current, c.rest_A):
@@ -190,14 +146,14 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
     for i in BRANCHES:
         x.state[i] = p.r[i] * flow
         if i in CARRIED:
-            x.carry[i] = ZERO
+            x.carry[i] = 0.0
         x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
 
 
 def taken(c: Constants, x: State, current: float) -> float:
     """Charge that leaves the cell in one step, in SOC."""
     used = current
-    if EFFICIENCY and used < ZERO:
+    if EFFICIENCY and used < 0.0:
         used = used * c.charge_efficiency
     used = c.soc_per_A * used
     if LEAK:
@@ -225,7 +181,7 @@ def cross_gap(
     if WIDE:
         gain: dict[Any, float] = {}
         for i in BRANCHES:
-            gain[i] = risen(steps * p.gain[i]) if THERE else ZERO
+            gain[i] = risen(steps * p.gain[i]) if THERE else 0.0
         relax(x, p, *(gain[i] for i in BRANCHES), bridge, unknown_A2)  # type: ignore[call-arg]
     else:
         for i in BRANCHES:
@@ -243,15 +199,15 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured
     A resistance that is off by a share drives its branch like a current that is off by it, and so
     does a current that nobody measured.
     """
-    share = c.share_variance if flow >= ZERO else c.charge_variance
+    share = c.share_variance if flow >= 0.0 else c.charge_variance
     square_A2 = (share * (flow * flow)) + unmeasured_A2
     relax(x, p, *(p.gain[i] for i in BRANCHES), flow, square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(flow))
-        keep = ONE - rise
-        x.h = clip((keep * x.h) + (rise if flow < ZERO else -rise), -ONE, ONE)
+        keep = 1.0 - rise
+        x.h = clip((keep * x.h) + (rise if flow < 0.0 else -rise), -1.0, 1.0)
         fade_hysteresis(x, keep)
-    if WIDE and w.spread > ZERO:
+    if WIDE and w.spread > 0.0:
         tilt(x, p, w, flow)
     if positive_above(SOC_VARIANCE_MOST, x.ss):
         add_variance(x, c.soc_walk)

@@ -5,37 +5,7 @@ The correction: gate, recovery, weight.
 
 from __future__ import annotations
 
-from cellwise.estimate.fixed.arithmetic import (
-    COUNT_MOST,
-    FIRST_VOLTAGE,
-    INTERVAL,
-    KNOW_NOTHING_SOC,
-    KNOW_NOTHING_VARIANCE,
-    NO_VOLTAGE_YET,
-    NOT_BEGUN,
-    ONE,
-    REPEATED,
-    SOC_VARIANCE_MOST,
-    THREE,
-    VARIANCE_FLOOR,
-    WIDE_VARIANCE,
-    ZERO,
-    Constants,
-    F,
-    Output,
-    Sample,
-    State,
-    U,
-    clip,
-    magnitude,
-    not_negative,
-    out_of_range,
-    positive_above,
-    positive_within,
-    root,
-    size_below,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
     Innovation,
@@ -58,7 +28,6 @@ from cellwise.estimate.fixed.lookup import (
     slopes_of,
     under_surface,
 )
-from cellwise.estimate.fixed.options import HEALTH, HEATING, SURFACE, VALIDITY, WARM, WIDE
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import cross_gap, guess_branches, heat, is_sound, predict, start
 from cellwise.estimate.status import (
@@ -92,9 +61,9 @@ def reject(
     if x.rejections >= c.recovery_after:
         status = U(status | GATE_RECOVERY)
         x.rejections = U(0)
-        x.mismatch = ONE
+        x.mismatch = 1.0
         if WIDE:
-            x.contradicted = ZERO
+            x.contradicted = 0.0
             recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
         else:
             widen(c, x, p, seen)
@@ -111,11 +80,11 @@ def contradict(
     Beyond the model's data a voltage may contradict the count, but confirms nothing.
     """
     drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
-    drift = drift if drift < ONE else ONE
+    drift = drift if drift < 1.0 else 1.0
     swing_V = (drift * drift) * w.slope_V
     missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
-    missing = clip(missing, -ONE, ONE)
-    if size_within(missing, ONE):  # a number
+    missing = clip(missing, -1.0, 1.0)
+    if size_within(missing, 1.0):  # a number
         now = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
         beyond = U(0)
         if VALIDITY and magnitude(now) < magnitude(x.contradicted):
@@ -132,7 +101,7 @@ def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovatio
     """
     shared = shared_by(c, x, s.seen)
     weight = i.one_V2 * shared.above
-    if positive_above(x.mismatch, ONE):
+    if positive_above(x.mismatch, 1.0):
         weight = weight * x.mismatch
     if s.news == INTERVAL or shared.above <= shared.below:
         inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
@@ -165,9 +134,9 @@ def weigh(
     bent = False
     # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
     # bends too much for a slope.
-    if WIDE and w.spread > ZERO and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
+    if WIDE and w.spread > 0.0 and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
         unsure = True
-        bent = (THREE * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
+        bent = (3.0 * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
     if s.news == INTERVAL:
         ratio = square / i.variance_V2
         ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
@@ -195,7 +164,7 @@ def correct(
     i = innovate(c, x, p, w, s)
     out.voltage_V = i.voltage_V
     out.innovation_variance_V2 = i.variance_V2
-    out.innovation_V = ZERO
+    out.innovation_V = 0.0
     if not positive_within(voltage, c.voltage_low_V, c.voltage_high_V):
         status = U(VOLTAGE_INVALID | out_of_range(voltage))
     else:
@@ -222,10 +191,10 @@ def init(m: Model, x: State, soc: float, soc_variance: float) -> int:
     Arguments that are no such numbers give a state that knows nothing. Returns 0 or
     CELLWISE_STATE_RESET.
     """
-    positive = soc + ZERO  # never -0
+    positive = soc + 0.0  # never -0
     status = U(0)
     known = positive_within(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)
-    if not_negative(positive, ONE) and known:
+    if not_negative(positive, 1.0) and known:
         start(m.constant, x, positive, soc_variance)
     else:
         start(m.constant, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
@@ -244,7 +213,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
         status = U(STATE_RESET)
     s = see(c, x, sample, status)
-    place = place_of(m, s.temperature_C) if WARM else place_of(m, ZERO)
+    place = place_of(m, s.temperature_C) if WARM else place_of(m, 0.0)
     charge = count_charge(c, x, s)
     if SURFACE:
         follow(c, x, s, charge)

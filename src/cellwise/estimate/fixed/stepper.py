@@ -10,7 +10,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from functools import lru_cache
-from types import FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -21,41 +21,25 @@ from cellwise.arguments import shown
 from cellwise.cell.compiled import cached
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
-from cellwise.estimate.cells import fixed_cells
-from cellwise.estimate.cells.fixed_cells import (
-    cell_of,
-    mean_voltage,
-    pack_power,
-    start_cells,
-    step_cells,
-)
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
     arithmetic,
     covariance,
+    fixed_cells,
     innovation,
     lookup,
     sensing,
     state,
 )
 from cellwise.estimate.fixed import step as whole_step
-from cellwise.estimate.fixed.arithmetic import F, U
-from cellwise.estimate.fixed.layout import (
-    INPUT,
-    OUTPUT,
-    ROW,
-    Model,
-    row_names,
-    state_type,
-)
+from cellwise.estimate.fixed.arithmetic import *
+from cellwise.estimate.fixed.fixed_cells import cell_of, mean_voltage, step_cells
+from cellwise.estimate.fixed.layout import INPUT, OUTPUT, ROW, Model, row_names, state_type
 from cellwise.estimate.fixed.options import Options, flags_of
-from cellwise.estimate.fixed.state import set_health
-from cellwise.estimate.fixed.step import init, step
+from cellwise.estimate.fixed.step import step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power import fixed_power, fixed_remaining
-from cellwise.estimate.power.fixed_power import power
-from cellwise.estimate.power.fixed_remaining import plan, remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
@@ -96,96 +80,50 @@ def functions_of(module: ModuleType) -> list[FunctionType]:
     ]  # fmt: skip
 
 
-# ---- what Python calls: as `firmware_ref/port/host_rows.c` has it ----
+# ---- what `firmware_ref/port/host_rows.c` has, too ----
 
 
-def rows(constants: Any, table: Any, state: Any, samples: Any, outputs: Any, count: int) -> None:
-    """Step every sample; ``state`` has one record and is stepped in place. Nothing is allocated."""
-    m = Model(constants[0], table)
+def rows(m: Model, x: State, samples: Samples, outputs: Outputs, count: int) -> None:
+    """Step every sample. Nothing is allocated."""
     for k in range(count):
-        step(m, state[0], samples[k], outputs[k])
-
-
-def begin(constants: Any, table: Any, state: Any, soc: float, soc_variance: float) -> None:
-    """Start the one record of ``state``."""
-    init(Model(constants[0], table), state[0], F(soc), F(soc_variance))
-
-
-def power_of(constants: Any, table: Any, state: Any, out: Any) -> None:
-    """State of power of the one record of ``state`` into the one record of ``out``."""
-    power(Model(constants[0], table), state[0], out[0])
-
-
-def remaining_of(
-    constants: Any, table: Any, state: Any, load_A: float, holds_power: bool, out: Any
-) -> None:
-    """Time and energy to empty of the one record of ``state`` into the one record of ``out``."""
-    remaining(Model(constants[0], table), state[0], F(load_A), holds_power, out[0])
-
-
-def plan_of(
-    constants: Any,
-    table: Any,
-    state: Any,
-    phases: Any,
-    count: int,
-    holds_power: bool,
-    above: float,
-    out: Any,
-) -> None:
-    """Where a plan, records of PHASE, takes the one record of ``state``; into that of ``out``."""
-    plan(Model(constants[0], table), state[0], phases, U(count), holds_power, F(above), out[0])
-
-
-def set_health_of(constants: Any, table: Any, state: Any, share: float, scale: float) -> Any:
-    """What a history says of the one record of ``state``."""
-    return set_health(Model(constants[0], table), state[0], F(share), F(scale))
-
-
-def cells_begin(constants: Any, table: Any, cells: Any, count: int) -> None:
-    """Start the records of ``cells``."""
-    start_cells(Model(constants[0], table), cells, U(count))
+        step(m, x, samples[k], outputs[k])
 
 
 def pack_rows(
-    constants: Any,
-    table: Any,
-    state: Any,
-    cells: Any,
+    m: Model,
+    x: State,
+    cells: Cells,
     count: int,
-    samples: Any,
-    cell_V: Any,
-    outputs: Any,
+    samples: Samples,
+    cell_V: Floats,
+    outputs: Outputs,
     steps: int,
 ) -> None:
     """Step every sample of a pack: ``cell_V`` (samples, cells); the samples take its means."""
-    m = Model(constants[0], table)
-    many = U(count)
     for k in range(steps):
-        samples[k].voltage_V = mean_voltage(m, cells, cell_V[k], many)
-        step(m, state[0], samples[k], outputs[k])
-        step_cells(m, state[0], samples[k], cells, cell_V[k], many)
+        samples[k].voltage_V = mean_voltage(m, cells, cell_V[k], count)
+        step(m, x, samples[k], outputs[k])
+        step_cells(m, x, samples[k], cells, cell_V[k], count)
 
 
-def cells_of(constants: Any, table: Any, state: Any, cells: Any, count: int, out: Any) -> None:
-    """What is known of every cell, into records of CELL_OUTPUT."""
-    m = Model(constants[0], table)
+def cells_of(m: Model, x: State, cells: Cells, count: int, outputs: Outputs) -> None:
+    """What is known of every cell."""
     for k in range(count):
-        cell_of(m, state[0], cells[k], out[k])
+        cell_of(m, x, cells[k], outputs[k])
 
 
-def pack_power_of(constants: Any, table: Any, state: Any, cells: Any, count: int, out: Any) -> None:
-    """State of power of the pack into the one record of ``out``."""
-    pack_power(Model(constants[0], table), state[0], cells, U(count), out[0])
+inner: Callable[..., Any] = step  # in `entry` the function that it is compiled for
 
 
-CALLED = {
-    f.__name__: f
-    for f in (
-        rows, begin, power_of, remaining_of, plan_of, set_health_of, cells_begin, pack_rows,
-        cells_of, pack_power_of,
-    )
-}  # fmt: skip
+def entry(constants: Any, table: Any, *handed: Any) -> Any:
+    """What Python calls of a function of the step."""
+    return inner(Model(constants[0], table), *handed)
+
+
+ARRAYS = ("Cells", "Floats", "Phases", "Samples", "Outputs")
+FUNCTIONS = {
+    f.__name__: f for module in STEP_MODULES for f in functions_of(module)
+} | {f.__name__: f for f in (rows, pack_rows, cells_of)}  # fmt: skip
 
 
 @lru_cache
@@ -197,21 +135,36 @@ def specialised(options: Options) -> dict[str, Any]:
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
-    modules = [module for module in STEP_MODULES if module not in absent]
-    for f in [f for module in modules for f in functions_of(module)]:
-        scope = {**f.__globals__, **columns, **flags_of(options), **made}
-        own = FunctionType(f.__code__, scope, f.__name__)
-        made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
+    gone = {module.__name__ for module in absent}
+    for f in FUNCTIONS.values():
+        if f.__module__ not in gone:
+            scope = {**f.__globals__, **columns, **flags_of(options), **made}
+            own = FunctionType(_single(f.__code__), scope, f.__name__)
+            made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made
+
+
+def _single(code: CodeType) -> CodeType:
+    """The same code with its numbers in float32."""
+    numbers = (F(c) if isinstance(c, float) else c for c in code.co_consts)
+    return code.replace(co_consts=tuple(numbers))
 
 
 @lru_cache
-def compiled(function: Callable[..., Any], options: Options) -> Callable[..., Any]:
-    """One of the functions of this module for one set of options."""
-    scope = {**function.__globals__, **specialised(options)}
-    own = FunctionType(function.__code__, scope, function.__name__)
+def compiled(name: str, options: Options) -> Callable[..., Any]:
+    """A function of the step for one set of options, as Python calls it."""
+    scope = {**globals(), "inner": specialised(options)[name]}
+    own = FunctionType(entry.__code__, scope, name)
+    own.__qualname__ = name  # by which numba keeps it
     made: Callable[..., Any] = cached(nogil=True, **STRICT)(own)
     return made
+
+
+def _handed(kind: str, value: Any) -> Any:
+    """An argument as a function of the step takes it: a number, the one record of an array, all."""
+    if isinstance(value, np.ndarray):
+        return value if kind in ARRAYS else value[0]
+    return value if kind == "bool" else (F if kind == "float" else U)(value)
 
 
 class Stepper:
@@ -219,8 +172,8 @@ class Stepper:
 
     Parameters
     ----------
-    call : callable       a name of CALLED and what it is handed; what few ask for is compiled when
-                          it is asked for
+    call : callable       the name of a function of the step and what it is handed after the model;
+                          what few ask for is compiled when it is asked for
     """
 
     def __init__(self, tables: FixedStepTables, call: Callable[..., Any]) -> None:
@@ -240,7 +193,7 @@ class Stepper:
         return self
 
     def answer(self, name: str, kind: np.dtype[Any], *handed: Any, count: int = 1) -> NDArray[Any]:
-        """What one of CALLED says: records of a kind, shape (count,)."""
+        """What a function of the step says: records of a kind, shape (count,)."""
         out = np.zeros(count, dtype=kind)
         self.call(name, *handed, out)
         return out
@@ -251,7 +204,7 @@ class Stepper:
 
     def begin(self, state: NDArray[Any], soc: float, soc_variance: float) -> None:
         """Start a state."""
-        self.call("begin", state, soc, soc_variance)
+        self.call("init", state, soc, soc_variance)
 
     def rows(self, state: NDArray[Any], samples: NDArray[Any]) -> NDArray[Any]:
         """Step every sample: records of OUTPUT, shape (samples,)."""
@@ -277,8 +230,9 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
     """The step in numba."""
 
     def call(name: str, *handed: Any) -> Any:
-        function = compiled(CALLED[name], tables.options)
-        return function(tables.constants, tables.table, *handed)
+        kinds = list(FUNCTIONS[name].__annotations__.values())[1:]
+        given = map(_handed, kinds, handed)
+        return compiled(name, tables.options)(tables.constants, tables.table, *given)
 
     return Stepper(tables, call)
 

@@ -6,30 +6,7 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    FOUR,
-    HALF,
-    LARGE,
-    LEAST_SPAN_V,
-    ONE,
-    POWER_TRIALS,
-    SUSTAINED,
-    ZERO,
-    Capability,
-    F,
-    HysteresisFloat,
-    SlowFloat,
-    State,
-    SurfaceFloat,
-    at_least,
-    clip,
-    magnitude,
-    noinline,
-    positive_above,
-    risen,
-    root,
-    vanishing,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
@@ -39,15 +16,6 @@ from cellwise.estimate.fixed.lookup import (
     look_up,
     place_of,
     under_surface,
-)
-from cellwise.estimate.fixed.options import (
-    DEPTH,
-    HEALTH,
-    HEATING,
-    HYSTERESIS,
-    SURFACE,
-    VALIDITY,
-    WARM,
 )
 from cellwise.estimate.fixed.state import is_sound, taken
 
@@ -91,8 +59,8 @@ def warmth_of(x: State) -> float:
 
 def place_now(m: Model, x: State) -> Place:
     """Where the cell's temperature lies between the tables."""
-    warm_C = warmth_of(x) if WARM else ZERO
-    here = place_of(m, warm_C) if WARM else place_of(m, ZERO)
+    warm_C = warmth_of(x) if WARM else 0.0
+    here = place_of(m, warm_C) if WARM else place_of(m, 0.0)
     if SURFACE:
         here = under_surface(m.constant, x, here, warm_C)
     if HEALTH:
@@ -105,10 +73,10 @@ def as_it_is(x: State) -> Along:
     """The cell's state, under no load yet."""
     v: dict[Any, float] = {}
     for i in BRANCHES:
-        v[i] = x.state[i] if THERE else ZERO
-    h = x.h if HYSTERESIS else ZERO
-    slow_A = x.slow_A if SURFACE else ZERO
-    return Along(ZERO, ZERO, ZERO, h, slow_A, *(v[i] for i in BRANCHES))
+        v[i] = x.state[i] if THERE else 0.0
+    h = x.h if HYSTERESIS else 0.0
+    slow_A = x.slow_A if SURFACE else 0.0
+    return Along(0.0, 0.0, 0.0, h, slow_A, *(v[i] for i in BRANCHES))
 
 
 def behind(at: Place, lag: float) -> Place:
@@ -132,41 +100,41 @@ def go_on(
     states share is left out of the variance: it mostly takes away from it.
     """
     c = m.constant
-    slow_A = was.slow_A if SURFACE else ZERO
-    lag = ZERO
+    slow_A = was.slow_A if SURFACE else 0.0
+    lag = 0.0
     if SURFACE:
-        slow_A = toward(slow_A, current, ONE - risen(steps * c.surface_rate))
+        slow_A = toward(slow_A, current, 1.0 - risen(steps * c.surface_rate))
         depth = depth_at(c, warmth_of(x)) if DEPTH else c.surface_per_A
-        lag = clip(depth * slow_A, -ONE, ONE)
+        lag = clip(depth * slow_A, -1.0, 1.0)
     here = behind(place, lag)
     p = look_up(m, here, soc, current)
     drop = p.r0_ohm * current
     held_V = magnitude(drop)
     voltage_V = p.ocv_V - drop
-    kept_V2 = ZERO
+    kept_V2 = 0.0
     v: dict[Any, float] = {}
     left: dict[Any, float] = {}
     for i in BRANCHES:
-        left[i] = vanishing(steps * (p.gain[i] / (ONE - (HALF * p.gain[i]))))
-        v[i] = toward(was.v[i], p.r[i] * current, left[i]) if THERE else ZERO
+        left[i] = vanishing(steps * (p.gain[i] / (1.0 - (0.5 * p.gain[i]))))
+        v[i] = toward(was.v[i], p.r[i] * current, left[i]) if THERE else 0.0
         held_V = held_V + magnitude(v[i])
         voltage_V = voltage_V - v[i]
         kept_V2 = kept_V2 + ((left[i] * left[i]) * x.p[i, i])
-    h = was.h if HYSTERESIS else ZERO
+    h = was.h if HYSTERESIS else 0.0
     if HYSTERESIS:
         keep = vanishing((c.hysteresis_per_A * magnitude(current)) * steps)
-        h = toward(h, ONE if current < ZERO else -ONE, keep)
+        h = toward(h, 1.0 if current < 0.0 else -1.0, keep)
         voltage_V = voltage_V + (p.m_V * h)
         spread_V = p.m_V * keep
         kept_V2 = kept_V2 + ((spread_V * spread_V) * x.phh)
-    share = c.share_variance if current >= ZERO else c.charge_variance
+    share = c.share_variance if current >= 0.0 else c.charge_variance
     variance_V2 = p.noise_V2 + (
         (share * (held_V * held_V)) + (c.current_variance_A2 * (p.r0_ohm * p.r0_ohm))
     )
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)
-    if positive_above(x.mismatch, ONE):
+    if positive_above(x.mismatch, 1.0):
         variance_V2 = variance_V2 * x.mismatch
     voltage_V = clip(voltage_V, -LARGE, LARGE)
     return Along(voltage_V, variance_V2, kept_V2, h, slow_A, *(v[i] for i in BRANCHES))
@@ -189,34 +157,34 @@ def able(
 
     By false position (Illinois) between none and ``most_A``; 0 where no current keeps the limit.
     """
-    found = ZERO
-    none = ending(m, place, x, soc, ZERO)
+    found = 0.0
+    none = ending(m, place, x, soc, 0.0)
     room = side * (none.voltage_V - limit_V)
-    if room > ZERO and most_A > ZERO:
-        near = ZERO
+    if room > 0.0 and most_A > 0.0:
+        near = 0.0
         far = most_A
         full = ending(m, place, x, soc, side * most_A)
         lack = side * (limit_V - full.voltage_V)
         near_again = False
         far_again = False
-        if lack > ZERO:
+        if lack > 0.0:
             for _ in range(POWER_TRIALS):
-                share = clip(room / at_least(room + lack, LEAST_SPAN_V), ZERO, ONE)
+                share = clip(room / at_least(room + lack, LEAST_SPAN_V), 0.0, 1.0)
                 middle = near + ((far - near) * share)
                 there = ending(m, place, x, soc, side * middle)
                 left = side * (there.voltage_V - limit_V)
-                if left >= ZERO:
+                if left >= 0.0:
                     near = middle
                     room = left
                     if near_again:
-                        lack = HALF * lack
+                        lack = 0.5 * lack
                     near_again = True
                     far_again = False
                 else:
                     far = middle
                     lack = -left
                     if far_again:
-                        room = HALF * room
+                        room = 0.5 * room
                     far_again = True
                     near_again = False
         else:
@@ -243,10 +211,10 @@ def one_way(
     is as many deviations worse.
     """
     c = m.constant
-    per_soc_A = ONE / (c.soc_per_A * c.power_steps)
+    per_soc_A = 1.0 / (c.soc_per_A * c.power_steps)
     if HEALTH:
         per_soc_A = per_soc_A / x.per_capacity
-    by_soc_A = at_least(room_soc * per_soc_A, ZERO)
+    by_soc_A = at_least(room_soc * per_soc_A, 0.0)
     current_A = able(m, place, x, soc, side, limit_V, most_A if most_A < by_soc_A else by_soc_A)
     end = ending(m, place, x, soc, side * current_A)
     shift = SUSTAINED * root(ss)
@@ -254,13 +222,13 @@ def one_way(
     by_soc_V = end.voltage_V - worse.voltage_V
     variance_V2 = end.variance_V2 + end.kept_V2
     square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2)
-    off_V = root(square if square < FOUR else FOUR)
-    low_soc_A = at_least((room_soc - shift) * per_soc_A, ZERO)
+    off_V = root(square if square < 4.0 else 4.0)
+    low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0)
     low_V = limit_V + (side * off_V)
     sure = able(m, place, x, soc, side, low_V, most_A if most_A < low_soc_A else low_soc_A)
     last = ending(m, place, x, soc, side * sure)
-    power_W = at_least(current_A * end.voltage_V, ZERO)
-    low_W = at_least(sure * (last.voltage_V - off_V), ZERO)
+    power_W = at_least(current_A * end.voltage_V, 0.0)
+    low_W = at_least(sure * (last.voltage_V - off_V), 0.0)
     if low_W > power_W:
         low_W = power_W
     return Way(power_W, low_W, current_A)
@@ -273,18 +241,18 @@ def power(m: Model, x: State, out: Capability) -> None:
     of the horizon, times the voltage then. Zero throughout for a state that is not sound.
     """
     c = m.constant
-    out.discharge_W = ZERO
-    out.discharge_low_W = ZERO
-    out.charge_W = ZERO
-    out.charge_low_W = ZERO
+    out.discharge_W = 0.0
+    out.discharge_low_W = 0.0
+    out.charge_W = 0.0
+    out.charge_low_W = 0.0
     if is_sound(c, x):
         place = place_now(m, x)
         most_A = c.power_discharge_A
         room_soc = x.soc - c.power_soc_low
-        down = one_way(m, place, x, x.soc, x.ss, ONE, c.power_low_V, most_A, room_soc)
+        down = one_way(m, place, x, x.soc, x.ss, 1.0, c.power_low_V, most_A, room_soc)
         most_A = c.power_charge_A
         room_soc = c.power_soc_high - x.soc
-        up = one_way(m, place, x, x.soc, x.ss, -ONE, c.power_high_V, most_A, room_soc)
+        up = one_way(m, place, x, x.soc, x.ss, -1.0, c.power_high_V, most_A, room_soc)
         out.discharge_W = down.power_W
         out.discharge_low_W = down.low_W
         out.charge_W = up.power_W

@@ -4,44 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cellwise.estimate.fixed.arithmetic import (
-    DEVIATIONS_MOST,
-    FOUR,
-    HALF,
-    LARGE,
-    LEAST_SPAN_V,
-    LONGEST,
-    NORMAL_1,
-    NORMAL_2,
-    NORMAL_3,
-    NORMAL_4,
-    NORMAL_5,
-    NORMAL_6,
-    ONE,
-    PHASE_PARTS_MOST,
-    PHASE_PARTS_PER_S,
-    PHASE_TURNS,
-    REMAINING_PARTS,
-    TWO,
-    ZERO,
-    F,
-    Landing,
-    Outlook,
-    Phases,
-    State,
-    U,
-    at_least,
-    clip,
-    known_fraction,
-    magnitude,
-    noinline,
-    not_negative,
-    root,
-    size_within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place
-from cellwise.estimate.fixed.options import HEALTH
 from cellwise.estimate.fixed.state import is_sound, taken
 from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on, place_now
 
@@ -57,7 +22,7 @@ class End(NamedTuple):
 
 def off_by(at: Along) -> float:
     """Two deviations of the voltage by what the model is off by."""
-    return TWO * root(at.variance_V2 if at.variance_V2 < FOUR else FOUR)
+    return 2.0 * root(at.variance_V2 if at.variance_V2 < 4.0 else 4.0)
 
 
 @noinline
@@ -66,21 +31,21 @@ def lasted(so_far_s: float, least_V: float, after_V: float, low_V: float, part_s
 
     ``least_V`` is its lowest value so far.
     """
-    share = ZERO
+    share = 0.0
     if least_V > low_V:
-        share = ONE
+        share = 1.0
         if after_V <= low_V:
             fall_V = at_least(least_V - after_V, LEAST_SPAN_V)
-            share = clip((least_V - low_V) / fall_V, ZERO, ONE)
-    return clip(so_far_s + (share * part_s), ZERO, LONGEST)
+            share = clip((least_V - low_V) / fall_V, 0.0, 1.0)
+    return clip(so_far_s + (share * part_s), 0.0, LONGEST)
 
 
 @noinline
 def apart_by(a: float, b: float, d: float) -> float:
     """Root of the sum of three squares, each at least 0: by the largest of them."""
     most = at_least(at_least(a, b), d)
-    found = ZERO
-    if most > ZERO:
+    found = 0.0
+    if most > 0.0:
         a = known_fraction(a / most)
         b = known_fraction(b / most)
         d = known_fraction(d / most)
@@ -97,18 +62,18 @@ def remaining(m: Model, x: State, load_A: float, holds_power: bool, out: Outlook
     throughout for a load that no cell carries and for a state that is not sound.
     """
     c = m.constant
-    out.time_s = ZERO
-    out.time_low_s = ZERO
-    out.time_high_s = ZERO
-    out.energy_J = ZERO
-    out.energy_low_J = ZERO
-    out.energy_high_J = ZERO
+    out.time_s = 0.0
+    out.time_low_s = 0.0
+    out.time_high_s = 0.0
+    out.energy_J = 0.0
+    out.energy_low_J = 0.0
+    out.energy_high_J = 0.0
     if is_sound(c, x) and size_within(load_A, c.current_limit_A):
         place = place_now(m, x)
         current = at_least(load_A, c.remaining_least_A)
         low_V = c.remaining_low_V
         then = as_it_is(x)
-        now = go_on(m, place, x, then, x.soc, current, ZERO)
+        now = go_on(m, place, x, then, x.soc, current, 0.0)
         power_W = current * at_least(now.voltage_V, low_V)
         per_A = c.soc_per_A
         if HEALTH:
@@ -118,13 +83,13 @@ def remaining(m: Model, x: State, load_A: float, holds_power: bool, out: Outlook
         usual_V = now.voltage_V
         worse_V = usual_V - off_V
         better_V = usual_V + off_V
-        usual_s = ZERO
-        usual_J = ZERO
-        worse_s = ZERO
-        better_s = ZERO
+        usual_s = 0.0
+        usual_J = 0.0
+        worse_s = 0.0
+        better_s = 0.0
         ahead = REMAINING_PARTS
-        while ahead > ZERO:
-            ahead = ahead - ONE
+        while ahead > 0.0:
+            ahead = ahead - 1.0
             if holds_power:
                 asked_A = power_W / at_least(now.voltage_V, low_V)
                 current = clip(asked_A, c.remaining_least_A, c.current_limit_A)
@@ -136,23 +101,23 @@ def remaining(m: Model, x: State, load_A: float, holds_power: bool, out: Outlook
             usual_s = lasted(usual_s, usual_V, then.voltage_V, low_V, part_s)
             worse_s = lasted(worse_s, worse_V, then.voltage_V - off_V, low_V, part_s)
             better_s = lasted(better_s, better_V, then.voltage_V + off_V, low_V, part_s)
-            middle_V = at_least(HALF * (now.voltage_V + then.voltage_V), low_V)
+            middle_V = at_least(0.5 * (now.voltage_V + then.voltage_V), low_V)
             usual_J = usual_J + ((current * middle_V) * (usual_s - before_s))
-            usual_J = clip(usual_J, ZERO, LONGEST)
+            usual_J = clip(usual_J, 0.0, LONGEST)
             usual_V = clip(then.voltage_V, -LARGE, usual_V)
             worse_V = clip(then.voltage_V - off_V, -LARGE, worse_V)
             better_V = clip(then.voltage_V + off_V, -LARGE, better_V)
             now = then
         load_W = current * at_least(now.voltage_V, low_V)
-        by_soc_s = ((TWO * root(x.ss)) / (per_A * current)) * c.step_s
+        by_soc_s = ((2.0 * root(x.ss)) / (per_A * current)) * c.step_s
         by_capacity_s = c.remaining_share * usual_s
-        below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, ZERO))
-        above_s = apart_by(by_soc_s, by_capacity_s, at_least(better_s - usual_s, ZERO))
+        below_s = apart_by(by_soc_s, by_capacity_s, at_least(usual_s - worse_s, 0.0))
+        above_s = apart_by(by_soc_s, by_capacity_s, at_least(better_s - usual_s, 0.0))
         out.time_s = usual_s
-        out.time_low_s = at_least(usual_s - below_s, ZERO)
+        out.time_low_s = at_least(usual_s - below_s, 0.0)
         out.time_high_s = usual_s + above_s
         out.energy_J = usual_J
-        out.energy_low_J = at_least(usual_J - (below_s * load_W), ZERO)
+        out.energy_low_J = at_least(usual_J - (below_s * load_W), 0.0)
         out.energy_high_J = usual_J + (above_s * load_W)
 
 
@@ -185,23 +150,23 @@ def flown(
     low_V = c.remaining_low_V
     soc = begun
     now = as_it_is(x)
-    then = go_on(m, place, x, now, soc, ZERO, ZERO)
+    then = go_on(m, place, x, now, soc, 0.0, 0.0)
     voltage_V = then.voltage_V
     least_V = voltage_V
-    energy_J = ZERO
+    energy_J = 0.0
     failed_s = LONGEST
-    time_s = ZERO
+    time_s = 0.0
     turns = PHASE_TURNS if holds_power else U(1)
     for phase in range(count):
         load = phases[phase].load
         current = load / at_least(voltage_V, low_V) if holds_power else load
         current = clip(current, -c.current_limit_A, c.current_limit_A)
         parts = U(1)
-        if magnitude(load) > ZERO:
+        if magnitude(load) > 0.0:
             per_s = magnitude(taken(c, x, current)) / c.step_s
             asked = PHASE_PARTS_PER_S + (REMAINING_PARTS * per_s)
-            asked = ONE + (phases[phase].seconds * asked)
-            parts = U(clip(asked, ONE, PHASE_PARTS_MOST))
+            asked = 1.0 + (phases[phase].seconds * asked)
+            parts = U(clip(asked, 1.0, PHASE_PARTS_MOST))
         part_s = phases[phase].seconds / F(parts)
         steps = part_s / c.step_s
         for _ in range(parts):
@@ -211,15 +176,15 @@ def flown(
                     current = load / at_least(voltage_V, low_V)
                     current = clip(current, -c.current_limit_A, c.current_limit_A)
                 after = soc - ((per_capacity * taken(c, x, current)) * steps)
-                after = clip(after, -ONE, TWO)
+                after = clip(after, -1.0, 2.0)
                 then = go_on(m, place, x, now, after, current, steps)
                 voltage_V = then.voltage_V - (lower * off_by(then))
             soc = after
             now = then
-            time_s = clip(time_s + part_s, ZERO, LONGEST)
+            time_s = clip(time_s + part_s, 0.0, LONGEST)
             energy_J = clip(energy_J + ((current * voltage_V) * part_s), -LONGEST, LONGEST)
             least_V = clip(voltage_V, -LARGE, least_V)
-            if (voltage_V <= low_V or soc <= ZERO) and failed_s >= LONGEST:
+            if (voltage_V <= low_V or soc <= 0.0) and failed_s >= LONGEST:
                 failed_s = time_s
     return End(soc, least_V, energy_J, failed_s)
 
@@ -230,13 +195,13 @@ def normal(deviations: float) -> float:
 
     Abramowitz and Stegun (1964), 26.2.19: a polynomial to the power of -16.
     """
-    z = clip(magnitude(deviations), ZERO, DEVIATIONS_MOST)
+    z = clip(magnitude(deviations), 0.0, DEVIATIONS_MOST)
     far = NORMAL_4 + (z * (NORMAL_5 + (z * NORMAL_6)))
-    grown = ONE + (z * (NORMAL_1 + (z * (NORMAL_2 + (z * (NORMAL_3 + (z * far)))))))
+    grown = 1.0 + (z * (NORMAL_1 + (z * (NORMAL_2 + (z * (NORMAL_3 + (z * far)))))))
     for _ in range(4):
         grown = grown * grown
-    tail = HALF / grown
-    return tail if deviations < ZERO else ONE - tail
+    tail = 0.5 / grown
+    return tail if deviations < 0.0 else 1.0 - tail
 
 
 def plan(
@@ -258,40 +223,40 @@ def plan(
     sound.
     """
     c = m.constant
-    out.soc = ZERO
-    out.soc_low = ZERO
-    out.soc_high = ZERO
-    out.least_V = ZERO
-    out.least_low_V = ZERO
-    out.energy_J = ZERO
-    out.failed_s = ZERO
-    out.chance = ZERO
-    if is_sound(c, x) and is_plan_sound(phases, count) and not_negative(above, ONE):
+    out.soc = 0.0
+    out.soc_low = 0.0
+    out.soc_high = 0.0
+    out.least_V = 0.0
+    out.least_low_V = 0.0
+    out.energy_J = 0.0
+    out.failed_s = 0.0
+    out.chance = 0.0
+    if is_sound(c, x) and is_plan_sound(phases, count) and not_negative(above, 1.0):
         place = place_now(m, x)
-        away = TWO * root(x.ss)
+        away = 2.0 * root(x.ss)
         # Away from the nearer end of the SOC, where it would be cut off.
-        other_soc = clip(x.soc + (away if x.soc < HALF else -away), ZERO, ONE)
-        less = ONE + c.remaining_share
-        usual = flown(m, place, x, phases, count, holds_power, x.soc, ONE, ZERO)
-        other = flown(m, place, x, phases, count, holds_power, other_soc, ONE, ZERO)
+        other_soc = clip(x.soc + (away if x.soc < 0.5 else -away), 0.0, 1.0)
+        less = 1.0 + c.remaining_share
+        usual = flown(m, place, x, phases, count, holds_power, x.soc, 1.0, 0.0)
+        other = flown(m, place, x, phases, count, holds_power, other_soc, 1.0, 0.0)
         soc_by_soc = magnitude(usual.soc - other.soc)
         low_by_soc_V = magnitude(usual.least_V - other.least_V)
-        other = flown(m, place, x, phases, count, holds_power, x.soc, less, ZERO)
+        other = flown(m, place, x, phases, count, holds_power, x.soc, less, 0.0)
         soc_by_capacity = magnitude(usual.soc - other.soc)
         low_by_capacity_V = magnitude(usual.least_V - other.least_V)
-        other = flown(m, place, x, phases, count, holds_power, x.soc, ONE, ONE)
+        other = flown(m, place, x, phases, count, holds_power, x.soc, 1.0, 1.0)
         soc_by_voltage = magnitude(usual.soc - other.soc)
         low_by_voltage_V = magnitude(usual.least_V - other.least_V)
         off_soc = at_least(apart_by(soc_by_soc, soc_by_capacity, soc_by_voltage), LEAST_SPAN_V)
         off_V = apart_by(low_by_soc_V, low_by_capacity_V, low_by_voltage_V)
         off_V = at_least(off_V, LEAST_SPAN_V)
-        out.soc = clip(usual.soc, ZERO, ONE)
-        out.soc_low = clip(usual.soc - off_soc, ZERO, ONE)
-        out.soc_high = clip(usual.soc + off_soc, ZERO, ONE)
+        out.soc = clip(usual.soc, 0.0, 1.0)
+        out.soc_low = clip(usual.soc - off_soc, 0.0, 1.0)
+        out.soc_high = clip(usual.soc + off_soc, 0.0, 1.0)
         out.least_V = usual.least_V
         out.least_low_V = usual.least_V - off_V
         out.energy_J = usual.energy_J
         out.failed_s = usual.failed_s
-        by_soc = normal((TWO * (usual.soc - above)) / off_soc)
-        by_voltage = normal((TWO * (usual.least_V - c.remaining_low_V)) / off_V)
+        by_soc = normal((2.0 * (usual.soc - above)) / off_soc)
+        by_voltage = normal((2.0 * (usual.least_V - c.remaining_low_V)) / off_V)
         out.chance = by_soc * by_voltage

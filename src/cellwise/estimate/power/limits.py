@@ -22,6 +22,7 @@ WINDOWS: Mapping[str, tuple[float, float]] = {
 }
 # Currents of the data below this rate say nothing of what a cell can carry.
 LEAST_RATE = 0.1
+LEAST_LOAD_C = 0.02  # a load below C/50 counts as that: below it nothing flies
 
 
 @dataclass(frozen=True)
@@ -81,20 +82,9 @@ class KnownLimits:
 
     def scalars(self) -> LimitScalars:
         """What the kernels take."""
-        known = self.limits
-
-        def size(value: float | None) -> float:
-            return np.inf if value is None else float(value)
-
-        low = known.voltage_min_V
-
+        none = {"voltage_min_V": -np.inf}
         return LimitScalars(
-            -np.inf if low is None else float(low),
-            size(known.voltage_max_V),
-            size(known.discharge_A),
-            size(known.charge_A),
-            float(known.soc_min),
-            float(known.soc_max),
+            *(none.get(n, np.inf) if v is None else float(v) for n, v in vars(self.limits).items())
         )
 
     @property

@@ -22,9 +22,9 @@ from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.stepper import STEP_MODULES
-from cellwise.printing.c.c99 import SCALARS, Function, Program
-from cellwise.printing.c.chosen import chosen, with_notes
-from cellwise.printing.c.text import comment, comments_of, float_literal
+from cellwise.printing.c99 import SCALARS, Function, Program
+from cellwise.printing.chosen import chosen, with_notes
+from cellwise.printing.text import comment, comments_of, float_literal
 
 READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {
@@ -53,7 +53,6 @@ ALWAYS = ("between",)  # in the macros of cellwise_float.h
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
     "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
 })  # fmt: skip
-NUMERALS = {"ZERO", "QUARTER", "HALF", "ONE", "TWO", "THREE", "FOUR", "SIXTY_FOURTH"}
 RECORDS = {
     "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
     "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
@@ -105,7 +104,7 @@ def constants() -> dict[str, tuple[str, str]]:
     found = {"True": ("bool", "true"), "False": ("bool", "false")}
     for name, value in vars(arithmetic).items():
         if isinstance(value, np.float32):
-            found[name] = ("float", float_literal(value) if name in NUMERALS else name)
+            found[name] = ("float", name)
         elif isinstance(value, np.uint32):
             found[name] = ("int", name)
     for bit in status.Status:
@@ -193,7 +192,7 @@ def defines(read: Source, made: Program) -> Iterator[str]:
         names = targets.elts if isinstance(targets, ast.Tuple) else [targets]
         for target in names:
             name = ast.unparse(target)
-            if name not in used or name in NUMERALS or name not in made.constants:
+            if name not in used or name not in made.constants:
                 continue
             value = getattr(arithmetic, name)
             if isinstance(value, np.float32):

@@ -16,39 +16,7 @@ from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.fixed.arithmetic import (
-    CELL_MOST,
-    HALF,
-    KNOW_NOTHING_SOC,
-    KNOW_NOTHING_VARIANCE,
-    LARGE,
-    LARGEST_FLOAT,
-    NO_VOLTAGE_YET,
-    ONE,
-    RECOVERY_VARIANCE,
-    SCALE_MOST,
-    SOC_VARIANCE_MOST,
-    THREE_CELLS,
-    TWO,
-    VARIANCE_FLOOR,
-    ZERO,
-    Capability,
-    Cell,
-    CellOutput,
-    Cells,
-    Constants,
-    F,
-    Floats,
-    Sample,
-    State,
-    U,
-    at_least,
-    clip,
-    noinline,
-    not_negative,
-    size_within,
-    within,
-)
+from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up
 from cellwise.estimate.fixed.state import is_sound
@@ -76,7 +44,7 @@ class Difference(NamedTuple):
 
 def cell_is_sound(a: Cell) -> bool:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
-    if not (size_within(a.soc, ONE) and size_within(a.capacity, CELL_MOST)):
+    if not (size_within(a.soc, 1.0) and size_within(a.capacity, CELL_MOST)):
         return False
     if not within(a.resistance, -CELL_MOST, SCALE_MOST):
         return False
@@ -88,14 +56,14 @@ def cell_is_sound(a: Cell) -> bool:
 @noinline
 def start_cell(c: Constants, a: Cell) -> None:
     """A cell of which only is known how far cells usually differ."""
-    a.soc = ZERO
-    a.capacity = ZERO
-    a.resistance = ZERO
+    a.soc = 0.0
+    a.capacity = 0.0
+    a.resistance = 0.0
     a.ss = c.cell_soc2
-    a.sq = ZERO
-    a.sr = ZERO
+    a.sq = 0.0
+    a.sr = 0.0
     a.qq = c.cell_capacity2
-    a.qr = ZERO
+    a.qr = 0.0
     a.rr = c.cell_resistance2
     a.seen_at = U(0)
     a.rejections = U(0)
@@ -115,14 +83,14 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: int) -> float
     are the fewer; -1, which the step takes for a missing voltage, where no cell is left.
     """
     c = m.constant
-    first = -ONE
-    total = ZERO
-    unsure = ZERO
+    first = -1.0
+    total = 0.0
+    unsure = 0.0
     used = U(0)
     left_out = U(0)
     for k in range(count):
         if within(voltage_V[k], c.voltage_low_V, c.voltage_high_V):
-            if first < ZERO:
+            if first < 0.0:
                 first = voltage_V[k]
             if cells[k].rejections == U(0):
                 total = total + (voltage_V[k] - first)
@@ -148,7 +116,7 @@ def difference_of(m: Model, place: Place, x: State, mean_V: float) -> Difference
     moved_V = mean_V - x.mean_V
     single_V2 = c.cell_V2 + (c.cell_lag * (moved_V * moved_V))
     variance_V2 = single_V2 * c.cell_shared
-    capacity_V = p.slope_V * (HALF - x.soc)
+    capacity_V = p.slope_V * (0.5 - x.soc)
     resistance_V = mean_V - p.ocv_V
     return Difference(p.slope_V, capacity_V, resistance_V, single_V2, variance_V2)
 
@@ -157,8 +125,8 @@ def difference_of(m: Model, place: Place, x: State, mean_V: float) -> Difference
 def look_again(a: Cell) -> None:
     """After many rejections in a row a cell's SOC is unknown."""
     a.ss = RECOVERY_VARIANCE
-    a.sq = ZERO
-    a.sr = ZERO
+    a.sq = 0.0
+    a.sr = 0.0
     a.rejections = U(0)
     a.status = U(a.status | GATE_RECOVERY)
 
@@ -169,7 +137,7 @@ def use_voltage(c: Constants, a: Cell, d: Difference, above_V: float) -> None:
     gain_q = ((a.sq * d.soc_V) + (a.qq * d.capacity_V)) + (a.qr * d.resistance_V)
     gain_r = ((a.sr * d.soc_V) + (a.qr * d.capacity_V)) + (a.rr * d.resistance_V)
     explained_V2 = (d.soc_V * gain_s) + ((d.capacity_V * gain_q) + (d.resistance_V * gain_r))
-    explained_V2 = at_least(explained_V2, ZERO)
+    explained_V2 = at_least(explained_V2, 0.0)
     said_V = ((d.soc_V * a.soc) + (d.capacity_V * a.capacity)) + (d.resistance_V * a.resistance)
     off_V = above_V - said_V
     if (off_V * off_V) > (c.gate_square * (explained_V2 + d.single_V2)):
@@ -180,8 +148,8 @@ def use_voltage(c: Constants, a: Cell, d: Difference, above_V: float) -> None:
             look_again(a)
     else:
         a.rejections = U(0)
-        per = ONE / (explained_V2 + d.variance_V2)
-        a.soc = clip(a.soc + (gain_s * (off_V * per)), -ONE, ONE)
+        per = 1.0 / (explained_V2 + d.variance_V2)
+        a.soc = clip(a.soc + (gain_s * (off_V * per)), -1.0, 1.0)
         a.capacity = clip(a.capacity + (gain_q * (off_V * per)), -CELL_MOST, CELL_MOST)
         a.resistance = clip(a.resistance + (gain_r * (off_V * per)), -CELL_MOST, SCALE_MOST)
         a.ss = at_least(a.ss - (gain_s * (gain_s * per)), c.cell_least_soc2)
@@ -202,9 +170,9 @@ def step_cell(
     else:
         start_cell(c, a)
         a.status = U(STATE_RESET)
-    a.ss = clip(a.ss + (steps * c.cell_soc_walk), ZERO, SOC_VARIANCE_MOST)
-    a.qq = clip(a.qq + (steps * c.cell_capacity_walk), ZERO, SOC_VARIANCE_MOST)
-    a.rr = clip(a.rr + (steps * c.cell_resistance_walk), ZERO, SOC_VARIANCE_MOST)
+    a.ss = clip(a.ss + (steps * c.cell_soc_walk), 0.0, SOC_VARIANCE_MOST)
+    a.qq = clip(a.qq + (steps * c.cell_capacity_walk), 0.0, SOC_VARIANCE_MOST)
+    a.rr = clip(a.rr + (steps * c.cell_resistance_walk), 0.0, SOC_VARIANCE_MOST)
     a.seen_at = sequence
     if within(voltage_V, c.voltage_low_V, c.voltage_high_V):
         use_voltage(c, a, d, voltage_V - mean_V)
@@ -226,7 +194,7 @@ def step_cells(
     elapsed = U(sample.sequence - x.cells_at)
     if there and x.evidence > NO_VOLTAGE_YET and elapsed != U(0) and is_sound(c, x):
         place = place_now(m, x)
-        if not x.mean_V > ZERO:
+        if not x.mean_V > 0.0:
             x.mean_V = mean_V
         d = difference_of(m, place, x, mean_V)
         due = x.turn
@@ -241,13 +209,13 @@ def step_cells(
 
 def own_soc(x: State, a: Cell) -> float:
     """SOC of one cell."""
-    return clip(x.soc + (a.soc + (a.capacity * (HALF - x.soc))), ZERO, ONE)
+    return clip(x.soc + (a.soc + (a.capacity * (0.5 - x.soc))), 0.0, 1.0)
 
 
 def own_variance(c: Constants, x: State, a: Cell) -> float:
     """Variance of one cell's SOC: the mean's and its difference's."""
-    away = HALF - x.soc
-    difference2 = a.ss + (away * ((TWO * a.sq) + (away * a.qq)))
+    away = 0.5 - x.soc
+    difference2 = a.ss + (away * ((2.0 * a.sq) + (away * a.qq)))
     return F(x.ss + at_least(difference2, c.cell_least_soc2))
 
 
@@ -257,17 +225,17 @@ def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
     if is_sound(c, x) and cell_is_sound(a):
         out.soc = own_soc(x, a)
         out.soc_variance = own_variance(c, x, a)
-        out.capacity_share = ONE + a.capacity
+        out.capacity_share = 1.0 + a.capacity
         out.capacity_variance = a.qq
-        out.resistance_scale = ONE + a.resistance
+        out.resistance_scale = 1.0 + a.resistance
         out.resistance_variance = a.rr
         out.status = a.status
     else:
         out.soc = KNOW_NOTHING_SOC
         out.soc_variance = KNOW_NOTHING_VARIANCE
-        out.capacity_share = ONE
+        out.capacity_share = 1.0
         out.capacity_variance = c.cell_capacity2
-        out.resistance_scale = ONE
+        out.resistance_scale = 1.0
         out.resistance_variance = c.cell_resistance2
         out.status = U(STATE_RESET)
 
@@ -275,7 +243,7 @@ def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
 @noinline
 def with_cell(at: Place, a: Cell) -> Place:
     """The same place with one cell's resistance."""
-    return Place(at.low, at.weight, at.scale * (ONE + a.resistance), at.lag)
+    return Place(at.low, at.weight, at.scale * (1.0 + a.resistance), at.lag)
 
 
 @noinline
@@ -321,11 +289,11 @@ def way_of(m: Model, place: Place, x: State, a: Cell, side: float) -> Way:
     held_V = x.v1_V + x.v2_V
     for i in BRANCHES[2:]:
         held_V = held_V + x.state[i]
-    worse_V = at_least(side * (a.resistance * held_V), ZERO)
+    worse_V = at_least(side * (a.resistance * held_V), 0.0)
     limit_V = c.power_low_V
     most_A = c.power_discharge_A
     room = soc - c.power_soc_low
-    if side < ZERO:
+    if side < 0.0:
         limit_V = c.power_high_V
         most_A = c.power_charge_A
         room = c.power_soc_high - soc
@@ -342,7 +310,7 @@ def pack_way(m: Model, place: Place, x: State, cells: Cells, count: int, side: f
     and the one whose voltage is at the current that these two allow.
     """
     c = m.constant
-    current_A = c.power_discharge_A if side > ZERO else c.power_charge_A
+    current_A = c.power_discharge_A if side > 0.0 else c.power_charge_A
     low_W = LARGEST_FLOAT
     for turn in range(THREE_CELLS):
         at = nearest_to_end(x, cells, count, side)
@@ -355,7 +323,7 @@ def pack_way(m: Model, place: Place, x: State, cells: Cells, count: int, side: f
             low_W = one.low_W
     end = ending(m, place, x, x.soc, side * current_A)
     many = F(count)
-    power_W = at_least(many * (current_A * end.voltage_V), ZERO)
+    power_W = at_least(many * (current_A * end.voltage_V), 0.0)
     low_W = many * low_W
     if low_W > power_W:
         low_W = power_W
@@ -367,14 +335,14 @@ def pack_power(m: Model, x: State, cells: Cells, count: int, out: Capability) ->
 
     Zero throughout for a state that is not sound, and for no cells.
     """
-    out.discharge_W = ZERO
-    out.discharge_low_W = ZERO
-    out.charge_W = ZERO
-    out.charge_low_W = ZERO
+    out.discharge_W = 0.0
+    out.discharge_low_W = 0.0
+    out.charge_W = 0.0
+    out.charge_low_W = 0.0
     if count != U(0) and is_sound(m.constant, x):
         place = place_now(m, x)
-        down = pack_way(m, place, x, cells, count, ONE)
-        up = pack_way(m, place, x, cells, count, -ONE)
+        down = pack_way(m, place, x, cells, count, 1.0)
+        up = pack_way(m, place, x, cells, count, -1.0)
         out.discharge_W = down.power_W
         out.discharge_low_W = down.low_W
         out.charge_W = up.power_W

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellwise.arguments import shown
 from cellwise.errors import InputError
-from cellwise.estimate.cells.settings import MOST_CELLS
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
 from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
 from cellwise.estimate.fixed.layout import CAPABILITY, CELL, CELL_OUTPUT, INPUT
+from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.estimate.fixed.stepper import (
     Stepper,
     check_record,
@@ -120,7 +120,7 @@ class FixedPack:
         stepper = self._stepper()
         self._check(state, stepper)
         handed = state.mean, state.cells, self.count
-        return stepper.need("power").answer("pack_power_of", CAPABILITY, *handed)
+        return stepper.need("power").answer("pack_power", CAPABILITY, *handed)
 
     def run(
         self,
@@ -165,7 +165,7 @@ class FixedPack:
 
     def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
         cells = np.zeros(self.count, dtype=CELL)
-        stepper.call("cells_begin", cells, self.count)
+        stepper.call("start_cells", cells, self.count)
         return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def _check(self, state: PackState, stepper: Stepper) -> None:

@@ -11,8 +11,8 @@ import ast
 from dataclasses import dataclass, field
 from typing import Any
 
-from cellwise.printing.c.chosen import FLOATS, note_of
-from cellwise.printing.c.text import broken, comment
+from cellwise.printing.chosen import FLOATS, note_of
+from cellwise.printing.text import broken, comment, float_literal
 
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
 RECORDS = {
@@ -295,7 +295,7 @@ class Function:
             case ast.UnaryOp():
                 return "bool" if isinstance(node.op, ast.Not) else self.type_of(node.operand)
             case ast.Constant():
-                return "bool" if isinstance(node.value, bool) else "int"
+                return type(node.value).__name__
             case ast.Subscript():
                 if ast.unparse(node) == POINTS:
                     return "int"
@@ -318,6 +318,8 @@ class Function:
                 if node.id in self.renamed:
                     return self.renamed[node.id][0]
                 return self.program.constants.get(node.id, ("", node.id))[1]
+            case ast.Constant(value=float(value)):
+                return float_literal(value)
             case ast.Constant():
                 return str(node.value).lower() + ("" if isinstance(node.value, bool) else "u")
             case ast.Attribute():

@@ -1,1 +1,0 @@
-"""Cells of a pack in the fixed step: the mean cell by the filter, every cell by its difference."""

@@ -1,1 +1,0 @@
-"""The fixed step in Python printed as C99."""
