@@ -18,7 +18,14 @@ from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.known_logs import file_digest
-from cellwise.benchmark.leaderboard import leaderboard
+from cellwise.benchmark.leaderboard import (
+    LEADERBOARD,
+    TABLE,
+    leaderboard,
+    parts_of,
+    provenance,
+    standings_text,
+)
 from cellwise.benchmark.package_rows import (
     NotRun,
     RowError,
@@ -27,8 +34,7 @@ from cellwise.benchmark.package_rows import (
     environment,
     row_digest,
 )
-from cellwise.benchmark.paper_tables import differences, latex_text, provenance
-from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_parts, standings_text
+from cellwise.benchmark.standings import by_estimator, latex, standings
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
 from cellwise.benchmark.work import SEED, Place, Run, make_model, marks, run_all, runs_of
@@ -124,9 +130,8 @@ def run_suite(
     with _pool(processes) as pool:
         wanted = {suite.logs[run.log].cell for run in todo}
         models = [k for k in used if suite.cells[k].name in wanted]
-        for done, name in enumerate(
-            _each(pool, make_model, [(place, k, keys[suite.cells[k].name]) for k in models])
-        ):
+        making = [(place, k, keys[suite.cells[k].name]) for k in models]
+        for done, (_, name) in enumerate(_answers(pool, make_model, making)):
             say(f"model of {name}", done + 1, len(models))
         done = resumed
         say("runs", done, len(runs))
@@ -134,7 +139,7 @@ def run_suite(
         todo.sort(key=lambda r: order.get(r.estimator, 0))  # a row's process is kept for its runs
         groups = [tuple(g) for _, g in groupby(todo, key=lambda r: _task(r, order))]
         tasks = [(place, group, keys[suite.logs[group[0].log].cell]) for group in groups]
-        for group, rows in _each_with(pool, run_all, tasks):
+        for group, rows in _answers(pool, run_all, tasks):
             kept.add({names[run]: row for run, row in zip(group[1], rows, strict=True)})
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
@@ -180,12 +185,12 @@ def _finish(
     known = {n: [None if v != v else v for v in values] for n, values in columns.items()}
     made = {"seed": [SEED] * len(rows), "made_with": [provenance()] * len(rows)}
     write_columns(known | made, place.folder / "results.csv")
-    plain = [row for row in rows if row["fault"] in ("", "none")]
-    table_text = latex_text(place.suite.name, plain, differences(plain))
-    write_atomically(place.folder / "results.tex", table_text)
+    about = f"Suite {place.suite.name}, {len(rows)} runs. {provenance()}"
+    found = standings(by_estimator(rows), fewer=True)
+    write_atomically(place.folder / "results.tex", latex(found, about))
     suite, entries = place.suite, []
     if suite.frozen:
-        found = leaderboard(
+        board = leaderboard(
             suite.name,
             suite.sha256,
             rows,
@@ -195,21 +200,18 @@ def _finish(
             not_run={one.name: one.why for one in suite.not_run},
             about={row.name: row.about for row in suite.rows},
         )
-        write_atomically(place.folder / LEADERBOARD, json.dumps(found, indent=1) + "\n")
-        entries = [{**found, "row": row} for row in found["rows"]]
+        write_atomically(place.folder / LEADERBOARD, json.dumps(board, indent=1) + "\n")
+        entries = [{**board, "row": row} for row in board["rows"]]
         write_atomically(place.folder / TABLE, standings_text(entries))
     written = None
     if page:
-        from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
+        from cellwise.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(suite.name, about, rows, standings_parts(entries), _missing(suite))
+        missing = [(one.name, one.why) for one in suite.not_run]
+        table = BenchmarkTable(suite.name, about, rows, parts_of(entries), missing)
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, parquet, written, resumed)
-
-
-def _missing(suite: Suite) -> list[tuple[str, str]]:
-    return [(one.name, one.why) for one in suite.not_run]
 
 
 def _adapter_digests(suite: Suite) -> dict[str, str]:
@@ -290,13 +292,7 @@ def _pool(processes: int) -> Iterator[Executor | None]:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _each(
-    pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
-) -> Iterator[T]:
-    return (answer for _, answer in _each_with(pool, work, tasks))
-
-
-def _each_with(
+def _answers(
     pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
 ) -> Iterator[tuple[tuple[Any, ...], T]]:
     """Tasks with their answers, as they come."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report import export_page, identify_page, replay_page
-from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures

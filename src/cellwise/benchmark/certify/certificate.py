@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from cellwise.errors import InputError
+from cellwise.benchmark.records import check_ranges, within
 from cellwise.report.certificate_page import SOURCES, fleet_text
 
 Row = Mapping[str, Any]
@@ -36,20 +36,13 @@ class Limits:
     InputError        a limit that is not between 0 and 1
     """
 
-    rmse: float | None = None
-    p95: float | None = None
-    worst: float | None = None
-    coverage: float | None = None
+    rmse: float | None = within(1e-9, 1.0, None)
+    p95: float | None = within(1e-9, 1.0, None)
+    worst: float | None = within(1e-9, 1.0, None)
+    coverage: float | None = within(1e-9, 1.0, None)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if value is not None and not 0.0 < value <= 1.0:
-                raise InputError(
-                    f"a limit {one.name} = {value:g}",
-                    "a share above 0, at most 1 (0.03 is three points of SOC)",
-                    "Give it as a fraction, not in per cent.",
-                )
+        check_ranges(self, "the limits, which are fractions (0.03 is three points of SOC)")
 
 
 @dataclass(frozen=True, eq=False)
