@@ -219,9 +219,9 @@ def run_certify(arguments: argparse.Namespace) -> None:
         read_export,
         read_sensor,
     )
+    from cellwise.benchmark.certify.page import certificate_page
     from cellwise.cell.model_file import read_model
     from cellwise.files import write_atomically
-    from cellwise.report.certificate_page import certificate_page
 
     limits = Limits(
         arguments.most_rmse, arguments.most_p95, arguments.most_worst, arguments.least_coverage
@@ -265,27 +265,15 @@ def run_certify(arguments: argparse.Namespace) -> None:
 
 def print_certificate(found: Certificate, data: dict[str, Any], folder: str | None) -> None:
     """The certificate for people: whole, by what, verdict."""
-    from cellwise.report.certificate_page import SOURCES
+    from cellwise.benchmark.certify.page import GROUP_COLUMNS, groups_of
 
-    percent = printing.percent
     printing.say(repr(found))
     printing.say(
-        f"{percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} discharges "
-        "end within three points of SOC"
+        f"{printing.percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} "
+        "discharges end within three points of SOC"
     )
-    sources = {SOURCES[name]: found for name, found in data["sources"].items()}
-    groups = {"source": sources, **{f"by {name}": own for name, own in data["by"].items() if own}}
-    for name, own in groups.items():
-        printing.record_table(
-            name,
-            list(own.items()),
-            (name.removeprefix("by "), lambda g: g[0]),
-            ("cells", lambda g: str(g[1]["cells"])),
-            ("RMSE %", lambda g: percent(g[1]["rmse"])),
-            ("95 % of the time below %", lambda g: percent(g[1]["p95"], 1)),
-            ("worst %", lambda g: percent(g[1]["worst"], 1)),
-            ("within two deviations %", lambda g: percent(g[1]["coverage"], 0)),
-        )
+    for name, own in groups_of(data).items():
+        printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
     if data["verdict"]["limits"]:
         beyond = data["verdict"]["beyond"]
         printing.say("BEYOND: " + "; ".join(beyond) if beyond else "within every stated limit")

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from cellwise.benchmark.records import check_ranges, within
-from cellwise.report.certificate_page import SOURCES, fleet_text
 
 Row = Mapping[str, Any]
 
@@ -20,6 +19,11 @@ BINS = np.append(
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)
 CLIMATES_C = (-60.0, -10.0, 0.0, 10.0, 20.0, 30.0, 45.0, 100.0)
 WORST = 100  # cases that are named
+SOURCES = {
+    "model": "virtual cells",
+    "physics": "cells of porous electrodes",
+    "measured": "runs of measured logs",
+}
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,13 @@ class Certificate:
             f"{100 * whole['rmse']:.2f} % RMS, {100 * whole['p95']:.2f} % in 95 % of the time, "
             f"{100 * whole['coverage']:.0f} % within two deviations)"
         )
+
+
+def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str, Any]) -> str:
+    """How many cells of which source lived how long."""
+    hours = {"model": settings["hours"], "physics": settings["physics_hours"]}
+    each = {source: f" x {hours[source]:g} h" if source in hours else "" for source in sources}
+    return ", ".join(f"{SOURCES[s]} {one['cells']:.0f}{each[s]}" for s, one in sources.items())
 
 
 def figures_of(rows: Sequence[Row]) -> dict[str, float]:
