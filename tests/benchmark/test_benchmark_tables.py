@@ -57,7 +57,7 @@ def test_few_logs_have_no_interval_and_one_estimator_no_difference():
 def test_latex_has_every_estimator_and_what_it_was_made_with():
     found = standings(by_estimator(rows_of([0.02, 0.03, 0.04], [0.01, 0.01, 0.01])))
     text = latex(found, provenance())
-    assert r"my\_filter & 3.00 & 8.00" in text
+    assert r"my\_filter & 6 & 3.00 & 8.00" in text
     assert text.count(r" \\") == 3
     assert "seed 0" in text
     assert "numpy " in text

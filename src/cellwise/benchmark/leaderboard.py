@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.figures import COLUMNS as ROW_COLUMNS
 from cellwise.benchmark.records import need
 from cellwise.benchmark.standings import (
     BAND_COLUMNS,
+    COLUMNS,
     Runs,
     Standing,
     Table,
@@ -22,7 +23,6 @@ from cellwise.benchmark.standings import (
     markdown,
     run_of,
     standings,
-    suite_tables,
     table_of,
 )
 from cellwise.errors import InputError
@@ -34,7 +34,7 @@ KEYS: dict[str, type] = {"suite": str, "suite_sha256": str, "made_with": str}
 ROW_KEYS: dict[str, type] = {"estimator": str, "runs": list}
 # What a row keeps of each of its runs.
 RUN_FIGURES: dict[str, type] = {
-    name: COLUMNS[name]
+    name: ROW_COLUMNS[name]
     for name in (
         "log", "fault", "start_error", "dt_s", "soc0_true", "easy", "quick", "settled_rmse",
         "settled_max", "soc_final_error", "convergence_s", "coverage_2sigma", "interval_score",
@@ -207,7 +207,7 @@ def parts_of(entries: Sequence[Entry]) -> list[Part]:
             row.extend((entry["made_with"].partition(",")[0] or "-", entry.get("by", "-")))
         count = sum(r["quick"] or not quick for r in runs[found[0].estimator])
         title = f"{title}: {len(found)} estimators, {count} runs each"
-        parts.append(Part(title, found, (suite_tables(found)[0], bands)))
+        parts.append(Part(title, found, (table_of(found, COLUMNS, (1,)), bands)))
     return parts
 
 

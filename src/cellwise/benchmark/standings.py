@@ -117,7 +117,8 @@ BAND_COLUMNS: Columns = {
     "process": lambda s: "-" if s.process_MB is None else f"{s.process_MB:.0f} MB",
 }
 NIS: Columns = {"mean NIS": lambda s: "-" if s.nis is None else f"{s.nis:.2g}"}
-PAPER = ("estimator", "hard runs", "worst", "easy runs", f"against {AGAINST} [95 %]")
+RUNS: Columns = {"runs": lambda s: str(s.runs)}  # of one's own suite: some lack runs
+PAPER = ("estimator", "runs", "hard runs", "worst", "easy runs", f"against {AGAINST} [95 %]")
 
 
 def table_of(found: Sequence[Standing], columns: Columns, text: tuple[int, ...] = (0,)) -> Table:
@@ -127,7 +128,7 @@ def table_of(found: Sequence[Standing], columns: Columns, text: tuple[int, ...] 
 
 def suite_tables(found: Sequence[Standing]) -> tuple[Table, Table]:
     """Of one's own run: how estimators stand, and their bands and costs."""
-    return table_of(found, COLUMNS, (1,)), table_of(found, BAND_COLUMNS | NIS)
+    return table_of(found, COLUMNS | RUNS, (1,)), table_of(found, BAND_COLUMNS | NIS)
 
 
 def run_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -257,7 +258,7 @@ def markdown(table: Table) -> list[str]:
 
 def latex(found: Sequence[Standing], about: str) -> str:
     """A table for a paper (booktabs), with what it was made with."""
-    table = table_of(found, {name: COLUMNS[name] for name in PAPER})
+    table = table_of(found, {name: (COLUMNS | RUNS)[name] for name in PAPER})
     marks = str.maketrans({mark: rf"\{mark}" for mark in "&%_#${}"})
     head, *rows = (
         " & ".join(cell.translate(marks) for cell in cells) + r" \\"

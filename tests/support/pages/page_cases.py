@@ -76,8 +76,7 @@ def study_page(path):
                 fit_rmse_V=voltage,
                 voltage_rmse_V=voltage,
                 voltage_above_10pct_V=voltage,
-                soc={e: SocFigures(sizes[e], sizes[e], sizes[e], sizes[e]) for e in filters},
-                axis_share=dict.fromkeys(filters, 0.9),
+                soc={e: SocFigures(*[sizes[e]] * 4, axis_share=0.9) for e in filters},
                 errors={kind: (np.full(100, size),) for kind, size in sizes.items()},
             )
         )
