@@ -8,9 +8,11 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,12 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.measured_data import HOW, data_folder
+from cellwise.files import write_atomically
+from cellwise.threads import usable_cores
+
 Progress = Callable[[str], None]
+Part = tuple[str, str, bool]  # module and function of figures(data, say), whether it needs data
 WIDTH = 140  # of the table in a file or a pipe
 NAME_WIDTH = 66
 PACKAGES = ("cellwise", "numpy", "numba", "scipy", "pyarrow", "filterpy", "pybamm", "thevenin")
@@ -64,12 +71,7 @@ def missing(group: str, who: str, unit: str, why: str) -> Figure:
 def with_ratios(figures: Sequence[Figure]) -> list[Figure]:
     """The figures of one group with their ratio to the first one."""
     first = figures[0].value
-    if not first:
-        return list(figures)
-    return [
-        Figure(**{**asdict(f), "ratio": None if f.value is None else f.value / first})
-        for f in figures
-    ]
+    return [replace(f, ratio=f.value / first if f.value and first else None) for f in figures]
 
 
 @dataclass(frozen=True)
@@ -114,33 +116,32 @@ def print_figures(figures: Iterable[Figure], title: str, notes: Sequence[str] = 
 
 
 def _table(group: str, rows: Sequence[Figure]) -> Table:
-    """One group; empty columns are left out."""
+    """One group; what no row says is left out."""
     table = Table(title=group, title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
-    columns = [("", [f.who for f in rows]), ("value", [_value(f) for f in rows])]
-    columns += [
-        ("target", [_target(f) for f in rows]),
-        ("", [_verdict(f) for f in rows]),
-        ("ratio", [_ratio(f) for f in rows]),
-        ("", [f.note for f in rows]),
-    ]
-    columns = [(name, cells) for name, cells in columns if any(cells)]
-    for k, (name, cells) in enumerate(columns):
-        last = cells == [f.note for f in rows]
-        table.add_column(
-            name,
-            justify="left" if k == 0 or last else "right",
-            max_width=NAME_WIDTH if k == 0 else None,
-            no_wrap=k > 0 and not last,
-            style="dim" if last else None,
-        )
-    for cells in zip(*(cells for _, cells in columns), strict=True):
-        table.add_row(*cells)
+    table.add_column("", max_width=NAME_WIDTH)
+    columns: dict[str, Callable[[Figure], str]] = {
+        "value": lambda f: "-" if f.value is None else f"{_number(f.value)} {f.unit}",
+        "target": lambda f: _target(f) if f.target is not None else "",
+        "ratio": lambda f: "" if f.ratio is None else f"x {_number(f.ratio)}",
+        "note": lambda f: f.note,
+    }
+    said = {name: [read(f) for f in rows] for name, read in columns.items()}
+    said = {name: cells for name, cells in said.items() if any(cells)}
+    for name in said:
+        last = name == "note"
+        side = "left" if last else "right"
+        table.add_column(name, justify=side, no_wrap=not last, style="dim" if last else None)
+    for f, *cells in zip(rows, *said.values(), strict=True):
+        table.add_row(f.who, *cells)
     return table
 
 
-def report_json(
-    figures: Sequence[Figure], machine: dict[str, Any], began: float, **more: Any
-) -> dict[str, Any]:
+def _target(f: Figure) -> str:
+    verdict = "[green]met[/green]" if f.passed else "[red]missed[/red]"
+    return f"{'>=' if f.at_least else '<='} {_number(f.target or 0.0)} {verdict}"
+
+
+def report_json(figures: Sequence[Figure], machine: dict[str, Any], began: float) -> dict[str, Any]:
     """Everything as one JSON object."""
     judged = [f.passed for f in figures if f.passed is not None]
     return {
@@ -148,37 +149,7 @@ def report_json(
         "figures": [f.to_dict() for f in figures],
         "targets": {"judged": len(judged), "met": sum(judged)},
         "seconds": round(time.perf_counter() - began, 1),
-        **more,
     }
-
-
-def write_json(path: Path, report: dict[str, Any]) -> None:
-    """Write a report whole or not at all."""
-    part = path.with_suffix(path.suffix + ".part")
-    part.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
-
-
-def _value(f: Figure) -> str:
-    return "-" if f.value is None else f"{_number(f.value)} {f.unit}"
-
-
-def _target(f: Figure) -> str:
-    if f.target is None:
-        return ""
-    return f"{'>=' if f.at_least else '<='} {_number(f.target)}"
-
-
-def _verdict(f: Figure) -> str:
-    if f.passed is None:
-        return ""
-    return "[green]met[/green]" if f.passed else "[red]missed[/red]"
-
-
-def _ratio(f: Figure) -> str:
-    if f.ratio is None:
-        return ""
-    return "1" if f.ratio == 1.0 else f"x {_number(f.ratio)}"
 
 
 def _number(x: float) -> str:
@@ -191,66 +162,52 @@ def _number(x: float) -> str:
 
 def describe_machine() -> dict[str, Any]:
     """Processor, cores this process may use, load of others, versions."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    named = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
     return {
-        "processor": _processor(),
+        "processor": next(named, platform.processor() or platform.machine()),
         "cores": usable_cores(),
-        "load": _load(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "blas_threads": os.environ.get("OMP_NUM_THREADS", "not set"),
-        **{name: _version(name) for name in PACKAGES},
+        **{name: version(name) for name in PACKAGES if find_spec(name)},
     }
 
 
 def machine_lines(machine: dict[str, Any]) -> list[str]:
     """The same as text."""
-    packages = ", ".join(f"{name} {machine[name]}" for name in PACKAGES if machine[name])
-    load = "" if machine["load"] is None else f", load average {machine['load']:.1f}"
+    packages = ", ".join(f"{name} {machine[name]}" for name in PACKAGES if name in machine)
     return [
-        f"Machine: {machine['processor']}, {machine['cores']} cores{load}, {machine['system']}, "
-        f"{machine['blas_threads']} BLAS thread(s)",
+        f"Machine: {machine['processor']}, {machine['cores']} cores, load average "
+        f"{machine['load']}, {machine['system']}, {machine['blas_threads']} BLAS thread(s)",
         f"Python {machine['python']}, {packages}",
     ]
 
 
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
-
-
-def _load() -> float | None:
-    return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
+def measure(
+    parts: Mapping[str, Part], wanted: Iterable[str], say: Progress, **switches: bool
+) -> list[Figure]:
+    """Figures of the parts wanted, in order; a row that says so where there are no data."""
+    data = data_folder()
+    figures: list[Figure] = []
+    for name in wanted:
+        module, function, needs_data = parts[name]
+        if needs_data and data is None:
+            figures.append(missing(name, "not measured", "", f"no measured cells: {HOW}"))
+            continue
+        run = getattr(import_module(module), function)
+        figures += run(data, say, **switches)
+    return figures
 
 
 def judged_run(
-    title: str,
-    about: str,
-    parts: Sequence[str],
-    measure: Callable[..., list[Figure]],
-    arguments: list[str] | None = None,
-    **switches: str,
+    about: str, parts: Mapping[str, Part], arguments: list[str] | None = None, **switches: str
 ) -> int:
     """The command line of a benchmark: measures the parts asked for, prints table or JSON.
 
-    ``measure(parts, say)``; each of ``switches`` (name and help) is one of its keywords.
+    Each of ``switches`` (name and help) is a keyword of every part.
     """
     parser = argparse.ArgumentParser(description=about.splitlines()[0])
     parser.add_argument("--only", default=",".join(parts), help="comma-separated parts")
@@ -264,16 +221,17 @@ def judged_run(
         parser.error(f"--only {chosen.only}: name at least one of {', '.join(parts)}")
     began = time.perf_counter()
     machine = describe_machine()
-    figures = measure(wanted, _say, **{name: getattr(chosen, name) for name in switches})
+    figures = measure(parts, wanted, _say, **{name: getattr(chosen, name) for name in switches})
     report = report_json(figures, machine, began)
     if chosen.output:
-        write_json(chosen.output, report)
+        write_atomically(chosen.output, json.dumps(report, indent=1) + "\n")
     if chosen.json:
         print(json.dumps(report))
         return 0
     met = report["targets"]
     lines = [f"{met['met']} of {met['judged']} targets met"] if met["judged"] else []
-    print_figures(figures, title, [*lines, *machine_lines(machine), f"{report['seconds']:.0f} s"])
+    notes = [*lines, *machine_lines(machine), f"{report['seconds']:.0f} s"]
+    print_figures(figures, about.splitlines()[0], notes)
     return 0
 
 

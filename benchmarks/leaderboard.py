@@ -22,7 +22,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from cellwise.benchmark.known_logs import known_log
-from cellwise.benchmark.submission import read_entries, standings_text
+from cellwise.benchmark.leaderboard import read_entries, standings_text
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 

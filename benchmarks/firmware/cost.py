@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def _tables(model: CellModel, *, lean: bool = False) -> FixedStepTables:
     return fixed_step_tables(model, DT_S, points=POINTS, wide=not lean)
 
 
-def target_figures(say: Progress) -> list[Figure]:
+def target_figures(data: Path | None, say: Progress) -> list[Figure]:
     """Every configuration on every core; targets where the design sets them."""
     if not cores_here():
         return [missing("Firmware", "emulated cores", "", "no cross tools: make firmware")]
@@ -129,7 +130,7 @@ def _cost(
     ]  # fmt: skip
 
 
-def host_figures(say: Progress) -> list[Figure]:
+def host_figures(data: Path | None, say: Progress) -> list[Figure]:
     """Nanoseconds per step of numba and of the C that this machine's compiler makes."""
     group = f"Fixed step on this machine, {SAMPLES:,} samples at 1 Hz, start 30 points wrong"
     log = load_log()

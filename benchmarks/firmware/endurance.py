@@ -24,7 +24,7 @@ DT_S = 0.1
 GROUP = f"Endurance: {STEPS:.0e} steps of {DT_S:g} s, a drive there and back, three states in C"
 
 
-def endurance_figures(say: Progress) -> list[Figure]:
+def endurance_figures(data: Path | None, say: Progress) -> list[Figure]:
     """Smallest leading minor of the scaled covariance, which must stay above zero."""
     figures = []
     for name, wide in (("--lean", False), ("full", True)):

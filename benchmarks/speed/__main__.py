@@ -3,38 +3,21 @@
 python -m benchmarks.speed [--only simulate,filter,file] [--full] [--json]
 """
 
-from __future__ import annotations
-
 import sys
 
-from benchmarks.figures import Figure, Progress, judged_run
-from benchmarks.measured_data import data_folder
+from benchmarks.figures import judged_run
 
-PARTS = ("simulate", "filter", "file")
+PARTS = {
+    "simulate": ("benchmarks.speed.simulation", "simulate_figures", False),
+    "filter": ("benchmarks.speed.filters", "filter_figures", False),
+    "file": ("benchmarks.speed.file_to_tables", "file_figures", False),
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the parts asked for and print them."""
     slow = "slow references over 36,000 samples too"
-    return judged_run("Speed", str(__doc__), PARTS, measure, arguments, full=slow)
-
-
-def measure(parts: list[str], say: Progress, *, full: bool = False) -> list[Figure]:
-    """Figures of the parts, in order."""
-    from benchmarks.speed.file_to_tables import file_figures
-    from benchmarks.speed.filters import filter_figures
-    from benchmarks.speed.simulation import simulate_figures
-
-    data = data_folder()
-    figures: list[Figure] = []
-    for part in parts:
-        if part == "simulate":
-            figures += simulate_figures(data, say, full=full)
-        elif part == "filter":
-            figures += filter_figures(data, say)
-        else:
-            figures += file_figures(say)
-    return figures
+    return judged_run(str(__doc__), PARTS, arguments, full=slow)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ TARGET_S = 5.0
 CORES = 2
 
 
-def file_figures(say: Progress) -> list[Figure]:
+def file_figures(data: Path | None, say: Progress, *, full: bool = False) -> list[Figure]:
     """Times by format, cold and warm."""
     say("synthetic HPPC test at 135 Hz")
     made = synthetic_hppc()

@@ -29,7 +29,7 @@ LOCKSTEP_STEPS = 200
 LOCKSTEP_NS = 40.0
 
 
-def filter_figures(data: Path | None, say: Progress) -> list[Figure]:
+def filter_figures(data: Path | None, say: Progress, *, full: bool = False) -> list[Figure]:
     """Ours over 36,000 samples and over a measured drive, step by step, and filterpy."""
     log = load_log()
     group = f"EKF, {SAMPLES:,} samples at 1 Hz, start 30 points wrong"

@@ -71,7 +71,7 @@ def test_measured_cells_without_a_folder_are_refused_with_the_way_out():
         ('estimators = ["ekf"]', 'estimators = ["kalman"]', "estimator 'kalman'"),
         ('estimators = ["ekf"]', 'estimator = ["ekf"]', "key 'estimator' in the suite"),
         ('estimators = ["ekf"]', 'estimators = "ekf"', "a list"),
-        ("[0.0, -0.3]", "[0.0, -30.0]", "start error of -30"),
+        ("[0.0, -0.3]", "[0.0, -30.0]", "start_errors = -30"),
         ("[0.0, -0.3]", '["wrong"]', "a number"),
         ('["standard"]', '["typhoon"]', "fault 'typhoon'"),
         ("current_offset_A = 0.2", "current_offset = 0.2", "key 'current_offset'"),

@@ -7,6 +7,7 @@ import pytest
 from benchmarks.accuracy import __main__ as accuracy
 from benchmarks.accuracy.judging import from_the_middle, judge_soc, voltage_rmse_mV
 from benchmarks.example_cell import START_SOC, load_log, three_branches
+from benchmarks.figures import measure
 from benchmarks.firmware import __main__ as firmware
 from benchmarks.measured_data import data_folder
 from benchmarks.speed import __main__ as speed
@@ -51,9 +52,9 @@ def test_middle_begins_where_the_counter_says(counted):
 def test_without_measured_cells_it_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("CELLWISE_DATA", str(tmp_path / "nowhere"))
     assert data_folder() is None
-    figures = accuracy.measure(["panasonic", "leaf", "lfp"], lambda _: None)
+    figures = measure(accuracy.PARTS, ["panasonic", "leaf", "lfp"], print)
     assert len(figures) == 3
-    figures += firmware.measure(["agreement"], lambda _: None)
+    figures += measure(firmware.PARTS, ["agreement"], print)
     assert all(f.value is None and "CELLWISE_DATA" in f.note for f in figures)
 
 
@@ -67,7 +68,7 @@ def test_unknown_part_is_refused(main, capsys):
 
 @pytest.mark.slow
 def test_measured_cells_meet_their_targets(real_data):
-    figures = accuracy.measure(["panasonic", "leaf"], lambda _: None)
+    figures = measure(accuracy.PARTS, ["panasonic", "leaf"], print)
     missed = [f"{f.group}: {f.who} = {f.value}" for f in figures if f.passed is False]
     # 0.75 %: it recovers from a rest at 7 % SOC that is 0.2 V off, see docs/measured.md.
     assert [m for m in missed if "SOC RMSE after 300 s, drive_p25_cycle_4" not in m] == []

@@ -15,7 +15,6 @@ from benchmarks.figures import (
     print_figures,
     report_json,
     with_ratios,
-    write_json,
 )
 
 
@@ -46,15 +45,6 @@ def test_report_counts_targets_and_survives_json():
     assert report["targets"] == {"judged": 2, "met": 1}
     assert [f["passed"] for f in report["figures"]] == [True, False, None]
     assert report["machine"]["cores"] >= 1
-
-
-def test_file_is_whole_or_absent(tmp_path):
-    file = tmp_path / "out.json"
-    write_json(file, {"a": 1})
-    assert json.loads(file.read_text()) == {"a": 1}
-    with pytest.raises(TypeError):
-        write_json(tmp_path / "bad.json", {"a": object()})
-    assert not (tmp_path / "bad.json").exists()
 
 
 def test_table_shows_misses_and_reasons(capsys):

@@ -13,14 +13,13 @@ import pytest
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
-from cellwise.report.findings import replay_finding
 from cellwise.report.identification.page import identify_sections
 from cellwise.report.identification.pulse_section import pulse_pictures
 from cellwise.report.page.markup import EMPTY, MOST, Markup, finite, table
 from cellwise.report.page.picture import inline
 from cellwise.report.page.section import Section, page_text, pictures_of, program, rendered
 from cellwise.report.replay.page import replay_data, replay_sections
-from cellwise.report.replay.replay_section import replay_figures
+from cellwise.report.replay.replay_section import replay_figures, replay_finding
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
 NASTY = "<script>alert('1')</script> & \"$x_1^2$\" </svg> \\u003c"

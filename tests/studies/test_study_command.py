@@ -53,7 +53,7 @@ def test_tables_and_reasons_for_people(capsys):
     assert main([*CELL, "--estimator", "coulomb"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "coulomb counting: rate:C/20 wins" in text
-    assert "counting divides by it" in text
+    assert "is its SOC scale" in text
     assert "NCR18650B paper" in text
 
 

@@ -5,13 +5,12 @@ A fault never touches the truth: the reference is the tester's own counter.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellwise.benchmark.records import check_ranges, within
 from cellwise.cell.model import CellModel
-from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -43,33 +42,17 @@ class Fault:
     current_offset_A: float = 0.0
     current_gain: float = 1.0
     voltage_offset_V: float = 0.0
-    current_noise_C: float = 0.0
-    voltage_noise_V: float = 0.0
-    voltage_lag_samples: int = 0
-    dropout_share: float = 0.0
-    dropout_s: float = 5.0
+    current_noise_C: float = within(0.0, 1e9, 0.0)
+    voltage_noise_V: float = within(0.0, 1e9, 0.0)
+    voltage_lag_samples: int = within(0, 1e9, 0)
+    dropout_share: float = within(0.0, 0.9, 0.0)
+    dropout_s: float = within(1e-3, 1e9, 5.0)
     temperature_K: float = 0.0
-    capacity: float = 1.0
+    capacity: float = within(0.1, 1e9, 1.0)
     chemistry: str = ""
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if not isinstance(value, str) and not math.isfinite(value):
-                raise InputError(f"{one.name} = {value}", "a finite number", "Correct it.")
-        low = {"current_noise_C": 0.0, "voltage_noise_V": 0.0, "voltage_lag_samples": 0,
-               "dropout_share": 0.0, "dropout_s": 1e-3, "capacity": 0.1}  # fmt: skip
-        for name, least in low.items():
-            if getattr(self, name) < least:
-                raise InputError(
-                    f"{name} = {getattr(self, name)} in fault '{self.name}'",
-                    f"at least {least:g}",
-                    "Correct it.",
-                )
-        if self.dropout_share > 0.9:
-            raise InputError(
-                f"dropout_share = {self.dropout_share}", "a share of at most 0.9", "Correct it."
-            )
+        check_ranges(self, f"fault '{self.name}'")
 
 
 def _standard() -> tuple[Fault, ...]:

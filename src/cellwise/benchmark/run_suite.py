@@ -18,7 +18,14 @@ from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.known_logs import file_digest
-from cellwise.benchmark.leaderboard import leaderboard
+from cellwise.benchmark.leaderboard import (
+    LEADERBOARD,
+    TABLE,
+    leaderboard,
+    parts_of,
+    provenance,
+    standings_text,
+)
 from cellwise.benchmark.package_rows import (
     NotRun,
     RowError,
@@ -27,13 +34,12 @@ from cellwise.benchmark.package_rows import (
     environment,
     row_digest,
 )
-from cellwise.benchmark.paper_tables import differences, latex_text, provenance
-from cellwise.benchmark.submission import LEADERBOARD, TABLE, standings_parts, standings_text
+from cellwise.benchmark.standings import by_estimator, latex, standings
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
 from cellwise.benchmark.work import SEED, Place, Run, make_model, marks, run_all, runs_of
 from cellwise.errors import InputError
-from cellwise.files import write_atomically
+from cellwise.files import made_folder, write_atomically
 from cellwise.logs.writing import write_columns
 
 if TYPE_CHECKING:
@@ -102,17 +108,20 @@ def run_suite(
                       nothing to run; a folder that cannot be written to
     """
     say = progress or (lambda what, done, total: None)
-    _check_adapters(suite)
+    for name in filter(is_adapter, suite.estimators):
+        load_adapter(name, suite.folder)
     check_files(suite, data)
     if processes < 1:
         raise InputError(f"{processes} processes", "at least one", "Give e.g. 2.")
-    place = Place(suite, data, Path(folder))
-    _make_folders(place, fresh)
+    place = Place(suite, data, made_folder(folder, "the results"))
+    made_folder(place.folder / "models", "the models")
+    if fresh:
+        (place.folder / KEPT).unlink(missing_ok=True)
     place = _with_rows(place, adapters, say)
     suite = place.suite
     keys = {c.name: _cell_key(place, k) for k, c in enumerate(suite.cells)}
     digests = {row.name: row_digest(row, place.adapters) for row in suite.rows}
-    used = [k for k, c in enumerate(suite.cells) if any(g.cell == c.name for g in suite.logs)]
+    digests |= _adapter_digests(suite)
     runs = _every_run(suite, data)
     kept = KeptRows(place.folder / KEPT, COLUMNS)
     logs = [file_digest(locate(g.log, suite, data)) for g in suite.logs]
@@ -123,10 +132,9 @@ def run_suite(
     resumed = len(runs) - len(todo)
     with _pool(processes) as pool:
         wanted = {suite.logs[run.log].cell for run in todo}
-        models = [k for k in used if suite.cells[k].name in wanted]
-        for done, name in enumerate(
-            _each(pool, make_model, [(place, k, keys[suite.cells[k].name]) for k in models])
-        ):
+        models = [(k, c.name) for k, c in enumerate(suite.cells) if c.name in wanted]
+        making = [(place, k, keys[name]) for k, name in models]
+        for done, (_, name) in enumerate(_answers(pool, make_model, making)):
             say(f"model of {name}", done + 1, len(models))
         done = resumed
         say("runs", done, len(runs))
@@ -134,7 +142,7 @@ def run_suite(
         todo.sort(key=lambda r: order.get(r.estimator, 0))  # a row's process is kept for its runs
         groups = [tuple(g) for _, g in groupby(todo, key=lambda r: _task(r, order))]
         tasks = [(place, group, keys[suite.logs[group[0].log].cell]) for group in groups]
-        for group, rows in _each_with(pool, run_all, tasks):
+        for group, rows in _answers(pool, run_all, tasks):
             kept.add({names[run]: row for run, row in zip(group[1], rows, strict=True)})
             done += len(rows)
             say(f"{rows[-1]['log']}, {rows[-1]['fault']}", done, len(runs))
@@ -180,44 +188,42 @@ def _finish(
     known = {n: [None if v != v else v for v in values] for n, values in columns.items()}
     made = {"seed": [SEED] * len(rows), "made_with": [provenance()] * len(rows)}
     write_columns(known | made, place.folder / "results.csv")
-    plain = [row for row in rows if row["fault"] in ("", "none")]
-    table_text = latex_text(place.suite.name, plain, differences(plain))
-    write_atomically(place.folder / "results.tex", table_text)
+    about = f"Suite {place.suite.name}, {len(rows)} runs. {provenance()}"
+    found = standings(by_estimator(rows), fewer=True)
+    write_atomically(place.folder / "results.tex", latex(found, about))
     suite, entries = place.suite, []
     if suite.frozen:
-        found = leaderboard(
+        board = leaderboard(
             suite.name,
             suite.sha256,
             rows,
             seed=SEED,
             data="the suite's own files" if has_own_files(suite, place.data) else "same content",
-            adapters=_adapter_digests(suite),
+            adapters={short_name(n): d for n, d in _adapter_digests(suite).items()},
             not_run={one.name: one.why for one in suite.not_run},
             about={row.name: row.about for row in suite.rows},
         )
-        write_atomically(place.folder / LEADERBOARD, json.dumps(found, indent=1) + "\n")
-        entries = [{**found, "row": row} for row in found["rows"]]
+        write_atomically(place.folder / LEADERBOARD, json.dumps(board, indent=1) + "\n")
+        entries = [{**board, "row": row} for row in board["rows"]]
         write_atomically(place.folder / TABLE, standings_text(entries))
     written = None
     if page:
-        from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
+        from cellwise.benchmark.page import BenchmarkTable, benchmark_page
 
         about = place.suite.about or f"suite {place.suite.name}"
-        table = BenchmarkTable(suite.name, about, rows, standings_parts(entries), _missing(suite))
+        missing = [(one.name, one.why) for one in suite.not_run]
+        table = BenchmarkTable(suite.name, about, rows, parts_of(entries), missing)
         written = benchmark_page(table, place.folder / "index.html", figures=figures)
     return BenchmarkResult(place.suite, rows, parquet, written, resumed)
 
 
-def _missing(suite: Suite) -> list[tuple[str, str]]:
-    return [(one.name, one.why) for one in suite.not_run]
-
-
 def _adapter_digests(suite: Suite) -> dict[str, str]:
-    """SHA-256 of every adapter's file, by its name in the tables."""
-    named = [n for n in suite.estimators if is_adapter(n)]
-    files = {n: suite.folder / n.rpartition(":")[0] for n in named}
-    there = {n: f if f.is_file() else Path(n.rpartition(":")[0]) for n, f in files.items()}
-    return {short_name(n): file_digest(f) for n, f in there.items() if f.is_file()}
+    """SHA-256 of the file of every adapter that is in one."""
+    files = {}
+    for name in filter(is_adapter, suite.estimators):
+        place = Path(name.rpartition(":")[0])
+        files[name] = next((f for f in (suite.folder / place, place) if f.is_file()), None)
+    return {name: file_digest(file) for name, file in files.items() if file is not None}
 
 
 def _every_run(suite: Suite, data: Path | None) -> list[Run]:
@@ -233,25 +239,6 @@ def _every_run(suite: Suite, data: Path | None) -> list[Run]:
     return list(dict.fromkeys(runs))
 
 
-def _check_adapters(suite: Suite) -> None:
-    for name in suite.estimators:
-        if is_adapter(name):
-            load_adapter(name, suite.folder)
-
-
-def _make_folders(place: Place, fresh: bool) -> None:
-    try:
-        (place.folder / "models").mkdir(parents=True, exist_ok=True)
-        if fresh:
-            (place.folder / KEPT).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"'{place.folder}', which cannot be made ({error.strerror})",
-            "a folder for the results",
-            "Choose another.",
-        ) from error
-
-
 def _cell_key(place: Place, number: int) -> str:
     """Name of a model that changes with whatever it is made from."""
     cell = place.suite.cells[number]
@@ -261,11 +248,7 @@ def _cell_key(place: Place, number: int) -> str:
 
 
 def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str, str]) -> str:
-    one = place.suite.logs[run.log]
-    adapter = digests.get(run.estimator, "")
-    file = place.suite.folder / run.estimator.rpartition(":")[0]
-    if is_adapter(run.estimator) and file.is_file():
-        adapter = file_digest(file)
+    one, adapter = place.suite.logs[run.log], digests.get(run.estimator, "")
     named = replace(one, log="")
     rest = [asdict(named), log, asdict(run.fault), *run[2:], place.suite.soc0_std]
     return key_of([cell_key, place.suite.name, adapter, *rest])
@@ -290,13 +273,7 @@ def _pool(processes: int) -> Iterator[Executor | None]:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _each(
-    pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
-) -> Iterator[T]:
-    return (answer for _, answer in _each_with(pool, work, tasks))
-
-
-def _each_with(
+def _answers(
     pool: Executor | None, work: Callable[..., T], tasks: Iterable[tuple[Any, ...]]
 ) -> Iterator[tuple[tuple[Any, ...], T]]:
     """Tasks with their answers, as they come."""

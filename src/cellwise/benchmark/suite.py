@@ -11,7 +11,7 @@ from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.known_logs import KnownLog, file_digest
 from cellwise.benchmark.package_rows import NotRun, PackageRow
-from cellwise.benchmark.records import checked, need, records
+from cellwise.benchmark.records import check_ranges, keyed, need, record, within
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
@@ -79,13 +79,16 @@ class SuiteLog:
 
     cell: str
     log: str
-    soc0: float | None = None
-    reference_Ah: float | None = None
-    from_soc: float | None = None
-    hours: float | None = None
+    soc0: float | None = within(0.0, 1.0, None)
+    reference_Ah: float | None = within(1e-6, 1e6, None)
+    from_soc: float | None = within(0.0, 1.0, None)
+    hours: float | None = within(1e-3, 1e6, None)
     summed: bool = False
     quick: bool = False
     name: str = ""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, f"log '{self.log}'")
 
     @property
     def shown(self) -> str:
@@ -101,9 +104,12 @@ class Slow:
     """What is asked of estimators that take long: fewer rows, starts and faults."""
 
     estimators: tuple[str, ...] = ("filterpy-ekf", "filterpy-ukf")
-    dt_s: float | None = None
-    start_errors: tuple[float, ...] | None = None
+    dt_s: float | None = within(1e-6, 1e6, None)
+    start_errors: tuple[float, ...] | None = within(-1.0, 1.0, None)
     faults: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "[slow]")
 
 
 @dataclass(frozen=True)
@@ -120,8 +126,8 @@ class Quick:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SuiteKeys:
-    """The plain keys of a suite's file.
+class Suite:
+    """Everything that a benchmark runs, as its file has it.
 
     Parameters
     ----------
@@ -134,45 +140,38 @@ class SuiteKeys:
     soc0_std : float                  standard deviation of the initial SOC given to a filter
     dt_s : float or None              resample every log to this step
     frozen : int                      version of a suite that does not change any more; 0: it may
+    cells, logs, slow
+    data : of KnownLog                what every log of a frozen suite holds
+    rows, not_run                     other people's estimators; those that cannot be had
+    quick, only_quick                 the quick cut, and whether nothing else is run
+    faults : of Fault                 beside the run without any
+    folder : Path                     where paths begin
+    sha256 : str                      of the suite's file
     """
 
     name: str = ""
     about: str = ""
     estimators: tuple[str, ...] = ("ekf", "ukf", "adaptive")
-    start_errors: tuple[float, ...] = (0.0, 0.1, -0.1, 0.3, -0.3)
-    fault_start_error: float = -0.3
+    start_errors: tuple[float, ...] = within(-1.0, 1.0, (0.0, 0.1, -0.1, 0.3, -0.3))
+    fault_start_error: float = within(-1.0, 1.0, -0.3)
     every_start: bool = False
-    soc0_std: float = 0.15
-    dt_s: float | None = None
+    soc0_std: float = within(1e-6, 1.0, 0.15)
+    dt_s: float | None = within(1e-6, 1e6, None)
     frozen: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Suite(SuiteKeys):
-    """Everything that a benchmark runs: its plain keys and its tables.
-
-    Parameters
-    ----------
-    faults : of Fault                 beside the run without any
-    cells, logs, slow
-    rows, not_run                     other people's estimators; those that cannot be had
-    quick, only_quick                 the quick cut, and whether nothing else is run
-    folder : Path                     where paths begin
-    data : of KnownLog                what every log of a frozen suite holds
-    sha256 : str                      of the suite's file
-    """
-
-    faults: tuple[Fault, ...]
-    cells: tuple[SuiteCell, ...]
-    logs: tuple[SuiteLog, ...]
+    cells: tuple[SuiteCell, ...] = keyed("cell")
+    logs: tuple[SuiteLog, ...] = keyed("log")
     slow: Slow = field(default_factory=Slow)
-    rows: tuple[PackageRow, ...] = ()
+    data: tuple[KnownLog, ...] = ()
+    rows: tuple[PackageRow, ...] = keyed("row")
     not_run: tuple[NotRun, ...] = ()
     quick: Quick = field(default_factory=Quick)
-    only_quick: bool = False
-    folder: Path = Path()
-    data: tuple[KnownLog, ...] = ()
-    sha256: str = ""
+    faults: tuple[Fault, ...] = keyed("")
+    only_quick: bool = field(default=False, metadata={"key": ""})
+    folder: Path = field(default=Path(), metadata={"key": ""})
+    sha256: str = field(default="", metadata={"key": ""})
+
+    def __post_init__(self) -> None:
+        check_ranges(self, f"suite '{self.name}'")
 
 
 def shipped_suites() -> dict[str, Path]:
@@ -207,21 +206,13 @@ def read_suite(name: str | Path) -> Suite:
 
 def suite_from_table(table: dict[str, Any], name: str, folder: Path) -> Suite:
     """A suite from what a TOML file holds; raises InputError as :func:`read_suite`."""
-    own = records(Fault, table.pop("fault", []), "[[fault]]")
-    (slow,) = records(Slow, [table.pop("slow", {})], "[slow]")
-    (quick,) = records(Quick, [table.pop("quick", {})], "[quick]")
+    own = tuple(
+        record(Fault, one, f"[[fault]] {k}") for k, one in enumerate(table.pop("fault", []), 1)
+    )
     faults = (*_named_faults(table.pop("faults", [])), *own)
-    tables: dict[str, Any] = {
-        "cells": records(SuiteCell, table.pop("cell", []), "[[cell]]"),
-        "logs": records(SuiteLog, table.pop("log", []), "[[log]]"),
-        "data": records(KnownLog, table.pop("data", []), "[[data]]"),
-        "rows": records(PackageRow, table.pop("row", []), "[[row]]"),
-        "not_run": records(NotRun, table.pop("not_run", []), "[[not_run]]"),
-    }
-    keys = checked(SuiteKeys, table, "the suite")
-    keys["name"] = keys["name"] or name
-    keys["estimators"] = _with_baselines(keys["estimators"])
-    suite = Suite(**keys, **tables, faults=faults, slow=slow, quick=quick, folder=folder)
+    suite = record(Suite, table, "the suite", faults=faults, folder=folder)
+    estimators = _with_baselines(suite.estimators)
+    suite = replace(suite, name=suite.name or name, estimators=estimators)
     _check(suite)
     return suite
 
@@ -253,23 +244,17 @@ def _with_baselines(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _named_faults(names: Any) -> tuple[Fault, ...]:
-    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-        raise InputError(
-            f"faults = {names}", "a list of names", 'Write e.g. faults = ["standard"].'
-        )
-    found: list[Fault] = []
-    for name in names:
-        if name in GROUPS:
-            found += GROUPS[name]
-        elif name in FAULTS:
-            found.append(FAULTS[name])
-        else:
-            raise InputError(
-                f"fault '{name}'",
-                f"one of {', '.join((*GROUPS, *FAULTS))}",
-                "Choose one of them, or describe your own in [[fault]].",
-            )
-    return tuple(f for f in dict.fromkeys(found) if f.name != NONE)
+    known = {**GROUPS, **{name: (fault,) for name, fault in FAULTS.items()}}
+    need(isinstance(names, list), f"faults = {names}", "a list of names, such as ['standard']")
+    unknown = next((n for n in names if n not in known), None)
+    need(
+        unknown is None,
+        f"fault '{unknown}'",
+        f"one of {', '.join(known)}",
+        "Choose one of them, or describe your own in [[fault]].",
+    )
+    found = dict.fromkeys(fault for name in names for fault in known[name])
+    return tuple(f for f in found if f.name != NONE)
 
 
 def _check(suite: Suite) -> None:
@@ -287,16 +272,7 @@ def _check(suite: Suite) -> None:
     ):
         twice = next((n for n in names if names.count(n) > 1), None)
         need(twice is None, f"two of {kind} '{twice}'", "one of a name", "Rename one.")
-    for error in (*suite.start_errors, suite.fault_start_error, *(suite.slow.start_errors or ())):
-        need(-1.0 < error < 1.0, f"a start error of {error:g}", "a fraction, as 0.3")
-    for step in (suite.dt_s, suite.slow.dt_s):
-        need(step is None or 0.0 < step < 1e6, f"dt_s = {step}", "seconds above zero")
-    need(
-        bool(suite.start_errors) and 0.0 < suite.soc0_std < 1.0,
-        f"start_errors = {list(suite.start_errors)}, soc0_std = {suite.soc0_std:g}",
-        "at least one start, a deviation between 0 and 1",
-        "Correct them.",
-    )
+    need(bool(suite.start_errors), "no start_errors", "at least one start")
     for cell in suite.cells:
         _check_cell(cell)
     if suite.frozen:
@@ -363,9 +339,3 @@ def _check_log(log: SuiteLog, cells: set[str]) -> None:
         "the true SOC at its first row and the charge between full and empty",
         "Add both: nothing can be judged without.",
     )
-    limits = {"soc0": (0.0, 1.0), "reference_Ah": (1e-6, 1e6), "from_soc": (0.0, 1.0),
-              "hours": (1e-3, 1e6)}  # fmt: skip
-    for name, (low, high) in limits.items():
-        value = getattr(log, name)
-        there = value is None or low <= value <= high
-        need(there, f"{name} = {value} of log '{log.shown}'", f"{low:g} to {high:g}")

@@ -124,23 +124,15 @@ class Place(NamedTuple):
     adapters: Path = Path()
     pythons: tuple[tuple[str, Path], ...] = ()
 
-    def model_file(self, key: str) -> Path:
-        """Where a cell's model is kept between runs."""
-        return self.folder / "models" / f"{key}.json"
-
-    def noise_file(self, key: str) -> Path:
-        """Where its tuned noise is kept."""
-        return self.folder / "models" / f"{key}.noise.json"
-
-    def training_file(self, key: str) -> Path:
-        """What a row of another package is fitted on."""
-        return self.folder / "models" / f"{key}.training.npz"
+    def file(self, key: str, kind: str = "json") -> Path:
+        """What is kept of a cell: model (``json``), ``noise.json``, ``training.npz`` of rows."""
+        return self.folder / "models" / f"{key}.{kind}"
 
 
 def make_model(place: Place, number: int, key: str) -> str:
     """Identify the cell, unless it has been done before; its name."""
     cell = place.suite.cells[number]
-    if not place.model_file(key).is_file():
+    if not place.file(key).is_file():
         try:
             model, noise = cell_model(cell, place.suite, place.data)
         except InputError as error:
@@ -150,13 +142,13 @@ def make_model(place: Place, number: int, key: str) -> str:
                 error.action,
             ) from error
         if noise is not None:
-            write_atomically(place.noise_file(key), json.dumps(vars(noise)))
-        write_model(model, place.model_file(key))
-    if place.suite.rows and not place.training_file(key).is_file():
-        model = read_model(place.model_file(key))
+            write_atomically(place.file(key, "noise.json"), json.dumps(vars(noise)))
+        write_model(model, place.file(key))
+    if place.suite.rows and not place.file(key, "training.npz").is_file():
+        model = read_model(place.file(key))
         logs = training_logs(cell, model, place.suite, place.data)
         arrays = training_arrays(model, _temperature_C(cell), logs)
-        whole = place.training_file(key)
+        whole = place.file(key, "training.npz")
         np.savez(whole.with_suffix(".part.npz"), **arrays)
         whole.with_suffix(".part.npz").replace(whole)
     return cell.name
@@ -191,7 +183,7 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
     suite = place.suite
     one = suite.logs[run.log]
     judged = _judged(place, run.log, run.dt_s)
-    true_model, noise = _model(place.model_file(key), place.noise_file(key))
+    true_model, noise = _model(place.file(key), place.file(key, "noise.json"))
     row: dict[str, Any] = {
         "suite": suite.name,
         "cell": one.cell,
@@ -276,7 +268,7 @@ def _row_estimator(place: Place, row: PackageRow, model: CellModel, key: str) ->
     ------
     RowError
     """
-    training, python = place.training_file(key), dict(place.pythons)[row.name]
+    training, python = place.file(key, "training.npz"), dict(place.pythons)[row.name]
     process, fitted = fitted_row(python, place.adapters, row, training, SEED)
     return RowEstimator(process, model, training, fitted)
 

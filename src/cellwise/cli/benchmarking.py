@@ -150,13 +150,7 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
 
 def run_submit(arguments: argparse.Namespace) -> None:
     """Check a row from elsewhere and draw it in."""
-    from cellwise.benchmark.submission import (
-        LEADERBOARD,
-        TABLE,
-        read_entries,
-        standings_parts,
-        submit,
-    )
+    from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
 
     folder = Path(arguments.output)
     if arguments.row is None:
@@ -168,10 +162,10 @@ def run_submit(arguments: argparse.Namespace) -> None:
     names = submit(Path(arguments.row), folder)
     page = None
     if not arguments.no_page:
-        from cellwise.report.benchmark.page import standings_page
+        from cellwise.benchmark.page import standings_page
 
         entries = read_entries(folder / LEADERBOARD)
-        parts = standings_parts(entries)
+        parts = parts_of(entries)
         page = standings_page(entries[0]["suite"], parts, folder / "leaderboard.html")
     if arguments.json:
         printing.print_json(
@@ -199,33 +193,17 @@ def list_suites(as_json: bool) -> None:
 
 
 def print_benchmark(found: BenchmarkResult) -> None:
-    """A benchmark for people: overview, faults, what could not be judged."""
-    from cellwise.benchmark.paper_tables import difference_text, differences
-    from cellwise.report.benchmark.overview import (
-        OVERVIEW_COLUMNS,
-        coverage_text,
-        fault_matrix,
-        fault_rows,
-        overviews,
-    )
+    """A benchmark for people: how estimators stand, faults, what could not be judged."""
+    from cellwise.benchmark.page import division_table, divisions
+    from cellwise.benchmark.standings import by_estimator, standings, suite_tables
 
     rows = found.rows
-    title = f"{found.suite.name}: runs without a fault"
-    printing.record_table(title, overviews(rows), *OVERVIEW_COLUMNS)
-    faults = fault_matrix(rows)
-    if faults.labels:
-        printing.table(
-            f"{found.suite.name}: mean settled RMSE by fault, "
-            f"start {100 * found.suite.fault_start_error:+.0f} points",
-            ("fault, %", *faults.estimators),
-            fault_rows(faults, printing.percent),
-        )
-        if coverage_text(rows):
-            printing.say(coverage_text(rows))
+    for one in suite_tables(standings(by_estimator(rows), fewer=True)):
+        printing.table(f"{found.suite.name}, points of SOC", one.head, one.rows)
+    for division in divisions(rows):
+        if division.key == "faults":
+            printing.table("mean settled RMSE by fault", *division_table(division)[:2])
     printing.say_notices(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"])
-    plain = [row for row in rows if row["fault"] in ("", "none")]
-    for one in differences(plain):
-        printing.say(f"  {difference_text(one)}")
     taken = f", {found.resumed} of them from an earlier run" if found.resumed else ""
     printing.say(f"{len(rows)} runs{taken}: {found.parquet}")
     if found.page is not None:
@@ -241,9 +219,9 @@ def run_certify(arguments: argparse.Namespace) -> None:
         read_export,
         read_sensor,
     )
+    from cellwise.benchmark.certify.page import certificate_page
     from cellwise.cell.model_file import read_model
     from cellwise.files import write_atomically
-    from cellwise.report.certificate_page import certificate_page
 
     limits = Limits(
         arguments.most_rmse, arguments.most_p95, arguments.most_worst, arguments.least_coverage
@@ -287,27 +265,15 @@ def run_certify(arguments: argparse.Namespace) -> None:
 
 def print_certificate(found: Certificate, data: dict[str, Any], folder: str | None) -> None:
     """The certificate for people: whole, by what, verdict."""
-    from cellwise.report.certificate_page import SOURCES
+    from cellwise.benchmark.certify.page import GROUP_COLUMNS, groups_of
 
-    percent = printing.percent
     printing.say(repr(found))
     printing.say(
-        f"{percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} discharges "
-        "end within three points of SOC"
+        f"{printing.percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} "
+        "discharges end within three points of SOC"
     )
-    sources = {SOURCES[name]: found for name, found in data["sources"].items()}
-    groups = {"source": sources, **{f"by {name}": own for name, own in data["by"].items() if own}}
-    for name, own in groups.items():
-        printing.record_table(
-            name,
-            list(own.items()),
-            (name.removeprefix("by "), lambda g: g[0]),
-            ("cells", lambda g: str(g[1]["cells"])),
-            ("RMSE %", lambda g: percent(g[1]["rmse"])),
-            ("95 % of the time below %", lambda g: percent(g[1]["p95"], 1)),
-            ("worst %", lambda g: percent(g[1]["worst"], 1)),
-            ("within two deviations %", lambda g: percent(g[1]["coverage"], 0)),
-        )
+    for name, own in groups_of(data).items():
+        printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
     if data["verdict"]["limits"]:
         beyond = data["verdict"]["beyond"]
         printing.say("BEYOND: " + "; ".join(beyond) if beyond else "within every stated limit")

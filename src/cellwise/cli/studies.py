@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
+    from cellwise.logs.cell_log import CellLog
     from cellwise.studies.capacity_study import CellStudy, StudyCell
 
 
@@ -115,8 +117,12 @@ def run_demo(arguments: argparse.Namespace) -> None:
 def run_capacity_study(arguments: argparse.Namespace) -> None:
     """Study the cells, print which choice wins, write the page."""
     from cellwise.estimate.estimators import ESTIMATORS
-    from cellwise.studies.capacity_study import STUDIED, study_cell
-    from cellwise.studies.capacity_study_cells import published_orders, study_cells
+    from cellwise.studies.capacity_study import (
+        STUDIED,
+        published_orders,
+        study_cell,
+        study_cells,
+    )
 
     page_options.check_page_options(arguments)
     estimators = tuple(arguments.estimator or STUDIED)
@@ -151,7 +157,7 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
     InputError        tests without a log to judge on, a reference that is missing or impossible
     """
     from cellwise.identify import IdentifySettings
-    from cellwise.studies.capacity_study import JudgedLog, StudyCell
+    from cellwise.studies.capacity_study import StudyCell
 
     tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
     if not tests and not arguments.judge:
@@ -171,10 +177,10 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
             "Correct it.",
         )
 
-    def judged(path: str) -> JudgedLog:
+    def judged(path: str) -> CellLog:
         log = log_options.read(path, arguments)
         start = options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
-        return JudgedLog(log, log.soc0 if log.soc0 is not None else 1.0 if start is None else start)
+        return log if start is None else replace(log, soc0=start)
 
     return StudyCell(
         name=Path(arguments.judge[0]).name.split(".")[0],
@@ -188,19 +194,13 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
 def print_studies(studies: list[CellStudy]) -> None:
     """Tables and verdicts for people."""
-    from cellwise.report.capacity_study_page import (
-        choice_head,
-        choice_row,
-        papers_beside,
-        verdicts,
-    )
+    from cellwise.report.capacity_study_page import choices, papers_beside, verdicts
 
     for study in studies:
         printing.table(
             f"{study.name}: RMSE by capacity, reference {study.reference_Ah:g} Ah "
             f"({study.reference}), judged on {', '.join(study.logs)}",
-            choice_head(study),
-            [choice_row(c) for c in study.choices],
+            *choices(study),
         )
         for line in verdicts(study):
             printing.say(f"  {line}")

@@ -11,24 +11,30 @@ from cellwise.report.page.markup import bullets, paragraph, table
 from cellwise.report.page.numerals import capitalised
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
-from cellwise.studies.capacity_study import VOLTAGE, CellStudy, ChoiceResult, Winner
-from cellwise.studies.capacity_study_cells import published_orders
+from cellwise.studies.capacity_study import VOLTAGE, CellStudy, published_orders
 from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
 
-NAMES = {
-    VOLTAGE: "simulated voltage",
-    "coulomb": "coulomb counting",
-    "ekf": "EKF",
-    "ukf": "UKF",
-    "adaptive": "adaptive",
+# Of every figure: name in text, name in a table's head, colour and marker of its line.
+KINDS = {
+    VOLTAGE: ("simulated voltage", "", style.VERMILLION, "o"),
+    "coulomb": ("coulomb counting", "count", style.AMBER, "s"),
+    "ekf": ("EKF", "EKF", style.BLUE, "o"),
+    "ukf": ("UKF", "UKF", style.GREEN, "^"),
+    "adaptive": ("adaptive", "adapt", style.PURPLE, "D"),
 }
-
-SHORT = {"coulomb": "count", "ekf": "EKF", "ukf": "UKF", "adaptive": "adapt"}
+# A capacity within this share of its neighbour's shares its label.
+TOO_NEAR = 0.004
+EXPLAINED = (
+    "Every dot is a choice of the capacity, with the whole identification redone. First: the "
+    "voltage; OCV and tables are fitted over the choice's own SOC, so a scale that is off hardly "
+    "shows in it until it ends before the cell does. Then: the SOC, which shows it; counting "
+    "divides by it, and a filter can only follow the scale of its OCV. The line is the reference."
+)
 
 
 def named(kind: str) -> str:
     """A figure's name in text."""
-    return NAMES.get(kind, kind)
+    return KINDS[kind][0] if kind in KINDS else kind
 
 
 def amount(kind: str, value: float) -> str:
@@ -36,32 +42,51 @@ def amount(kind: str, value: float) -> str:
     return f"{1e3 * value:.1f} mV" if kind == VOLTAGE else f"{100 * value:.2f} points"
 
 
-def choice_head(study: CellStudy) -> tuple[str, ...]:
-    """Head of the table of choices."""
-    filters = tuple(study.choices[0].soc)
-    return (
-        "choice", "Ah", "own fit mV", "voltage mV", "above 10 %",
-        *(f"{SHORT.get(e, e)} %" for e in filters),
-        *(f"{SHORT.get(e, e)} end" for e in filters),
-    )  # fmt: skip
-
-
-def choice_row(result: ChoiceResult) -> tuple[str, ...]:
-    """One choice: RMSE of voltage and SOC, signed SOC errors at the end of discharge."""
-    return (
-        result.choice,
-        f"{result.capacity_Ah:.3f}",
-        f"{1e3 * result.fit_rmse_V:.1f}",
-        f"{1e3 * result.voltage_rmse_V:.1f}",
-        f"{1e3 * result.voltage_above_10pct_V:.1f}",
-        *(f"{100 * s.rmse:.2f}" for s in result.soc.values()),
-        *(f"{100 * s.end:+.2f}" for s in result.soc.values()),
-    )
+def choices(study: CellStudy) -> tuple[list[str], list[list[str]]]:
+    """Head and rows: RMSE of voltage and SOC, signed SOC error where the discharge ends."""
+    filters = [KINDS[e][1] if e in KINDS else e for e in study.kinds[1:]]
+    ends = [f"{name} end" for name in filters]
+    head = ["choice", "Ah", "own fit mV", "voltage mV", "above 10 %"]
+    rows = [
+        [
+            one.choice,
+            f"{one.capacity_Ah:.3f}",
+            *(
+                f"{1e3 * volt:.1f}"
+                for volt in (one.fit_rmse_V, one.voltage_rmse_V, one.voltage_above_10pct_V)
+            ),
+            *(f"{100 * s.rmse:.2f}" for s in one.soc.values()),
+            *(f"{100 * s.end:+.2f}" for s in one.soc.values()),
+        ]
+        for one in study.choices
+    ]
+    return [*head, *(f"{name} %" for name in filters), *ends], rows
 
 
 def verdicts(study: CellStudy) -> list[str]:
     """One line per figure: the winner, the next one that is truly behind, and why."""
-    return [_verdict(study, study.winner(kind)) for kind in study.kinds]
+    return [_verdict(study, kind) for kind in study.kinds]
+
+
+def _verdict(study: CellStudy, kind: str) -> str:
+    winner, worst = study.winner(kind), study.order(kind)[-1]
+    text = f"{named(kind)}: {winner.choice} wins with {amount(kind, winner.value)}"
+    if winner.alike:
+        text += f"; not separable from it: {', '.join(winner.alike)}"
+    worse = [item for item in winner.behind.items() if item[0] not in winner.alike]
+    for name, d in worse[:1]:
+        text += (
+            f"; {name} is {amount(kind, d.value)} worse (95 % {amount(kind, d.low)} to "
+            f"{amount(kind, d.high)})"
+        )
+    if kind == VOLTAGE:
+        return f"{text}."
+    off = 100 * (worst.capacity_Ah / study.reference_Ah - 1.0)
+    share = 100 * worst.soc[kind].axis_share
+    return (
+        f"{text}. Of the squared error of {worst.choice} {share:.0f} % is its SOC scale, "
+        f"{off:+.1f} % off the reference."
+    )
 
 
 def papers_beside() -> list[str]:
@@ -70,75 +95,24 @@ def papers_beside() -> list[str]:
     lfp = ", ".join(
         f"{LFP_ERRORS[c].capacity_Ah:g} Ah ({c}) {LFP_ERRORS[c].rms_mV:g} mV" for c in orders["lfp"]
     )
-    nca = ", ".join(
-        f"{c.removeprefix('rate:')} {NCA_RESIDUALS[c.removeprefix('rate:')].rmse_mV:g} mV"
-        for c in orders["ncr18650b"]
-    )
+    rates = [choice.removeprefix("rate:") for choice in orders["ncr18650b"]]
+    nca = ", ".join(f"{rate} {NCA_RESIDUALS[rate].rmse_mV:g} mV" for rate in rates)
     return [
         f"LFP paper ({LFP_CELL}), voltage RMS on a charge-depleting cycle: {lfp}.",
         f"NCR18650B paper ({NCA_CELL}), voltage RMSE on each rate's own HPPC: {nca}.",
     ]
 
 
-def _verdict(study: CellStudy, winner: Winner) -> str:
-    others = [name for name in study.order(winner.kind) if name != winner.choice]
-    text = f"{named(winner.kind)}: {winner.choice} wins with {amount(winner.kind, winner.value)}"
-    alike = [name for name in others if name in winner.alike]
-    if alike:
-        text += f"; not separable from it: {', '.join(alike)}"
-    worse = [name for name in others if name not in winner.alike]
-    if worse:
-        next_one = worse[0]
-        d = winner.behind[next_one]
-        text += (
-            f"; {next_one} is {amount(winner.kind, d.value)} worse "
-            f"(95 % {amount(winner.kind, d.low)} to {amount(winner.kind, d.high)})"
-        )
-    return f"{text}. {_why(study, winner)}"
-
-
-def _why(study: CellStudy, winner: Winner) -> str:
-    worst = _result(study, study.order(winner.kind)[-1])
-    off = 100 * (worst.capacity_Ah / study.reference_Ah - 1.0)
-    if winner.kind == VOLTAGE:
-        return (
-            "OCV and tables are fitted over the choice's own SOC, so a scale that is off hardly "
-            f"shows in the voltage until it ends before the cell does ({worst.choice}, {off:+.1f} "
-            f"% of the reference: {amount(VOLTAGE, worst.voltage_rmse_V)})."
-        )
-    return (
-        f"Of the squared error of {worst.choice} {100 * worst.axis_share[winner.kind]:.0f} % is "
-        f"its SOC scale, {off:+.1f} % off the reference: counting divides by it, and a filter is "
-        "led by an OCV over it."
-    )
-
-
-def _result(study: CellStudy, choice: str) -> ChoiceResult:
-    return next(c for c in study.choices if c.choice == choice)
-
-
 def study_finding(study: CellStudy) -> str:
     """One line: what the choice of the capacity does to SOC."""
-    kind = study.kinds[1] if len(study.kinds) > 1 else VOLTAGE
-    winner, last = study.winner(kind), study.order(kind)[-1]
+    kind = study.kinds[min(1, len(study.kinds) - 1)]
+    best, last = study.order(kind)[0], study.order(kind)[-1]
     if kind == VOLTAGE:
-        return f"{study.name}: {winner.choice} fits the voltage best"
+        return f"{study.name}: {best.choice} fits the voltage best"
     return (
-        f"{study.name}: {winner.choice} as the capacity leaves {100 * winner.value:.2f} points of "
-        f"SOC error in {named(kind)}, {last} {100 * _result(study, last).figure(kind):.2f}"
+        f"{study.name}: {best.choice} as the capacity leaves {100 * best.figure(kind):.2f} points "
+        f"of SOC error in {named(kind)}, {last.choice} {100 * last.figure(kind):.2f}"
     )
-
-
-# Colour and marker of an estimator's line.
-LOOKS = {
-    VOLTAGE: (style.VERMILLION, "o"),
-    "coulomb": (style.AMBER, "s"),
-    "ekf": (style.BLUE, "o"),
-    "ukf": (style.GREEN, "^"),
-    "adaptive": (style.PURPLE, "D"),
-}
-# A capacity within this share of its neighbour's shares its label.
-TOO_NEAR = 0.004
 
 
 def capacity_study_page(
@@ -174,42 +148,31 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
         f"Identified again for every choice, judged on {', '.join(study.logs)}. SOC reference: the "
         f"tester's counter over {study.reference_Ah:g} Ah ({study.reference}), the same for all."
     )
-    figures = table(
-        choice_head(study),
-        [choice_row(c) for c in study.choices],
-        caption="RMSE of simulated voltage and of SOC; signed SOC error where the discharge ends.",
-    )
+    caption = "RMSE of simulated voltage and of SOC; signed SOC error where the discharge ends."
     voltage, *filters = study.kinds
-    pictures = tuple(
-        study_picture(study, kinds)._replace(key=f"{key}-{what}")
-        for what, kinds in (("voltage", [voltage]), ("soc", filters))
-        if kinds
+    pictures = [study_picture(study, [voltage])._replace(key=f"{key}-voltage")]
+    pictures += [study_picture(study, filters)._replace(key=f"{key}-soc")] * bool(filters)
+    blocks: Blocks = (
+        paragraph(text),
+        bullets(verdicts(study)),
+        paragraph(EXPLAINED, "note"),
+        *pictures,
+        table(*choices(study), caption=caption),
     )
-    said = paragraph(EXPLAINED, "note")
-    blocks: Blocks = (paragraph(text), bullets(verdicts(study)), said, *pictures, figures)
-    title = f"Which charge is the capacity: {study.name}"
-    return Section(key, title, blocks, study.name)
-
-
-EXPLAINED = (
-    "Every dot is a choice of the capacity, with the whole identification redone. First: the "
-    "voltage, which hardly depends on it until the scale ends before the cell does. Then: the SOC, "
-    "which does; a filter can only follow the scale of its OCV. The line is the reference."
-)
+    return Section(key, f"Which charge is the capacity: {study.name}", blocks, study.name)
 
 
 @pictured("capacity-study")
 def study_picture(study: CellStudy, kinds: Sequence[str]) -> style.Figure:
     """RMSE of the voltage, or of SOC by several estimators, over the capacity."""
     figure, axes = style.new_axes(2.8)
-    choices = sorted(study.choices, key=lambda c: c.capacity_Ah)
-    capacity = [c.capacity_Ah for c in choices]
-    of_voltage = VOLTAGE in kinds
+    found = sorted(study.choices, key=lambda c: c.capacity_Ah)
+    capacity, of_voltage = [c.capacity_Ah for c in found], VOLTAGE in kinds
     scale = 1e3 if of_voltage else 100.0
     for kind in kinds:
-        colour, marker = LOOKS.get(kind, (style.INK, "o"))
-        rmse = [scale * c.figure(kind) for c in choices]
-        axes.plot(capacity, rmse, color=colour, marker=marker, lw=1.0, ms=4, label=named(kind))
+        name, _, colour, marker = KINDS.get(kind, (kind, "", style.INK, "o"))
+        rmse = [scale * c.figure(kind) for c in found]
+        axes.plot(capacity, rmse, color=colour, marker=marker, lw=1.0, ms=4, label=name)
     axes.axvline(study.reference_Ah, color=style.MUTED, linewidth=1.0)
     axes.margins(y=0.0)
     axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the names

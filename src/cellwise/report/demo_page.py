@@ -5,17 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
-from cellwise.report.findings import demo_finding, replay_finding, simulation_finding
-from cellwise.report.identification.page import cell_name, identify_sections, identify_tiles
-from cellwise.report.identification.simulation_section import simulation_blocks
+from cellwise.report.identification.page import (
+    cell_name,
+    fitted_logs,
+    identify_sections,
+    identify_tiles,
+)
+from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import bullets, details, lead_of, paragraph
+from cellwise.report.page.numerals import ampere_hours, millivolt, plural
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.report.replay.page import replay_data
-from cellwise.report.replay.replay_section import replay_content, replay_plots
+from cellwise.report.replay.replay_section import replay_content, replay_finding, replay_plots
 
 INTRODUCTION = (
     "A battery's state of charge cannot be measured, only inferred from current, voltage and "
@@ -52,6 +59,17 @@ def demo_page(
         lead=lead_of((), identify_tiles(identification), judged[:1]),
         figures=figures,
     )
+
+
+def demo_finding(identification: Identification, simulations: Sequence[Simulation]) -> str:
+    """The main result in short."""
+    model = identification.model
+    own = f"{millivolt(identification.fit.rmse_V)} RMSE on its own {fitted_logs(identification)}"
+    text = f"{model.name or 'The cell'}, {ampere_hours(model.capacity_Ah)}: {own}"
+    known = [s.rmse_above_10pct_V for s in simulations if np.isfinite(s.rmse_above_10pct_V)]
+    if known:
+        text += f", {millivolt(float(np.mean(known)))} on {plural(len(known), 'drive')} not seen"
+    return f"{text}."
 
 
 def demo_sections(

@@ -12,7 +12,7 @@ from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
 from cellwise.report.page.numerals import millivolt, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.picture import FigureFiles, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import BoolArray, FloatArray
 
@@ -47,15 +47,15 @@ def pack_page(
         for cause in data["causes"]
     ]
     cells = (cells_picture(found), *([rest_and_load_picture(found)] if means_of(found) else []))
-    sections = [Section("cells", "Cells over time", cells, "Over time")]
+    numbers = details("the numbers", _table(found))
+    every: Blocks = (numbers,)
     if found.withheld is None:
-        health = _pictures(found, estimates_of(found), ESTIMATES)
-        sensors = _pictures(found, sensors_of(found), SENSORS)
-        sections.append(Section("estimates", "Capacity and resistance", health, "Estimates"))
-        sections.append(Section("sensors", "Sensors and polling", sensors, "Sensors"))
-    sections.append(
-        Section("table", "Every cell", (details("the numbers", _table(found)),), "Table")
-    )
+        shown = [cells_figure(found, one) for one in figures_of(found)]
+        every = (paragraph(EXPLAINED, "note"), *shown, numbers)
+    sections = [
+        Section("cells", "Cells over time", cells, "Over time"),
+        Section("every", "Every cell", every),
+    ]
     return write_page(
         path,
         _first_line(found),
@@ -81,8 +81,9 @@ def _figures(found: PackEstimate) -> Markup:
     data = found.to_dict()
     soc, weakest, cells = data["soc"], data["weakest"], data["per_cell"]
     soc_std = float(np.median([c["soc_std"] for c in cells]))
-    least = next((c for c in cells if c["name"] == weakest["by_capacity"]), None)
-    band = "" if least is None else f" ± {significant(2.0 * least['capacity_std_Ah'], 2)}"
+    std_of = {c["name"]: c["capacity_std_Ah"] for c in cells}
+    std = std_of.get(weakest["by_capacity"])
+    band = "" if std is None else f" ± {significant(2.0 * std, 2)}"
     facts = [
         ("SOC, lowest to highest", f"{percent(soc['min'], 1)} to {percent(soc['max'], 1)}"),
         ("how well it is known", f"± {percent(2.0 * soc_std, 1)}"),
@@ -227,13 +228,10 @@ def _mean_where(found: PackEstimate, inside: list[BoolArray]) -> FloatArray:
         return np.asarray(total / count)
 
 
-ESTIMATES = (
-    "Estimates with two standard deviations of a cell's difference from the mean. Named cells are "
-    "beyond what cells differ by."
-)
-SENSORS = (
-    "What is the sensors' and not the cells': what each voltage reads too much, and by how much "
-    "later than the others it is polled."
+EXPLAINED = (
+    "Dots with two standard deviations of a cell's difference from the mean; named cells are "
+    "beyond what cells differ by. Offset and polling are the sensors' and not the cells': what "
+    "each voltage reads too much, and by how much later than the others it is polled."
 )
 
 
@@ -247,37 +245,37 @@ class CellFigure(NamedTuple):
     title: str
 
 
-def estimates_of(found: PackEstimate) -> list[CellFigure]:
-    """Capacity and resistance of every cell."""
-    cells = found.cells
-    capacity, resistance = cells.capacity_Ah, cells.resistance_scale
-    text = "cells differ by {:.1f} % (standard deviation)"
-    spread = [text.format(100.0 * np.nanstd(v) / np.nanmean(v)) for v in (capacity, resistance)]
-    own = found.own_capacity_std_Ah
+def figures_of(found: PackEstimate) -> list[CellFigure]:
+    """Capacity and resistance of every cell, offset and polling of its sensor."""
+
+    def spread(name: str, v: FloatArray) -> str:
+        share = 100.0 * float(np.nanstd(v) / np.nanmean(v))
+        return f"{name}: cells differ by {share:.1f} % (standard deviation)"
+
+    def ends(name: str, v: FloatArray, unit: str) -> str:
+        return f"Sensors' {name}: {np.nanmin(v):+.2g} to {np.nanmax(v):+.2g} {unit}"
+
+    c = found.cells
+    scale, offset_mV = c.resistance_scale, 1e3 * c.offset_V
     return [
-        CellFigure("capacity", "capacity [Ah]", capacity, own, f"Capacity: {spread[0]}"),
-        CellFigure("resistance", "resistance / mean", resistance, cells.resistance_std,
-                   f"Resistance: {spread[1]}"),
+        CellFigure("capacity", "capacity [Ah]", c.capacity_Ah, found.own_capacity_std_Ah,
+                   spread("Capacity", c.capacity_Ah)),
+        CellFigure("resistance", "resistance / mean", scale, c.resistance_std,
+                   spread("Resistance", scale)),
+        CellFigure("offsets", "offset [mV]", offset_mV, 1e3 * c.offset_std_V,
+                   ends("offsets", offset_mV, "mV")),
+        CellFigure("polling", "polled later by [s]", c.skew_s, c.skew_std_s,
+                   ends("polling", c.skew_s, "s")),
     ]  # fmt: skip
 
 
-def sensors_of(found: PackEstimate) -> list[CellFigure]:
-    """Offset and polling of every cell's sensor."""
-    cells = found.cells
-    figures = []
-    for key, axis, unit, values, std in (
-        ("offsets", "offset [mV]", "mV", 1e3 * cells.offset_V, 1e3 * cells.offset_std_V),
-        ("polling", "polled later by [s]", "s", cells.skew_s, cells.skew_std_s),
-    ):
-        low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        title = f"Sensors' {key}: {low:+.2g} to {high:+.2g} {unit}"
-        figures.append(CellFigure(key, axis, values, std, title))
-    return figures
+def cells_figure(found: PackEstimate, one: CellFigure) -> Picture:
+    """A dot with its band for every cell, and the names of those that the page points at."""
+    return _cells_figure(found, one)._replace(key=f"pack_{one.key}")
 
 
 @pictured("pack_cells")
-def cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
-    """A dot with its band for every cell, and the names of those that the page points at."""
+def _cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
     figure, axes = style.new_axes(2.6)
     number = np.arange(1.0, one.values.size + 1.0)
     style.error_dots(axes, number, one.values, one.std, markersize=3.0, ecolor=style.MUTED)
@@ -285,12 +283,6 @@ def cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
     style.finding(axes, one.title)
     style.labels(axes, "cell", one.axis)
     return figure
-
-
-def _pictures(found: PackEstimate, figures: Sequence[CellFigure], said: str) -> Blocks:
-    """A note, and a picture of each figure."""
-    drawn = (cells_figure(found, one)._replace(key=f"pack_{one.key}") for one in figures)
-    return (paragraph(said, "note"), *drawn)
 
 
 def _point_at(axes: style.Axes, found: PackEstimate, heights: FloatArray) -> None:

@@ -8,7 +8,7 @@ one stated capacity, the same for all choices, so that a choice cannot judge its
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -17,24 +17,17 @@ import numpy as np
 from cellwise.cell.metrics import drawn_sums
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
+from cellwise.data import list_datasets, load_dataset
 from cellwise.errors import InputError
-from cellwise.estimate.estimators import ESTIMATORS
-from cellwise.estimate.replay import reference_soc, replay
+from cellwise.estimate.replay import reference_soc, replay, soc_errors
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.logs.cell_log import CellLog
+from cellwise.studies.published import LFP_ERRORS, NCA_RESIDUALS
 from cellwise.typing import FloatArray
 
-STUDIED = tuple(e for e in ("coulomb", "ekf", "ukf", "adaptive") if e in ESTIMATORS)
+STUDIED = ("coulomb", "ekf", "ukf", "adaptive")
 VOLTAGE = "voltage"
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedLog:
-    """A log that no identification has seen, and the SOC at its first row."""
-
-    log: CellLog
-    soc0: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +38,7 @@ class StudyCell:
     ----------
     name : str
     tests : TestLogs                  what every choice is identified on
-    judged : of JudgedLog
+    judged : of CellLog               logs that no identification has seen, their initial SOC stated
     reference_Ah : float              charge between SOC 1 and 0 for the reference
     reference : str                   what that number is
     settings : IdentifySettings       nominal capacity among them
@@ -56,7 +49,7 @@ class StudyCell:
 
     name: str
     tests: TestLogs
-    judged: tuple[JudgedLog, ...]
+    judged: tuple[CellLog, ...]
     reference_Ah: float
     reference: str
     settings: IdentifySettings = field(default_factory=IdentifySettings)
@@ -64,14 +57,25 @@ class StudyCell:
     tests_of: Mapping[str, TestLogs] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class SocFigures:
-    """SOC error of one estimator, as fractions; ``end`` is the signed error where SOC is lowest."""
+class SocFigures(NamedTuple):
+    """SOC error of one estimator, as fractions; ``end`` is the signed error where SOC is lowest.
+
+    ``axis_share`` is the part of the squared error that is the SOC scale itself.
+    """
 
     rmse: float
     mae: float
     max: float
     end: float
+    axis_share: float
+
+
+class Difference(NamedTuple):
+    """RMSE of the other less RMSE of the best, with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +83,7 @@ class ChoiceResult:
     """What one choice leads to, over all judged logs.
 
     ``errors`` holds voltage errors [V] under ``voltage`` and SOC errors under the estimators'
-    names, one array per log; ``axis_share`` the part of each estimator's squared SOC error that is
-    the SOC scale itself.
+    names, one array per log.
     """
 
     choice: str
@@ -89,7 +92,6 @@ class ChoiceResult:
     voltage_rmse_V: float
     voltage_above_10pct_V: float
     soc: Mapping[str, SocFigures]
-    axis_share: Mapping[str, float]
     errors: Mapping[str, tuple[FloatArray, ...]]
 
     def figure(self, kind: str) -> float:
@@ -128,18 +130,14 @@ class CellStudy:
         """What the choices are compared by."""
         return (VOLTAGE, *self.choices[0].soc)
 
-    def order(self, kind: str) -> tuple[str, ...]:
+    def order(self, kind: str) -> list[ChoiceResult]:
         """Choices from best to worst."""
-        return tuple(c.choice for c in sorted(self.choices, key=lambda c: c.figure(kind)))
+        return sorted(self.choices, key=lambda c: c.figure(kind))
 
     def winner(self, kind: str) -> Winner:
         """The best choice by the voltage's RMSE or an estimator's SOC RMSE."""
-        best = min(self.choices, key=lambda c: c.figure(kind))
-        behind = {
-            c.choice: difference(c.errors[kind], best.errors[kind])
-            for c in self.choices
-            if c is not best
-        }
+        best, *others = self.order(kind)
+        behind = {c.choice: difference(c.errors[kind], best.errors[kind]) for c in others}
         return Winner(kind, best.choice, best.figure(kind), behind)
 
     def to_dict(self) -> dict[str, Any]:
@@ -156,21 +154,18 @@ class CellStudy:
                     "fit_rmse_V": c.fit_rmse_V,
                     "voltage_rmse_V": c.voltage_rmse_V,
                     "voltage_rmse_above_10pct_V": c.voltage_above_10pct_V,
-                    "soc": {
-                        e: {**vars(s), "axis_share": c.axis_share[e]} for e, s in c.soc.items()
-                    },
+                    "soc": {e: s._asdict() for e, s in c.soc.items()},
                 }
                 for c in self.choices
             ],
             "winners": {
-                kind: {
+                w.kind: {
                     "choice": w.choice,
                     "rmse": w.value,
                     "alike": list(w.alike),
-                    "behind": {name: vars(d) for name, d in w.behind.items()},
+                    "behind": {name: d._asdict() for name, d in w.behind.items()},
                 }
-                for kind in self.kinds
-                for w in (self.winner(kind),)
+                for w in map(self.winner, self.kinds)
             },
             "seconds": self.seconds,
         }
@@ -197,114 +192,63 @@ def study_cell(
         raise InputError("no log to judge on", "at least one", "Give a log with a counter.")
     began = time.perf_counter()
     say = progress or (lambda _: None)
-    wanted = _wanted(cell, choices, say)
-    found: list[ChoiceResult] = []
-    for choice in wanted:
+    if choices is None and cell.tests_of:
+        choices = tuple(cell.tests_of)
+    elif choices is None:
+        say(f"{cell.name}: which choices there are")
+        quick = replace(cell.settings, refine=cell.settings.refine and not cell.tests.hppc)
+        choices = (*identify_cell(cell.tests, quick).capacities, *cell.values_Ah)
+    found = []
+    for choice in dict.fromkeys(choices):
         say(f"{cell.name}, {choice}: identify")
-        model, fit = _identified(cell, choice)
-        twin = next((c for c in found if _same(c, model, choice, cell)), None)
-        if twin is not None:
-            found.append(replace(twin, choice=choice))
-            continue
+        settings = replace(cell.settings, capacity_choice=choice)
+        if choice in cell.values_Ah:  # it goes by the name of the nominal capacity
+            value = cell.values_Ah[choice]
+            settings = replace(cell.settings, nominal_Ah=value, capacity_choice="nominal")
+        made = identify_cell(cell.tests_of.get(choice, cell.tests), settings)
         say(f"{cell.name}, {choice}: simulate, estimate")
-        found.append(judge(cell, choice, model, fit, estimators))
-    return CellStudy(
-        cell.name,
-        cell.reference_Ah,
-        cell.reference,
-        tuple(j.log.name for j in cell.judged),
-        tuple(found),
-        round(time.perf_counter() - began, 1),
-    )
+        found.append(judge(cell, choice, made.model, made.fit.rmse_V, estimators))
+    logs = tuple(log.name for log in cell.judged)
+    seconds = round(time.perf_counter() - began, 1)
+    return CellStudy(cell.name, cell.reference_Ah, cell.reference, logs, tuple(found), seconds)
 
 
 def judge(
     cell: StudyCell, choice: str, model: CellModel, fit_rmse_V: float, estimators: Sequence[str]
 ) -> ChoiceResult:
     """One model on every judged log."""
-    voltage: list[FloatArray] = []
-    above: list[FloatArray] = []
-    soc_errors: dict[str, list[FloatArray]] = {e: [] for e in estimators}
-    axes: list[FloatArray] = []
-    lowest: list[int] = []
-    for judged in cell.judged:
-        log = judged.log
-        truth = reference_soc(log, judged.soc0, cell.reference_Ah)
+    errors: dict[str, list[FloatArray]] = {kind: [] for kind in (VOLTAGE, *estimators)}
+    above, axes, ends = [], [], []
+    for log in cell.judged:
+        soc0 = 1.0 if log.soc0 is None else log.soc0
+        truth = reference_soc(log, soc0, cell.reference_Ah)
         if truth is None:
             raise InputError(
                 f"no charge counter in '{log.name}'",
                 "the tester's counter in every judged log",
                 "SOC has no other reference here: judge on a log that has it.",
             )
-        simulated = simulate(model, log, judged.soc0)
+        simulated = simulate(model, log, soc0)
         known = np.isfinite(simulated.error_V)
-        voltage.append(simulated.error_V[known])
+        errors[VOLTAGE].append(simulated.error_V[known])
         above.append(simulated.error_V[known & (truth > 0.1)])
         # What the choice's own SOC scale makes of the same counter.
-        axes.append((judged.soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
-        lowest.append(int(np.nanargmin(truth)))
+        axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
+        ends.append(int(np.nanargmin(truth)))
         for name in estimators:
-            found = replay(model, log, name, soc0=judged.soc0, soc0_std=DRAWN.soc0_std)
-            soc_errors[name].append(np.asarray(found.trace.soc - truth))
-    return ChoiceResult(
-        choice=choice,
-        capacity_Ah=model.capacity_Ah,
-        fit_rmse_V=fit_rmse_V,
-        voltage_rmse_V=_rms(voltage),
-        voltage_above_10pct_V=_rms(above),
-        soc={e: _figures(errors, lowest) for e, errors in soc_errors.items()},
-        axis_share={e: axis_share(errors, axes) for e, errors in soc_errors.items()},
-        errors={
-            VOLTAGE: tuple(voltage),
-            **{e: tuple(errors) for e, errors in soc_errors.items()},
-        },
+            trace = replay(model, log, name, soc0=soc0, soc0_std=DRAWN.soc0_std).trace
+            errors[name].append(np.asarray(trace.soc - truth))
+    soc = {}
+    for name in estimators:
+        whole = soc_errors(np.concatenate(errors[name]))
+        end = float(np.mean([e[k] for e, k in zip(errors[name], ends, strict=True)]))
+        share = axis_share(errors[name], axes)
+        soc[name] = SocFigures(whole.rmse, whole.mae, whole.max, end, share)
+    kept = {kind: tuple(own) for kind, own in errors.items()}
+    rmse_V, above_V = (
+        float(np.sqrt(np.mean(np.square(np.concatenate(e))))) for e in (errors[VOLTAGE], above)
     )
-
-
-def _wanted(cell: StudyCell, choices: Sequence[str] | None, say: Progress) -> tuple[str, ...]:
-    if choices is not None:
-        return tuple(dict.fromkeys(choices))
-    if cell.tests_of:
-        return tuple(cell.tests_of)
-    say(f"{cell.name}: which choices there are")
-    quick = replace(cell.settings, refine=False) if cell.tests.hppc else cell.settings
-    offered = identify_cell(cell.tests, quick).capacities
-    return (*offered, *cell.values_Ah)
-
-
-def _identified(cell: StudyCell, choice: str) -> tuple[CellModel, float]:
-    tests = cell.tests_of.get(choice, cell.tests)
-    if choice in cell.values_Ah:
-        # A number of its own goes by the name of the nominal capacity.
-        settings = replace(
-            cell.settings, nominal_Ah=cell.values_Ah[choice], capacity_choice="nominal"
-        )
-    else:
-        settings = replace(cell.settings, capacity_choice=choice)
-    found = identify_cell(tests, settings)
-    return found.model, found.fit.rmse_V
-
-
-def _same(result: ChoiceResult, model: CellModel, choice: str, cell: StudyCell) -> bool:
-    """Two names of one number: identified on the same tests, they are one model."""
-    tests = cell.tests_of.get(choice) is cell.tests_of.get(result.choice)
-    return tests and result.capacity_Ah == model.capacity_Ah
-
-
-def _rms(errors: Sequence[FloatArray]) -> float:
-    together = np.concatenate(errors)
-    return float(np.sqrt(np.nanmean(together * together))) if together.size else float("nan")
-
-
-def _figures(errors: Sequence[FloatArray], lowest: Sequence[int]) -> SocFigures:
-    size = np.abs(np.concatenate(errors))
-    ends = [float(e[k]) for e, k in zip(errors, lowest, strict=True)]
-    return SocFigures(
-        rmse=_rms(errors),
-        mae=float(np.nanmean(size)),
-        max=float(np.nanmax(size)),
-        end=float(np.mean(ends)),
-    )
+    return ChoiceResult(choice, model.capacity_Ah, fit_rmse_V, rmse_V, above_V, soc, kept)
 
 
 class Drawn(NamedTuple):
@@ -316,15 +260,6 @@ class Drawn(NamedTuple):
 
 
 DRAWN = Drawn()
-
-
-@dataclass(frozen=True)
-class Difference:
-    """RMSE of the other less RMSE of the best, with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 def difference(
@@ -369,3 +304,90 @@ def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> floa
     whole = float(np.sum(e[known] ** 2))
     rest = float(np.sum((e[known] - a[known]) ** 2))
     return 1.0 - rest / whole if whole > 0.0 else 0.0
+
+
+NMC_RATES = {"rate:C/20": "c20", "rate:C/5": "c5", "rate:C/3": "c3"}
+NMC_DRIVES = ("nmc_drive_b", "nmc_drive_c")
+# The LFP paper's choices over what its cell gave with CC and CV.
+LFP_WHOLE_AH = LFP_ERRORS["cc-cv-average"].capacity_Ah
+PAPER_RATIOS = {
+    f"as {row.capacity_Ah:g} of {LFP_WHOLE_AH:g}": row.capacity_Ah / LFP_WHOLE_AH
+    for row in LFP_ERRORS.values()
+    if row.capacity_Ah != LFP_WHOLE_AH
+}
+
+
+def published_orders() -> dict[str, tuple[str, ...]]:
+    """Choices of both papers from the smallest voltage RMSE to the largest."""
+    lfp = sorted(LFP_ERRORS, key=lambda name: LFP_ERRORS[name].rms_mV)
+    nca = sorted(NCA_RESIDUALS, key=lambda rate: NCA_RESIDUALS[rate].rmse_mV)
+    return {"lfp": tuple(lfp), "ncr18650b": tuple(f"rate:{rate}" for rate in nca)}
+
+
+def _embedded(name: str, nominal_Ah: float, judged: Iterable[str], tests: TestLogs) -> StudyCell:
+    """A cell of the physics models; their catalogue knows its capacity and where its logs begin."""
+    entries = {str(e["name"]): e for e in list_datasets()}
+    known = {log: float(str(entries[log]["initial_soc"])) for log in judged}
+    return StudyCell(
+        name=name,
+        tests=tests,
+        judged=tuple(replace(load_dataset(log), soc0=soc0) for log, soc0 in known.items()),
+        reference_Ah=float(str(entries[next(iter(known))]["true_capacity_Ah"])),
+        reference="the physics model's own inventory",
+        settings=IdentifySettings(nominal_Ah=nominal_Ah, name=name),
+    )
+
+
+def embedded_nmc() -> StudyCell:
+    """NMC cell of the physics model: three capacity tests, two drives it has not seen."""
+    tests = TestLogs(
+        hppc=((load_dataset("nmc_hppc"), None),),
+        ocv=(load_dataset("nmc_ocv_c20"),),
+        capacity=tuple(load_dataset(f"nmc_cap_{tag}") for tag in NMC_RATES.values()),
+        drive=((load_dataset("nmc_drive_a"), None),),
+    )
+    return _embedded("embedded NMC", 5.0, NMC_DRIVES, tests)
+
+
+def embedded_nmc_rates() -> StudyCell:
+    """The same cell characterized at one rate at a time, as in the NCR18650B paper."""
+    cell = _embedded("embedded NMC, one rate", 5.0, NMC_DRIVES, TestLogs())
+    tests = {
+        choice: TestLogs(
+            hppc=((load_dataset(f"nmc_hppc_{tag}"), None),),
+            capacity=(load_dataset(f"nmc_cap_{tag}"),),
+        )
+        for choice, tag in NMC_RATES.items()
+    }
+    return replace(cell, tests_of=tests)
+
+
+def embedded_lfp() -> StudyCell:
+    """LFP cell of the physics model on a charge-depleting cycle, with the LFP paper's ratios."""
+    capacity = tuple(load_dataset(f"lfp_cap_{rate}") for rate in ("0p5c", "1c", "2c", "3c"))
+    tests = TestLogs(hppc=((load_dataset("lfp_hppc"), None),), capacity=capacity)
+    cell = _embedded("embedded LFP", 2.3, ["lfp_cdc"], tests)
+    values = {name: ratio * 2.3 for name, ratio in PAPER_RATIOS.items()}
+    return replace(cell, settings=replace(cell.settings, chemistry="LFP"), values_Ah=values)
+
+
+EMBEDDED = {
+    "embedded-nmc": embedded_nmc,
+    "embedded-nmc-rates": embedded_nmc_rates,
+    "embedded-lfp": embedded_lfp,
+}
+
+
+def study_cells(names: tuple[str, ...]) -> tuple[StudyCell, ...]:
+    """Embedded cells by name; no name means all.
+
+    Raises
+    ------
+    InputError        an unknown name
+    """
+    unknown = [name for name in names if name not in EMBEDDED]
+    if unknown:
+        raise InputError(
+            f"a cell '{unknown[0]}'", f"one of {', '.join(EMBEDDED)}", "Choose one of them."
+        )
+    return tuple(EMBEDDED[name]() for name in names or EMBEDDED)

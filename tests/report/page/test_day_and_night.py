@@ -7,8 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from cellwise.report.benchmark.overview import Matrix
-from cellwise.report.benchmark.page import fault_table
+from cellwise.benchmark.page import tinted
 from cellwise.report.page.markup import page_file
 from cellwise.report.page.picture import VARIABLES
 
@@ -45,6 +44,6 @@ def test_every_colour_that_a_picture_takes_from_the_page_is_there_by_day_and_nig
 
 
 def test_fields_behind_numbers_take_their_colours_from_the_page():
-    matrix = Matrix(["ekf", "ukf"], ["none", "offset"], np.array([[0.002, 0.015], [0.04, 0.2]]))
-    html = fault_table(matrix)
+    html = "".join(map(tinted, (0.002, 0.015, 0.04, 0.2)))
     assert all(f'class="tint-{k}"' in html for k in range(1, 5))
+    assert "tint" not in tinted(float("nan"))

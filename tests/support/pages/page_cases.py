@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.benchmark.figures import COLUMNS
+from cellwise.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report import export_page, identify_page, replay_page
-from cellwise.report.benchmark.page import BenchmarkTable, benchmark_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
 from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures
@@ -76,8 +76,7 @@ def study_page(path):
                 fit_rmse_V=voltage,
                 voltage_rmse_V=voltage,
                 voltage_above_10pct_V=voltage,
-                soc={e: SocFigures(sizes[e], sizes[e], sizes[e], sizes[e]) for e in filters},
-                axis_share=dict.fromkeys(filters, 0.9),
+                soc={e: SocFigures(*[sizes[e]] * 4, axis_share=0.9) for e in filters},
                 errors={kind: (np.full(100, size),) for kind, size in sizes.items()},
             )
         )

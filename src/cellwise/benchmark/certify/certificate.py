@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from cellwise.errors import InputError
-from cellwise.report.certificate_page import SOURCES, fleet_text
+from cellwise.benchmark.records import check_ranges, within
 
 Row = Mapping[str, Any]
 
@@ -20,6 +19,11 @@ BINS = np.append(
 AGES = (0.0, 1 / 3, 2 / 3, 1.0)
 CLIMATES_C = (-60.0, -10.0, 0.0, 10.0, 20.0, 30.0, 45.0, 100.0)
 WORST = 100  # cases that are named
+SOURCES = {
+    "model": "virtual cells",
+    "physics": "cells of porous electrodes",
+    "measured": "runs of measured logs",
+}
 
 
 @dataclass(frozen=True)
@@ -36,20 +40,13 @@ class Limits:
     InputError        a limit that is not between 0 and 1
     """
 
-    rmse: float | None = None
-    p95: float | None = None
-    worst: float | None = None
-    coverage: float | None = None
+    rmse: float | None = within(1e-9, 1.0, None)
+    p95: float | None = within(1e-9, 1.0, None)
+    worst: float | None = within(1e-9, 1.0, None)
+    coverage: float | None = within(1e-9, 1.0, None)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if value is not None and not 0.0 < value <= 1.0:
-                raise InputError(
-                    f"a limit {one.name} = {value:g}",
-                    "a share above 0, at most 1 (0.03 is three points of SOC)",
-                    "Give it as a fraction, not in per cent.",
-                )
+        check_ranges(self, "the limits, which are fractions (0.03 is three points of SOC)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +124,13 @@ class Certificate:
             f"{100 * whole['rmse']:.2f} % RMS, {100 * whole['p95']:.2f} % in 95 % of the time, "
             f"{100 * whole['coverage']:.0f} % within two deviations)"
         )
+
+
+def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str, Any]) -> str:
+    """How many cells of which source lived how long."""
+    hours = {"model": settings["hours"], "physics": settings["physics_hours"]}
+    each = {source: f" x {hours[source]:g} h" if source in hours else "" for source in sources}
+    return ", ".join(f"{SOURCES[s]} {one['cells']:.0f}{each[s]}" for s, one in sources.items())
 
 
 def figures_of(rows: Sequence[Row]) -> dict[str, float]:

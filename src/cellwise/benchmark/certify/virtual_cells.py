@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cellwise.benchmark.faults import Fault
-from cellwise.benchmark.records import checked
+from cellwise.benchmark.records import check_ranges, record, within
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
@@ -54,22 +54,15 @@ class Sensor:
     InputError        a value that is negative or not finite
     """
 
-    current_offset_A: float = 0.0
-    current_gain: float = 0.005
-    voltage_offset_V: float = 0.003
-    temperature_K: float = 1.0
-    current_noise_A: float = 0.0
-    voltage_noise_V: float = 0.001
+    current_offset_A: float = within(0.0, 1e6, 0.0)
+    current_gain: float = within(0.0, 1e6, 0.005)
+    voltage_offset_V: float = within(0.0, 1e6, 0.003)
+    temperature_K: float = within(0.0, 1e6, 1.0)
+    current_noise_A: float = within(0.0, 1e6, 0.0)
+    voltage_noise_V: float = within(0.0, 1e6, 0.001)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if not 0.0 <= value < 1e6:
-                raise InputError(
-                    f"{one.name} = {value!r} of a sensor",
-                    "a standard deviation, zero or more",
-                    "Correct the specification.",
-                )
+        check_ranges(self, "the sensor's standard deviations")
 
 
 USUAL_OFFSET = 0.002  # of 1C: what a current sensor of a vehicle is off by after its calibration
@@ -96,7 +89,7 @@ def read_sensor(path: str | Path) -> Sensor:
             "a TOML file with lines such as voltage_offset_V = 0.005",
             f"Write it with any of {', '.join(one.name for one in fields(Sensor))}.",
         ) from error
-    return Sensor(**checked(Sensor, found, f"'{path}'"))
+    return record(Sensor, found, f"'{path}'")
 
 
 # What goes wrong beside, in every second cell; shares of 1C so that they fit a cell of any size.

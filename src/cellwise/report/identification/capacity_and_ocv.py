@@ -37,28 +37,17 @@ def capacity_content(identification: Identification) -> Markup:
     chosen = identification.capacity_choice
     names = list(identification.capacities)
     marked = chosen if chosen in same or not same else same[0]
-    held = any(row.cv_Ah > 5e-4 * row.total_Ah for row in rows)
-    columns: list[tuple[object, Any]] = [
-        ("rate", lambda row: row.rate),
-        ("total", lambda row: ampere_hours(row.total_Ah, whole)),
-    ]
-    if held:
-        columns += [
-            ("CC part", lambda row: ampere_hours(row.cc_Ah, whole)),
-            ("CV part", lambda row: ampere_hours(row.cv_Ah, whole)),
-        ]
-    columns.append(("tests", lambda row: row.n))
-    if any(row.n > 1 for row in rows):
-        columns.append(
-            ("spread", lambda row: ampere_hours(row.spread_Ah, whole) if row.n > 1 else "")
-        )
-    if any(row.coulombic_efficiency is not None for row in rows):
-        columns.append(("coulombic efficiency", lambda row: _efficiency(row.coulombic_efficiency)))
     rates = record_table(
         rows,
-        *columns,
-        caption="Charge taken out from full to the lower limit, mean per rate"
-        + (": at constant current (CC), and while the limit was held (CV)." if held else "."),
+        ("rate", lambda row: row.rate),
+        ("total", lambda row: ampere_hours(row.total_Ah, whole)),
+        ("CC part", lambda row: ampere_hours(row.cc_Ah, whole) if _held(row) else ""),
+        ("CV part", lambda row: ampere_hours(row.cv_Ah, whole) if _held(row) else ""),
+        ("tests", lambda row: row.n),
+        ("spread", lambda row: ampere_hours(row.spread_Ah, whole) if row.n > 1 else ""),
+        ("coulombic efficiency", _efficiency),
+        caption="Charge taken out from full to the lower limit, mean per rate; where the limit was "
+        "held, at constant current (CC) and while it was held (CV).",
     )
     choices = record_table(
         identification.capacities.items(),
@@ -78,8 +67,12 @@ def capacity_content(identification: Identification) -> Markup:
     return Markup(beside(rates if rows else "", choices) + notes)
 
 
-def _efficiency(value: float | None) -> str:
-    return "" if value is None else f"{value:.4f}"
+def _held(row: CapacityRow) -> bool:
+    return row.cv_Ah > 5e-4 * row.total_Ah
+
+
+def _efficiency(row: CapacityRow) -> str:
+    return "" if row.coulombic_efficiency is None else f"{row.coulombic_efficiency:.4f}"
 
 
 class Rests(NamedTuple):

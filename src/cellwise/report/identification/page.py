@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
+from cellwise.cell.simulate import Simulation
 from cellwise.identify.identification import Identification, OwnLog
-from cellwise.report.findings import identify_finding, model_kind, unseen_drives
 from cellwise.report.identification.capacity_and_ocv import (
     capacity_content,
     ocv_content,
@@ -40,6 +40,7 @@ from cellwise.report.page.markup import (
     tiles,
 )
 from cellwise.report.page.numerals import (
+    SPACE,
     ampere_hours,
     capitalised,
     celsius,
@@ -54,10 +55,52 @@ from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
 
+EFFECTS = {
+    "slow_diffusion": "a slow third branch",
+    "hysteresis": "hysteresis",
+    "temperature_dependence": "an Arrhenius factor",
+    "time_skew": "the sampling delay of the logger",
+}
 NOT_JUDGED = (
     "Every log here took part in the fit: judge the model on another one "
     "(cellwise simulate, replay or diagnose)."
 )
+
+
+def identify_finding(identification: Identification) -> str:
+    """What an identification found: the capacity, and the error on what it saw and did not see."""
+    model = identification.model
+    error = millivolt(identification.fit.rmse_V)
+    prior = model.provenance.get("prior")
+    text = ampere_hours(model.capacity_Ah)
+    if isinstance(prior, Mapping):  # a model of another cell, as far as these logs corrected it
+        band = significant(2.0 * float(prior["capacity_std_Ah"]), 2)
+        size = significant(model.capacity_Ah)
+        text = f"{prior['name']}, updated: {size} ± {band}{SPACE}Ah"
+    text += f": {error} RMSE on its own {fitted_logs(identification)}"
+    if unseen := unseen_drives(identification):
+        worst = float(np.max([s.metrics.rmse_V for s in unseen]))
+        one = len(unseen) == 1
+        where = unseen[0].log.name or "a log" if one else plural(len(unseen), "log")
+        text += f", {'' if one else 'at most '}{millivolt(worst)} on {where} outside the fit"
+    return f"{text}."
+
+
+def unseen_drives(identification: Identification) -> list[Simulation]:
+    """The drives that were given and took no part in the fit."""
+    return [o.simulation for o in identification.own_logs if not o.used and o.role == "drive"]
+
+
+def fitted_logs(identification: Identification) -> str:
+    """How many logs took part in the fit, as text."""
+    logs = sum(own.used for own in identification.own_logs)
+    return "log" if logs == 1 else plural(logs, "log")
+
+
+def model_kind(identification: Identification) -> str:
+    """``2-RC model with a slow third branch and hysteresis``."""
+    extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in identification.model.effects]
+    return "2-RC model" + (f" with {listed(extra)}" if extra else "")
 
 
 def provenance_content(identification: Identification) -> Markup:

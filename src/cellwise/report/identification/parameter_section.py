@@ -27,6 +27,7 @@ NAMES = {
     "tau2_s": "τ₂",
     "tau3_s": "τ₃",
 }
+DC = ("r0_ohm", "r1_ohm", "r2_ohm")
 
 
 # Beyond this ratio of largest to smallest a table is drawn over a logarithmic axis.
@@ -45,21 +46,15 @@ class PulseValues(NamedTuple):
     known: BoolArray
 
 
-def model_table(model: CellModel, name: str, row: int) -> FloatArray | None:
-    """One of ``NAMES`` over the model's SOC grid at one of its temperatures; None if absent."""
-    slow = model.effect(SlowDiffusion)
-    r3 = effect_table(slow.r3_ohm, model.ocv_V.shape)[row]
-    has_slow = bool(np.any(r3 > 0.0))
-    if name in ("r3_ohm", "tau3_s") and not has_slow:
-        return None
-    tau3 = effect_table(slow.tau3_s, model.ocv_V.shape)[row]
-    if name == "r3_ohm":
-        return np.asarray(r3)
-    if name == "tau3_s":
-        return np.asarray(tau3)
-    if name == "dc_ohm":
-        return np.asarray(model.r0_ohm[row] + model.r1_ohm[row] + model.r2_ohm[row])
-    return np.asarray(getattr(model, name)[row])
+def model_tables(model: CellModel, row: int = 0) -> dict[str, FloatArray]:
+    """Tables over the model's SOC grid at one of its temperatures, those of ``NAMES`` it has."""
+    slow, shape = model.effect(SlowDiffusion), model.ocv_V.shape
+    found = {n: np.asarray(getattr(model, n)[row]) for n in (*DC, "tau1_s", "tau2_s")}
+    found["dc_ohm"] = np.sum([found[n] for n in DC], axis=0)
+    r3_ohm = effect_table(slow.r3_ohm, shape)[row]
+    if np.any(r3_ohm > 0.0):
+        found |= {"r3_ohm": r3_ohm, "tau3_s": effect_table(slow.tau3_s, shape)[row]}
+    return {n: found[n] for n in NAMES if n in found}
 
 
 def table_error(found: TemperatureResult, name: str, soc: FloatArray) -> FloatArray | None:
@@ -85,27 +80,19 @@ def pulse_values(found: TemperatureResult, name: str) -> PulseValues | None:
     fits = [f for s in found.pulse_sets for f in s.fits if np.isfinite(f.soc)]
     if not fits or name in ("r3_ohm", "tau3_s"):
         return None
-    soc = np.array([f.soc for f in fits])
-    discharge = np.array([f.current_A > 0.0 for f in fits], dtype=bool)
-    if name == "dc_ohm":
-        value = np.array([f.r0_ohm + f.r1_ohm + f.r2_ohm for f in fits])
-        error = np.full(value.size, np.nan)
-        known = np.array([f.identified.r2_ohm > 0 or f.method == "segments" for f in fits])
-        return PulseValues(soc, value, error, discharge, known)
-    value = np.array([getattr(f, name) for f in fits])
-    shares = [getattr(f.error, name) / max(getattr(f.value, name), 1e-12) for f in fits]
+    parts = DC if name == "dc_ohm" else (name,)
+    value = np.array([sum(getattr(f, part) for part in parts) for f in fits])
+    shares = [getattr(f.error, part) / max(getattr(f.value, part), 1e-12)
+              for part in parts[:1] for f in fits]  # fmt: skip
     # A method without standard errors claims nothing: its values are shown as they are.
-    known = np.array(
-        [f.method == "segments" or getattr(f.identified, name) > 0.0 for f in fits], dtype=bool
+    known = [f.method == "segments" or getattr(f.identified, parts[-1]) > 0.0 for f in fits]
+    return PulseValues(
+        soc=np.array([f.soc for f in fits]),
+        value=value,
+        error=value * (np.array(shares) if len(parts) == 1 else np.nan),
+        discharge=np.array([f.current_A > 0.0 for f in fits], dtype=bool),
+        known=np.array(known, dtype=bool) & np.isfinite(value) & (value > 0.0),
     )
-    known &= np.isfinite(value) & (value > 0.0)
-    return PulseValues(soc, value, value * np.array(shares), discharge, known)
-
-
-def shown_names(identification: Identification) -> tuple[str, ...]:
-    """Panels: the resistances, then their sum and the time constants of the branches there are."""
-    slow = model_table(identification.model, "r3_ohm", 0) is not None
-    return tuple(n for n in NAMES if slow or n not in ("r3_ohm", "tau3_s"))
 
 
 def shown_rows(identification: Identification) -> list[int]:
@@ -123,7 +110,7 @@ def vague_names(identification: Identification) -> list[str]:
     middle = np.array([MIDDLE])
     errors = {
         name: [table_error(t, name, middle) for t in identification.temperatures]
-        for name in shown_names(identification)
+        for name in model_tables(identification.model)
     }
     return [
         NAMES[name]
@@ -148,7 +135,7 @@ def has_pulses(identification: Identification) -> bool:
 
 def parameter_pictures(identification: Identification) -> tuple[Picture, ...]:
     """One per parameter, resistances first; the first one has the key."""
-    names = shown_names(identification)
+    names = model_tables(identification.model)
     return tuple(
         parameter_picture(identification, name, k == 0)._replace(
             key=f"parameter-{name.replace('_', '-')}"
@@ -169,8 +156,7 @@ def parameter_content(identification: Identification) -> Markup:
     ] * bool(vague)
     tables = []
     for row, temperature in enumerate(model.temperature_C):
-        named = ((n, model_table(model, n, row)) for n in NAMES if n != "dc_ohm")
-        known = {n: line for n, line in named if line is not None}
+        known = {n: line for n, line in model_tables(model, row).items() if n != "dc_ohm"}
         units = {n: _unit(n, line) for n, line in known.items()}
         shown = record_table(
             [k / 10 for k in range(11)],
@@ -200,7 +186,7 @@ def parameter_picture(identification: Identification, name: str, key: bool) -> s
     figure, axes = style.new_axes(2.4)
     model = identification.model
     rows = shown_rows(identification)
-    lines = {row: line for row in rows if (line := model_table(model, name, row)) is not None}
+    lines = {row: model_tables(model, row)[name] for row in rows}
     shown = slice(None, None, max(model.points // 100, 1))
     soc = 100.0 * model.soc[shown]
     middle = min(rows, key=lambda k: abs(model.temperature_C[k] - REFERENCE_C))
@@ -279,34 +265,26 @@ def _draw_key(axes: style.Axes, identification: Identification) -> None:
         style.key_below(axes, keys)
 
 
-def temperature_colours(count: int) -> tuple[str, ...]:
+def temperature_colours(count: int) -> list[str]:
     """One colour per temperature from cold to warm; a single one has the model's colour."""
-    if count == 1:
-        return (style.MODEL,)
-    if count <= len(style.COLD_TO_WARM) - 1:
-        picks = np.linspace(0, len(style.COLD_TO_WARM) - 2, count).round().astype(int)
-        return tuple(style.COLD_TO_WARM[k] for k in picks)
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    return tuple(to_hex(colormaps["viridis"](x)) for x in np.linspace(0.0, 0.9, count))
+    places = np.linspace(0.08, 0.92, count)
+    return [style.MODEL] if count == 1 else [to_hex(colormaps["turbo"](x)) for x in places]
 
 
 def _scale(axes: style.Axes, seen: FloatArray) -> None:
     """Limits from what is known well; logarithmic where it spans much."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     seen = seen[np.isfinite(seen) & (seen > 0.0)]
     if seen.size == 0:
         return
     low, high = float(seen.min()), float(seen.max())
     if high / low > LOG_FROM:
-        axes.set_yscale("log")
+        axes.set_yscale("log", subs=[2, 5] if high / low < 300.0 else [])
         axes.set_ylim(low / 1.3, high * 1.3)
-        dense = (1.0, 2.0, 5.0) if high / low < 300.0 else (1.0,)
-        axes.yaxis.set_major_locator(LogLocator(subs=dense, numticks=12))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        for ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+            ticks("{x:g}")
     else:
         room = 0.12 * (high - low) + 1e-3 * high
         axes.set_ylim(max(low - room, 0.0), high + room)

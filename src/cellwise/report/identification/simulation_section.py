@@ -10,7 +10,14 @@ from cellwise.cell.metrics import error_metrics
 from cellwise.cell.simulate import Simulation
 from cellwise.report.page import style
 from cellwise.report.page.markup import MOST, Markup, clock_of, jump, paragraph, record_table
-from cellwise.report.page.numerals import counted, duration, millivolt, percent, points
+from cellwise.report.page.numerals import (
+    counted,
+    duration,
+    millivolt,
+    percent,
+    plural,
+    points,
+)
 from cellwise.report.page.picture import Picture, pictured, safe_key
 from cellwise.report.page.plot import Plot, as_model, simulation_plot, worst_part
 from cellwise.report.page.section import Block, plots_within
@@ -20,6 +27,23 @@ CAPTION = (
     "Measured voltage (grey), the model's from the current alone, their difference, the current "
     "and the simulated SOC."
 )
+
+
+def simulation_finding(simulations: Sequence[Simulation]) -> str:
+    """How well the model predicts the logs it is simulated on."""
+    each = [s.rmse_above_10pct_V for s in simulations]
+    known = [e for e in each if np.isfinite(e)]
+    if not known:
+        return f"{plural(len(simulations), 'log')} simulated."
+    if len(known) == 1:
+        name = simulations[0].log.name or "a log"
+        size = f"{millivolt(known[0])} RMSE above {percent(LOW_SOC, 0)} SOC"
+        return f"The voltage of {name} is simulated with {size}."
+    mean = float(np.mean(known))
+    return (
+        f"The voltage of {plural(len(known), 'log')} is simulated with {millivolt(mean)} RMSE "
+        f"above {percent(LOW_SOC, 0)} SOC in the mean, {millivolt(max(known))} at worst."
+    )
 
 
 def simulation_blocks(

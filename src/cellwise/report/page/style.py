@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 BLUE, SKY, GREEN = "#1f83c4", "#56b4e9", "#009e73"
 AMBER, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#cc79a7"
 MEASURED, MODEL, FILTER = "#808a96", VERMILLION, BLUE
-COLD_TO_WARM = (BLUE, SKY, GREEN, AMBER, VERMILLION, PURPLE)
 # Verdicts on pulses: colour and marker, so that neither has to be relied on alone.
 VERDICTS = {
     "healthy": (GREEN, "o"),

@@ -17,8 +17,7 @@ from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.logs.checks.grave import is_grave
 from cellwise.plotting import Line, Panel
-from cellwise.report.findings import replay_finding, replay_name, simulation_finding
-from cellwise.report.identification.simulation_section import simulation_blocks
+from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import (
     MOST,
     Markup,
@@ -51,6 +50,8 @@ from cellwise.report.replay.replay_section import (
     estimated_content,
     reached,
     replay_content,
+    replay_finding,
+    replay_name,
     replay_plots,
     soc_at_end,
     soc_at_start,

@@ -9,10 +9,10 @@ import numpy as np
 
 from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
 from cellwise.plotting import Line, Panel
-from cellwise.report.findings import replay_name
 from cellwise.report.page.markup import EMPTY, MOST, Markup, clock_of, paragraph, table
 from cellwise.report.page.numerals import (
     NONE,
+    capitalised,
     counted,
     duration,
     millivolt,
@@ -24,7 +24,13 @@ from cellwise.report.page.picture import safe_key
 from cellwise.report.page.plot import Plot, robust_limits, time_axis
 from cellwise.typing import FloatArray
 
-WIDE_BAND = 0.5  # RMS of the innovations over their deviation: below, the band is far too wide
+TWO = percent(CONVERGED_SOC, 0)
+ESTIMATORS = {
+    "ekf": "the EKF",
+    "filterpy-ekf": "filterpy's EKF",
+    "coulomb": "coulomb counting",
+}
+WIDE_NIS = 0.25  # below, the band of the innovations is far too wide
 CHANGED = 0.9  # probability from which a parameter is said not to be the model's
 
 
@@ -34,6 +40,37 @@ CAPTION = (
     "difference, called innovation, within the band that the filter expects; and the current."
 )
 REFERENCE = ", the reference that the tester counted (grey) and their difference"
+
+
+def replay_finding(replay: Replay) -> str:
+    """What a replay found: its initial error, its convergence, its settled error."""
+    who = ESTIMATORS.get(replay.estimator, replay.estimator)
+    settled = replay.settled
+    if replay.reference_soc is None or settled is None:
+        return capitalised(
+            f"{who} ends at {points(float(replay.trace.soc[-1]))} ± "
+            f"{percent(2.0 * float(replay.trace.soc_std[-1]), 1)} SOC; there is no reference."
+        )
+    off = abs(float(replay.start.soc - replay.reference_soc[0]))
+    begin = "From the right initial SOC" if off < 0.005 else f"From {100.0 * off:.0f} points off"
+    if replay.convergence_s is None:
+        return (
+            f"{begin} {who} never comes within {TWO} for ten minutes: {percent(settled.rmse)} RMSE "
+            "over the second half."
+        )
+    held = f"{percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
+    if replay.convergence_s > 0.0:
+        reached = f"is within {TWO} after {duration(replay.convergence_s)} "
+    else:
+        reached = "" if off < 0.005 else f"is within {TWO} from the first row on "
+    # It has come within two points and stayed for ten minutes; later it may leave them again.
+    then = "but drifts off later: " if settled.max > 1.5 * CONVERGED_SOC else "and then holds "
+    return f"{begin} {who} {reached}{then if reached else 'holds '}{held}"
+
+
+def replay_name(replay: Replay) -> str:
+    """``ekf on drive_b from 70 %``."""
+    return f"{replay.estimator} on {replay.log.name or 'log'} from {points(replay.start.soc)}"
 
 
 def replay_plots(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Plot, ...]:
@@ -94,7 +131,10 @@ def _title(replay: Replay) -> str:
             f"{percent(replay.coverage_2sigma, 0)} of rows inside 2σ"
         )
     text += f"; voltage prediction {millivolt(replay.voltage_rmse_V)} RMSE"
-    return text + _innovation_finding(replay)
+    if replay.nis_mean is not None and 0.0 < replay.nis_mean < WIDE_NIS:
+        times = significant(1.0 / math.sqrt(replay.nis_mean), 2)
+        text += f", its band {times} times wider: the voltage counts little"
+    return text
 
 
 def comparison_plots(replays: Sequence[Replay], prefix: str = "replay") -> list[Plot]:
@@ -129,23 +169,6 @@ def comparison_plot(replays: Sequence[Replay], key: str) -> Plot:
         caption += " Counting charge alone keeps its initial error; a filter that also uses the "
         caption += "voltage corrects it."
     return Plot(key, title, label, panels, caption, clock_of(log))
-
-
-def _innovation_finding(replay: Replay) -> str:
-    """That the band is far too wide, or on which time scale the model states least of the error."""
-    ratio = replay.trace.innovation_V / np.sqrt(replay.trace.innovation_variance_V2)
-    known = ratio[np.isfinite(ratio)]
-    size = float(np.sqrt(np.mean(known**2))) if known.size else 1.0
-    if size < WIDE_BAND:
-        return f", its band {significant(1.0 / size, 2)} times wider: the voltage counts little"
-    if replay.nis is None or replay.model is None:
-        return ""
-    far = max(
-        zip(replay.nis, replay.model.error.scales_s, strict=True),
-        key=lambda one: abs(math.log(max(one[0], 1e-9))),
-    )
-    times = significant(math.sqrt(far[0]), 2)
-    return f", over {duration(far[1])} {times} times what the model states"
 
 
 def _after(replay: Replay) -> str:

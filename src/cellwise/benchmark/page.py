@@ -1,0 +1,242 @@
+"""The page of a benchmark: who stands where, by log, start and fault, and every run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellwise.benchmark.faults import NONE
+from cellwise.benchmark.leaderboard import Part
+from cellwise.benchmark.standings import Table, by_estimator, standings, step_time, suite_tables
+from cellwise.errors import InputError
+from cellwise.report.page.markup import (
+    EMPTY,
+    MOST,
+    Markup,
+    bullets,
+    details,
+    escape,
+    paragraph,
+    record_table,
+    table,
+)
+from cellwise.report.page.numerals import duration, listed, percent, plural, significant
+from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.section import Section, write_page
+
+Row = Mapping[str, Any]
+Rows = Sequence[Row]
+TINTS = (0.01, 0.02, 0.05)  # of SOC: good, fair, poor; beyond is bad
+STANDINGS = (
+    "Settled SOC RMSE in points, mean over logs of the mean over hard runs: from the middle, under "
+    "load, 30 points wrong, or with a fault; easy runs (the right start and nothing wrong) have a "
+    "column of their own and no part in a rank. Settled: after the error has stayed within two "
+    "points for ten minutes, over the second half of a log where it never did. In brackets what "
+    "holds 95 % over resampled logs; an estimator that lacks runs has no rank. Ended within 3 "
+    "points: share of runs whose last error is. The truth is the tester's counter, never what the "
+    "filter saw."
+)
+BANDS = (
+    "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is consistent. Interval "
+    "score: width of the band and 40 times what lies outside, smaller is better. Mean NIS: squared "
+    "innovation over its variance, 1 if noise is as modelled."
+)
+TABLES = (STANDINGS, BANDS)
+
+
+class BenchmarkTable(NamedTuple):
+    """Rows of a benchmark with their columns by name.
+
+    ``parts`` are those of the leaderboard of a frozen suite, ``not_run`` names and reasons.
+    """
+
+    name: str
+    about: str
+    rows: Rows
+    parts: Sequence[Part] = ()
+    not_run: Sequence[tuple[str, str]] = ()
+
+    @property
+    def standings(self) -> Sequence[Part]:
+        """The leaderboard's, else those of the rows as they are."""
+        if self.parts:
+            return self.parts
+        found = standings(by_estimator(self.rows), fewer=True)
+        title = f"{plural(len(found), 'estimator')}, {plural(len(self.rows), 'run')}"
+        return (Part(title, found, suite_tables(found)),)
+
+
+class Division(NamedTuple):
+    """A figure of every estimator by what the rows are divided by."""
+
+    key: str
+    title: str
+    caption: str
+    rows: Rows
+    of: Callable[[Row], str]
+    figure: str = "settled_rmse"
+
+
+def divisions(rows: Rows) -> list[Division]:
+    """By log, start and fault; those of which there is one alone are left out."""
+    judged = [row for row in rows if not row["problem"]]
+    healthy = [row for row in judged if row["fault"] == NONE]
+    starts = {(r["log"], r["start_error"]) for r in judged if r["fault"] != NONE}
+    same = [r for r in judged if (r["log"], r["start_error"]) in starts]
+    found = [
+        Division("logs", "By log", "Without a fault, mean over its starts.", healthy, log_name),
+        Division("starts", "By start", "Without a fault, mean over logs.", healthy, start_name),
+        Division("faults", "By fault", FAULTS, same, lambda row: str(row["fault"])),
+        Division(
+            "inside", "Rows inside 2σ by fault", "", same, lambda row: str(row["fault"]),
+            "coverage_2sigma",
+        ),
+    ]  # fmt: skip
+    return [d for d in found if d.key == "logs" or len(set(map(d.of, d.rows))) > 1]
+
+
+FAULTS = (
+    "Every fault from the same start. It is in what the filter sees, never in the reference, and "
+    "no filter knows of it."
+)
+
+
+def division_table(division: Division, shown: Callable[[float], str] = percent) -> Table:
+    """Means of the figure, an estimator in each column; NaN where nothing was run."""
+    names = list(by_estimator(division.rows))
+    cells: dict[str, dict[str, list[float]]] = {}
+    for row in division.rows:
+        own = cells.setdefault(division.of(row), {}).setdefault(str(row["estimator"]), [])
+        own += [row[division.figure]] * bool(np.isfinite(row[division.figure]))
+    rows = [
+        [label, *(shown(float(np.mean(own[n])) if own.get(n) else math.nan) for n in names)]
+        for label, own in cells.items()
+    ]
+    return Table(["", *names], rows)
+
+
+def log_name(row: Row) -> str:
+    """Log and cell of a row."""
+    return f"{row['log']} ({row['cell']})"
+
+
+def start_name(row: Row) -> str:
+    """A start error in points."""
+    error = row["start_error"]
+    return f"{100.0 * error:+.0f} points" if error else "right start"
+
+
+def benchmark_page(
+    found: BenchmarkTable, path: str | Path, *, figures: str | Path | FigureFiles | None = None
+) -> Path:
+    """Write the page of a benchmark.
+
+    Parameters
+    ----------
+    found : BenchmarkTable
+    path, figures : as of `write_page`, whose errors it raises
+    """
+    if not found.rows:
+        raise InputError("no row for the page", "at least one", "Run a suite first.")
+    rows, parts = found.rows, found.standings
+    sections = standings_sections(parts, found.not_run)
+    for one in divisions(rows):
+        shown = percent if one.key == "inside" else tinted
+        division = division_table(one, shown)
+        text = table(*division[:2], caption=one.caption, sortable=True)
+        sections.append(Section(one.key, one.title, (text,)))
+    sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
+    return write_page(
+        path,
+        benchmark_finding(found.name, parts[0]),
+        f"Benchmark '{found.name}', by cellwise",
+        sections,
+        {"suite": found.name, "rows": [dict(row) for row in rows]},
+        lead=Markup(paragraph(found.about) + problems(rows)),
+        figures=figures,
+    )
+
+
+def benchmark_finding(name: str, part: Part) -> str:
+    """One line: who is first, and who may be as good."""
+    ranked = [s for s in part.found if s.rank is not None]
+    if not ranked:
+        return f"{name}: nothing could be judged"
+    best, rest = ranked[0], [s.estimator for s in ranked[1:] if s.low == 1]
+    figure = best.easy if best.hard is None else best.hard
+    text = f"{name}: {best.estimator} is first of {len(ranked)}, {100 * (figure or 0.0):.2f} points"
+    more = f"; {listed(rest)} may be as good" if rest else ""
+    return f"{text} of SOC on {'easy' if best.hard is None else 'hard'} runs{more}"
+
+
+def tinted(value: float) -> Markup:
+    """A number on a field that says how good it is."""
+    shown = escape(percent(value))
+    tint = 1 + sum(value > limit for limit in TINTS)
+    return shown if math.isnan(value) else Markup(f'<span class="tint-{tint}">{shown}</span>')
+
+
+def every_row(rows: Rows) -> Markup:
+    """All rows behind a click, the first ones where there are very many."""
+    more = f", the first {MOST.runs} here, all in the data block" if len(rows) > MOST.runs else ""
+    figures = record_table(
+        rows[: MOST.runs],
+        ("cell", lambda row: row["cell"]),
+        ("log", lambda row: row["log"]),
+        ("estimator", lambda row: row["estimator"]),
+        ("fault", lambda row: row["fault"]),
+        ("start", lambda row: f"{100 * row['start_error']:+.0f}"),
+        ("settled RMSE", lambda row: percent(row["settled_rmse"])),
+        ("settled max", lambda row: percent(row["settled_max"])),
+        ("RMSE", lambda row: percent(row["soc_rmse"])),
+        ("within 2 points after", lambda row: duration(row["convergence_s"])),
+        ("last 10 % SOC", lambda row: percent(row["low_soc_rmse"])),
+        ("inside 2σ", lambda row: percent(row["coverage_2sigma"], 1)),
+        ("NIS", lambda row: significant(row["nis_mean"], 2)),
+        ("per step", lambda row: step_time(row["ns_per_step"])),
+        ("problem", lambda row: row["problem"]),
+        text_columns=(0, 1, 2, 3, 13),
+        sortable=True,
+    )
+    return details(f"{plural(len(rows), 'run')}{more}", figures)
+
+
+def problems(rows: Rows) -> Markup:
+    """What could not be judged, and why."""
+    bad = [row for row in rows if row["problem"]]
+    text = list(dict.fromkeys(f"{row['estimator']}: {row['problem']}" for row in bad))
+    said = paragraph(f"{plural(len(bad), 'run')} of {len(rows)} not judged:")
+    return Markup(said + bullets(text[:8], "notices")) if bad else EMPTY
+
+
+def standings_sections(
+    parts: Sequence[Part], not_run: Sequence[tuple[str, str]] = ()
+) -> list[Section]:
+    """A section for each part."""
+    said = bullets([f"{name}: {why}" for name, why in not_run], "notices")
+    left = Markup(paragraph("Not run:") + said) if said else EMPTY
+    return [
+        Section(
+            f"standings-{k}",
+            part.title,
+            (
+                *(
+                    table(one.head, one.rows, caption=text, text_columns=one.text)
+                    for one, text in zip(part.tables, TABLES, strict=True)
+                ),
+                EMPTY if k else left,
+            ),
+        )
+        for k, part in enumerate(parts)
+    ]
+
+
+def standings_page(suite: str, parts: Sequence[Part], path: Path) -> Path:
+    """The leaderboard alone, as a page."""
+    about = f"Leaderboard '{suite}', by cellwise"
+    finding = benchmark_finding(suite, parts[0])
+    return write_page(path, finding, about, standings_sections(parts), {"suite": suite})
