@@ -19,7 +19,7 @@ from cellwise.live.samples import (
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.formats.can import FrameDecoder, can_database, messages_of, signals_of
-from cellwise.logs.formats.vehicle_signals import UNITS, Signal
+from cellwise.logs.formats.vehicle_signals import SIGNAL_UNITS, Signal
 
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
@@ -94,7 +94,7 @@ class CanStream:
         if not cells:
             return []
         signals = signals_of(self.database, messages_of(self.database))
-        volts = [s for s in signals if s.unit.strip().lower() in UNITS["voltage_V"]]
+        volts = [s for s in signals if s.unit.strip().lower() in SIGNAL_UNITS["voltage_V"]]
         numbered = {n: s for s in reversed(volts) if (n := cell_number(s.short)) is not None}
         count = sum(cell_number(s.short) is not None for s in volts)
         if not count == len(numbered) == cells:

@@ -34,17 +34,6 @@ def test_a_faster_current_loses_no_charge():
     assert "averaged" in notices[0]
 
 
-def test_the_mean_is_exact_where_rows_fall_between_samples():
-    """A current that grows linearly: its mean over a row is that of the row's middle."""
-    fast = at(0.3)
-    rows = at(1.0, until=90.0, start=0.7)
-    channels, _ = aligned(
-        {"current_A": Series(fast, 2 * fast), "voltage_V": Series(rows, rows)}, "x"
-    )
-    middle = 0.5 * (rows[1:] + rows[:-1])
-    np.testing.assert_allclose(channels["current_A"][1:], 2 * middle, rtol=1e-12)
-
-
 def test_a_current_between_the_voltages_rows_is_interpolated():
     t = at(1.0)
     channels, notices = aligned(

@@ -44,8 +44,8 @@ from cellwise.logs.checks.units import (
 )
 from cellwise.logs.files.columns import TIDY_CHANNELS, NamedColumns
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.named_columns import table_channels
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.tables import table_channels
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 

@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import Unit
+from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
 from cellwise.logs.files.format import Format, damaged, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.vehicle_signals import (
-    CHOSEN,
-    UNITS,
+    SIGNAL_UNITS,
     Series,
     Signal,
     aligned,
@@ -94,7 +93,7 @@ class FrameDecoder:
         signals = signals_of(database, self.messages if keys is None else keys)
         others = [s for s in signals if s not in cells]
         chosen, self.notices = choose_signals(others, channels, where)
-        units = UNITS["voltage_V"]
+        units = SIGNAL_UNITS["voltage_V"]
         asked: list[tuple[str | int, Signal, Unit]] = [
             *chosen, *((k, s, units[s.unit.strip().lower()]) for k, s in enumerate(cells))
         ]  # fmt: skip
@@ -299,7 +298,7 @@ def _of_savvycan(lines: Iterator[str]) -> Iterator[Frame]:
 CAN_LOG = Format(
     name="can-log",
     matches=lambda source: bool(_reader(source)),
-    channels=CHOSEN,
+    channels=TIDY_CHANNELS,
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,

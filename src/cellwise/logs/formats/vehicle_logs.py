@@ -13,11 +13,12 @@ from typing import IO, Any
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
-from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
-from cellwise.logs.formats.vehicle_signals import CHOSEN, Series, Signal, aligned, choose_signals
+from cellwise.logs.formats.vehicle_signals import Series, Signal, aligned, choose_signals
 from cellwise.typing import FloatArray
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -280,7 +281,7 @@ def _signals(file: Any) -> list[Signal]:
 ASAM_MDF = Format(
     name="asam-mdf",
     matches=lambda source: source.head.startswith(_MDF),
-    channels=CHOSEN,
+    channels=TIDY_CHANNELS,
     read=_read_mdf,
     sign="discharge-positive",
     uses_dbc=True,

@@ -16,8 +16,8 @@ from cellwise.logs.files.assembly import Origin, assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
-from cellwise.logs.files.named_columns import is_parquet, parquet_names
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
+from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import (
     CellColumn,
