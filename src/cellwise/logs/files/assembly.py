@@ -11,13 +11,14 @@ A reader may give, beside the fields of `CellLog`, what testers write in pieces:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, CurrentMeaning
+from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.grave import (
     MARK,
@@ -44,7 +45,7 @@ from cellwise.logs.checks.units import (
 )
 from cellwise.logs.files.columns import TIDY_CHANNELS, NamedColumns
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.source import RawLog
 from cellwise.logs.files.tables import table_channels
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -221,36 +222,23 @@ SignOption = Literal["auto", "discharge-positive", "charge-positive"]
 NO_STEP = -1
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where channels come from and what their format says of them."""
-
-    name: str = ""
-    source: str = ""
-    format: str = ""
-    sign: SignConvention = "discharge-positive"
-    current_meaning: CurrentMeaning = "interval_end"
-
-    @property
-    def where(self) -> str:
-        """For messages."""
-        return f"'{self.source or self.name}'" if self.source or self.name else "the table"
-
-    @classmethod
-    def of(cls, source: LogSource, known: Format, name: str) -> Origin:
-        """Of a file that was read as this format."""
-        return cls(name, str(source.path), known.name, known.sign, known.current_meaning)
-
-
 def assemble(
-    raw: RawLog, origin: Origin, sign: str = "auto", *, check_sign: bool = True
+    raw: RawLog,
+    known: Format | None,
+    path: str | Path = "",
+    name: str = "",
+    sign: str = "auto",
+    *,
+    check_sign: bool = True,
 ) -> CellLog:
     """Make a log of a reader's channels.
 
     Parameters
     ----------
     raw : RawLog          channels with the format's sign
-    origin : Origin       where they come from
+    known : Format        of the file; None: a table in memory, tidy
+    path : str or Path    of the file
+    name : str            for people
     sign : str            ``auto`` trusts the format, verifies, and notes; the other two override it
     check_sign : bool     verify the sign also where nothing but the data speaks against it
 
@@ -262,20 +250,23 @@ def assemble(
         raise InputError(
             f"sign '{sign}'", f"one of {', '.join(get_args(SignOption))}", "Choose one of them."
         )
+    where = f"'{path or name}'" if path or name else "the table"
+    of_tester = known is not None and not known.name.startswith("tidy")
+    own_sign = "discharge-positive" if known is None else known.sign
     channels = dict(raw.channels)
     notices = list(raw.notices)
-    check_time_moves(channels["time_s"], origin.where)
+    check_time_moves(channels["time_s"], where)
     channels["time_s"], noted = time_from_start(channels["time_s"])
     notices += noted
-    check_time_possible(channels["time_s"], origin.where)
-    notices += without_impossible(channels, origin.where)
-    if origin.format and not origin.format.startswith(("tidy", "table")):
+    check_time_possible(channels["time_s"], where)
+    notices += without_impossible(channels, where)
+    if of_tester:
         notices += volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
     if temperature is not None:
         temperature, noted = plausible_temperature(temperature)
         notices += noted
-    if (origin.sign if sign == "auto" else sign) == "charge-positive":
+    if (own_sign if sign == "auto" else sign) == "charge-positive":
         channels["current_A"] = -channels["current_A"]
         notices.append("positive current was read as charge and inverted")
     log = CellLog(
@@ -285,14 +276,14 @@ def assemble(
         temperature_C=temperature,
         charge_Ah=channels.get("charge_Ah"),
         step=_steps(channels.get("step")),
-        name=origin.name,
-        source=origin.source,
-        current_meaning=origin.current_meaning,
-        format=origin.format,
+        name=name,
+        source=str(path),
+        current_meaning="interval_end" if known is None else known.current_meaning,
+        format="table" if known is None else known.name,
     )
     notices += grave_notices(log)
-    notices += check_voltage(log, origin.where)
-    log, counter, noted = _with_checked_counter(log, origin.where)
+    notices += check_voltage(log, where)
+    log, counter, noted = _with_checked_counter(log, where)
     notices += noted
     notices += check_charge(possible_part(log))
     opposite = counter is not None and counter.agreement < -COUNTER.opposite
@@ -304,9 +295,9 @@ def assemble(
 
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
     """`CellLog.from_table`."""
-    origin = Origin(name=name, source=source, format="table")
-    raw = table_channels(table, TIDY_CHANNELS, origin.where)
-    return assemble(complete(raw, origin.sign, origin.where), origin, sign)
+    where = f"'{source or name}'" if source or name else "the table"
+    raw = table_channels(table, TIDY_CHANNELS, where)
+    return assemble(complete(raw, "discharge-positive", where), None, source, name, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:

@@ -276,8 +276,13 @@ class Limits:
                 f"up to {self.rows:,} rows in a file of its size",
                 f"Split it; if it is that long, allow more with {_VARIABLES[2]}.",
             )
-        if time.monotonic() > self.began_s + self.seconds:
+        if self.time_is_over:
             raise self.too_slow(where)
+
+    @property
+    def time_is_over(self) -> bool:
+        """Reading has taken all the time that it may."""
+        return time.monotonic() > self.began_s + self.seconds
 
     def too_slow(self, where: str) -> InputError:
         """The refusal of a file that takes longer."""
