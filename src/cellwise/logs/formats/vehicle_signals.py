@@ -5,6 +5,7 @@ Names of signals differ by maker, so they are only taken when units and names le
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -51,6 +52,11 @@ class Signal(NamedTuple):
     def short(self) -> str:
         """The name without its message or group."""
         return self.name.rpartition(".")[2]
+
+    @property
+    def folded_unit(self) -> str:
+        """The unit as units are compared."""
+        return self.unit.strip().strip("[]()").casefold()
 
 
 class Chosen(NamedTuple):
@@ -136,7 +142,7 @@ def _unit(signal: Signal, field: str) -> str:
 
     Without a unit the name must have the quantity's own name.
     """
-    unit = signal.unit.strip().strip("[]()").casefold()
+    unit = signal.folded_unit
     if unit and unit != "-":
         return unit
     words = words_of(signal.short)
@@ -144,6 +150,38 @@ def _unit(signal: Signal, field: str) -> str:
         return ""
     last = signal.short.rpartition("_")[2].casefold()
     return last if last in SIGNAL_UNITS[field] else next(iter(SIGNAL_UNITS[field]))
+
+
+# Of signals whose unit the database says: CellVoltage01, VCell_12, Cell3_Volt.
+_CELL = re.compile(
+    r"(?:v(?:olt(?:age)?)?_?)?cell_?(?:v(?:olt(?:age)?)?)?_?(\d+)(?:_?v(?:olt(?:age)?)?)?",
+    re.IGNORECASE,
+)
+
+
+def cell_number(signal: str) -> int | None:
+    """The cell whose voltage a signal is by its name, from 1 as the names count; else None."""
+    match = _CELL.fullmatch(signal)
+    return int(match[1]) if match else None
+
+
+def cell_signals(signals: Sequence[Signal], cells: int) -> list[Signal]:
+    """The signals of so many cells' voltages, in order.
+
+    Raises
+    ------
+    InputError        another number of them
+    """
+    volts = [s for s in signals if s.folded_unit in SIGNAL_UNITS["voltage_V"]]
+    numbers = [(n, s) for s in volts if (n := cell_number(s.short)) is not None]
+    found = dict(numbers)
+    if not len(numbers) == len(found) == cells:
+        raise InputError(
+            f"signals of {len(found)} cells' voltages in the database",
+            f"{cells}, one for each cell, named like CellVoltage01 or VCell_1",
+            "Correct the number of cells, or the names in the database.",
+        )
+    return [found[n] for n in sorted(found)]
 
 
 def _unclear(
