@@ -238,7 +238,6 @@ def assemble(
     channels["time_s"], noted = units.time_from_start(channels["time_s"])
     notices += noted
     grave.check_time_possible(channels["time_s"], where)
-    notices += grave.without_impossible(channels, where)
     if of_tester:
         notices += units.volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
@@ -260,6 +259,8 @@ def assemble(
         current_meaning="interval_end" if known is None else known.current_meaning,
         format="table" if known is None else known.name,
     )
+    log, noted = grave.without_impossible(log)
+    notices += noted
     notices += grave.grave_notices(log)
     notices += units.check_voltage(log, where)
     log, counter, noted = units.checked_counter(log, where)
