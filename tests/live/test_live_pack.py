@@ -13,8 +13,9 @@ from cellwise import InputError
 from cellwise.cell.model_file import write_model
 from cellwise.cli import main
 from cellwise.live import LiveFilter, Sample, open_source
-from cellwise.live.samples import Readings, cell_number
+from cellwise.live.samples import Readings
 from cellwise.logs.files.source import ReadOptions
+from cellwise.logs.formats.vehicle_signals import cell_number
 from emulated_packs import Fault, emulated_pack
 
 CELLS = 4

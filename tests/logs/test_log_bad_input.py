@@ -85,40 +85,24 @@ def test_truncated_gzip_of_many_blocks(tmp_path):
     assert "gzip" in refusal(path).found
 
 
-def test_wrong_columns_are_listed_and_near_names_suggested(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("Test_Time(s),Current(A),Voltage(V),foo\n0,1,4\n1,1,4\n")
-    error = refusal(path)
-    for name in ("Test_Time(s)", "Current(A)", "Voltage(V)", "foo"):
-        assert f"'{name}'" in error.found
-    for found, wanted in (
-        ("Test_Time(s)", "time_s"),
-        ("Current(A)", "current_A"),
-        ("Voltage(V)", "voltage_V"),
-    ):
-        assert f"'{found}' to '{wanted}'" in error.action
+# A column's name, and the one of the tidy form that it is most likely.
+NEAREST = {
+    "Test_Time(s)": "time_s", "Zeit": "time_s", "elapsed_s": "time_s",
+    "Current(A)": "current_A", "curent_A": "current_A", "Strom [A]": "current_A",
+    "I / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"),
-    [
-        ("curent_A", "current_A"),
-        ("Strom [A]", "current_A"),
-        ("I / A", "current_A"),
-        ("voltge", "voltage_V"),
-        ("Ewe/V", "voltage_V"),
-        ("Zeit", "time_s"),
-        ("elapsed_s", "time_s"),
-    ],
-)
-def test_nearest_name(tmp_path, name, wanted):
-    names = ["time_s", "current_A", "voltage_V"]
-    names[names.index(wanted)] = name
+@pytest.mark.parametrize("name", NEAREST)
+def test_a_missing_column_is_named_with_the_nearest(tmp_path, name):
+    wanted = NEAREST[name]
+    names = [name if n == wanted else n for n in ("time_s", "current_A", "voltage_V")] + ["foo"]
     path = tmp_path / "log.csv"
-    path.write_text(",".join(names) + "\n0,1,4\n1,1,4\n")
+    path.write_text(",".join(names) + "\n0,1,4,0\n1,1,4,0\n")
     error = refusal(path)
+    assert all(f"'{n}'" in error.found for n in names)
     assert f"missing: {wanted}" in error.found
-    assert f"'{name}' to '{wanted}'" in error.action
+    assert f"`channels={{'{wanted}': '{name}'}}`" in error.action
 
 
 @pytest.mark.parametrize("row", [1, 3])

@@ -14,12 +14,10 @@ from cellwise.live.samples import (
     Readings,
     Sample,
     Stray,
-    cell_number,
 )
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.formats.can import FrameDecoder, can_database, messages_of, signals_of
-from cellwise.logs.formats.vehicle_signals import UNITS, Signal
+from cellwise.logs.formats.can import FrameDecoder, can_database
 
 # A voltage that has not come for so long is missing: charge is counted without it.
 NO_VOLTAGE_S = 1.0
@@ -50,7 +48,7 @@ class CanStream:
         self.database = can_database(options.dbc, f"frames of {self.name}")
         self._readings = Readings(options, sign, cells)
         self._decoder = FrameDecoder(
-            self.database, f"'{options.dbc}'", options.channels, cells=self._cell_signals(cells)
+            self.database, f"'{options.dbc}'", options.channels, cells=cells
         )
         self.notices = self._decoder.notices
         try:
@@ -88,22 +86,6 @@ class CanStream:
     def close(self) -> None:
         """Let go of the bus."""
         self.bus.shutdown()
-
-    def _cell_signals(self, cells: int) -> list[Signal]:
-        """Signals of cells' voltages in order; refuses another number than asked."""
-        if not cells:
-            return []
-        signals = signals_of(self.database, messages_of(self.database))
-        volts = [s for s in signals if s.unit.strip().lower() in UNITS["voltage_V"]]
-        numbered = {n: s for s in reversed(volts) if (n := cell_number(s.short)) is not None}
-        count = sum(cell_number(s.short) is not None for s in volts)
-        if not count == len(numbered) == cells:
-            raise InputError(
-                f"signals of {len(numbered)} cells' voltages in the database",
-                f"{cells}, one for each cell, named like CellVoltage01 or VCell_1",
-                "Correct the number of cells, or the names in the database.",
-            )
-        return [numbered[n] for n in sorted(numbered)]
 
     def _take(self, message: Any) -> Sample | Stray | None:
         key = (message.arbitration_id, message.is_extended_id)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import select
 import sys
 import time
@@ -25,11 +24,6 @@ HELD_S = 5.0
 CURRENT_HELD_S, TEMPERATURE_HELD_S = 1.0, 60.0  # older ones are missing
 POLL_S = 0.2  # a source that nothing comes from says so as often
 FAILURES = 25  # in a row, of a bus or a device, and it is given up
-# Of signals on a bus, whose unit the database says: CellVoltage01, VCell_12, Cell3_Volt.
-_SIGNAL = re.compile(
-    r"(?:v(?:olt(?:age)?)?_?)?cell_?(?:v(?:olt(?:age)?)?)?_?(\d+)(?:_?v(?:olt(?:age)?)?)?",
-    re.IGNORECASE,
-)
 
 
 class Sample(NamedTuple):
@@ -66,12 +60,6 @@ class Source(Protocol):
     def close(self) -> None:
         """Let go of whatever is open."""
         ...
-
-
-def cell_number(signal: str) -> int | None:
-    """The cell whose voltage a signal is by its name, from 1 as the names count; else None."""
-    match = _SIGNAL.fullmatch(signal)
-    return int(match[1]) if match else None
 
 
 class Readings:

@@ -285,7 +285,9 @@ def _channel(value: ArrayLike, field: str, n: int, where: str) -> NDArray[Any]:
             f"one value per row, shape ({n},) as time_s",
             "Give every channel the length of time_s.",
         )
-    if field != "time_s" and not np.isfinite(np.sum(array)) and np.isinf(array).any():
+    with np.errstate(over="ignore"):
+        whole = np.isfinite(np.sum(array))
+    if field != "time_s" and not whole and np.isinf(array).any():
         # An infinite reading must not reach a sum.
         array = np.where(np.isinf(array), np.nan, array)
     array = array.view()  # the caller's own array stays writeable

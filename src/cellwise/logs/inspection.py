@@ -8,22 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.faults import (
-    Stretch,
-    find_spikes,
-    longest,
-    possible_part,
-    stuck_runs,
-)
-from cellwise.logs.checks.grave import grave_notices, graves_first
-from cellwise.logs.checks.sign import (
-    CONTRADICTED,
-    SignCheck,
-    Verdict,
-    contradiction,
-    verify_sign,
-)
-from cellwise.logs.checks.units import COUNTER, compare_counter
+from cellwise.logs.checks import faults, grave, units
+from cellwise.logs.checks.sign import CONTRADICTED, SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, run_edges
 from cellwise.typing import BoolArray, FloatArray
 
@@ -91,7 +77,7 @@ class Inspection:
     sampling: Sampling
     counter_mismatch_percent: float | None
     rests: tuple[Rest, ...]
-    stuck: dict[str, Stretch]
+    stuck: dict[str, faults.Stretch]
     missing: dict[str, int]
     notices: tuple[str, ...]
     soc0: float | None = None
@@ -122,15 +108,15 @@ def inspect_log(log: CellLog) -> Inspection:
     -------
     Inspection        its ``notices``: those of reading, and one for every oddity
     """
-    possible = possible_part(log)
+    possible = faults.possible_part(log)
     check = verify_sign(possible)
-    counter = compare_counter(log)
+    counter = units.compare_counter(log)
     mismatch = None if counter is None else counter.mismatch_percent
     rests = tuple(find_rests(log))
     stuck = {
         name: stretch
-        for name, runs in stuck_runs(possible).items()
-        if (stretch := longest(log, runs)) is not None
+        for name, runs in faults.stuck_runs(possible).items()
+        if (stretch := faults.longest(log, runs)) is not None
     }
     missing = {
         field: int(np.count_nonzero(np.isnan(values)))
@@ -138,10 +124,10 @@ def inspect_log(log: CellLog) -> Inspection:
         if (values := getattr(log, field)) is not None
     }
     notices = [
-        *graves_first([*log.notices, *grave_notices(log)]),
+        *grave.graves_first([*log.notices, *grave.grave_notices(log)]),
         *_sign_notices(log, check),
         *_time_notices(log),
-        *_channel_notices(log, missing, stuck, find_spikes(possible).size, mismatch),
+        *_channel_notices(log, missing, stuck, faults.find_spikes(possible).size, mismatch),
     ]
     if not rests:
         notices.append("no rest of a minute or more anywhere: no open-circuit voltage can be read")
@@ -216,7 +202,7 @@ def _time_notices(log: CellLog) -> list[str]:
 def _channel_notices(
     log: CellLog,
     missing: dict[str, int],
-    stuck: dict[str, Stretch],
+    stuck: dict[str, faults.Stretch],
     spikes: int,
     mismatch: float | None,
 ) -> list[str]:
@@ -232,7 +218,7 @@ def _channel_notices(
     noted = any("differs from the summed current" in notice for notice in log.notices)
     if spikes:
         notices.append(f"{spikes} row(s) whose voltage jumps away and back without the current")
-    if mismatch is not None and mismatch > COUNTER.inspected_percent and not noted:
+    if mismatch is not None and mismatch > units.COUNTER.inspected_percent and not noted:
         notices.append(
             f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "
             "charge moved"

@@ -8,7 +8,6 @@ those run the user's own script once more, and one that dies takes every other f
 
 from __future__ import annotations
 
-import atexit
 import os
 import pickle
 import signal
@@ -22,7 +21,7 @@ from typing import IO, Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.files.assembly import Origin, assemble, complete
+from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.format import Format, damaged, detect_format
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -112,9 +111,8 @@ def read_log(
         said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
         return stated.applied(pack.mean.with_notices((*pack.notices, said)))
     raw = complete(read_channels(source, known), known.sign, source.where)
-    origin = Origin.of(source, known, named)
-    log = assemble(to_cell(raw, options, source.where), origin, sign, check_sign=check_sign)
-    return stated.applied(log)
+    raw = to_cell(raw, options, source.where)
+    return stated.applied(assemble(raw, known, source.path, named, sign, check_sign=check_sign))
 
 
 GRACE_S = 5.0  # of processor time, beyond what the asking side waits
@@ -124,7 +122,7 @@ _SERVE = "from cellwise.logs.reading import serve; serve()"
 _FOR_MEMORY = {-int(getattr(signal, name, 0)) for name in ("SIGABRT", "SIGKILL")} - {0}
 _FOR_TIME = -int(getattr(signal, "SIGXCPU", 0))
 
-_idle: list[_Process] = []
+_idle: list[subprocess.Popen[bytes]] = []  # they end with this process, whose pipes then close
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_idle.clear)  # they are the parent's
 
@@ -141,14 +139,28 @@ def read_channels(source: LogSource, known: Format) -> RawLog:
     can_start = bool(sys.executable) and not getattr(sys, "frozen", False)
     if not (known.isolated and can_start):
         return known.read(source, known)
-    process = _taken()
+    process, limits = _process(), Limits.of(source.size)
+    timer = threading.Timer(limits.seconds, process.kill)
+    timer.daemon = True
+    timer.start()
+    into: IO[bytes] = process.stdin  # type: ignore[assignment]
+    out: IO[bytes] = process.stdout  # type: ignore[assignment]
     try:
-        answer = process.ask(source, known)
-    except BaseException:
-        process.end()
-        raise
+        with suppress(BrokenPipeError):
+            _send((os.getcwd(), source.path, source.options, known.name, limits), into)
+        while isinstance(answer := pickle.load(out), tuple):
+            source.report(*answer)
+    except BaseException as error:
+        with suppress(OSError), process:
+            process.kill()
+        if not isinstance(error, (EOFError, pickle.UnpicklingError, OSError)):
+            raise
+        raise _why_ended(process.returncode, source, known, limits) from None
+    finally:
+        timer.cancel()
     if source.size > KEPT_BYTES:
-        process.end()
+        with process:
+            process.kill()
     else:
         _idle.append(process)
     if isinstance(answer, RawLog):
@@ -156,85 +168,30 @@ def read_channels(source: LogSource, known: Format) -> RawLog:
     raise answer
 
 
-def _taken() -> _Process:
-    """An idle process, else a new one; each thread has its own."""
+def _process() -> subprocess.Popen[bytes]:
+    """An idle process, else a new one; each reads one file at a time."""
     with suppress(IndexError):
         while True:
             process = _idle.pop()
-            if process.alive():
+            if process.poll() is None:
                 return process
-    return _Process()
+    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    return subprocess.Popen(
+        [sys.executable, "-c", _SERVE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": paths},
+        start_new_session=True,  # an interrupt is this side's to handle
+    )
 
 
-class _Process:
-    """One process that reads files, one at a time."""
-
-    def __init__(self) -> None:
-        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
-        self._child = subprocess.Popen(
-            [sys.executable, "-c", _SERVE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": paths},
-            start_new_session=True,  # an interrupt is this side's to handle
-        )
-
-    def alive(self) -> bool:
-        """It has not ended."""
-        return self._child.poll() is None
-
-    def ask(self, source: LogSource, known: Format) -> RawLog | InputError:
-        """What came of a file.
-
-        Raises
-        ------
-        InputError        the process has ended: why
-        """
-        limits = Limits.of(source.size)
-        expired = threading.Event()
-
-        def expire() -> None:
-            expired.set()
-            self._child.kill()
-
-        timer = threading.Timer(limits.seconds, expire)
-        timer.daemon = True
-        timer.start()
-        into: IO[bytes] = self._child.stdin  # type: ignore[assignment]
-        out: IO[bytes] = self._child.stdout  # type: ignore[assignment]
-        try:
-            with suppress(BrokenPipeError):
-                _send((os.getcwd(), source.path, source.options, known.name, limits), into)
-            while isinstance(answer := pickle.load(out), tuple):
-                source.report(*answer)
-            found: RawLog | InputError = answer
-            return found
-        except (EOFError, pickle.UnpicklingError, OSError):
-            self.end()
-        finally:
-            timer.cancel()
-        code = self._child.returncode
-        if expired.is_set() or code == _FOR_TIME:
-            raise limits.too_slow(source.where)
-        if code in _FOR_MEMORY:
-            raise limits.too_big(source.where)
-        raise damaged(source, f"{known.name} file", f"its library ended with code {code}")
-
-    def end(self) -> None:
-        """End it, whatever it is doing."""
-        self._child.kill()
-        self._child.wait()
-        for stream in (self._child.stdin, self._child.stdout):
-            if stream is not None:
-                with suppress(OSError):
-                    stream.close()
-
-
-@atexit.register
-def _end_idle() -> None:
-    while _idle:
-        _idle.pop().end()
+def _why_ended(code: int, source: LogSource, known: Format, limits: Limits) -> InputError:
+    if code == _FOR_TIME or limits.time_is_over:
+        return limits.too_slow(source.where)
+    if code in _FOR_MEMORY:
+        return limits.too_big(source.where)
+    return damaged(source, f"{known.name} file", f"its library ended with code {code}")
 
 
 def serve() -> None:

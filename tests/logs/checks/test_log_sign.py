@@ -33,41 +33,51 @@ def cell(time, current, tau=30.0, r0=0.02, r1=0.02, capacity=3.0, slope=0.8) -> 
     return voltage
 
 
-def test_pulses_are_verified_with_evidence_and_their_flip_contradicted():
-    columns = pulse_channels()
-    log = CellLog(columns["time_s"], columns["current_A"], columns["voltage_V"])
-    check = verify_sign(log)
-    assert check.verdict == "verified"
-    assert check.score > 0.9
-    assert len(check.evidence) >= 3
-    assert verify_sign(flipped(log)).verdict == "contradicted"
-
-
-@pytest.mark.parametrize("late_rows", [-5, -2, 0, 2, 5, 20])
-def test_voltage_and_current_read_at_different_times(late_rows):
+def read_apart(late_rows):
     """At the full rate the correlation of dV and dI then tells nothing, or the wrong thing."""
     rng = np.random.default_rng(4)
     time = np.arange(0.0, 600.0, 0.1)
     current = np.repeat(np.abs(rng.normal(10.0, 6.0, 600)), 10)
     voltage = np.roll(cell(time, current), late_rows) + rng.normal(0, 0.02, time.size)
-    log = CellLog(time, current, voltage)
-    assert verify_sign(log).verdict == "verified"
-    assert verify_sign(flipped(log)).verdict == "contradicted"
+    return time, current, voltage
 
 
-def test_constant_current_without_an_edge_is_determined_by_the_drift():
+def constant_current():
+    """Without an edge: by the drift."""
     time = np.arange(0.0, 3000.0, 10.0)
-    log = CellLog(time, np.full(300, 3.0), 4.0 - 0.9 * time / 3000 - 0.1 * (time / 3000) ** 8)
-    assert verify_sign(log).verdict == "verified"
-    assert verify_sign(flipped(log)).verdict == "contradicted"
+    return time, np.full(300, 3.0), 4.0 - 0.9 * time / 3000 - 0.1 * (time / 3000) ** 8
 
 
-def test_one_short_pulse_in_a_long_rest():
+def one_short_pulse_in_a_long_rest():
     time = np.arange(0.0, 7200.0, 1.0)
     current = np.where((time >= 3600) & (time < 3610), 5.0, 0.0)
     noise = np.random.default_rng(6).normal(0, 1e-3, time.size)
-    log = CellLog(time, current, cell(time, current) + noise)
-    assert verify_sign(log).verdict == "verified"
+    return time, current, cell(time, current) + noise
+
+
+def pulses(seconds=1200, *, holed=False):
+    c = pulse_channels(seconds)
+    if holed:
+        c["current_A"][::13] = c["voltage_V"][::17] = np.nan
+        c["time_s"] = c["time_s"] + np.where(c["time_s"] > 3000, 86400.0, 0.0)
+    return c["time_s"], c["current_A"], c["voltage_V"]
+
+
+LOGS = {
+    "pulses": pulses(),
+    "missing values and a gap": pulses(6000, holed=True),
+    "constant current": constant_current(),
+    "one short pulse": one_short_pulse_in_a_long_rest(),
+    **{f"read {k} rows apart": read_apart(k) for k in (-5, -2, 0, 2, 5, 20)},
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_load_is_verified_with_evidence_and_its_flip_contradicted(name):
+    log = CellLog(*LOGS[name])
+    check = verify_sign(log)
+    assert check.verdict == "verified"
+    assert check.evidence
     assert verify_sign(flipped(log)).verdict == "contradicted"
 
 
@@ -88,17 +98,6 @@ def test_noise_is_undetermined():
         time = np.arange(2000.0)
         log = CellLog(time, rng.normal(0, 1.0, 2000), 3.7 + rng.normal(0, 0.01, 2000))
         assert verify_sign(log).verdict == "undetermined", seed
-
-
-def test_missing_values_and_gaps_do_not_disturb():
-    columns = pulse_channels(6000)
-    current, voltage = columns["current_A"].copy(), columns["voltage_V"].copy()
-    current[::13] = np.nan
-    voltage[::17] = np.nan
-    time = columns["time_s"] + np.where(columns["time_s"] > 3000, 86400.0, 0.0)
-    log = CellLog(time, current, voltage)
-    assert verify_sign(log).verdict == "verified"
-    assert verify_sign(flipped(log)).verdict == "contradicted"
 
 
 def test_charge_positive_turns_current_and_counter_round(tmp_path):

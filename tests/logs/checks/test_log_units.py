@@ -51,31 +51,27 @@ def test_a_large_cell_is_not_taken_for_milliampere():
 
 @pytest.mark.parametrize(
     ("field", "factor", "name"),
-    [
-        ("current_A", 1000.0, "current_mA"),
-        ("time_s", 1000.0, "time_ms"),
-        ("time_s", 1e6, "time_us"),
-        ("time_s", 1 / 60, "time_min"),
-        ("time_s", 1 / 3600, "time_h"),
-    ],
-)
-def test_another_unit_against_the_counter_is_refused(field, factor, name):
+    [("current_A", 1000.0, "current_mA"), ("time_s", 1000.0, "time_ms"), ("time_s", 1e6, "time_us"),
+     ("time_s", 1 / 60, "time_min"), ("time_s", 1 / 3600, "time_h"),
+     ("voltage_V", 1000.0, "voltage_mV")],
+)  # fmt: skip
+def test_another_unit_against_the_counter_or_any_cell_is_refused(field, factor, name):
     with pytest.raises(InputError, match=name):
         CellLog.from_table(scaled(field, factor))
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1000.0, "milliampere hours"), (3600.0, "ampere seconds")]
-)
-def test_a_counter_in_another_unit_is_converted(factor, unit):
-    log = CellLog.from_table(scaled("ampere_hours", factor))
-    np.testing.assert_allclose(log.charge_Ah, pulse_channels()["ampere_hours"], rtol=1e-12)
-    assert any(unit in notice for notice in log.notices)
-
-
-def test_millivolts_are_refused():
-    with pytest.raises(InputError, match="voltage_mV"):
-        CellLog.from_table(scaled("voltage_V", 1000.0))
+    ("name", "factor", "offset", "says"),
+    [("ampere_hours", 1000.0, 0.0, "milliampere hours"),
+     ("ampere_hours", 3600.0, 0.0, "ampere seconds"),
+     ("ampere_hours", -1.0, 0.0, "inverted"),  # the voltage confirms the current
+     ("temperature_C", 1.0, 273.15, "kelvin")],
+)  # fmt: skip
+def test_what_is_sure_is_converted_and_said(name, factor, offset, says):
+    log = CellLog.from_table(scaled(name, factor, offset))
+    field = "charge_Ah" if name == "ampere_hours" else name
+    np.testing.assert_allclose(getattr(log, field), pulse_channels()[name], atol=1e-12)
+    assert any(says in notice for notice in log.notices)
 
 
 @pytest.mark.parametrize(
@@ -91,12 +87,6 @@ def test_voltage_below_zero():
     assert "below zero" in notices(columns)
 
 
-def test_kelvin_is_converted():
-    log = CellLog.from_table(scaled("temperature_C", 1.0, 273.15))
-    np.testing.assert_allclose(log.temperature_C, 25.0, atol=1e-12)
-    assert any("kelvin" in notice for notice in log.notices)
-
-
 def test_impossible_temperatures_are_missing_values():
     columns = pulse_channels()
     columns["temperature_C"][5:8] = -273.15  # an open thermocouple
@@ -104,12 +94,6 @@ def test_impossible_temperatures_are_missing_values():
     assert np.isnan(log.temperature_C[5:8]).all()
     assert np.isfinite(log.temperature_C).sum() == len(log) - 3
     assert any("3 temperature(s)" in notice for notice in log.notices)
-
-
-def test_counter_of_opposite_sign_is_turned_round_when_the_voltage_bears_the_current_out():
-    log = CellLog.from_table(scaled("ampere_hours", -1.0))
-    np.testing.assert_array_equal(log.charge_Ah, pulse_channels()["ampere_hours"])
-    assert any("inverted" in notice for notice in log.notices)
 
 
 def test_counter_that_restarts_is_joined_up():

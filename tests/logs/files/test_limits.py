@@ -103,22 +103,17 @@ def test_a_column_of_texts_is_refused_before_it_is_read(tmp_path):
     assert "of type" in refusal(path)
 
 
-def test_compressed_text_has_its_limits(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("rows", "limit", "most", "says"),
+    [(b"1,1,3.7\n" * 200_000, "ROWS", "100000", "rows or more"),
+     (b"1,1,3.7\n" + b"\n" * 200_000_000, "SECONDS", "0.1", "limit of time")],
+    ids=["rows", "blank lines"],
+)  # fmt: skip
+def test_compressed_text_has_its_limits(rows, limit, most, says, tmp_path, monkeypatch):
     path = tmp_path / "log.csv.gz"
-    with gzip.open(path, "wb", 1) as file:
-        file.write(b"time_s,current_A,voltage_V\n" + b"1,1,3.7\n" * 200_000)
-    monkeypatch.setenv("CELLWISE_READ_ROWS", "100000")
-    assert "rows or more" in refusal(path)
-
-
-def test_compressed_text_without_rows_ends(tmp_path, monkeypatch):
-    path = tmp_path / "log.csv.gz"
-    with gzip.open(path, "wb", 1) as file:
-        file.write(b"time_s,current_A,voltage_V\n1,1,3.7\n")
-        for _ in range(200):
-            file.write(b"\n" * 1_000_000)
-    monkeypatch.setenv("CELLWISE_READ_SECONDS", "0.1")
-    assert "limit of time" in refusal(path)
+    path.write_bytes(gzip.compress(b"time_s,current_A,voltage_V\n" + rows, 1))
+    monkeypatch.setenv(f"CELLWISE_READ_{limit}", most)
+    assert says in refusal(path)
 
 
 @pytest.mark.parametrize("value", ["much", "-1", "0", "nan"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellwise.logs import FORMATS, read_log, reading
 from cellwise.logs.files.columns import OWN, Channel, Unit
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
-from log_files import csv_text, pulse_channels
+from log_files import pulse_channels, write_csv
 
 CYCLER = Format(
     name="cycler",
@@ -25,35 +24,20 @@ CYCLER = Format(
 )
 
 
-@pytest.fixture
-def cycler_file(tmp_path, monkeypatch):
+def test_a_new_format_is_read_with_its_units_and_its_sign_unless_overridden(tmp_path, monkeypatch):
     monkeypatch.setattr(reading, "FORMATS", (CYCLER, *FORMATS))
-    columns = pulse_channels()
-    path = tmp_path / "export.csv"
-    path.write_text(
-        csv_text(
-            {
-                "Zeit/ms": 1000 * columns["time_s"],
-                "U/V": columns["voltage_V"],
-                "I/mA": -1000 * columns["current_A"],
-                "Q/Ah": -columns["ampere_hours"],
-            }
-        )
-    )
-    return path
-
-
-def test_a_new_format_is_read_with_its_units_and_its_sign(cycler_file):
     truth = pulse_channels()
-    log = read_log(cycler_file)
+    path = write_csv(
+        tmp_path / "export.csv",
+        {"Zeit/ms": 1000 * truth["time_s"], "U/V": truth["voltage_V"],
+         "I/mA": -1000 * truth["current_A"], "Q/Ah": -truth["ampere_hours"]},
+    )  # fmt: skip
+    log = read_log(path)
     assert log.format == "cycler"
     np.testing.assert_allclose(log.time_s, truth["time_s"], rtol=1e-15)
     np.testing.assert_allclose(log.current_A, truth["current_A"], rtol=1e-15)
     np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
     assert not any("LOOKS WRONG" in notice for notice in log.notices)
-
-
-def test_an_order_overrides_the_formats_sign(cycler_file):
-    log = read_log(cycler_file, sign="discharge-positive")
-    np.testing.assert_allclose(log.current_A, -pulse_channels()["current_A"], rtol=1e-15)
-    assert any("`sign='charge-positive'`" in notice for notice in log.notices)
+    other = read_log(path, sign="discharge-positive")
+    np.testing.assert_array_equal(other.current_A, -log.current_A)
+    assert any("`sign='charge-positive'`" in notice for notice in other.notices)

@@ -14,87 +14,57 @@ def at(step, until=100.0, start=0.0):
     return np.arange(start, until + 1e-9, step)
 
 
+def brought(current, voltage):
+    """Both as (times, values), on one clock."""
+    return aligned({"current_A": Series(*current), "voltage_V": Series(*voltage)}, "x")
+
+
+T = at(1.0)
+
+
 def test_a_common_clock_changes_nothing():
-    t = at(1.0)
-    channels, notices = aligned(
-        {"current_A": Series(t, np.sin(t)), "voltage_V": Series(t, np.cos(t))}, "x"
-    )
-    np.testing.assert_array_equal(channels["current_A"], np.sin(t))
+    channels, notices = brought((T, np.sin(T)), (T, np.cos(T)))
+    np.testing.assert_array_equal(channels["current_A"], np.sin(T))
     assert not notices
 
 
 def test_a_faster_current_loses_no_charge():
-    fast, slow = at(0.01), at(1.0)
+    fast = at(0.01)
     current = 5 + 3 * np.sin(7.3 * fast)
-    channels, notices = aligned(
-        {"current_A": Series(fast, current), "voltage_V": Series(slow, np.ones(slow.size))}, "x"
-    )
+    channels, notices = brought((fast, current), (T, np.ones(T.size)))
     charge = np.sum(channels["current_A"][1:] * np.diff(channels["time_s"]))
     assert charge == pytest.approx(np.trapezoid(current, fast), rel=1e-12)
     assert "averaged" in notices[0]
 
 
-def test_the_mean_is_exact_where_rows_fall_between_samples():
-    """A current that grows linearly: its mean over a row is that of the row's middle."""
-    fast = at(0.3)
-    rows = at(1.0, until=90.0, start=0.7)
-    channels, _ = aligned(
-        {"current_A": Series(fast, 2 * fast), "voltage_V": Series(rows, rows)}, "x"
-    )
-    middle = 0.5 * (rows[1:] + rows[:-1])
-    np.testing.assert_allclose(channels["current_A"][1:], 2 * middle, rtol=1e-12)
-
-
 def test_a_current_between_the_voltages_rows_is_interpolated():
-    t = at(1.0)
-    channels, notices = aligned(
-        {"current_A": Series(t, 3 * t), "voltage_V": Series(t[:-1] + 0.25, t[:-1])}, "x"
-    )
-    np.testing.assert_allclose(channels["current_A"], 3 * (t[:-1] + 0.25))
+    channels, notices = brought((T, 3 * T), (T[:-1] + 0.25, T[:-1]))
+    np.testing.assert_allclose(channels["current_A"], 3 * (T[:-1] + 0.25))
     assert "interpolated" in notices[0]
 
 
 def test_a_pause_of_the_current_is_missing_not_bridged():
-    t = at(1.0)
-    kept = (t <= 30) | (t >= 60)
-    channels, _ = aligned(
-        {"current_A": Series(t[kept], np.ones(kept.sum())), "voltage_V": Series(t + 0.5, t)}, "x"
-    )
+    kept = T[(T <= 30) | (T >= 60)]
+    channels, _ = brought((kept, np.ones(kept.size)), (T + 0.5, T))
     paused = (channels["time_s"] > 30) & (channels["time_s"] < 60)
     assert np.array_equal(np.isnan(channels["current_A"]), paused)
 
 
 def test_rows_outside_the_current_are_left_out_and_told():
-    t = at(1.0)
-    channels, notices = aligned(
-        {"current_A": Series(t[20:81], t[20:81]), "voltage_V": Series(t, t)}, "x"
-    )
-    assert channels["time_s"][0] == 20
-    assert channels["time_s"][-1] == 80
+    channels, notices = brought((T[20:81], T[20:81]), (T, T))
+    assert channels["time_s"][[0, -1]].tolist() == [20, 80]
     assert any("40 row(s)" in n for n in notices)
 
 
 def test_stamps_out_of_order_and_repeated():
-    t = np.array([0.0, 2.0, 1.0, 3.0, 3.0])
-    channels, _ = aligned(
-        {
-            "current_A": Series(t, np.array([0.0, 2.0, 1.0, 9.0, 3.0])),
-            "voltage_V": Series(at(0.5, 3.0), at(0.5, 3.0)),
-        },
-        "x",
-    )
+    disordered = [0.0, 2.0, 1.0, 3.0, 3.0], [0.0, 2.0, 1.0, 9.0, 3.0]
+    channels, _ = brought(map(np.array, disordered), (at(0.5, 3.0), at(0.5, 3.0)))
     np.testing.assert_allclose(channels["current_A"], at(0.5, 3.0))
 
 
 def test_channels_without_a_common_time_are_refused():
     with pytest.raises(InputError, match="voltage from 200"):
-        aligned(
-            {
-                "current_A": Series(at(1.0), at(1.0)),
-                "voltage_V": Series(at(1.0, 300.0, 200.0), at(1.0, 300.0, 200.0)),
-            },
-            "x",
-        )
+        brought((T, T), (T + 200.0, T))
 
 
 def decoded(text, *frames):

@@ -10,7 +10,7 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
 from cellwise.logs.checks.units import CELL
-from cellwise.logs.gaps import Run
+from cellwise.logs.gaps import Run, runs_of
 from cellwise.typing import FloatArray
 
 MARK = "LOOKS WRONG"
@@ -47,36 +47,26 @@ def graves_first(notices: list[str]) -> list[str]:
     return sorted(dict.fromkeys(notices), key=lambda notice: not is_grave(notice))
 
 
-def without_impossible(channels: dict[str, FloatArray], where: str) -> list[str]:
-    """Make values that nothing measures, and single ones that no cell can have, missing ones.
+def without_impossible(log: CellLog) -> tuple[CellLog, list[str]]:
+    """The log with values that nothing measures, and single ones that no cell has, missing.
 
     The latter only where they are rare and far above the rest: else the channel is in another unit.
     """
-    possible = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
-    notices = []
-    for field, values in channels.items():
-        limit = possible.get(field, GRAVE.impossible)
-        if field == "time_s" or not max(np.fmax.reduce(values), -np.fmin.reduce(values)) > limit:
+    limits = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
+    found = {}
+    for field in ("current_A", "voltage_V", "charge_Ah"):
+        values, limit = getattr(log, field), limits.get(field, GRAVE.impossible)
+        if values is None or not max(np.fmax.reduce(values), -np.fmin.reduce(values)) > limit:
             continue
         size = np.abs(values)
-        finite = size[np.isfinite(size)]
-        usual = float(np.percentile(finite, 99.0)) if finite.size else 0.0
+        usual = float(np.nanpercentile(size, 99.0))
         wrong = size > max(limit, GRAVE.spike * usual)
         if np.count_nonzero(wrong) > max(1.0, GRAVE.spike_rows * size.size):
             wrong = np.zeros(size.size, dtype=bool)
-        rows = np.flatnonzero(wrong | (size > GRAVE.impossible))
-        if rows.size == 0:
-            continue
-        quantity, _, unit = field.partition("_")
-        named = ", ".join(f"{values[k]:g} {unit} in row {k + 1}" for k in rows[:MOST_NAMED])
-        more = f" and {rows.size - MOST_NAMED} more" if rows.size > MOST_NAMED else ""
-        channels[field] = values.copy()
-        channels[field][rows] = np.nan
-        notices.append(
-            f"the {quantity} {MARK} in {rows.size} row(s) of {where}: {named}{more}, where it is "
-            f"otherwise below {usual:.3g} {unit}; taken as missing"
-        )
-    return notices
+        if runs := runs_of(wrong | (size > GRAVE.impossible)):
+            found[field] = runs
+    notices = [f"{_impossible(log, name, runs)}; taken as missing" for name, runs in found.items()]
+    return without(log, found), notices
 
 
 def check_time_possible(time_s: FloatArray, where: str) -> None:

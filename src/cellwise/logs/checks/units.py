@@ -45,65 +45,78 @@ class CounterCheck(NamedTuple):
 
     ``factor`` is the counter per ampere hour of summed current (least squares), ``agreement``
     their correlation over the log, ``mismatch_percent`` the difference of the net charges in
-    percent of the charge moved, ``throughput_Ah`` the charge moved according to the current.
+    percent of the charge moved; ``drawn_Ah`` the charge of each interval by the current, (n,).
     """
 
     factor: float
     agreement: float
     mismatch_percent: float
-    throughput_Ah: float
+    drawn_Ah: FloatArray
 
 
 def compare_counter(log: CellLog) -> CounterCheck | None:
     """Compare the tester's counter with the sum of the current.
 
     The current of a row is held over the interval it belongs to; the trapezoid would be wrong
-    wherever a tester logs a step late.
+    wherever a tester logs a step late. Where the counter is missing its steps are gathered in the
+    next row that has one.
 
     Returns
     -------
     CounterCheck, or None without a counter, without current or with a counter that stands still
     """
-    if log.charge_Ah is None or np.count_nonzero(np.isfinite(log.charge_Ah)) < 2:
+    if log.charge_Ah is None or np.count_nonzero(read := np.isfinite(log.charge_Ah)) < 2:
         return None
-    return compare_steps(*charge_steps(log))
-
-
-def compare_steps(drawn: FloatArray, counted: FloatArray) -> CounterCheck | None:
-    """`compare_counter` for the charges of `charge_steps`."""
+    drawn = replace(log, charge_Ah=None).known_current_A() * log.interval_s / 3600.0
+    last = np.maximum.accumulate(np.where(read, np.arange(read.size), 0))
+    held = log.charge_Ah[last]
+    held[np.isnan(held)] = log.charge_Ah[read][0]
+    counted = np.diff(held, prepend=held[0])
+    drawn[log.gap_rows] = counted[log.gap_rows] = 0.0
     summed, counter = np.cumsum(drawn), np.cumsum(counted)
     difference = float(summed[-1] - counter[-1])
     summed -= summed.mean()
     counter -= counter.mean()
-    moved = float(summed @ summed)
-    read = float(counter @ counter)
-    if moved == 0.0 or read == 0.0:
+    moved, both = float(summed @ summed), float(summed @ counter)
+    seen = float(counter @ counter)
+    if moved == 0.0 or seen == 0.0:
         return None
-    throughput = float(np.sum(np.abs(drawn)))
-    return CounterCheck(
-        factor=float(summed @ counter) / moved,
-        agreement=float(summed @ counter) / np.sqrt(moved * read),
-        mismatch_percent=100.0 * abs(difference) / throughput,
-        throughput_Ah=throughput,
-    )
+    mismatch = 100.0 * abs(difference) / float(np.sum(np.abs(drawn)))
+    return CounterCheck(both / moved, both / np.sqrt(moved * seen), mismatch, drawn)
 
 
-def charge_steps(log: CellLog) -> tuple[FloatArray, FloatArray]:
-    """Charge of every interval [Ah] by the current and by the counter, shape (n,), zero over gaps.
+def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | None, list[str]]:
+    """Counter in ampere hours, joined up over restarts; left out where it is of no use.
 
-    Where the counter is missing its steps are gathered in the next row that has one.
+    Raises
+    ------
+    InputError        its ratio to the current says that current or time are in another unit
     """
-    drawn = replace(log, charge_Ah=None).known_current_A() * log.interval_s / 3600.0
-    counter = log.charge_Ah if log.charge_Ah is not None else np.zeros(len(log))
-    read = np.isfinite(counter)
-    last = np.maximum.accumulate(np.where(read, np.arange(counter.size), 0))
-    held = counter[last]
-    held[np.isnan(held)] = counter[read][0]
-    counted = np.diff(held, prepend=held[0])
-    gaps = log.gap_rows
-    drawn[gaps] = 0.0
-    counted[gaps] = 0.0
-    return drawn, counted
+    if log.charge_Ah is None:
+        return log, None, []
+    if not np.any(np.isfinite(log.charge_Ah)):
+        return replace(log, charge_Ah=None), None, ["the counter ampere_hours holds no value"]
+    check = compare_counter(log)
+    if check is None:
+        return log, None, []
+    factor, notices = counter_factor(log, check, where)
+    counter = log.charge_Ah * factor if factor != 1.0 else log.charge_Ah
+    joined = joined_counter(counter, check.drawn_Ah, log.gap_rows)
+    if joined is not None:
+        counter, restarts = joined
+        notices.append(f"the counter ampere_hours restarts {restarts} time(s) and was joined up")
+    if counter is not log.charge_Ah:
+        log = replace(log, charge_Ah=counter)
+        check = compare_counter(log) or check
+    if abs(check.agreement) < COUNTER.another:
+        noted = "the counter ampere_hours does not follow the current and was left out"
+        return replace(log, charge_Ah=None), None, [noted]
+    if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
+        notices.append(
+            f"the counter ampere_hours differs from the summed current by "
+            f"{check.mismatch_percent:.1f} % of the charge moved"
+        )
+    return log, check, notices
 
 
 def joined_counter(
@@ -112,14 +125,17 @@ def joined_counter(
     """The counter with its restarts joined up, and how many there were; None where none was seen.
 
     A counter has restarted at a row where it reads what flowed during this one interval, and not
-    that plus what it read before. The current carries it over that interval.
+    that plus what it read before. The current carries it over that interval. One with missing
+    values is left as it is.
 
     Parameters
     ----------
-    counter : (n,) float        [Ah], finite
-    drawn : (n,) float          charge of each interval by the current [Ah], see `charge_steps`
+    counter : (n,) float        [Ah]
+    drawn : (n,) float          charge of each interval by the current [Ah]
     gap_rows : (n,) bool        intervals of which the current knows nothing
     """
+    if not np.all(np.isfinite(counter)):
+        return None
     moves = np.diff(counter)
     jump = moves - drawn[1:]
     fresh = np.abs(counter[1:] - drawn[1:])

@@ -11,41 +11,21 @@ A reader may give, beside the fields of `CellLog`, what testers write in pieces:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, CurrentMeaning
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks import grave, units
 from cellwise.logs.checks.faults import possible_part
-from cellwise.logs.checks.grave import (
-    MARK,
-    check_time_moves,
-    check_time_possible,
-    grave_notices,
-    graves_first,
-    without_impossible,
-)
 from cellwise.logs.checks.sign import contradiction, verify_sign
-from cellwise.logs.checks.units import (
-    COUNTER,
-    CounterCheck,
-    charge_steps,
-    check_charge,
-    check_voltage,
-    compare_counter,
-    compare_steps,
-    counter_factor,
-    joined_counter,
-    plausible_temperature,
-    time_from_start,
-    volts_of_millivolts,
-)
 from cellwise.logs.files.columns import TIDY_CHANNELS, NamedColumns
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.named_columns import table_channels
-from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.source import RawLog
+from cellwise.logs.files.tables import table_channels
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
@@ -221,36 +201,23 @@ SignOption = Literal["auto", "discharge-positive", "charge-positive"]
 NO_STEP = -1
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Where channels come from and what their format says of them."""
-
-    name: str = ""
-    source: str = ""
-    format: str = ""
-    sign: SignConvention = "discharge-positive"
-    current_meaning: CurrentMeaning = "interval_end"
-
-    @property
-    def where(self) -> str:
-        """For messages."""
-        return f"'{self.source or self.name}'" if self.source or self.name else "the table"
-
-    @classmethod
-    def of(cls, source: LogSource, known: Format, name: str) -> Origin:
-        """Of a file that was read as this format."""
-        return cls(name, str(source.path), known.name, known.sign, known.current_meaning)
-
-
 def assemble(
-    raw: RawLog, origin: Origin, sign: str = "auto", *, check_sign: bool = True
+    raw: RawLog,
+    known: Format | None,
+    path: str | Path = "",
+    name: str = "",
+    sign: str = "auto",
+    *,
+    check_sign: bool = True,
 ) -> CellLog:
     """Make a log of a reader's channels.
 
     Parameters
     ----------
     raw : RawLog          channels with the format's sign
-    origin : Origin       where they come from
+    known : Format        of the file; None: a table in memory, tidy
+    path : str or Path    of the file
+    name : str            for people
     sign : str            ``auto`` trusts the format, verifies, and notes; the other two override it
     check_sign : bool     verify the sign also where nothing but the data speaks against it
 
@@ -262,20 +229,22 @@ def assemble(
         raise InputError(
             f"sign '{sign}'", f"one of {', '.join(get_args(SignOption))}", "Choose one of them."
         )
+    where = f"'{path or name}'" if path or name else "the table"
+    of_tester = known is not None and not known.name.startswith("tidy")
+    own_sign = "discharge-positive" if known is None else known.sign
     channels = dict(raw.channels)
     notices = list(raw.notices)
-    check_time_moves(channels["time_s"], origin.where)
-    channels["time_s"], noted = time_from_start(channels["time_s"])
+    grave.check_time_moves(channels["time_s"], where)
+    channels["time_s"], noted = units.time_from_start(channels["time_s"])
     notices += noted
-    check_time_possible(channels["time_s"], origin.where)
-    notices += without_impossible(channels, origin.where)
-    if origin.format and not origin.format.startswith(("tidy", "table")):
-        notices += volts_of_millivolts(channels)
+    grave.check_time_possible(channels["time_s"], where)
+    if of_tester:
+        notices += units.volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
     if temperature is not None:
-        temperature, noted = plausible_temperature(temperature)
+        temperature, noted = units.plausible_temperature(temperature)
         notices += noted
-    if (origin.sign if sign == "auto" else sign) == "charge-positive":
+    if (own_sign if sign == "auto" else sign) == "charge-positive":
         channels["current_A"] = -channels["current_A"]
         notices.append("positive current was read as charge and inverted")
     log = CellLog(
@@ -285,28 +254,30 @@ def assemble(
         temperature_C=temperature,
         charge_Ah=channels.get("charge_Ah"),
         step=_steps(channels.get("step")),
-        name=origin.name,
-        source=origin.source,
-        current_meaning=origin.current_meaning,
-        format=origin.format,
+        name=name,
+        source=str(path),
+        current_meaning="interval_end" if known is None else known.current_meaning,
+        format="table" if known is None else known.name,
     )
-    notices += grave_notices(log)
-    notices += check_voltage(log, origin.where)
-    log, counter, noted = _with_checked_counter(log, origin.where)
+    log, noted = grave.without_impossible(log)
     notices += noted
-    notices += check_charge(possible_part(log))
-    opposite = counter is not None and counter.agreement < -COUNTER.opposite
+    notices += grave.grave_notices(log)
+    notices += units.check_voltage(log, where)
+    log, counter, noted = units.checked_counter(log, where)
+    notices += noted
+    notices += units.check_charge(possible_part(log))
+    opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
     if not (check_sign or opposite):
-        return log.with_notices(graves_first(notices))
+        return log.with_notices(grave.graves_first(notices))
     log, noted = _with_checked_sign(log, sign, opposite=opposite)
-    return log.with_notices(graves_first([*noted, *notices]))
+    return log.with_notices(grave.graves_first([*noted, *notices]))
 
 
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
     """`CellLog.from_table`."""
-    origin = Origin(name=name, source=source, format="table")
-    raw = table_channels(table, TIDY_CHANNELS, origin.where)
-    return assemble(complete(raw, origin.sign, origin.where), origin, sign)
+    where = f"'{source or name}'" if source or name else "the table"
+    raw = table_channels(table, TIDY_CHANNELS, where)
+    return assemble(complete(raw, "discharge-positive", where), None, source, name, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:
@@ -335,42 +306,6 @@ def _steps(step: FloatArray | None) -> IntArray | None:
     return np.where(known, step, NO_STEP).astype(np.int32)
 
 
-def _with_checked_counter(
-    log: CellLog, where: str
-) -> tuple[CellLog, CounterCheck | None, list[str]]:
-    """Counter in ampere hours, joined up over restarts; left out where it is of no use."""
-    if log.charge_Ah is None:
-        return log, None, []
-    if not np.any(np.isfinite(log.charge_Ah)):
-        return replace(log, charge_Ah=None), None, ["the counter ampere_hours holds no value"]
-    notices: list[str] = []
-    drawn, counted = charge_steps(log)
-    check = compare_steps(drawn, counted)
-    if check is None:
-        return log, None, []
-    factor, more = counter_factor(log, check, where)
-    notices += more
-    counter = log.charge_Ah * factor if factor != 1.0 else log.charge_Ah
-    joined = None
-    if np.all(np.isfinite(counter)):
-        joined = joined_counter(counter, drawn, log.gap_rows)
-    if joined is not None:
-        counter, restarts = joined
-        notices.append(f"the counter ampere_hours restarts {restarts} time(s) and was joined up")
-    if counter is not log.charge_Ah:
-        log = replace(log, charge_Ah=counter)
-        check = compare_counter(log) or check
-    if abs(check.agreement) < COUNTER.another:
-        noted = "the counter ampere_hours does not follow the current and was left out"
-        return replace(log, charge_Ah=None), None, [noted]
-    if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
-        notices.append(
-            f"the counter ampere_hours differs from the summed current by "
-            f"{check.mismatch_percent:.1f} % of the charge moved"
-        )
-    return log, check, notices
-
-
 def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:
     """Verify the sign and bring the counter in line with a current that is right."""
     notices: list[str] = []
@@ -381,8 +316,8 @@ def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[Cell
             notices.append("the counter ampere_hours runs against the current and was inverted")
         else:
             notices.append(
-                f"the sign of the current {MARK}: the counter ampere_hours runs against it, and "
-                "the voltage does not confirm it"
+                f"the sign of the current {grave.MARK}: the counter ampere_hours runs against it, "
+                "and the voltage does not confirm it"
             )
     if check.verdict == "contradicted":
         way_out = "charge-positive" if sign != "charge-positive" else "discharge-positive"

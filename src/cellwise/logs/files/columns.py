@@ -1,15 +1,14 @@
-"""Which column of a file is which channel of a log, and in which unit."""
+"""Which column of a file is which channel of a log, and in which unit; what a name says of both."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Literal, Protocol
 
 from cellwise.errors import InputError
-from cellwise.logs.files.quantities import nearest, unit_of
 from cellwise.typing import FloatArray
 
 KELVIN_OFFSET = -273.15
@@ -48,8 +47,27 @@ class Unit:
 
 
 OWN = Unit()
-MILLI = Unit(1e-3)
 CLOCK = Unit(kind="clock")
+# By how column maps write them; a minus: a counter that runs the other way.
+UNITS = {
+    "": OWN,
+    **dict.fromkeys(("ms", "mA", "mV", "mAh"), Unit(1e-3)),
+    "us": Unit(1e-6),
+    "min": Unit(60.0),
+    "h": Unit(3600.0),
+    "K": Unit(1.0, KELVIN_OFFSET),
+    "F": Unit(5.0 / 9.0, -160.0 / 9.0),
+    "As": Unit(1.0 / 3600.0),
+    "clock": CLOCK,
+    "-Ah": Unit(-1.0),
+    "-mAh": Unit(-1e-3),
+}
+
+
+def named_units(names: Iterable[str]) -> dict[str, Unit]:
+    """Names with their units: ``time_h => h``; without one, the channel's own."""
+    parts = (text.partition(" => ") for text in names)
+    return {name: UNITS[unit] for name, _, unit in parts}
 
 
 @dataclass(frozen=True)
@@ -86,44 +104,24 @@ class Column:
     unit: Unit
 
 
-TIDY_CHANNELS = (
-    Channel(
-        "time_s",
-        {
-            "time_s": OWN,
-            "time_ms": Unit(1e-3),
-            "time_us": Unit(1e-6),
-            "time_min": Unit(60.0),
-            "time_h": Unit(3600.0),
-        },
-        required=True,
+REQUIRED = ("time_s", "current_A", "voltage_V")
+_TIDY = {
+    "time_s": ("time_s", "time_ms => ms", "time_us => us", "time_min => min", "time_h => h"),
+    "current_A": ("current_A", "current_mA => mA"),
+    "voltage_V": ("voltage_V", "voltage_mV => mV"),
+    "temperature_C": (
+        *("temperature_C", "temperature_degC", "temperature_K => K", "temperature_F => F"),
     ),
-    Channel("current_A", {"current_A": OWN, "current_mA": Unit(1e-3)}, required=True),
-    Channel("voltage_V", {"voltage_V": OWN, "voltage_mV": Unit(1e-3)}, required=True),
-    Channel(
-        "temperature_C",
-        {
-            "temperature_C": OWN,
-            "temperature_degC": OWN,
-            "temperature_K": Unit(1.0, KELVIN_OFFSET),
-            "temperature_F": Unit(5.0 / 9.0, -160.0 / 9.0),
-        },
+    "charge_Ah": (
+        *("ampere_hours", "charge_Ah", "milliampere_hours => mAh", "charge_mAh => mAh"),
+        "ampere_seconds => As",
     ),
-    Channel(
-        "charge_Ah",
-        {
-            "ampere_hours": OWN,
-            "charge_Ah": OWN,
-            "milliampere_hours": Unit(1e-3),
-            "charge_mAh": Unit(1e-3),
-            "ampere_seconds": Unit(1.0 / 3600.0),
-        },
-    ),
-    Channel("step", {"step": OWN}),
-)
-
-# The tidy form's names, each with its field and unit.
+    "step": ("step",),
+}
+TIDY_CHANNELS = tuple(Channel(f, named_units(n), f in REQUIRED) for f, n in _TIDY.items())
+# The tidy form's names, each with its field and unit, and the usual one of each field.
 TIDY_NAMES = {n: (c.field, unit) for c in TIDY_CHANNELS for n, unit in c.names.items()}
+TIDY_NAME = {c.field: c.usual_name for c in TIDY_CHANNELS}
 _NUMBERS = re.compile(r"\d+")
 MOST_LISTED = 12
 LONGEST_LISTED = 60  # characters of a name
@@ -175,40 +173,40 @@ def choose_columns(
     ------
     InputError                      a required column is missing, or stands there twice
     """
-    keys = [folded(name) for name in header]
-    columns = [_stated(tidy, name, header, keys, where) for tidy, name in (chosen or {}).items()]
+    names = [name.strip() for name in header]
+    columns = [_stated(tidy, name, names, where) for tidy, name in (chosen or {}).items()]
     notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
-    stated = {column.field for column in columns}
+    found = {column.field for column in columns}
     for channel in channels:
-        if channel.field in stated:
-            continue
-        column = _find(channel, header, keys, where)
-        if column is None:
+        if channel.field in found or (column := _find(channel, names, where)) is None:
             continue
         columns.append(column)
         if known is None and column.unit != OWN:
-            notices.append(f"column '{column.name}' was converted to {_tidy_name(channel)}")
+            tidy = TIDY_NAME.get(channel.field, channel.field)
+            notices.append(f"column '{column.name}' was converted to {tidy}")
     found = {column.field for column in columns}
     missing = [
         c for c in channels if c.required and c.field not in found and c.instead not in found
     ]
     if missing:
-        raise _missing_columns(missing, header, channels, where)
+        raise _missing_columns(missing, names, channels, where)
     used = {column.index for column in columns}
-    unused = [header[k].strip() for k in range(len(header)) if k not in used and header[k].strip()]
-    return columns, notices + _unused_columns(unused, channels, known)
+    unused = [name for k, name in enumerate(names) if k not in used and name]
+    if unused and known is None:
+        return columns, [*notices, f"column(s) not used: {listed(unused)}"]
+    return columns, notices + _unknown(unused, channels, known or ())
 
 
-def _stated(tidy: str, name: str, header: Sequence[str], keys: Sequence[str], where: str) -> Column:
+def _stated(tidy: str, name: str, names: Sequence[str], where: str) -> Column:
     """The column that the user named for a channel."""
     field, unit = tidy_name(tidy)
-    places = [k for k, text in enumerate(header) if text.strip() == name.strip()]
-    places = places or [k for k, text in enumerate(keys) if text == folded(name)]
+    places = [k for k, text in enumerate(names) if text == name.strip()]
+    places = places or [k for k, text in enumerate(names) if folded(text) == folded(name)]
     if not places:
-        raise no_such_name(name, [text.strip() for text in header], where)
+        raise no_such_name(name, names, where)
     if tidy == "time_s":
         unit = CLOCK  # a number of seconds, a clock or a date, whichever the cells hold
-    return Column(field, places[0], header[places[0]].strip(), unit)
+    return Column(field, places[0], names[places[0]], unit)
 
 
 def no_such_name(name: str, names: Sequence[str], where: str, what: str = "column") -> InputError:
@@ -221,20 +219,14 @@ def no_such_name(name: str, names: Sequence[str], where: str, what: str = "colum
     )
 
 
-def _unused_columns(
-    unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str] | None
-) -> list[str]:
-    """Notices of columns that are not used."""
-    if not unused:
-        return []
-    if known is None:
-        return [f"column(s) not used: {listed(unused)}"]
+def _unknown(unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str]) -> list[str]:
+    """A notice of columns that a format does not know; one of numbered ones is known by another."""
     expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
-    siblings = {_unnumbered(name) for name in expected if _unnumbered(name) != name}
+    siblings = {_NUMBERS.sub("", name) for name in expected if _NUMBERS.search(name)}
     unknown = [
         name
         for name in unused
-        if folded(name) not in expected and _unnumbered(folded(name)) not in siblings
+        if folded(name) not in expected and _NUMBERS.sub("", folded(name)) not in siblings
     ]
     if not unknown:
         return []
@@ -249,14 +241,8 @@ def _unused_columns(
     ]
 
 
-def _unnumbered(name: str) -> str:
-    """A name without its numbers: 'Aux #2' is a sibling of 'Aux #1'."""
-    return _NUMBERS.sub("", name)
-
-
-def _find(
-    channel: Channel, header: Sequence[str], keys: Sequence[str], where: str
-) -> Column | None:
+def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
+    keys = [folded(name) for name in names]
     for name, unit in channel.names.items():
         places = [k for k, text in enumerate(keys) if text == folded(name)]
         if len(places) > 1:
@@ -267,7 +253,7 @@ def _find(
                 "Rename or remove the one that is not meant.",
             )
         if places:
-            return Column(channel.field, places[0], header[places[0]].strip(), unit)
+            return Column(channel.field, places[0], names[places[0]], unit)
     return None
 
 
@@ -276,47 +262,88 @@ def folded(name: str) -> str:
     return name.casefold().replace(" ", "").replace("_", "").strip('"\t\ufeff')
 
 
-def _tidy_name(channel: Channel) -> str:
-    """The name in the tidy form, or the field where the tidy form has none."""
-    return next((c.usual_name for c in TIDY_CHANNELS if c.field == channel.field), channel.field)
-
-
 def _missing_columns(
-    missing: Sequence[Channel], header: Sequence[str], channels: Sequence[Channel], where: str
+    missing: Sequence[Channel], names: Sequence[str], channels: Sequence[Channel], where: str
 ) -> InputError:
-    names = [name.strip() for name in header]
-    hints: list[str] = []
-    lines: list[str] = []
-    for channel in missing:
-        if near := nearest(channel.field, names):
-            tidy = _with_unit(_tidy_name(channel), near)
-            name = tidy if tidy in channel.names else channel.usual_name
-            hints.append(f"rename '{near}' to '{name}' if that is what it holds")
-            lines.append(f"{tidy!r}: {near!r}")
+    near = [(c, name) for c in missing if (name := nearest(c.field, names))]
+    said = ", ".join(f"{_tidy_of(c, name)!r}: {name!r}" for c, name in near)
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
-    action = (
-        "Give the file these column names, or a unit that the name gives (current_mA, voltage_mV, "
-        "time_ms, time_min, time_h)"
-    )
-    if hints:
-        action += f": {'; '.join(hints)}"
-    said = ", ".join(lines) or "..."
     return InputError(
         f"column(s) {listed(names) or 'without any name'} in {where}; missing: "
         f"{', '.join(c.usual_name for c in missing)}",
         f"the columns {required} (and, where measured, {optional})",
-        f"{action}, or name the columns with `channels={{{said}}}`.",
+        f"Name the columns with `channels={{{said or '...'}}}`, if that is what they hold, or give "
+        "the file these names; the name gives the unit (current_mA, voltage_mV, time_ms, time_min, "
+        "time_h).",
     )
 
 
-def _with_unit(tidy: str, name: str) -> str:
+def _tidy_of(channel: Channel, name: str) -> str:
     """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``."""
-    quantity, unit = tidy.rpartition("_")[0], unit_of(name)
-    return next((n for n in TIDY_NAMES if n.casefold() == f"{quantity}_{unit}"), tidy)
+    tidy = TIDY_NAME.get(channel.field, channel.field)
+    wanted = f"{tidy.rpartition('_')[0]}_{unit_of(name)}"
+    return next((n for n in TIDY_NAMES if n.casefold() == wanted), tidy)
 
 
 def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
     """Names in quotes, the first dozen."""
     shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+# Words for a quantity, of several languages and programs.
+WORDS = {
+    "time_s": (
+        *("time", "t", "timestamp", "seconds", "elapsed", "test time", "datum", "uhrzeit", "zeit"),
+        *("testzeit", "laufzeit", "versuchszeit", "zeitstempel", "datetime"),
+    ),
+    "current_A": (*("current", "curr", "i", "amps", "ampere", "strom", "ibat", "batteriestrom"),),
+    "voltage_V": (
+        *("voltage", "volt", "volts", "v", "u", "ewe", "spannung", "potential", "vbat", "ubat"),
+        *("batteriespannung", "zellspannung", "klemmenspannung"),
+    ),
+    "temperature_C": ("temperature", "temp", "tbat"),
+    "charge_Ah": ("charge", "ah", "discharged", "consumed"),
+}
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+[a-z]*")
+# A unit at the end of a column's name, in brackets or behind a stroke.
+_UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$", re.IGNORECASE)
+_UNITS = ("s", "ms", "us", "min", "h", "a", "ma", "v", "mv", "k", "c", "degc", "ah", "mah")
+_UNIT_WORDS = {
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek"), "s"),
+    **dict.fromkeys(("µs", "μs"), "us"),
+    **dict.fromkeys(("hr", "hrs", "hour", "hours", "std"), "h"),
+    **dict.fromkeys(("minute", "minutes"), "min"),
+}
+
+
+def words_of(name: str) -> set[str]:
+    """The words of a name: ``BMS_PackCurrent`` is bms, pack, current."""
+    return {word.casefold() for word in _WORD.findall(name)}
+
+
+def unit_of(name: str) -> str:
+    """The unit that a name states at its end, in small letters: 'Strom [mA]' states ma."""
+    found = _UNIT.search(name.strip())
+    text = "" if found is None else found[1].casefold()
+    unit = _UNIT_WORDS.get(text, text)
+    return unit if unit in _UNITS else ""
+
+
+def nearest(field: str, names: Sequence[str]) -> str:
+    """The name that most likely holds a quantity, empty if none does."""
+    known = WORDS.get(field, ())
+
+    def likeness(name: str) -> int:
+        plain = _UNIT.sub("", name.strip()) if unit_of(name) else name
+        plain = plain.replace("_", " ").strip(" .\t")
+        words = {word for word in words_of(plain) if len(word) > 2}
+        if plain.casefold() in known:
+            return 3
+        if words.intersection(known):
+            return 2
+        return any(get_close_matches(word, known, n=1, cutoff=0.75) for word in words)
+
+    best = max(names, key=likeness, default="")
+    return best if best and likeness(best) else ""

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
-from cellwise.logs.files.cells import arrow_type, arrow_values
 from cellwise.logs.files.columns import CLOCK, Column, choose_columns
 from cellwise.logs.files.csv_layout import (
     DECIMAL_COMMA,
@@ -21,6 +20,7 @@ from cellwise.logs.files.csv_layout import (
 )
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import Limits, LogSource, RawLog, TimedStream, damaged_gzip
+from cellwise.logs.files.tables import arrow_type, column_values
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -136,12 +136,7 @@ def _read(
         raise damaged_gzip(source, str(error)) from None
     table = pa.Table.from_batches(batches, pa.schema(list(types.items())))
     del batches
-    arrays = {}
-    for column in columns:
-        name = names[column.index]
-        values = arrow_values(column.unit, table.column(name), column.name, source.where)
-        arrays[column.field] = column.unit.convert(values)
-    return arrays
+    return {c.field: column_values(table.column(names[c.index]), c, source.where) for c in columns}
 
 
 def _refused(

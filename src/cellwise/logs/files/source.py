@@ -11,14 +11,10 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Literal, cast
+from typing import IO, Literal, cast
 
 from cellwise.errors import InputError, MachineError
 from cellwise.typing import FloatArray
-
-if TYPE_CHECKING:
-    import pyarrow
-
 
 # Called with the bytes (or columns) done and the number there are in all.
 Progress = Callable[[int, int], None]
@@ -115,18 +111,6 @@ class LogSource:
         if not self.is_text:
             return ()
         return tuple(line.strip() for line in decoded(self.head).splitlines()[:MOST_HEADER_LINES])
-
-    @cached_property
-    def parquet_metadata(self) -> pyarrow.parquet.FileMetaData:
-        """The footer of a parquet file, read once.
-
-        Raises
-        ------
-        pyarrow.ArrowException, OSError      a file that is not whole
-        """
-        from pyarrow import parquet
-
-        return parquet.read_metadata(self.path)
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
@@ -292,8 +276,13 @@ class Limits:
                 f"up to {self.rows:,} rows in a file of its size",
                 f"Split it; if it is that long, allow more with {_VARIABLES[2]}.",
             )
-        if time.monotonic() > self.began_s + self.seconds:
+        if self.time_is_over:
             raise self.too_slow(where)
+
+    @property
+    def time_is_over(self) -> bool:
+        """Reading has taken all the time that it may."""
+        return time.monotonic() > self.began_s + self.seconds
 
     def too_slow(self, where: str) -> InputError:
         """The refusal of a file that takes longer."""

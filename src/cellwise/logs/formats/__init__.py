@@ -5,8 +5,8 @@ from __future__ import annotations
 from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
-from cellwise.logs.files.named_columns import is_parquet, parquet_has, read_parquet
 from cellwise.logs.files.source import LogSource
+from cellwise.logs.files.tables import is_parquet, parquet_has, read_parquet
 from cellwise.logs.formats.can import CAN_LOG
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.ros_bag import ROS_BAG

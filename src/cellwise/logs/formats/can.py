@@ -5,8 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from array import array
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import Unit
+from cellwise.logs.files.columns import TIDY_CHANNELS, Unit
 from cellwise.logs.files.format import Format, damaged, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.formats.vehicle_signals import (
-    CHOSEN,
-    UNITS,
+    SIGNAL_UNITS,
     Series,
     Signal,
     aligned,
+    cell_signals,
     choose_signals,
 )
 
@@ -54,13 +53,14 @@ def can_database(path: Path | None, of: str) -> Any:
 
 
 Key = tuple[int, bool]  # of a frame: its identifier, whether that is an extended one
+Frame = tuple[float, Key, bytes]  # its time [s] before, its bytes behind
 
 
 class Wanted(NamedTuple):
     """A signal of a frame: for which field, or cell from 0 on; its unit, what it may be."""
 
     field: str | int
-    name: str
+    signal: Signal
     unit: Unit
     low: float
     high: float
@@ -75,11 +75,11 @@ class FrameDecoder:
     where : str             for messages
     channels : mapping      tidy name, which gives the unit, to the signal's name
     keys : collection       frames to look for them in; None: all of the database
-    cells : sequence        signals of cells' voltages, in order
+    cells : int             so many cells' voltages, too, by the names of their signals
 
     Raises
     ------
-    InputError              no clear signals
+    InputError              no clear signals, another number of cells
     """
 
     def __init__(
@@ -88,23 +88,28 @@ class FrameDecoder:
         where: str,
         channels: Mapping[str, str],
         keys: Collection[Key] | None = None,
-        cells: Sequence[Signal] = (),
+        cells: int = 0,
     ) -> None:
         self.messages: dict[Key, Any] = messages_of(database)
-        signals = signals_of(database, self.messages if keys is None else keys)
-        others = [s for s in signals if s not in cells]
-        chosen, self.notices = choose_signals(others, channels, where)
-        units = UNITS["voltage_V"]
+        signals = [
+            Signal(f"{self.messages[key].name}.{s.name}", s.unit or "", (key, s.name))
+            for key in sorted(self.messages if keys is None else keys)
+            for s in self.messages[key].signals
+        ]
+        of_cells = cell_signals(signals, cells) if cells else []
+        chosen, self.notices = choose_signals(
+            [s for s in signals if s not in of_cells], channels, where
+        )
+        volts = SIGNAL_UNITS["voltage_V"]
         asked: list[tuple[str | int, Signal, Unit]] = [
-            *chosen, *((k, s, units[s.unit.strip().lower()]) for k, s in enumerate(cells))
+            *chosen, *((k, s, volts[s.folded_unit]) for k, s in enumerate(of_cells))
         ]  # fmt: skip
         self.wanted: dict[Key, list[Wanted]] = {}
         for field, signal, unit in asked:
             key: Any
             key, name = signal.key
-            found = self.messages[key].get_signal_by_name(name)
-            wanted = Wanted(field, found.name, unit, *_limits_of(found))
-            self.wanted.setdefault(key, []).append(wanted)
+            limits = _limits_of(self.messages[key].get_signal_by_name(name))
+            self.wanted.setdefault(key, []).append(Wanted(field, signal, unit, *limits))
 
     def values(self, key: Key, data: bytes) -> list[tuple[Wanted, float]]:
         """What a frame says, NaN outside the range that the database gives ("not available").
@@ -118,8 +123,8 @@ class FrameDecoder:
             return []
         values = []
         for one in self.wanted[key]:
-            if one.name in found:
-                value = float(found[one.name])
+            if one.signal.short in found:
+                value = float(found[one.signal.short])
                 value = value if one.low <= value <= one.high else math.nan
                 values.append((one, value * one.unit.factor + one.unit.offset))
         return values
@@ -128,16 +133,6 @@ class FrameDecoder:
 def messages_of(database: Any) -> dict[Key, Any]:
     """The messages of a database by what their frames are known by."""
     return {(m.frame_id, m.is_extended_frame): m for m in database.messages}
-
-
-def signals_of(database: Any, keys: Collection[Key]) -> list[Signal]:
-    """The signals of some frames; their key is the frame's and their own name."""
-    messages = messages_of(database)
-    return [
-        Signal(f"{messages[key].name}.{s.name}", s.unit or "", (key, s.name))
-        for key in sorted(keys)
-        for s in messages[key].signals
-    ]
 
 
 def _limits_of(signal: Any) -> tuple[float, float]:
@@ -149,15 +144,6 @@ def _limits_of(signal: Any) -> tuple[float, float]:
     return float(low) - slack, float(high) + slack
 
 
-class Frame(NamedTuple):
-    """One frame: its time [s], identifier, whether that is an extended one, its bytes."""
-
-    time_s: float
-    identifier: int
-    extended: bool
-    data: bytes
-
-
 _BLF = b"LOGG"
 _SAVVYCAN = "Time Stamp,ID,Extended"
 # (stamp) can0 1F0 [8] 00 ... | (stamp) can0 1F0#00... | 7) 12.3 Rx 01F0 8 00 ...
@@ -166,8 +152,6 @@ _ASC = re.compile(
     r"base\s+(?:hex|dec)\s+timestamps|\d+\.\d+\s+\d+\s+[0-9A-F]+x?\s+[RT]x\s+d\s", re.I
 )
 _REPORT_EVERY = 50_000
-
-Frames = dict[tuple[int, bool], tuple["array[float]", list[bytes]]]
 
 
 def _reader(source: LogSource) -> str:
@@ -185,63 +169,62 @@ def _reader(source: LogSource) -> str:
 
 
 def _read(source: LogSource, known: Format) -> RawLog:
-    database = can_database(source.options.dbc, f"CAN frames in {source.where}")
-    frames, ids = _frames(source, database)
+    dbc = source.options.dbc
+    database = can_database(dbc, f"CAN frames in {source.where}")
+    frames, ids = _frames(source, messages_of(database))
     if not frames:
         seen = ", ".join(f"0x{i:X}" for i in sorted(ids)[:8])
         there = ", ".join(f"0x{m.frame_id:X} {m.name}" for m in database.messages[:8])
         raise InputError(
-            f"no frame in {source.where} that '{source.options.dbc}' describes (frames "
+            f"no frame in {source.where} that '{dbc}' describes (frames "
             f"{seen or '-'}{', ...' if len(ids) > 8 else ''}; the database has {there or 'none'})",
             "the database of this log",
             "Choose another DBC file.",
         )
-    options = source.options
-    decoder = FrameDecoder(database, source.where, options.channels, frames)
+    decoder = FrameDecoder(database, source.where, source.options.channels, frames)
     notices = decoder.notices
-    series: dict[str, Series] = {}
-    for key, wanted in decoder.wanted.items():
-        stamps, payloads = frames[key]
-        found: dict[str, tuple[list[float], list[float]]] = {str(w.field): ([], []) for w in wanted}
-        for at_s, data in zip(stamps, payloads, strict=True):
+    samples: dict[Wanted, list[tuple[float, float]]] = {
+        one: [] for wanted in decoder.wanted.values() for one in wanted
+    }
+    for key in decoder.wanted:
+        for at_s, data in frames[key]:
             for one, value in decoder.values(key, data):
-                found[str(one.field)][0].append(at_s)
-                found[str(one.field)][1].append(value)
-        for one in wanted:
-            times, values = map(np.array, found[str(one.field)])
-            outside = int(np.count_nonzero(np.isnan(values)))
-            if outside == values.size:
-                raise InputError(
-                    f"no value of '{one.name}' in {source.where} within the range that "
-                    f"'{options.dbc}' gives (frames of {len(payloads[0])} byte(s), its message "
-                    f"has {decoder.messages[key].length})",
-                    "the database of this log",
-                    "Choose another DBC file.",
-                )
-            if outside:
-                name = f"{decoder.messages[key].name}.{one.name}"
-                notices.append(f"{outside} value(s) of '{name}' outside its range left out")
-            series[str(one.field)] = Series(times, values)
-    start = min(float(samples.time_s[0]) for samples in series.values())
-    series = {field: Series(s.time_s - start, s.values) for field, s in series.items()}
+                samples[one].append((at_s, value))
+    start = min((found[0][0] for found in samples.values() if found), default=0.0)
+    series: dict[str, Series] = {}
+    for one, found in samples.items():
+        times, values = np.array(found).reshape(-1, 2).T
+        outside = int(np.count_nonzero(np.isnan(values)))
+        if outside == values.size:
+            of: Any = one.signal.key[0]
+            raise InputError(
+                f"no value of '{one.signal.name}' in {source.where} within the range that '{dbc}' "
+                f"gives (frames of {len(frames[of][0][1])} byte(s), its message has "
+                f"{decoder.messages[of].length})",
+                "the database of this log",
+                "Choose another DBC file.",
+            )
+        if outside:
+            notices.append(f"{outside} value(s) of '{one.signal.name}' outside its range left out")
+        series[str(one.field)] = Series(times - start, values)
     channels, noted = aligned(series, source.where)
     return RawLog(channels, (*notices, *noted))
 
 
-def _frames(source: LogSource, database: Any) -> tuple[Frames, set[int]]:
-    """Stamps and payloads of the frames that the database describes, and all ids that occur."""
-    frames: Frames = {key: (array("d"), []) for key in messages_of(database)}
+def _frames(
+    source: LogSource, wanted: Collection[Key]
+) -> tuple[dict[Key, list[tuple[float, bytes]]], set[int]]:
+    """Times and bytes of the frames that are wanted, and all identifiers that occur."""
+    frames: dict[Key, list[tuple[float, bytes]]] = {}
     ids: set[int] = set()
     with library_at_work(source, "CAN log"):
-        for count, frame in enumerate(_messages(source)):
-            ids.add(frame.identifier)
-            into = frames.get((frame.identifier, frame.extended))
-            if into is not None:
-                into[0].append(frame.time_s)
-                into[1].append(frame.data)
+        for count, (at_s, key, data) in enumerate(_messages(source)):
+            ids.add(key[0])
+            if key in wanted:
+                frames.setdefault(key, []).append((at_s, data))
             if count % _REPORT_EVERY == 0:
                 source.report(count, max(count + 1, source.size // 16))
-    return {key: found for key, found in frames.items() if found[1]}, ids
+    return frames, ids
 
 
 def _messages(source: LogSource) -> Iterator[Frame]:
@@ -266,7 +249,7 @@ def _of_python_can(source: LogSource, stream: Any, name: str) -> Iterator[Frame]
         raise damaged(source, "CAN log", f"{source.size} of {reader.file_size} bytes")
     for m in reader:
         if not (m.is_error_frame or m.is_remote_frame):
-            yield Frame(m.timestamp, m.arbitration_id, m.is_extended_id, bytes(m.data))
+            yield m.timestamp, (m.arbitration_id, m.is_extended_id), bytes(m.data)
 
 
 def _of_cantools(source: LogSource, lines: Any) -> Iterator[Frame]:
@@ -280,7 +263,7 @@ def _of_cantools(source: LogSource, lines: Any) -> Iterator[Frame]:
                 "Record them with 'candump -L', or with times as 'candump -t a' writes them.",
             )
         seconds = at.timestamp() if isinstance(at, datetime) else at.total_seconds()
-        yield Frame(seconds, found.frame_id, found.is_extended_frame, found.data)
+        yield seconds, (found.frame_id, found.is_extended_frame), found.data
 
 
 def _of_savvycan(lines: Iterator[str]) -> Iterator[Frame]:
@@ -288,18 +271,14 @@ def _of_savvycan(lines: Iterator[str]) -> Iterator[Frame]:
     next(lines, None)
     for line in filter(str.strip, lines):
         stamp, identifier, extended, _, _, _, *data = line.strip().rstrip(",").split(",")
-        yield Frame(
-            1e-6 * int(stamp),
-            int(identifier, 16),
-            extended.casefold() in ("true", "1"),
-            bytes(int(byte, 16) for byte in data if byte.strip()),
-        )
+        key = int(identifier, 16), extended.casefold() in ("true", "1")
+        yield 1e-6 * int(stamp), key, bytes(int(byte, 16) for byte in data if byte.strip())
 
 
 CAN_LOG = Format(
     name="can-log",
     matches=lambda source: bool(_reader(source)),
-    channels=CHOSEN,
+    channels=TIDY_CHANNELS,
     read=_read,
     sign="discharge-positive",
     uses_dbc=True,

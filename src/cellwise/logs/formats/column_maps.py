@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cellwise.logs.files.columns import CLOCK, OWN, Channel, Unit
+from cellwise.logs.files.columns import REQUIRED, Channel, Unit, named_units
 from cellwise.logs.files.csv_layout import has_names
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format, Reader
@@ -16,21 +16,10 @@ from cellwise.logs.files.source import LogSource
 
 PLACE = Path(__file__).with_name("column_maps.toml")
 
-REQUIRED = ("time_s", "current_A", "voltage_V")
 FIELDS = (
     *("time_s", "step_time_s", "current_A", "voltage_V", "working_V", "counter_V"),
     *("temperature_C", "charge_Ah", "charged_Ah", "discharged_Ah", "moved_Ah", "step", "direction"),
 )
-_UNITS = {
-    "": OWN,
-    **dict.fromkeys(("ms", "mA", "mV", "mAh"), Unit(1e-3)),
-    "us": Unit(1e-6),
-    "min": Unit(60.0),
-    "h": Unit(3600.0),
-    "clock": CLOCK,
-    "-Ah": Unit(-1.0),
-    "-mAh": Unit(-1e-3),
-}
 _STATES = {"charge": -1.0, "discharge": 1.0, "rest": 0.0}
 
 
@@ -95,5 +84,4 @@ def _names(field: str, entry: Mapping[str, Any]) -> dict[str, Unit]:
     if field == "direction" and field in entry:
         states = {label: _STATES[k] for k, found in entry["states"].items() for label in found}
         return dict.fromkeys(entry[field], Unit(kind="label", labels=states))
-    parts = (text.partition(" => ") for text in entry.get(field, ()))
-    return {name: _UNITS[unit] for name, _, unit in parts}
+    return named_units(entry.get(field, ()))

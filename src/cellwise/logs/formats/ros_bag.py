@@ -17,8 +17,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
-from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 from cellwise.typing import FloatArray
 

@@ -20,8 +20,8 @@ from cellwise.logs.files.columns import folded
 from cellwise.logs.files.csv_layout import has_names, header_cells
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format, library_at_work, need
-from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import Limits, LogSource, RawLog, decoded
+from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 
 LOOK_ROWS = 10_000  # between two looks at the limits

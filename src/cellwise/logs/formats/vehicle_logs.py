@@ -13,11 +13,12 @@ from typing import IO, Any
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
-from cellwise.logs.files.named_columns import channels_of
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
-from cellwise.logs.formats.vehicle_signals import CHOSEN, Series, Signal, aligned, choose_signals
+from cellwise.logs.formats.vehicle_signals import Series, Signal, aligned, choose_signals
 from cellwise.typing import FloatArray
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -53,7 +54,7 @@ def _read_ulog(source: LogSource, known: Format) -> RawLog:
     live = [k for k in volts if _is_measured(found[k].data)]
     chosen, notices = chosen_battery(volts, live, source)
     data = found[chosen].data
-    arrays = {name: _without_unknown(name, values) for name, values in data.items()}
+    arrays = {name: without_unknown(name, values) for name, values in data.items()}
     start = arrays["timestamp"][0] if arrays["timestamp"].size else 0.0
     arrays["timestamp"] = arrays["timestamp"] - start
     raw = channels_of(arrays, source, known, _cells(data))
@@ -84,8 +85,8 @@ class _Watched:
 
 def _is_measured(data: dict[str, Any]) -> bool:
     connected = np.any(data["connected"]) if "connected" in data else True
-    current = _without_unknown("current_a", data.get("current_a", np.array([-1.0])))
-    voltage = _without_unknown("voltage_v", data.get("voltage_v", np.array([0.0])))
+    current = without_unknown("current_a", data.get("current_a", np.array([-1.0])))
+    voltage = without_unknown("voltage_v", data.get("voltage_v", np.array([0.0])))
     return bool(connected and np.any(np.isfinite(current)) and np.any(np.isfinite(voltage)))
 
 
@@ -93,7 +94,7 @@ def _typical(data: dict[str, Any]) -> float:
     return float(np.median(data["voltage_v"])) if len(data.get("voltage_v", ())) else 0.0
 
 
-def _without_unknown(name: str, values: Any) -> FloatArray:
+def without_unknown(name: str, values: Any) -> FloatArray:
     """Values with the code of "unknown" as NaN."""
     array: FloatArray = np.asarray(values, dtype=np.float64)
     for mark in UNKNOWN.get(name, ()):
@@ -280,7 +281,7 @@ def _signals(file: Any) -> list[Signal]:
 ASAM_MDF = Format(
     name="asam-mdf",
     matches=lambda source: source.head.startswith(_MDF),
-    channels=CHOSEN,
+    channels=TIDY_CHANNELS,
     read=_read_mdf,
     sign="discharge-positive",
     uses_dbc=True,

@@ -5,6 +5,7 @@ Names of signals differ by maker, so they are only taken when units and names le
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -12,35 +13,26 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
-    KELVIN_OFFSET,
-    MILLI,
-    OWN,
-    TIDY_CHANNELS,
-    Channel,
+    REQUIRED,
+    TIDY_NAME,
+    WORDS,
     Unit,
     folded,
     listed,
+    named_units,
     no_such_name,
     tidy_name,
+    words_of,
 )
-from cellwise.logs.files.quantities import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
 from cellwise.typing import BoolArray, FloatArray
 
-# What has been chosen has the tidy names and units.
-CHOSEN = tuple(
-    Channel(name, {name: OWN}, required=True) for name in ("time_s", "current_A", "voltage_V")
-)
-UNITS: Mapping[str, Mapping[str, Unit]] = {
-    "current_A": {"a": OWN, "amp": OWN, "amps": OWN, "ampere": OWN, "ma": MILLI},
-    "voltage_V": {"v": OWN, "volt": OWN, "volts": OWN, "mv": MILLI},
-    "temperature_C": {
-        **dict.fromkeys(("°c", "degc", "deg c", "c", "celsius", "grad c", "℃"), OWN),
-        "k": Unit(1.0, KELVIN_OFFSET),
-    },
-    "charge_Ah": {"ah": OWN, "mah": MILLI, "as": Unit(1.0 / 3600.0)},
+SIGNAL_UNITS = {
+    "current_A": named_units(("a", "amp", "amps", "ampere", "ma => mA")),
+    "voltage_V": named_units(("v", "volt", "volts", "mv => mV")),
+    "temperature_C": named_units(("°c", "degc", "deg c", "c", "celsius", "grad c", "℃", "k => K")),
+    "charge_Ah": named_units(("ah", "mah => mAh", "as => As")),
 }
-_REQUIRED = ("current_A", "voltage_V")
 _OF_PACK = ("battery", "batt", "bat", "pack", "hv", "bms", "traction", "string", "total")
 _OTHERWISE = (
     *("max", "min", "limit", "lim", "target", "setpoint", "set", "request", "req", "cmd", "avail"),
@@ -60,6 +52,11 @@ class Signal(NamedTuple):
     def short(self) -> str:
         """The name without its message or group."""
         return self.name.rpartition(".")[2]
+
+    @property
+    def folded_unit(self) -> str:
+        """The unit as units are compared."""
+        return self.unit.strip().strip("[]()").casefold()
 
 
 class Chosen(NamedTuple):
@@ -93,7 +90,7 @@ def choose_signals(
     chosen = [_stated(tidy, name, signals, where) for tidy, name in stated.items()]
     notices: list[str] = []
     fields = {c.field for c in chosen}
-    for field, units in UNITS.items():
+    for field, units in SIGNAL_UNITS.items():
         if field in fields:
             continue
         found = _best(field, signals)
@@ -102,13 +99,13 @@ def choose_signals(
             chosen.append(Chosen(field, signal, units[_unit(signal, field)]))
             unit = signal.unit or "no unit"
             notices.append(f"signal '{signal.name}' ({unit}) was taken for {field}")
-        elif field in _REQUIRED:
+        elif field in REQUIRED:
             raise _unclear(field, found, signals, where)
     return chosen, notices
 
 
 def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chosen:
-    field, unit = tidy_name(tidy, UNITS)
+    field, unit = tidy_name(tidy, SIGNAL_UNITS)
     found = [s for s in signals if s.name == name] or [
         s for s in signals if folded(name) in (folded(s.name), folded(s.short))
     ]
@@ -125,8 +122,8 @@ def _stated(tidy: str, name: str, signals: Sequence[Signal], where: str) -> Chos
 
 def _best(field: str, signals: Sequence[Signal]) -> list[Signal]:
     """The signals of a channel's unit whose names speak most for it."""
-    scores = [(_score(field, s.name), s) for s in signals if _unit(s, field) in UNITS[field]]
-    required = field in _REQUIRED
+    scores = [(_score(field, s.name), s) for s in signals if _unit(s, field) in SIGNAL_UNITS[field]]
+    required = field in REQUIRED
     scores = [(score, s) for score, s in scores if score > (-2 if required else 1)]
     best = max((score for score, _ in scores), default=0)
     return [s for score, s in scores if score == best]
@@ -145,22 +142,54 @@ def _unit(signal: Signal, field: str) -> str:
 
     Without a unit the name must have the quantity's own name.
     """
-    unit = signal.unit.strip().strip("[]()").casefold()
+    unit = signal.folded_unit
     if unit and unit != "-":
         return unit
     words = words_of(signal.short)
     if not words.intersection(WORDS[field]):
         return ""
     last = signal.short.rpartition("_")[2].casefold()
-    return last if last in UNITS[field] else next(iter(UNITS[field]))
+    return last if last in SIGNAL_UNITS[field] else next(iter(SIGNAL_UNITS[field]))
+
+
+# Of signals whose unit the database says: CellVoltage01, VCell_12, Cell3_Volt.
+_CELL = re.compile(
+    r"(?:v(?:olt(?:age)?)?_?)?cell_?(?:v(?:olt(?:age)?)?)?_?(\d+)(?:_?v(?:olt(?:age)?)?)?",
+    re.IGNORECASE,
+)
+
+
+def cell_number(signal: str) -> int | None:
+    """The cell whose voltage a signal is by its name, from 1 as the names count; else None."""
+    match = _CELL.fullmatch(signal)
+    return int(match[1]) if match else None
+
+
+def cell_signals(signals: Sequence[Signal], cells: int) -> list[Signal]:
+    """The signals of so many cells' voltages, in order.
+
+    Raises
+    ------
+    InputError        another number of them
+    """
+    volts = [s for s in signals if s.folded_unit in SIGNAL_UNITS["voltage_V"]]
+    numbers = [(n, s) for s in volts if (n := cell_number(s.short)) is not None]
+    found = dict(numbers)
+    if not len(numbers) == len(found) == cells:
+        raise InputError(
+            f"signals of {len(found)} cells' voltages in the database",
+            f"{cells}, one for each cell, named like CellVoltage01 or VCell_1",
+            "Correct the number of cells, or the names in the database.",
+        )
+    return [found[n] for n in sorted(found)]
 
 
 def _unclear(
     field: str, found: Sequence[Signal], signals: Sequence[Signal], where: str
 ) -> InputError:
-    tidy = next(c.usual_name for c in TIDY_CHANNELS if c.field == field)
+    tidy = TIDY_NAME[field]
     if found:
-        names = [f"{s.name}" for s in found]
+        names = [s.name for s in found]
         return InputError(
             f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
             "one",
@@ -253,21 +282,11 @@ def _between(samples: Series, time: FloatArray) -> FloatArray:
 
 
 def _mean_between(samples: Series, time: FloatArray) -> FloatArray:
-    """Mean over the interval that ends at each row, by the trapezoids of the samples."""
-    step = np.diff(samples.time_s)
-    area = np.concatenate(
-        ([0.0], np.cumsum(0.5 * (samples.values[1:] + samples.values[:-1]) * step))
-    )
-    # The integral within a trapezoid is a parabola; at the rows it is taken exactly.
-    k = np.clip(np.searchsorted(samples.time_s, time, side="right") - 1, 0, step.size - 1)
-    into = time - samples.time_s[k]
-    slope = (samples.values[k + 1] - samples.values[k]) / step[k]
-    at = area[k] + into * (samples.values[k] + 0.5 * slope * into)
-    interval = np.diff(time)
-    mean = np.empty_like(time)
-    mean[0] = np.interp(time[0], samples.time_s, samples.values)
-    mean[1:] = np.diff(at) / interval
-    return mean
+    """Mean over the interval that ends at each row: no charge is lost."""
+    area = np.cumsum(0.5 * (samples.values[1:] + samples.values[:-1]) * np.diff(samples.time_s))
+    at = np.interp(time, samples.time_s, np.concatenate(([0.0], area)))
+    first = np.interp(time[:1], samples.time_s, samples.values)
+    return np.concatenate((first, np.diff(at) / np.diff(time)))
 
 
 def _paused(samples: Series, time: FloatArray) -> BoolArray:

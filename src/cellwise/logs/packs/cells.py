@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import MILLI, OWN, Channel, Unit
+from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit
 from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
 from cellwise.typing import BoolArray, FloatArray
 
@@ -21,8 +21,8 @@ Kind = Literal["cell", "balancing", "temperature"]
 # Pattern of a column's name, what it holds, its unit, and what its number counts from.
 _PATTERNS: tuple[tuple[re.Pattern[str], Kind, Unit, int], ...] = (
     (re.compile(r"cell_?(\d+)_?V", re.IGNORECASE), "cell", OWN, 1),
-    (re.compile(r"cell_?(\d+)_?mV", re.IGNORECASE), "cell", MILLI, 1),
-    (re.compile(r"CP(\d+)"), "cell", MILLI, 1),  # LeafSpy
+    (re.compile(r"cell_?(\d+)_?mV", re.IGNORECASE), "cell", UNITS["mV"], 1),
+    (re.compile(r"CP(\d+)"), "cell", UNITS["mV"], 1),  # LeafSpy
     (re.compile(r"voltage_cell_v\[(\d+)\]"), "cell", OWN, 0),  # PX4
     (re.compile(r"cell_?(\d+)_balancing", re.IGNORECASE), "balancing", OWN, 1),
     (re.compile(r"temperature_?(\d+)_?C", re.IGNORECASE), "temperature", OWN, 1),

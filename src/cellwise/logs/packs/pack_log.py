@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.files.assembly import Origin, assemble, complete
+from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_layout import csv_layout
 from cellwise.logs.files.format import Format, detect_format
-from cellwise.logs.files.named_columns import is_parquet, parquet_names
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
+from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import (
     CellColumn,
@@ -268,7 +268,7 @@ def pack_of(
     # A conversion of each cell's column is not news.
     notices = [n for n in raw.notices if not any(f"'{c.name}' was converted" in n for c in cells)]
     one = to_cell(RawLog(mean, tuple(notices)), replace(source.options, series=1), source.where)
-    log = assemble(one, Origin.of(source, known, name), sign, check_sign=check_sign)
+    log = assemble(one, known, source.path, name, sign, check_sign=check_sign)
     return PackLog(log, volts, names, balancing, pack_V, flags, source.options.parallel)
 
 
