@@ -266,7 +266,7 @@ def _without(name: str) -> Callable[..., Any]:
     from cellwise.identify.refinement import effects
 
     candidates = effects._candidates
-    return lambda joint: {n: c for n, c in candidates(joint).items() if n != name}
+    return lambda joint: tuple(n for n in candidates(joint) if n != name)
 
 
 SEVERAL = ("Panasonic, five temperatures", "LG, constant currents", "Leaf cell, pulses")

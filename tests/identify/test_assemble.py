@@ -13,7 +13,8 @@ from cellwise.identify.assemble import (
     GRID_POINTS,
     refined_model,
 )
-from cellwise.identify.refinement.refine import RefineSettings, refine
+from cellwise.identify.refinement.layout import RefineSettings
+from cellwise.identify.refinement.refine import refine
 from refine_cases import (
     CAPACITY_AH,
     CURVED,

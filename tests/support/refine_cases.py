@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.identify.identification import Start
 from cellwise.identify.refinement.joint_fit import JointLogs
-from cellwise.identify.refinement.refine import RefineSettings, StartTables
+from cellwise.identify.refinement.layout import RefineSettings, StartTables
 from cellwise.identify.refinement.refine_data import RefineLog
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.logs.cell_log import CellLog

@@ -19,10 +19,15 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.problem import LEAST_RATIO, StartTables
+from cellwise.identify.refinement.layout import LEAST_RATIO, StartTables
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.refine_data import BEYOND
-from cellwise.identify.refinement.splines import spline_rows, spline_values
+from cellwise.identify.refinement.splines import (
+    OCV_KNOTS,
+    TABLE_KNOTS,
+    spline_rows,
+    spline_values,
+)
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
 from cellwise.typing import FloatArray
 
@@ -96,7 +101,7 @@ def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
     """The fitted tables of one temperature on the grid."""
     grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
-    correction = spline_values(spline_rows(grid, result.ocv_knots), theta[: lay.knots_ocv])
+    correction = spline_values(spline_rows(grid, OCV_KNOTS), theta[: lay.knots_ocv])
     tau2 = _table(result, lay.tau(1))
     # In order at the temperatures of the grid; carried on beyond them they might cross.
     tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
@@ -112,7 +117,7 @@ def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
 
 def _table(result: RefineResult, at: int) -> FloatArray:
     """A table of logarithms on the grid."""
-    rows = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), result.knots)
+    rows = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), TABLE_KNOTS)
     return np.asarray(np.exp(spline_values(rows, result.theta[at : at + result.layout.knots])))
 
 
@@ -130,7 +135,7 @@ def refined_effects(
             )
         )
     if lay.hysteresis:
-        knots = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), result.knots)
+        knots = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), TABLE_KNOTS)
         m = [spline_values(knots, row.theta[lay.m : lay.m + lay.knots]) for row in rows]
         if float(np.max(m)) > KEPT.m_V:
             found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))
@@ -158,9 +163,9 @@ def plain_model(
 
 def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
     """Whether the logs contradict the OCV they were given: mostly a wrong initial SOC."""
-    seen = np.concatenate([p.soc[p.evaluate] for p in result.logs])
+    seen = np.concatenate([p.soc[p.rows.evaluate] for p in result.logs])
     soc = np.linspace(max(seen.min(), 0.1), min(seen.max(), 0.9), 81)
-    rows = spline_rows(soc, result.ocv_knots)
+    rows = spline_rows(soc, OCV_KNOTS)
     moved = spline_values(rows, result.theta[: result.layout.knots_ocv])
     size = float(np.sqrt(np.mean(moved**2)))
     if size <= KEPT.ocv_move_V:
@@ -191,12 +196,12 @@ def table_summary(result: RefineResult) -> dict[str, Any]:
         where |= {"m_V": (lay.m, lay.knots), "gamma": (lay.gamma, 1)}
     return {
         "method": "whole-log least squares, cubic B-splines over SOC",
-        "logs": [p.name for p in result.logs],
+        "logs": [p.item.log.name for p in result.logs],
         "rmse_V": list(result.rmse_V),
         "standard_error": {
             n: float(np.median(std[a : a + size])) for n, (a, size) in where.items()
         },
-        "knots_soc": result.knots.tolist(),
+        "knots_soc": TABLE_KNOTS.tolist(),
         "iterations": result.iterations,
         "residual_sigma_V": result.sigma_V,
     }

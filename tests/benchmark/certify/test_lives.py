@@ -11,8 +11,13 @@ import pytest
 
 from cellwise.benchmark.certify import Limits, certify, measured_log, read_export
 from cellwise.benchmark.certify.physics_cells import physics_cell
-from cellwise.cell.protocol import run_protocol
-from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest
+from cellwise.cell.protocol import (
+    ConstantCurrent,
+    ConstantVoltage,
+    DriveProfile,
+    Rest,
+    run_protocol,
+)
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.data import load_dataset

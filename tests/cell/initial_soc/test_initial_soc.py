@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis
-from cellwise.cell.initial_soc import initial_soc as module
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.initial_soc.rest import soc_of_ocv
 from cellwise.cell.model_error import ModelError
@@ -175,28 +174,3 @@ def test_a_part_used_pack_of_unknown_resistance_is_within_its_band_and_never_ful
         assert found.soc < 0.995
         within.append(abs(found.soc - truth.soc[flight]) < 2 * found.std)
     assert np.mean(within) >= 0.9
-
-
-@pytest.mark.parametrize("rest_rows", [0, 3, 1500, 2046, 2049, 2500])
-@pytest.mark.parametrize(
-    ("missing", "meaning"),
-    [
-        ((), "interval_end"),
-        ((0,), "interval_start"),
-        ((1,), "interval_end"),
-        ((1400, 1401), "interval_start"),
-        ((2047,), "interval_end"),
-    ],
-)
-def test_what_follows_a_long_beginning_changes_nothing(monkeypatch, rest_rows, missing, meaning):
-    """Looked at from its beginning or as a whole, a log has the same start, to the bit."""
-    model = curved_cell()
-    rng = np.random.default_rng(rest_rows)
-    current = np.where(np.arange(5000) < rest_rows, 0.0, rng.normal(1.0, 2.0, 5000))
-    log = log_of(model, 0.7, current)
-    known = log.current_A.copy()
-    known[list(missing)] = np.nan
-    log = replace(log, current_A=known, current_meaning=meaning)
-    soon = initial_soc(model, log)
-    monkeypatch.setattr(module, "LOOKED", module.LOOKED._replace(beginning=10_000))
-    assert soon == initial_soc(model, log)

@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.cell.model import CellModel
 from cellwise.identify.refinement.effects import fit_with_effects
-from cellwise.identify.refinement.problem import RefineSettings
+from cellwise.identify.refinement.layout import RefineSettings
 from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
 from cellwise.identify.refinement.stated_error import activation_beyond_K
 from refine_cases import CAPACITY_AH, Truth, constant, joint_logs, log_of, start_tables

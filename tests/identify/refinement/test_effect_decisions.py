@@ -13,7 +13,7 @@ from cellwise.identify.refinement.effects import (
     fit_with_effects,
     held_out,
 )
-from cellwise.identify.refinement.problem import RefineSettings
+from cellwise.identify.refinement.layout import RefineSettings
 from cellwise.identify.refinement.refine_data import RefineLog
 from refine_cases import Truth, _branch, constant, joint_logs, log_of, pulse_current, start_tables
 from synthetic import drive_current

@@ -14,14 +14,16 @@ from cellwise.errors import InputError
 from cellwise.identify.fitted_pulses import Group
 from cellwise.identify.identification import TestLogs
 from cellwise.identify.refinement.joint_fit import rough_resistance
-from cellwise.identify.refinement.problem import (
-    LEAST_RATIO,
-    RefineSettings,
-    independent_samples,
-)
+from cellwise.identify.refinement.layout import LEAST_RATIO, RefineSettings
+from cellwise.identify.refinement.problem import independent_samples
 from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import RefineLog
-from cellwise.identify.refinement.splines import spline_rows, spline_values
+from cellwise.identify.refinement.splines import (
+    OCV_KNOTS,
+    TABLE_KNOTS,
+    spline_rows,
+    spline_values,
+)
 from cellwise.logs.cell_log import CellLog
 from refine_cases import (
     CAPACITY_AH,
@@ -40,7 +42,7 @@ from synthetic import HppcPlan, drive_current, hppc_log, nmc_cell
 
 
 def table(result: RefineResult, at: int, soc) -> np.ndarray:
-    rows = spline_rows(np.asarray(soc, dtype=float), result.knots)
+    rows = spline_rows(np.asarray(soc, dtype=float), TABLE_KNOTS)
     return np.exp(spline_values(rows, result.theta[at : at + result.layout.knots]))
 
 
@@ -147,7 +149,7 @@ def test_hysteresis_comes_back():
     truth = Truth(m_V=0.025, gamma=120.0)
     result = fit(truth, noise=5e-4)
     lay = result.layout
-    m = spline_values(spline_rows(INSIDE, result.knots), result.theta[lay.m : lay.m + lay.knots])
+    m = spline_values(spline_rows(INSIDE, TABLE_KNOTS), result.theta[lay.m : lay.m + lay.knots])
     np.testing.assert_allclose(m, 0.025, rtol=0.15)
     assert np.exp(result.theta[lay.gamma]) == pytest.approx(120.0, rel=0.2)
     assert errors(result, truth, INSIDE)["r0"] < 0.02
@@ -166,7 +168,7 @@ def test_a_discharge_of_another_cell_keeps_its_capacity_and_bends_no_table(held)
     # What a batch differs by is held back by a fifth of it, more is not.
     assert result.capacity_scale(0) == pytest.approx(held, abs=0.005)
     assert result.capacity_scale(None) == 1.0
-    rows = spline_rows(INSIDE, result.ocv_knots)
+    rows = spline_rows(INSIDE, OCV_KNOTS)
     correction = spline_values(rows, result.theta[: result.layout.knots_ocv])
     np.testing.assert_allclose(correction, 0.0, atol=2e-3)
     assert errors(result, CURVED, INSIDE)["r0"] < 0.03
@@ -202,7 +204,7 @@ def test_a_wrong_ocv_is_corrected():
     logs = two_logs(Truth(), noise=5e-4)
     start = replace(start_tables(), ocv=lambda s: ocv(s) - 0.02 + 0.015 * s)
     result = refine(logs, start, settings=RefineSettings(branches=2), capacity_Ah=CAPACITY_AH)
-    rows = spline_rows(INSIDE, result.ocv_knots)
+    rows = spline_rows(INSIDE, OCV_KNOTS)
     correction = spline_values(rows, result.theta[: result.layout.knots_ocv])
     np.testing.assert_allclose(correction, 0.02 - 0.015 * INSIDE, atol=1.5e-3)
 

@@ -11,12 +11,12 @@ from scipy.integrate import solve_ivp
 from cellwise.identify.refinement.layout import (
     SKEW_UNIT_S,
     Layout,
+    RefineSettings,
+    layout_of,
     scalars_of,
 )
-from cellwise.identify.refinement.problem import blocks_of
-from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
-from cellwise.identify.refinement.refine_kernels import choose_rows, voltage_and_jacobian
-from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
+from cellwise.identify.refinement.refine_data import RefineLog, choose_rows, prepare_log
+from cellwise.identify.refinement.refine_kernels import voltage_and_jacobian
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
@@ -26,8 +26,7 @@ GRID_C = {1: None, 3: np.array([5.0, 22.0, 38.0])}
 
 
 def make_layout(branches=3, hysteresis=True, temperatures=1) -> Layout:
-    knots = spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS)
-    return Layout(*knots, branches, hysteresis, temperatures)
+    return layout_of(RefineSettings(branches, hysteresis), temperatures)
 
 
 def make_log(rng, rows=260, *, temperature=True, jitter=0.4) -> CellLog:
@@ -72,16 +71,14 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
 def evaluate(log: CellLog, theta, layout: Layout, *, soc=None, skewed=True, h0=0.3, every=True):
     """Voltage of all prepared rows, Jacobian and rows that are compared; base OCV 3.2 + 0.8 soc."""
     item = RefineLog(log, soc_of(log) if soc is None else soc, skewed=skewed, h0=h0)
-    prepared = prepare_log(
-        item, TABLE_KNOTS, OCV_KNOTS, REFERENCE_C, grid_C=GRID_C[layout.temperatures]
-    )
+    prepared = prepare_log(item, REFERENCE_C, grid_C=GRID_C[layout.temperatures])
     assert prepared.temperatures == layout.temperatures
-    shown = np.ones(prepared.dt_s.size, dtype=np.bool_) if every else prepared.evaluate
+    shown = np.ones(prepared.rows.dt_s.size, dtype=np.bool_) if every else prepared.rows.evaluate
     jacobian = np.full((int(shown.sum()), layout.size), np.nan)
-    voltage = np.full(prepared.dt_s.size, np.nan)
+    voltage = np.full(prepared.rows.dt_s.size, np.nan)
     cell = scalars_of(layout, theta, 3600.0 * CAPACITY_AH, skewed=skewed)
-    rows = prepared.for_kernel(3.2 + 0.8 * prepared.soc)._replace(evaluate=shown)
-    voltage_and_jacobian(rows, cell, blocks_of(layout), h0, skewed, theta, jacobian, voltage)
+    rows, base_V = prepared.rows._replace(evaluate=shown), 3.2 + 0.8 * prepared.soc
+    voltage_and_jacobian(rows, base_V, cell, layout, h0, skewed, theta, jacobian, voltage)
     return prepared, voltage, jacobian
 
 
@@ -172,14 +169,14 @@ def test_voltage_solves_the_differential_equations():
     prepared, voltage, _ = evaluate(log, theta, layout, skewed=False, h0=-0.5)
     state = np.array([0.0, 0.0, 0.0, -0.5])
     expected = [3.2 + 0.8 * prepared.soc[0] - 0.5 * 0.03]
-    for k in range(1, prepared.dt_s.size):
-        i = prepared.current_A[k]
+    for k in range(1, prepared.rows.dt_s.size):
+        i = prepared.rows.current_A[k]
 
         def slope(_, x, i=i):
             branches = [(r * i - v) / tau for (r, tau), v in zip(pairs, x, strict=False)]
             return [*branches, 40.0 * (-abs(i) * x[3] - i) / (3600.0 * CAPACITY_AH)]
 
-        state = solve_ivp(slope, (0.0, prepared.dt_s[k]), state, rtol=1e-10, atol=1e-13,
+        state = solve_ivp(slope, (0.0, prepared.rows.dt_s[k]), state, rtol=1e-10, atol=1e-13,
                           method="LSODA").y[:, -1]  # fmt: skip
         ocv = 3.2 + 0.8 * prepared.soc[k]
         expected.append(ocv - 0.02 * i - state[:3].sum() + 0.03 * state[3])
@@ -205,9 +202,9 @@ def test_merged_rows_give_the_voltage_of_every_row():
     log = fine_log(rng)
     soc = soc_of(log)
     prepared, merged, _ = evaluate(log, theta, layout, skewed=False, soc=soc)
-    assert prepared.dt_s.size < 0.25 * len(log), "nothing was merged: nothing was tested"
+    assert prepared.rows.dt_s.size < 0.25 * len(log), "nothing was merged: nothing was tested"
     whole = step_through(log, soc, 0.02, ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0)), 0.03, 40.0)
-    rows = np.searchsorted(log.time_s, np.cumsum(prepared.dt_s))
+    rows = np.searchsorted(log.time_s, np.cumsum(prepared.rows.dt_s))
     np.testing.assert_allclose(merged, whole[rows], rtol=0.0, atol=1e-12)
 
 
@@ -276,15 +273,13 @@ def test_nothing_is_compared_where_nothing_was_measured():
     voltage[500:1500] = np.nan
     soc = soc_of(log)
     soc[3000:3100] = np.nan
-    prepared = prepare_log(
-        RefineLog(replace(log, voltage_V=voltage), soc), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C
-    )
+    prepared = prepare_log(RefineLog(replace(log, voltage_V=voltage), soc), REFERENCE_C)
     at = prepared.time_s
     assert not np.any((at >= 500) & (at < 1500))
     assert not np.any((at >= 3000) & (at < 3100))
     assert np.all(np.isfinite(prepared.measured_V))
     assert np.all(np.isfinite(prepared.soc))
-    assert np.sum(prepared.dt_s) == pytest.approx(log.duration_s), "time and charge go on"
+    assert np.sum(prepared.rows.dt_s) == pytest.approx(log.duration_s), "time and charge go on"
 
 
 def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
@@ -297,9 +292,9 @@ def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
     counter[row:] += 0.2
     gap = CellLog(time, current, np.full(time.size, 3.6), charge_Ah=counter)
     assert np.flatnonzero(gap.gap_rows).tolist() == [row]
-    prepared = prepare_log(RefineLog(gap, soc_of(gap)), TABLE_KNOTS, OCV_KNOTS, REFERENCE_C)
-    ends = np.cumsum(prepared.dt_s)
+    prepared = prepare_log(RefineLog(gap, soc_of(gap)), REFERENCE_C)
+    ends = np.cumsum(prepared.rows.dt_s)
     kept = int(np.searchsorted(ends, time[row]))
     assert ends[kept] == time[row]
     assert ends[kept - 1] == time[row - 1]
-    assert prepared.current_A[kept] * prepared.dt_s[kept] / 3600.0 == pytest.approx(0.2)
+    assert prepared.rows.current_A[kept] * prepared.rows.dt_s[kept] / 3600.0 == pytest.approx(0.2)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from cellwise.identify.assemble import KEPT, refined_model
-from cellwise.identify.refinement.problem import RefineSettings
+from cellwise.identify.refinement.layout import RefineSettings
 from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import RefineLog, lagged, prepare_log
 from cellwise.identify.refinement.splines import (
-    OCV_KNOTS,
     TABLE_KNOTS,
     spline_rows,
     spline_values,
@@ -45,7 +44,7 @@ def result() -> RefineResult:
 @pytest.mark.parametrize("temperature_C", [0.0, 6.0, 12.0, 18.0, 25.0])
 def test_resistances_at_and_between_the_temperatures(result, temperature_C):
     row = result.at(temperature_C)
-    splines = spline_rows(INSIDE, row.knots)
+    splines = spline_rows(INSIDE, TABLE_KNOTS)
     for at, true in ((row.layout.r0, TRUTH.r0), (row.layout.r(1), TRUTH.pairs[1][0])):
         found = np.exp(spline_values(splines, row.theta[at : at + row.layout.knots]))
         np.testing.assert_allclose(found, factor(temperature_C) * true(INSIDE), rtol=0.05)
@@ -71,15 +70,15 @@ def test_a_log_brings_only_temperatures_at_which_charge_flowed():
     current = np.concatenate((np.zeros(7200), np.full(1800, 2.0)))
     degrees = np.concatenate((np.linspace(25.0, 1.0, 7200), np.full(1800, 1.0)))
     log, soc = log_of(current, TRUTH, temperature_C=degrees)
-    prepared = prepare_log(RefineLog(log, soc), TABLE_KNOTS, OCV_KNOTS, 25.0, grid_C=GRID_C)
+    prepared = prepare_log(RefineLog(log, soc), 25.0, grid_C=GRID_C)
     assert (prepared.first_temperature, prepared.temperatures) == (0, 2)
 
 
 def test_rows_of_long_logs_are_chosen_evenly():
     log, soc = log_of(pulse_current(), TRUTH)
     item = RefineLog(log, soc)
-    every = prepare_log(item, TABLE_KNOTS, OCV_KNOTS, 25.0, most_rows=10**9)
-    some = prepare_log(item, TABLE_KNOTS, OCV_KNOTS, 25.0, most_rows=every.compared // 3)
+    every = prepare_log(item, 25.0, most_rows=10**9)
+    some = prepare_log(item, 25.0, most_rows=every.compared // 3)
     assert some.compared == every.compared // 3
     assert set(some.time_s) <= set(every.time_s)
     # Seconds after an edge keep their share.

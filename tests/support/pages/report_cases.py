@@ -23,9 +23,8 @@ from cellwise.identify.identification import (
 )
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
-from cellwise.identify.refinement.layout import Layout
+from cellwise.identify.refinement.layout import RefineSettings, layout_of
 from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
@@ -118,15 +117,13 @@ def pulse_fit(pulse, soc, method="varpro"):
 
 
 def refinement(branches=3):
-    layout = Layout(spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS), branches, False)
+    layout = layout_of(RefineSettings(branches))
     std = np.full(layout.size, 0.2)
     std[layout.r0 : layout.r0 + layout.knots] = R0_ERROR
     std[layout.r(0) : layout.r(0) + layout.knots] = R1_ERROR
     std[layout.tau(0) : layout.tau(0) + layout.knots] = TAU1_ERROR
     return RefineResult(
         layout=layout,
-        knots=TABLE_KNOTS,
-        ocv_knots=OCV_KNOTS,
         theta=np.zeros(layout.size),
         theta_std=std,
         rmse_V=(0.01,),

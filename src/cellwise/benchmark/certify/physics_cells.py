@@ -24,8 +24,14 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.protocol import run_protocol
-from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
+from cellwise.cell.protocol import (
+    ConstantCurrent,
+    ConstantVoltage,
+    DriveProfile,
+    Rest,
+    Step,
+    run_protocol,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 

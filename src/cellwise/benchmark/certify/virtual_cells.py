@@ -14,7 +14,7 @@ from cellwise.benchmark.faults import Fault
 from cellwise.benchmark.records import check_ranges, record, within
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
-from cellwise.cell.protocol.steps import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
+from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 

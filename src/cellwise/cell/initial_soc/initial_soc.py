@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.compiled import announce, for_kernel, inline, rows
+from cellwise.cell.compiled import announce, for_kernel, rows
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.equations import (
-    CellState,
     CellTables,
     advance,
     at_rest,
@@ -50,12 +49,11 @@ class Looked(NamedTuple):
     """How much of a log is asked where it begins.
 
     Under load the first ``fit_s``, which cannot show by how much a used cell's ``resistance``
-    differs from its model's; ``beginning`` rows before all of a log is, and of a very long one
-    ``rows``. A rest that is surer than ``sure``, and likelier than full and empty, is enough.
+    differs from its model's; of a very long log ``rows``. A rest that is surer than ``sure``, and
+    likelier than full and empty, is enough.
     """
 
     fit_s: float = 60.0
-    beginning: int = 2048
     resistance: float = 0.3
     sure: float = 0.02
     rows: int = 400_000
@@ -113,7 +111,10 @@ def initial_soc(
         return InitialSoc(float(given), given_std, "given")
     if log.soc0 is not None:
         return InitialSoc(log.soc0, STATED_STD, "stated")
-    current, rest_end = _current_and_rest(model, log)
+    current = log.known_current_A()
+    resting = np.abs(current) < REST_RATE * model.capacity_Ah
+    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
+    rest_end = len(log) if resting.all() else int(np.argmin(resting))
     measured = np.flatnonzero(np.isfinite(log.voltage_V[:rest_end]))
     last = int(measured[-1]) if measured.size else 0
     rest_s = float(log.time_s[last] - log.time_s[0])
@@ -134,29 +135,15 @@ def initial_soc(
             return ln_likelihood_of_ocv(model, soc0, rested_V, unfinished, warm)
 
         return _from_whole_log(model, log, found, Past(-moves, unfinished), by_rest)
-    found = _from_first_minute(model, log, current)
+    # The first minute, from its first voltage on.
+    first = int(np.argmax(np.isfinite(log.voltage_V)))
+    end = int(np.searchsorted(log.time_s, log.time_s[first] + LOOKED.fit_s, side="right"))
+    head = log.part(0, min(max(first + 2, end), len(log)))
+    past = past_voltage(model, head)
+    soc, std = likeliest_soc(model, head, past, other_resistance=LOOKED.resistance)
+    how = f"fit of the first {head.duration_s:.0f} s under load"
+    found = InitialSoc(soc, max(std, 0.01), how)
     return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
-
-
-def _current_and_rest(model: CellModel, log: CellLog) -> tuple[FloatArray, int]:
-    """Currents of the beginning at least, and the row of the first load.
-
-    Most logs need no more than their beginning: a fleet's logs are long, and read once.
-    """
-    minute = int(np.searchsorted(log.time_s, log.time_s[0] + LOOKED.fit_s, side="right"))
-    rows = max(minute + 2, LOOKED.beginning)
-    if rows < len(log) and np.isfinite(log.voltage_V[0]) and not log.gap_rows[:rows].any():
-        current = log.interval_current_A[:rows]
-        loaded = np.abs(current) >= REST_RATE * model.capacity_Ah
-        first = int(np.argmax(loaded))
-        rows = max(rows, _load_end(log, first))
-        current = log.interval_current_A[:rows]
-        if loaded.any() and np.isfinite(current).all() and not log.gap_rows[:rows].any():
-            return current, first
-    current = log.known_current_A()
-    resting = np.abs(current) < REST_RATE * model.capacity_Ah
-    resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
-    return current, len(log) if resting.all() else int(np.argmin(resting))
 
 
 def _load_end(log: CellLog, first: int) -> int:
@@ -164,27 +151,6 @@ def _load_end(log: CellLog, first: int) -> int:
     if first >= len(log):
         return first
     return int(np.searchsorted(log.time_s, log.time_s[first] + PAST_S, side="right"))
-
-
-def _from_first_minute(model: CellModel, log: CellLog, current: FloatArray) -> InitialSoc:
-    known = np.isfinite(log.voltage_V[:1]).all()
-    first = 0 if known else int(np.argmax(np.isfinite(log.voltage_V)))
-    rows = max(
-        first + 2, int(np.searchsorted(log.time_s, log.time_s[first] + LOOKED.fit_s, side="right"))
-    )
-    rows = min(rows, len(log))
-    head = CellLog(
-        log.time_s[:rows],
-        current[:rows],
-        log.voltage_V[:rows],
-        np.full(rows, model.usual_temperature_C)
-        if log.temperature_C is None
-        else log.temperature_C[:rows],
-        None if log.charge_Ah is None else log.charge_Ah[:rows],
-    )
-    past = past_voltage(model, head)
-    soc, std = likeliest_soc(model, head, past, other_resistance=LOOKED.resistance)
-    return InitialSoc(soc, max(std, 0.01), f"fit of the first {head.duration_s:.0f} s under load")
 
 
 def _from_whole_log(
@@ -207,13 +173,6 @@ def _from_whole_log(
     return InitialSoc(soc, max(std, STATED_STD), how, beginning)
 
 
-class Starts(NamedTuple):
-    """SOC and hysteresis state of rested starts, shape (m,) each."""
-
-    soc: FloatArray
-    h: FloatArray
-
-
 class WeighedRows(NamedTuple):
     """Rows of a log, (n,) each, as `simulate_rows` takes them; a voltage may be NaN.
 
@@ -226,17 +185,6 @@ class WeighedRows(NamedTuple):
     voltage_V: FloatArray
     weight: FloatArray
     past: FloatArray
-
-
-class StartSums(NamedTuple):
-    """Of every start, (m,): means over the rows, and how far SOC left 0..1, in deviations.
-
-    Means of the squared error, and of the error times what remains of the past.
-    """
-
-    squares_V2: FloatArray
-    products_V: FloatArray
-    beyond: FloatArray
 
 
 class Past(NamedTuple):
@@ -254,17 +202,17 @@ COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
 NORMAL = np.linspace(-3.0, 3.0, 25)  # of an unknown past, in deviations
 
 
-@inline
-def rested(starts: Starts, k: int) -> CellState:
-    """One of the starts as a state."""
-    return at_rest(starts.soc[k], starts.h[k])
-
-
 @rows
-def sum_errors(tables: CellTables, starts: Starts, log: WeighedRows, sums: StartSums) -> None:
-    """Weighed sums of the voltage error from every rested start, added to ``sums``."""
-    for k in range(starts.soc.size):
-        state = rested(starts, k)
+def sum_errors(
+    tables: CellTables, soc0: FloatArray, h0: FloatArray, log: WeighedRows, sums: FloatArray
+) -> None:
+    """Of every rested start, (m,): what its voltage error adds to ``sums``, (3, m).
+
+    Means over the rows of the squared error and of the error times what remains of the past; how
+    far SOC left 0..1, in deviations.
+    """
+    for k in range(soc0.size):
+        state = at_rest(soc0[k], h0[k])
         previous = log.current_A[0]
         moved = 0.0
         for i in range(log.interval_s.size):
@@ -274,11 +222,11 @@ def sum_errors(tables: CellTables, starts: Starts, log: WeighedRows, sums: Start
             state, point = advance(tables, state, seen, log.interval_s[i], log.temperature_C[i])
             moved += abs(state.soc - soc)
             outside = max(state.soc - 1.0, -state.soc) / (BEYOND + DRIFT * moved)
-            sums.beyond[k] = max(sums.beyond[k], outside)
+            sums[2, k] = max(sums[2, k], outside)
             error = log.voltage_V[i] - voltage_of(point, state, seen)
             if error == error:  # not NaN
-                sums.squares_V2[k] += log.weight[i] * error * error
-                sums.products_V[k] += log.weight[i] * error * log.past[i]
+                sums[0, k] += log.weight[i] * error * error
+                sums[1, k] += log.weight[i] * error * log.past[i]
 
 
 def likeliest_soc(
@@ -333,10 +281,11 @@ def ln_likelihood_of_starts(
                                     is too short to show it
     """
     rows_ = _weighed(model, log)
-    squares, products, beyond = (np.zeros(soc0.size) for _ in range(3))
+    h0 = np.array([start_hysteresis(s) for s in soc0])
+    sums = np.zeros((3, soc0.size))
     announce(sum_errors, "the initial SOC")
-    starts = Starts(soc0, np.array([start_hysteresis(s) for s in soc0]))
-    sum_errors(model.parameters(), starts, rows_, StartSums(squares, products, beyond))
+    sum_errors(model.parameters(), soc0, h0, rows_, sums)
+    squares, products, beyond = sums
     gap_V = float(np.max(np.abs(np.asarray(model.effect(Hysteresis).m_V))))
     shift = past.mean_V + NORMAL[:, None] * math.hypot(past.std_V, gap_V)
     left = float(np.sum(rows_.weight * rows_.past**2))

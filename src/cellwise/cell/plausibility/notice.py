@@ -32,6 +32,16 @@ class Notice(NamedTuple):
     text: str
 
 
+def _name(log: CellLog) -> str:
+    return f"'{log.name or 'the log'}'"
+
+
+def _usual_C(log: CellLog) -> float | None:
+    """Median of the temperatures that were measured."""
+    measured = log.temperature_C
+    return None if measured is None or np.isnan(measured).all() else float(np.nanmedian(measured))
+
+
 def in_order(found: Iterable[Notice], of_reading: Sequence[str] = ()) -> tuple[str, ...]:
     """Notices as text, the most harmful first, those of reading a log last.
 
@@ -121,7 +131,7 @@ def far_off_text(
     if model is None:
         return None
     times, typical_V = times_stated(model, log, error_V, soc)
-    return _said(f"'{log.name or 'the log'}'", times, typical_V)
+    return _said(_name(log), times, typical_V)
 
 
 def _said(what: str, times: float, typical_V: float) -> str | None:
@@ -153,7 +163,7 @@ class FarOffStream:
             return
         self._since_s = 0.0
         warm = temperature_C if math.isfinite(temperature_C) else None
-        stated_V = max(float(stated_error_at(self._model, soc, voltage_V, warm)), 1e-6)
+        stated_V = max(float(_stated_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
         if len(self._seen) >= FAR_OFF.fewest:
             self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
@@ -194,7 +204,7 @@ def outside_notices(validity: Validity, log: CellLog, soc: FloatArray) -> list[N
     if not found:
         return []
     text = (
-        f"'{log.name or 'the log'}' leaves what the model's data covered: {'; '.join(found)}. "
+        f"{_name(log)} leaves what the model's data covered: {'; '.join(found)}. "
         "There the error is not validated and grows with the distance"
     )
     # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
@@ -205,13 +215,12 @@ def outside_notices(validity: Validity, log: CellLog, soc: FloatArray) -> list[N
 
 def assumed_temperature_notices(model: CellModel, log: CellLog, assumed_C: float) -> list[Notice]:
     """That nobody measured the temperature on which the model depends, and what is assumed."""
-    measured = log.temperature_C
-    if measured is not None and bool(np.any(np.isfinite(measured))):
+    if _usual_C(log) is not None:
         return []
     if model.temperature_C.size == 1 and not any(isinstance(e, WARMED) for e in model.effects):
         return []
     text = (
-        f"no temperature was measured in '{log.name or 'the log'}': {assumed_C:.0f} degC is "
+        f"no temperature was measured in {_name(log)}: {assumed_C:.0f} degC is "
         "assumed (LOG@10 states another)"
     )
     return [Notice(ORDER.assumed, text)]
@@ -236,41 +245,27 @@ def outside_moment(
 
 
 def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[str]:
-    """The text for each side of a range that is left."""
-    bounds = validity.bounds()
-    if validity.temperature_C is not None and log.temperature_C is not None:
-        cold, warm = validity.temperature_C
-        at = log.temperature_C
-        yield from _left(at, bounds.cold_C, "below {:.3g} degC", cold, lower=True)
-        yield from _left(at, bounds.warm_C, "above {:.3g} degC", warm)
-    if validity.soc is not None:
-        low, high = validity.soc
-        yield from _left(soc, bounds.soc_low, "below SOC {:.2f}", low, lower=True)
-        yield from _left(soc, bounds.soc_high, "above SOC {:.2f}", high)
-    if validity.current_A is not None:
-        charge, discharge = validity.current_A
-        at = log.current_A
-        yield from _left(at, bounds.charge_A, "below {:.3g} A (charge)", charge, lower=True)
-        yield from _left(at, bounds.discharge_A, "above {:.3g} A", discharge)
-
-
-def _left(
-    values: FloatArray, bound: float, side: str, end: float, *, lower: bool = False
-) -> Iterator[str]:
-    """The share of the rows beyond a bound, where the data end, and how far the rows go."""
-    beyond = values < bound if lower else values > bound
-    if np.count_nonzero(beyond) < SHOWN.rows:  # the usual case, in one pass
-        return
-    known = values[np.isfinite(values)]
-    rows = int(np.count_nonzero(known < bound if lower else known > bound))
-    if rows < max(SHOWN.rows, SHOWN.share * known.size):
-        return
-    furthest = float(known.min() if lower else known.max())
-    share = 100.0 * rows / known.size
-    yield (
-        f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side.format(end)}, where its "
-        f"data end, to {furthest:.3g}"
-    )
+    """Of each side: the share of the rows beyond, where the data end, how far the rows go."""
+    b = validity.bounds()
+    for values, ends, low, high, written in (
+        (log.temperature_C, validity.temperature_C, b.cold_C, b.warm_C, "{:.3g} degC"),
+        (soc, validity.soc, b.soc_low, b.soc_high, "SOC {:.2f}"),
+        (log.current_A, validity.current_A, b.charge_A, b.discharge_A, "{:.3g} A"),
+    ):
+        if values is None or ends is None:
+            continue
+        known = float(np.count_nonzero(np.isfinite(values))) or 1.0
+        for side, end, beyond in (
+            ("below", ends[0], values[values < low]),
+            ("above", ends[1], values[values > high]),
+        ):
+            share = 100.0 * beyond.size / known
+            if beyond.size >= SHOWN.rows and share >= 100.0 * SHOWN.share:
+                furthest = float(beyond[np.argmax(np.abs(beyond - end))])
+                yield (
+                    f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side} "
+                    f"{written.format(end)}, where its data end, to {furthest:.3g}"
+                )
 
 
 def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
@@ -286,7 +281,7 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     outside = max(-low, high - 1.0)
     if outside <= SHOWN.soc:
         return []
-    name = f"'{log.name or 'the log'}'"
+    name = _name(log)
     ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
     moved = float(np.ptp(log.counted_charge_Ah()))
     if high - low > SHOWN.charge:
@@ -332,7 +327,7 @@ def error_notices(
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero
     text = (
-        f"'{log.name or 'the log'}' is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
+        f"{_name(log)} is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
         f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "
         f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
     )
@@ -351,7 +346,7 @@ def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Not
     rmse_V : float        of the voltages predicted one step ahead; NaN: none was used
     rejected : float      share of the rows whose voltage was rejected
     """
-    name = f"'{log.name or 'the log'}'"
+    name = _name(log)
     if math.isnan(rmse_V):
         if not np.any(np.isfinite(log.voltage_V)):
             return []
@@ -376,6 +371,8 @@ def stated_error_V(
 ) -> FloatArray:
     """Standard deviation of the voltage that the model states at every row, all time scales [V].
 
+    Beyond the temperatures of the model's data it grows as the filters' error does.
+
     Parameters
     ----------
     soc, voltage_V : (n,) float      the model's, simulated or predicted
@@ -385,24 +382,17 @@ def stated_error_V(
     -------
     (n,) float      at the log's median temperature
     """
-    measured = log.temperature_C
-    known = measured is not None and bool(np.any(np.isfinite(measured)))
-    warm = float(np.nanmedian(measured)) if known else None  # type: ignore[arg-type]
-    return stated_error_at(model, soc, voltage_V, warm, other_resistance=other_resistance)
+    return _stated_at(model, soc, voltage_V, _usual_C(log), other_resistance)
 
 
-def stated_error_at(
+def _stated_at(
     model: CellModel,
     soc: FloatArray | float,
     voltage_V: FloatArray | float,
     warm: float | None,
-    *,
     other_resistance: float = 0.0,
 ) -> FloatArray:
-    """The same at one temperature, None where it is not known [degC].
-
-    Beyond the temperatures of the model's data it grows as the filters' error does.
-    """
+    """The same at one temperature, None where it is not known [degC]."""
     at, error = np.clip(soc, 0.0, 1.0), model.error
     ocv = model.ocv_at(float(model.temperature_C[0]) if warm is None else warm)
     drop = np.interp(at, model.soc, ocv) - voltage_V

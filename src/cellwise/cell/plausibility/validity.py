@@ -177,23 +177,18 @@ def check_cells_in_series(model: CellModel, log: CellLog) -> None:
     ------
     InputError        names the voltages and the number of cells in series that would fit
     """
-    typical = log.typical_voltage_V
     full = float(np.max(model.ocv_V))
     empty = float(np.min([np.interp(ONE_CELL.empty_soc, model.soc, row) for row in model.ocv_V]))
-    if ONE_CELL.share_of_empty * empty <= typical <= full + ONE_CELL.above_full_V:
-        return
+    typical = log.typical_voltage_V
     expected = f"the voltage of one cell, {np.min(model.ocv_V):.2f} to {full:.2f} V by the model"
-    if typical > full:
+    if typical < ONE_CELL.share_of_empty * empty:
         raise InputError(
-            f"a voltage of typically {typical:.4g} V in log '{log.name}'",
+            f"a voltage of typically {typical:.3g} V in log '{log.name}'",
             expected,
-            _question(log, full),
+            "Fewer cells in series? Correct `series=...`; or it is another kind of cell.",
         )
-    raise InputError(
-        f"a voltage of typically {typical:.3g} V in log '{log.name}'",
-        expected,
-        "Fewer cells in series? Correct `series=...`; or it is another kind of cell.",
-    )
+    if typical > full + ONE_CELL.above_full_V:
+        raise _several_cells(log, expected, full)
 
 
 def check_one_cell(log: CellLog) -> None:
@@ -203,13 +198,9 @@ def check_one_cell(log: CellLog) -> None:
     ------
     InputError        names the voltage and the number of cells in series that would fit
     """
-    typical = log.typical_voltage_V
-    if typical > ONE_CELL.largest_V:
-        raise InputError(
-            f"a voltage of typically {typical:.4g} V in log '{log.name}'",
-            f"the voltage of one cell, at most {ONE_CELL.largest_V:g} V",
-            _question(log, ONE_CELL.full_V),
-        )
+    if log.typical_voltage_V > ONE_CELL.largest_V:
+        expected = f"the voltage of one cell, at most {ONE_CELL.largest_V:g} V"
+        raise _several_cells(log, expected, ONE_CELL.full_V)
 
 
 def cells_in_series(log: CellLog, full_V: float) -> int:
@@ -217,10 +208,12 @@ def cells_in_series(log: CellLog, full_V: float) -> int:
     return math.ceil(float(np.nanmax(log.voltage_V)) / (full_V + ONE_CELL.overcharged_V))
 
 
-def _question(log: CellLog, full_V: float) -> str:
-    if log.typical_voltage_V > ONE_CELL.millivolt_from:
-        return "Millivolts? Name the column voltage_mV."
+def _several_cells(log: CellLog, expected: str, full_V: float) -> InputError:
     cells = cells_in_series(log, full_V)
     others = cells_in_series(log, ONE_CELL.full_lfp_V)
     also = f" (LFP: {others})" if full_V == ONE_CELL.full_V and others != cells else ""
-    return f"{cells} cells in series{also}? Give `series={cells}`."
+    hint = f"{cells} cells in series{also}? Give `series={cells}`."
+    if log.typical_voltage_V > ONE_CELL.millivolt_from:
+        hint = "Millivolts? Name the column voltage_mV."
+    found = f"a voltage of typically {log.typical_voltage_V:.4g} V in log '{log.name}'"
+    return InputError(found, expected, hint)

@@ -17,7 +17,12 @@ from cellwise.cell.stock import scaled_model
 from cellwise.identify.assemble import monotone
 from cellwise.identify.identification import REFERENCE_C
 from cellwise.identify.refinement.refine_data import inverse_K
-from cellwise.identify.refinement.splines import greville, spline_count, spline_rows
+from cellwise.identify.refinement.splines import (
+    greville,
+    spline_count,
+    spline_rows,
+    spline_values,
+)
 from cellwise.typing import FloatArray
 
 OCV_KNOTS = np.linspace(0.0, 1.0, 21)
@@ -76,12 +81,12 @@ class Corrections:
         self.prior = scaled_model(replace(prior, effects=kept), capacity_Ah)
         self.capacity_std = capacity_std
         self.window_V = window_V
-        at = greville(OCV_KNOTS)
-        size = np.maximum(self.prior.error.at(at), USUAL.least_ocv_V)
-        alike = np.exp(-np.abs(at[:, None] - at[None, :]) / USUAL.ocv_length)
-        self.ocv_map = self._map(0, OCV_KNOTS, size[:, None] * _root(alike))
+        apart = _distances(OCV_KNOTS)
+        size = np.maximum(self.prior.error.at(greville(OCV_KNOTS)), USUAL.least_ocv_V)
+        alike = _root(np.exp(-apart / USUAL.ocv_length))
+        self.ocv_map = self._map(0, OCV_KNOTS, size[:, None] * alike)
         share = max(self.prior.error.shown_share(), USUAL.least_ln_r)
-        table = share * _root(_alike(greville(TABLE_KNOTS), USUAL.table_length))
+        table = share * _root(np.exp(-0.5 * (_distances(TABLE_KNOTS) / USUAL.table_length) ** 2))
         first, width = spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS)
         self.ln_r_maps = [self._map(first + k * width, TABLE_KNOTS, table) for k in range(3)]
         self.inverse_K = inverse_K(self.prior.temperature_C, REFERENCE_C)
@@ -94,12 +99,13 @@ class Corrections:
     def _map(self, first: int, knots: FloatArray, root: FloatArray) -> FloatArray:
         """From the variables to a correction over the prior's grid, shape (points, size)."""
         found = np.zeros((self.prior.soc.size, self.size))
-        found[:, first : first + root.shape[1]] = _dense(self.prior.soc, knots) @ root
+        rows = spline_rows(self.prior.soc, knots)
+        found[:, first : first + root.shape[1]] = spline_values(rows, root)
         return found
 
-    def ln_capacity(self, z: FloatArray) -> float:
-        """Correction of the capacity's logarithm."""
-        return float(self.capacity_std * z[-1])
+    def capacity_Ah(self, z: FloatArray) -> float:
+        """The corrected capacity."""
+        return self.prior.capacity_Ah * float(np.exp(self.capacity_std * z[-1]))
 
     def model(self, z: FloatArray) -> CellModel:
         """The corrected model, shape of ``z`` (size,)."""
@@ -113,7 +119,7 @@ class Corrections:
         ocv = np.clip(prior.ocv_V + self.ocv_map @ z, *self.window_V)
         return replace(
             prior,
-            capacity_Ah=prior.capacity_Ah * float(np.exp(self.ln_capacity(z))),
+            capacity_Ah=self.capacity_Ah(z),
             ocv_V=np.array([monotone(row) for row in ocv]),
             r0_ohm=warm * r0 * prior.r0_ohm,
             r1_ohm=warm * r1 * prior.r1_ohm,
@@ -132,18 +138,10 @@ class Corrections:
         return effect
 
 
-def _dense(soc: FloatArray, knots: FloatArray) -> FloatArray:
-    """Values of every spline at every SOC, shape (points, splines)."""
-    rows = spline_rows(soc, knots)
-    found = np.zeros((soc.size, spline_count(knots)))
-    columns = rows.first[:, None] + np.arange(rows.values.shape[1])
-    np.put_along_axis(found, columns.astype(np.intp), rows.values, axis=1)
-    return found
-
-
-def _alike(soc: FloatArray, length: float) -> FloatArray:
-    """Correlation of a smooth function's values over SOC (squared exponential)."""
-    return np.asarray(np.exp(-0.5 * ((soc[:, None] - soc[None, :]) / length) ** 2))
+def _distances(knots: FloatArray) -> FloatArray:
+    """Between the SOC of any two coefficients."""
+    at = greville(knots)
+    return np.abs(np.subtract.outer(at, at))
 
 
 def _root(covariance: FloatArray) -> FloatArray:

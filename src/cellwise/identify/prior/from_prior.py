@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from cellwise.identify.identification import (
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.prior.corrections import USUAL, Corrections
-from cellwise.identify.prior.seen import error_of, notices_of, poor_fit, seen_by
+from cellwise.identify.prior.seen import error_of, poor_fit, seen_by
 from cellwise.identify.prior.update import PriorLog, update
 from cellwise.identify.refinement.model_error import POINTS
 from cellwise.identify.soc_anchor import full_before
@@ -85,44 +85,31 @@ def fit_prior(
     ------
     InputError        no prior that fits; a log with hardly a voltage
     """
-    tests, silent = _usable(checked.tests, capacity.capacity_Ah)
+    data = _usable(checked.tests, capacity)
     notices: list[str] = []
-    reached = _reached_V(tests.logs())
-
-    def corrections_of(prior: CellModel) -> Corrections:
-        low, high = prior.voltage_min_V, prior.voltage_max_V
-        low = float(prior.ocv_V.min()) if low is None else low
-        high = float(prior.ocv_V.max()) if high is None else high
-        window = np.array([min(low, reached[0]), max(high, reached[1])])
-        return Corrections(prior, capacity.capacity_Ah, capacity.ln_std, window)
-
-    def prepared(corrections: Corrections) -> list[PriorLog]:
-        return _prepared(tests, corrections.prior)
-
     prior, chosen_by = settings.prior, "named"
     alternatives: tuple[CellModel, ...] = ()
     unlike: tuple[Notice, ...] = ()
     if prior is None:
         say("prior")
-        chosen = choose_prior(tests.logs(), corrections_of, prepared)
-        prior, alternatives, chosen_by = chosen.prior, chosen.alternatives, "voltage window and fit"
-        notices.append(chosen.notice)
-        if alternatives:
-            unlike = (Notice(RANGE_V, chosen.notice),)
+        prior, why, alternatives = choose_prior(data)
+        chosen_by = "voltage window and fit"
+        notices.append(why)
+        unlike = (Notice(RANGE_V, why),) if alternatives else ()
     name = str(prior.provenance.get("stock", {}).get("name", "")) or prior.name or "given"
     say(f"update of {name}")
-    corrections = corrections_of(prior)
-    items = prepared(corrections)
+    corrections = data.corrections(prior)
+    items = data.started(corrections.prior)
     found = update(corrections, items)
-    seen = seen_by(items, found)
-    error, ocv_std = error_of(items, found, corrections)
-    unlike = (*poor_fit(items, found, name), *unlike)
-    notices += notices_of(seen, name, prior)
+    seen = seen_by(found)
+    error, ocv_std = error_of(found, corrections)
+    unlike = (*poor_fit(found, name), *unlike)
+    notices += seen.notices(name, prior)
     pairs = zip(items, found.soc0, strict=True)
     starts = [Start(item.log, float(soc0), item.compare) for item, soc0 in pairs]
-    for log, why in silent:
-        starts.append(Start(log, initial_soc(found.model, log).soc, None, why))
-        notices.append(f"'{log.name}' is left out: {why}")
+    for log, left_out in data.silent:
+        starts.append(Start(log, initial_soc(found.model, log).soc, None, left_out))
+        notices.append(f"'{log.name}' is left out: {left_out}")
     fitted = found.model.capacity_Ah
     ln_std = corrections.capacity_std * float(np.sqrt(found.covariance[-1, -1]))
     stock = "stock" in prior.provenance  # a model of somebody else's cell
@@ -143,7 +130,6 @@ def fit_prior(
     )
     warm = model.at_temperature(checked.default_C)
     source = f"prior {name}, updated on its logs"
-    curve = curve_from_points(model.soc, warm.ocv_V[0], capacity_Ah=fitted, source=source)
     grid = np.linspace(0.0, 1.0, 21)
     of_prior = {
         "name": name,
@@ -155,7 +141,7 @@ def fit_prior(
     }
     return Fitted(
         model=model,
-        ocv=curve,
+        ocv=curve_from_points(model.soc, warm.ocv_V[0], capacity_Ah=fitted, source=source),
         starts=tuple(starts),
         temperatures=(TemperatureResult(checked.default_C, (), None),),
         measured_soc=np.empty(0),
@@ -166,38 +152,71 @@ def fit_prior(
     )
 
 
-def _reached_V(logs: Sequence[CellLog]) -> FloatArray:
-    """Lowest and highest voltage of all logs [V]."""
-    low = min(np.nanmin(log.voltage_V) for log in logs)
-    return np.array([low, max(np.nanmax(log.voltage_V) for log in logs)])
-
-
-def _usable(tests: TestLogs, capacity_Ah: float) -> tuple[TestLogs, list[tuple[CellLog, str]]]:
+class UsableLogs(NamedTuple):
     """The logs that can say anything, and those that are left out, with the reason.
+
+    Of ``laboratory`` tests, which mostly begin full, the discharge is compared.
+    """
+
+    driven: tuple[CellLog, ...]
+    laboratory: tuple[CellLog, ...]
+    silent: tuple[tuple[CellLog, str], ...]
+    capacity: MeasuredCapacity
+
+    def logs(self) -> tuple[CellLog, ...]:
+        """All of them."""
+        return (*self.driven, *self.laboratory)
+
+    def window_V(self) -> tuple[float, float]:
+        """Lowest and highest voltage of all logs [V]."""
+        levels = [log.voltage_V for log in (*self.logs(), *(log for log, _ in self.silent))]
+        return min(map(np.nanmin, levels)), max(map(np.nanmax, levels))
+
+    def corrections(self, prior: CellModel) -> Corrections:
+        """The corrections of a prior; its voltage window holds every log."""
+        low, high = self.window_V()
+        least = prior.ocv_V.min() if prior.voltage_min_V is None else prior.voltage_min_V
+        most = prior.ocv_V.max() if prior.voltage_max_V is None else prior.voltage_max_V
+        window = np.array([min(low, least), max(high, most)])
+        return Corrections(prior, self.capacity.capacity_Ah, self.capacity.ln_std, window)
+
+    def started(self, prior: CellModel) -> list[PriorLog]:
+        """Every log with its initial SOC by the prior's OCV; a test may begin full."""
+        items = []
+        for log in self.logs():
+            found = initial_soc(prior, log, whole_log=True)
+            item = PriorLog(log, found.soc, found.std, h0=start_hysteresis(found.soc))
+            if log.soc0 is None:
+                item = PriorLog(log, found.soc, UNKNOWN_STD)
+            rows = discharge_rows(log)
+            if log in self.laboratory and rows.any():
+                anchor = InitialSoc(item.soc0, item.soc0_std, "")
+                full = full_before(log, rows, prior.capacity_Ah, anchor)
+                if log.soc0 is None and full is not anchor:
+                    item = PriorLog(log, full.soc, full.std, h0=1.0)
+                item = replace(item, compare=rows)
+            items.append(item)
+        return items
+
+
+def _usable(tests: TestLogs, capacity: MeasuredCapacity) -> UsableLogs:
+    """The logs of the tests, those that say nothing apart.
 
     Raises
     ------
-    InputError        none can
+    InputError        none says anything
     """
-    reasons = {id(log): _says_nothing(log, capacity_Ah) for log in tests.logs()}
-    silent = [(log, reasons[id(log)]) for log in tests.logs() if reasons[id(log)]]
+    reasons = {id(log): _says_nothing(log, capacity.capacity_Ah) for log in tests.logs()}
+    silent = tuple((log, reasons[id(log)]) for log in tests.logs() if reasons[id(log)])
     if len(silent) == len(reasons):
         raise InputError(
             f"{silent[0][1]} in log '{silent[0][0].name}'",
             f"at least {FEWEST_ROWS} rows, and {LEAST_MOVED:.1%} of the capacity moved",
             "Give a longer log, or check its columns.",
         )
-
-    def kept(log: CellLog) -> bool:
-        return not reasons[id(log)]
-
-    usable = TestLogs(
-        hppc=tuple(one for one in tests.hppc if kept(one[0])),
-        ocv=tuple(filter(kept, tests.ocv)),
-        capacity=tuple(filter(kept, tests.capacity)),
-        drive=tuple(one for one in tests.drive if kept(one[0])),
-    )
-    return usable, silent
+    driven = [log for log, _ in (*tests.hppc, *tests.drive) if not reasons[id(log)]]
+    laboratory = [log for log in (*tests.ocv, *tests.capacity) if not reasons[id(log)]]
+    return UsableLogs(tuple(driven), tuple(laboratory), silent, capacity)
 
 
 def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
@@ -207,31 +226,6 @@ def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
         return f"{rows} row(s) with a voltage"
     moved = float(np.abs(log.known_current_A()) @ log.interval_s) / 3600.0 / capacity_Ah
     return f"only {moved:.2%} of the capacity moved" if moved < LEAST_MOVED else ""
-
-
-def _prepared(tests: TestLogs, prior: CellModel) -> list[PriorLog]:
-    """The logs with their starts by the prior; of tests that begin full, the discharge."""
-    items = [_started(log, prior) for log, _ in (*tests.hppc, *tests.drive)]
-    for log in (*tests.ocv, *tests.capacity):
-        rows = discharge_rows(log)
-        one = _started(log, prior)
-        if not rows.any():
-            items.append(one)
-            continue
-        anchor = InitialSoc(one.soc0, one.soc0_std, "")
-        full = full_before(log, rows, prior.capacity_Ah, anchor)
-        if log.soc0 is None and full is not anchor:
-            one = replace(one, soc0=full.soc, soc0_std=full.std, h0=1.0)
-        items.append(replace(one, compare=rows))
-    return items
-
-
-def _started(log: CellLog, prior: CellModel) -> PriorLog:
-    """A log with its initial SOC by the prior's OCV: never taken for full because it is a test."""
-    found = initial_soc(prior, log, whole_log=True)
-    if log.soc0 is not None:
-        return PriorLog(log, found.soc, found.std, h0=start_hysteresis(found.soc))
-    return PriorLog(log, found.soc, UNKNOWN_STD)
 
 
 class Choice(NamedTuple):
@@ -257,24 +251,6 @@ class Choice(NamedTuple):
 LIMITS = Choice()
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A stock model fitted to the logs, and how badly: minus its log probability."""
-
-    name: str
-    misfit: float
-    soc0: float
-    model: CellModel
-
-
-class Chosen(NamedTuple):
-    """The prior, what it was chosen from, and the models of kinds that see the cell elsewhere."""
-
-    prior: CellModel
-    notice: str
-    alternatives: tuple[CellModel, ...]
-
-
 def _apart(model: CellModel, alternatives: Sequence[CellModel]) -> tuple[float, FloatArray]:
     """RMS of what alternatives hold and of their OCV, less the model's [Ah], [V] over POINTS."""
     grid, warm = np.linspace(0.0, 1.0, POINTS), float(model.temperature_C[0])
@@ -297,31 +273,21 @@ def in_window(name: str, logs: Sequence[CellLog]) -> bool:
     )
 
 
-def choose_prior(
-    logs: Sequence[CellLog],
-    corrections_of: Callable[[CellModel], Corrections],
-    prepared: Callable[[Corrections], Sequence[PriorLog]],
-) -> Chosen:
+def choose_prior(data: UsableLogs) -> tuple[CellModel, str, tuple[CellModel, ...]]:
     """The most probable stock model for a cell of which only drives are known, and why.
-
-    Parameters
-    ----------
-    logs : sequence of CellLog
-    corrections_of : callable     the corrections of a prior
-    prepared : callable           the logs with their starts by that prior
 
     Returns
     -------
-    Chosen              where several kinds of cell explain the logs as well and see the cell at
-                        another SOC, with their models: what they differ by is not known
+    prior, notice, alternatives : where several kinds of cell explain the logs as well and see the
+                                  cell at another SOC, their models: what they differ by is not
+                                  known
 
     Raises
     ------
     InputError        no window holds the logs
     """
-    names = [name for name in stock_names() if in_window(name, logs)]
-    low = min(float(np.nanmin(log.voltage_V)) for log in logs)
-    high = max(float(np.nanmax(log.voltage_V)) for log in logs)
+    names = [name for name in stock_names() if in_window(name, data.logs())]
+    low, high = data.window_V()
     between = f"voltages from {low:.2f} to {high:.2f} V"
     if not names:
         raise InputError(
@@ -329,28 +295,27 @@ def choose_prior(
             f"a cell like one of {', '.join(stock_names())}",
             "Give `prior=MODEL` of such a cell, or a low-rate or pulse test of it.",
         )
-    found = []
+    updates = {}
     for name in names:
-        corrections = corrections_of(stock_model(name))
-        items = sorted(
-            prepared(corrections), key=lambda i: -float(np.ptp(i.log.counted_charge_Ah()))
-        )
-        one = update(corrections, items[: LIMITS.logs])
-        found.append(Candidate(name, one.misfit, float(one.soc0[0]), one.model))
-    found.sort(key=lambda c: c.misfit)
-    best = found[0]
-    close = [c for c in found[1:] if c.misfit - best.misfit < LIMITS.undecided]
-    elsewhere = [c for c in close if abs(c.soc0 - best.soc0) > LIMITS.other_soc]
+        corrections = data.corrections(stock_model(name))
+        items = data.started(corrections.prior)
+        items.sort(key=lambda i: -float(np.ptp(i.log.counted_charge_Ah())))
+        updates[name] = update(corrections, items[: LIMITS.logs])
+    best, *others = sorted(updates, key=lambda name: updates[name].misfit)
+    worst = updates[best].misfit + LIMITS.undecided
+    close = [name for name in others if updates[name].misfit < worst]
+    began = {name: float(found.soc0[0]) for name, found in updates.items()}
+    elsewhere = [name for name in close if abs(began[name] - began[best]) > LIMITS.other_soc]
     said = (
-        f"too little was seen for a model of its own: {best.name} is the prior, "
+        f"too little was seen for a model of its own: {best} is the prior, "
         f"chosen by its voltage window and fit of {', '.join(names)}"
     )
-    said += f"; {', '.join(c.name for c in close)} as probable" if close else ""
+    said += f"; {', '.join(close)} as probable" if close else ""
     if elsewhere:
-        texts = ", ".join(f"{c.name} at SOC {c.soc0:.2f}" for c in (best, *elsewhere))
+        texts = ", ".join(f"{name} at SOC {began[name]:.2f}" for name in (best, *elsewhere))
         said = (
-            f"{between} that several kinds of cell show alike ({texts}): {best.name} is the prior, "
+            f"{between} that several kinds of cell show alike ({texts}): {best} is the prior, "
             "and what they differ by its error"
         )
-    models = tuple(c.model for c in elsewhere)
-    return Chosen(stock_model(best.name), f"{said}; `prior=NAME` names another", models)
+    models = tuple(updates[name].model for name in elsewhere)
+    return stock_model(best), f"{said}; `prior=NAME` names another", models

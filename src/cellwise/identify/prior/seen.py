@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +10,13 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.notice import RANGE_V, Notice
-from cellwise.cell.simulate import known_temperature_C
 from cellwise.identify.prior.corrections import Corrections
-from cellwise.identify.prior.update import PriorLog, Update
+from cellwise.identify.prior.update import Update
 from cellwise.identify.refinement.model_error import (
     POINTS,
     SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
-    polarisation_V,
 )
 from cellwise.typing import FloatArray
 
@@ -56,102 +53,93 @@ class Seen:
             "from_prior": {"soc": [list(s) for s in self.unseen_soc]},
         }
 
+    def notices(self, name: str, prior: CellModel) -> list[str]:
+        """What of the model is the prior's, for people."""
+        found = []
+        if self.unseen_soc:
+            listed = " and ".join(f"{low:.2f} to {high:.2f}" for low, high in self.unseen_soc)
+            found.append(
+                f"the data show nothing at SOC {listed}: there the model is the prior {name}, "
+                "with its spread as error"
+            )
+        if self.assumed_C is not None:
+            some = "of some logs " if self.temperature_C else ""
+            found.append(
+                f"no temperature {some}was measured: {self.assumed_C:.0f} degC is assumed "
+                "(LOG@10 states another)"
+            )
+        if self.temperature_C is None:
+            return found
+        low, high = self.temperature_C
+        cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
+        beyond = [f"down to {cold:.0f} degC"] if cold < low - SAME_TEMPERATURE_K else []
+        beyond += [f"up to {warm:.0f} degC"] if warm > high + SAME_TEMPERATURE_K else []
+        if beyond:
+            found.append(
+                f"the data are at {low:.0f} to {high:.0f} degC: {' and '.join(beyond)} the model "
+                f"follows the prior {name}"
+            )
+        return found
 
-def seen_by(logs: Sequence[PriorLog], found: Update) -> Seen:
+
+def seen_by(found: Update) -> Seen:
     """Where the compared rows of the logs lie, by the SOC that was found."""
-    soc, current = [], []
-    measured: list[FloatArray] = []
-    assumed: list[FloatArray] = []
-    for item, start, rows in zip(logs, found.soc0, found.rows, strict=True):
-        soc.append(_soc(item, float(start), found.model)[rows])
-        warm = known_temperature_C(found.model, item.log)[rows]
-        by_sensor = item.log.temperature_C is not None
-        (measured if by_sensor else assumed).append(warm)
-        current.append(item.log.known_current_A()[rows])
-    counts, edges = np.histogram(np.clip(np.concatenate(soc), 0.0, 1.0), BINS, (0.0, 1.0))
+    soc = np.concatenate([one.soc for one in found.logs])
+    current = np.concatenate([one.log.known_current_A()[one.rows] for one in found.logs])
+    measured, assumed = (
+        [one.temperature_C for one in found.logs if (one.log.temperature_C is None) == missing]
+        for missing in (False, True)
+    )
+    counts, edges = np.histogram(np.clip(soc, 0.0, 1.0), BINS, (0.0, 1.0))
     low, high = np.percentile(np.concatenate(measured), [1.0, 99.0]) if measured else (0.0, 0.0)
-    flowing = np.concatenate(current)
     return Seen(
         soc=_stretches(counts > 0, edges),
         unseen_soc=tuple(s for s in _stretches(counts == 0, edges) if s[1] - s[0] > SHORT_OF_ALL),
         temperature_C=(round(float(low), 1), round(float(high), 1)) if measured else None,
-        current_A=(float(f"{flowing.min():.4g}"), float(f"{flowing.max():.4g}")),
+        current_A=(float(f"{current.min():.4g}"), float(f"{current.max():.4g}")),
         assumed_C=float(np.median(np.concatenate(assumed))) if assumed else None,
     )
 
 
-def error_of(
-    logs: Sequence[PriorLog], found: Update, corrections: Corrections
-) -> tuple[ModelError, FloatArray]:
+def error_of(found: Update, corrections: Corrections) -> tuple[ModelError, FloatArray]:
     """The updated model's error, and the standard deviation of its OCV over the model's grid [V].
 
     What the residuals show where the data have been, and what is uncertain of the OCV and the
     resistances given these data: far from them, as much as of the prior.
     """
-    residuals = []
-    for item, start, rows, r in zip(logs, found.soc0, found.rows, found.residual_V, strict=True):
-        soc = _soc(item, float(start), found.model)[rows]
-        warm = known_temperature_C(found.model, item.log)[rows]
-        drop = polarisation_V(found.model, soc, warm, item.log.voltage_V[rows] - r)
-        time_s, usual = item.log.time_s[rows], float(np.median(warm))
-        residuals.append(ResidualLog(time_s, soc, drop, r, usual))
-    shown = estimate_model_error(residuals)
-    ocv_std = _deviation(corrections.ocv_map, found.covariance)
-    r0_std = _deviation(corrections.ln_r_maps[0], found.covariance)
-    unsure = float(np.median(r0_std))
+    shown = estimate_model_error(
+        [
+            ResidualLog(
+                one.log.time_s[one.rows],
+                one.soc,
+                one.drop_V,
+                one.residual_V,
+                float(np.median(one.temperature_C)),
+            )
+            for one in found.logs
+        ]
+    )
+    ocv_std, r0_std = (
+        np.sqrt(np.einsum("ij,jk,ik->i", shape, found.covariance, shape))
+        for shape in (corrections.ocv_map, corrections.ln_r_maps[0])
+    )
     grid = np.linspace(0.0, 1.0, POINTS)
-    return shown.with_slow(np.interp(grid, found.model.soc, ocv_std), unsure), ocv_std
+    level_V = np.interp(grid, found.model.soc, ocv_std)
+    return shown.with_slow(level_V, float(np.median(r0_std))), ocv_std
 
 
-def notices_of(seen: Seen, name: str, prior: CellModel) -> list[str]:
-    """What of the model is the prior's, for people."""
-    found = []
-    if seen.unseen_soc:
-        listed = " and ".join(f"{low:.2f} to {high:.2f}" for low, high in seen.unseen_soc)
-        found.append(
-            f"the data show nothing at SOC {listed}: there the model is the prior {name}, "
-            "with its spread as error"
-        )
-    if seen.assumed_C is not None:
-        some = "of some logs " if seen.temperature_C else ""
-        found.append(
-            f"no temperature {some}was measured: {seen.assumed_C:.0f} degC is assumed "
-            "(LOG@10 states another)"
-        )
-    if seen.temperature_C is None:
-        return found
-    low, high = seen.temperature_C
-    cold, warm = float(prior.temperature_C[0]), float(prior.temperature_C[-1])
-    beyond = [f"down to {cold:.0f} degC"] if cold < low - SAME_TEMPERATURE_K else []
-    beyond += [f"up to {warm:.0f} degC"] if warm > high + SAME_TEMPERATURE_K else []
-    if beyond:
-        found.append(
-            f"the data are at {low:.0f} to {high:.0f} degC: {' and '.join(beyond)} the model "
-            f"follows the prior {name}"
-        )
-    return found
-
-
-def poor_fit(logs: Sequence[PriorLog], found: Update, name: str) -> tuple[Notice, ...]:
+def poor_fit(found: Update, name: str) -> tuple[Notice, ...]:
     """What is said first where the prior cannot be brought to a log, of the log furthest off."""
-    typical = [float(np.median(np.abs(r))) for r in found.residual_V]
+    typical = [float(np.median(np.abs(one.residual_V))) for one in found.logs]
     worst = int(np.argmax(typical))
     if typical[worst] <= POOR_V:
         return ()
     text = (
         f"even updated, the prior {name} DOES NOT FIT: typically {1e3 * typical[worst]:.0f} mV off "
-        f"'{logs[worst].log.name}': another kind of cell, number of cells in series "
+        f"'{found.logs[worst].log.name}': another kind of cell, number of cells in series "
         "(`series=N`) or unit?"
     )
     return (Notice(RANGE_V, text),)
-
-
-def _soc(item: PriorLog, soc0: float, model: CellModel) -> FloatArray:
-    return np.asarray(soc0 - item.log.counted_charge_Ah() / model.capacity_Ah)
-
-
-def _deviation(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", matrix, covariance, matrix)))
 
 
 def _stretches(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -89,21 +89,10 @@ class LeftAtLimit(NamedTuple):
 LEFT = LeftAtLimit()
 
 
-class LowestRow(NamedTuple):
-    """The emptiest row near a log's lowest voltage, the charge until there, and that voltage."""
-
-    row: int
-    charge_Ah: float
-    voltage_V: float
-
-
-def lowest_row(log: CellLog) -> LowestRow:
-    """Where a log would end empty, if it does."""
-    low_V = float(np.nanmin(log.voltage_V))
-    charge = log.counted_charge_Ah()
-    near = np.flatnonzero(log.voltage_V <= low_V + LEFT.near_V)
-    row = int(near[np.argmax(charge[near])])
-    return LowestRow(row, float(charge[row]), low_V)
+def lowest_row(log: CellLog) -> int:
+    """Where a log would end empty, if it does: the emptiest row near its lowest voltage."""
+    near = np.flatnonzero(log.voltage_V <= float(np.nanmin(log.voltage_V)) + LEFT.near_V)
+    return int(near[np.argmax(log.counted_charge_Ah()[near])])
 
 
 def left_at(
@@ -139,12 +128,50 @@ class PriorLog:
     h0: float = 0.0
 
 
+class ComparedLog(NamedTuple):
+    """A log as the simulation takes it, and which rows are compared."""
+
+    item: PriorLog
+    interval_s: FloatArray
+    current_A: FloatArray
+    temperature_C: FloatArray
+    rows: IndexArray
+
+    def soc(self, model: CellModel, soc0: float) -> FloatArray:
+        """SOC at the compared rows."""
+        charge = np.cumsum(self.current_A * self.interval_s)[self.rows] / 3600.0
+        return np.asarray(soc0 - charge / model.capacity_Ah)
+
+    def voltage_V(self, tables: CellTables, soc0: float) -> FloatArray:
+        """Simulated at the compared rows [V]."""
+        voltage, soc = np.empty((2, self.current_A.size))
+        simulate_rows(
+            tables, empty_state(soc0, self.item.h0), self.interval_s, self.current_A,
+            self.temperature_C, voltage, soc,
+        )  # fmt: skip
+        return np.asarray(voltage[self.rows])
+
+    def drop_V(self, model: CellModel, soc: FloatArray, voltage_V: FloatArray) -> FloatArray:
+        """What the load takes off the OCV at the compared rows [V]."""
+        return polarisation_V(model, soc, self.temperature_C[self.rows], voltage_V)
+
+
+class FittedLog(NamedTuple):
+    """What an update leaves of a log, at the compared rows: measured minus model [V]."""
+
+    log: CellLog
+    rows: IndexArray
+    soc: FloatArray
+    temperature_C: FloatArray
+    drop_V: FloatArray
+    residual_V: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Update:
     """The most probable corrections and initial SOCs.
 
     ``z`` (size,) with its ``covariance`` (size, size); ``soc0`` (logs,) and its standard deviation;
-    ``rows`` the compared rows of every log, ``residual_V`` measured minus model there;
     ``distance`` is half the squared distance from the prior, in standard deviations.
     """
 
@@ -153,39 +180,17 @@ class Update:
     covariance: FloatArray
     soc0: FloatArray
     soc0_std: FloatArray
-    rows: tuple[IndexArray, ...]
-    residual_V: tuple[FloatArray, ...]
+    logs: tuple[FittedLog, ...]
     distance: float
 
     @property
     def misfit(self) -> float:
         """Minus the log probability, up to a constant; every log counts alike by every prior."""
         total = self.distance
-        for r in self.residual_V:
+        for r in (log.residual_V for log in self.logs):
             number = float(np.clip(r.size / OF_A_LOG.rows, OF_A_LOG.fewest, OF_A_LOG.most))
             total += number * float(np.log(np.hypot(np.sqrt(np.mean(r * r)), OF_A_LOG.least_V)))
         return total
-
-
-class _Rows(NamedTuple):
-    """A log as the simulation takes it, and which rows are compared."""
-
-    interval_s: FloatArray
-    current_A: FloatArray
-    temperature_C: FloatArray
-    compared: IndexArray
-    measured_V: FloatArray
-    h0: float
-
-    def soc(self, model: CellModel, soc0: float) -> FloatArray:
-        """SOC at the compared rows."""
-        charge = np.cumsum(self.current_A * self.interval_s)[self.compared] / 3600.0
-        return np.clip(soc0 - charge / model.capacity_Ah, 0.0, 1.0)
-
-    def drop_V(self, model: CellModel, soc: FloatArray, residual_V: FloatArray) -> FloatArray:
-        """What the load takes off the OCV at the compared rows [V]."""
-        warm = self.temperature_C[self.compared]
-        return polarisation_V(model, soc, warm, self.measured_V - residual_V)
 
 
 def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
@@ -210,18 +215,16 @@ def update(corrections: Corrections, logs: Sequence[PriorLog]) -> Update:
         found = least_squares(problem.weighted, x, problem.slopes, method="lm", max_nfev=steps)
         x = found.x
         problem.judge(x)
-    residuals = problem.residuals(x)
     slope = problem.slopes(x)
     covariance = np.asarray(np.linalg.inv(slope.T @ slope), dtype=np.float64)
-    z, size = x[: problem.size], problem.size
+    size = problem.size
     return Update(
-        model=corrections.model(z),
-        z=z,
+        model=problem.model(x),
+        z=x[:size],
         covariance=covariance[:size, :size],
         soc0=problem.soc0(x),
         soc0_std=problem.stds * np.sqrt(np.diag(covariance)[size:]),
-        rows=tuple(one.compared for one in problem.rows),
-        residual_V=tuple(residuals),
+        logs=tuple(problem.fitted(x)),
         distance=0.5 * float(x @ x),
     )
 
@@ -234,13 +237,19 @@ class _Problem:
 
     def __init__(self, corrections: Corrections, logs: Sequence[PriorLog]) -> None:
         self.corrections, self.size = corrections, corrections.size
-        self.rows = [_rows(corrections.prior, item) for item in logs]
+        self.logs = [_compared(corrections.prior, item) for item in logs]
         self.means = np.array([item.soc0 for item in logs])
         self.stds = np.array([item.soc0_std for item in logs])
         self.most = [max(i.log.duration_s / OF_A_LOG.memory_s, OF_A_LOG.fewest) for i in logs]
         self.roots: list[FloatArray] = []
-        self.lowest = [lowest_row(item.log) for item in logs]
+        self.ends = [lowest_row(item.log) for item in logs]
+        each = zip(logs, self.ends, strict=True)
+        self.end_Ah = np.array([item.log.counted_charge_Ah()[row] for item, row in each])
         self.left, self.left_std = np.zeros(len(logs)), np.full(len(logs), np.inf)
+
+    def model(self, x: FloatArray) -> CellModel:
+        """The corrected model."""
+        return self.corrections.model(x[: self.size])
 
     def soc0(self, x: FloatArray) -> FloatArray:
         """Initial SOC of every log."""
@@ -248,25 +257,32 @@ class _Problem:
 
     def residuals(self, x: FloatArray) -> list[FloatArray]:
         """Measured minus simulated voltage of every log [V]."""
-        tables = self.corrections.model(x[: self.size]).parameters()
-        each = zip(self.rows, self.soc0(x), strict=True)
-        return [_residual(tables, one, float(soc0)) for one, soc0 in each]
+        tables = self.model(x).parameters()
+        return [
+            log.item.log.voltage_V[log.rows] - log.voltage_V(tables, float(soc0))
+            for log, soc0 in zip(self.logs, self.soc0(x), strict=True)
+        ]
+
+    def fitted(self, x: FloatArray) -> Iterator[FittedLog]:
+        """Every log with what is left of it."""
+        model = self.model(x)
+        for log, soc0, r in zip(self.logs, self.soc0(x), self.residuals(x), strict=True):
+            soc = log.soc(model, float(soc0))
+            drop = log.drop_V(model, soc, log.item.log.voltage_V[log.rows] - r)
+            yield FittedLog(log.item.log, log.rows, soc, log.temperature_C[log.rows], drop, r)
 
     def judge(self, x: FloatArray, *, first: bool = False) -> None:
         """Take the size of every log's residual, and how many independent errors it holds."""
         self.roots = []
-        model, each = self.corrections.model(x[: self.size]), self.residuals(x)
-        self._look_at_ends(model)
-        every = zip(each, self.rows, self.soc0(x), self.most, strict=True)
-        for k, (r, rows, soc0, most) in enumerate(every):
-            sigma, number = OF_A_LOG.first_V, most
+        self._look_at_ends(self.model(x))
+        for k, (log, most) in enumerate(zip(self.fitted(x), self.most, strict=True)):
+            r, sigma, number = log.residual_V, OF_A_LOG.first_V, most
             if not first:
                 sigma = max(1.4826 * float(np.median(np.abs(r))), OF_A_LOG.least_V)
                 number = min(max(independent_samples(r), OF_A_LOG.fewest), most)
             robust = np.sqrt(1.0 + (r / (OF_A_LOG.robust * sigma)) ** 2)
-            soc = rows.soc(model, float(soc0))
-            share = OF_A_LOG.share * (soc <= LEFT.middle) * np.isfinite(self.left_std[k])
-            wide = np.hypot(sigma, share * rows.drop_V(model, soc, r))
+            share = OF_A_LOG.share * (log.soc <= LEFT.middle) * np.isfinite(self.left_std[k])
+            wide = np.hypot(sigma, share * log.drop_V)
             self.roots.append(np.sqrt(number / r.size / robust) / wide)
 
     def weighted(self, x: FloatArray) -> FloatArray:
@@ -278,14 +294,14 @@ class _Problem:
         """Take what each load that ends at the lower limit leaves, by the model so far."""
         tables = model.parameters()
         middle, drop = [], []
-        for rows, end in zip(self.rows, self.lowest, strict=True):
+        for log, row, end_Ah in zip(self.logs, self.ends, self.end_Ah, strict=True):
             # The same load, moved to where it ends in the middle of the range.
-            start = LEFT.middle + end.charge_Ah / model.capacity_Ah
-            moved = rows._replace(compared=np.array([end.row]), measured_V=np.zeros(1))
-            residual = _residual(tables, moved, start)
-            middle.append(-float(residual[0]))
-            drop.append(float(moved.drop_V(model, moved.soc(model, start), residual)[0]))
-        lowest = np.array([end.voltage_V for end in self.lowest])
+            start = LEFT.middle + end_Ah / model.capacity_Ah
+            moved = log._replace(rows=np.array([row]))
+            voltage_V = moved.voltage_V(tables, start)
+            middle.append(float(voltage_V[0]))
+            drop.append(float(moved.drop_V(model, moved.soc(model, start), voltage_V)[0]))
+        lowest = np.array([np.nanmin(log.item.log.voltage_V) for log in self.logs])
         self.left, self.left_std = left_at(lowest, np.array(middle), np.array(drop))
 
     def _at_ends(self, x: FloatArray) -> FloatArray:
@@ -296,9 +312,7 @@ class _Problem:
         weight = 1.0 / self.left_std
         if not weight.any():
             return np.zeros(weight.size)
-        corrections = self.corrections
-        capacity = corrections.prior.capacity_Ah * np.exp(corrections.ln_capacity(x[: self.size]))
-        moved = np.array([end.charge_Ah for end in self.lowest]) / capacity
+        moved = self.end_Ah / self.corrections.capacity_Ah(x[: self.size])
         share = weight * weight.max() / np.linalg.norm(weight)
         return np.asarray(share * (self.soc0(x) - moved - self.left))
 
@@ -317,7 +331,7 @@ class _Problem:
         return found
 
 
-def _rows(prior: CellModel, item: PriorLog) -> _Rows:
+def _compared(prior: CellModel, item: PriorLog) -> ComparedLog:
     """The log's columns; compared are rows with a voltage, evenly over its time."""
     log = item.log
     usable = np.isfinite(log.voltage_V)
@@ -328,19 +342,5 @@ def _rows(prior: CellModel, item: PriorLog) -> _Rows:
         time_s = log.time_s[known]
         wanted = np.linspace(time_s[0], time_s[-1], MOST_COMPARED)
         known = np.unique(known[np.searchsorted(time_s, wanted).clip(0, known.size - 1)])
-    return _Rows(
-        np.array(log.interval_s),
-        np.array(log.known_current_A()),
-        known_temperature_C(prior, log),
-        known,
-        log.voltage_V[known],
-        item.h0,
-    )
-
-
-def _residual(tables: CellTables, rows: _Rows, soc0: float) -> FloatArray:
-    """Measured minus simulated voltage of the compared rows [V]."""
-    voltage, soc = np.empty(rows.current_A.size), np.empty(rows.current_A.size)
-    start = empty_state(soc0, rows.h0)
-    simulate_rows(tables, start, rows.interval_s, rows.current_A, rows.temperature_C, voltage, soc)
-    return np.asarray(rows.measured_V - voltage[rows.compared])
+    warm = known_temperature_C(prior, log)
+    return ComparedLog(item, np.array(log.interval_s), log.known_current_A(), warm, known)

@@ -6,7 +6,7 @@ is. It is part of the model where it is surely better there, by more than a shar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,9 +17,8 @@ from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
 from cellwise.identify.identification import Decided, Start
 from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS, JointLogs
-from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V
+from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V, RefineSettings
 from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
-from cellwise.identify.refinement.problem import RefineSettings
 from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.refinement.refine_data import RefineLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
@@ -90,7 +89,6 @@ class _Trial:
     """A fit to what is not held out, and its residuals on what is."""
 
     settings: RefineSettings
-    surface: SurfaceSoc
     effects: tuple[Effect, ...]
     result: RefineResult
     residual_V: FloatArray
@@ -106,9 +104,6 @@ class _Split(NamedTuple):
     steps: int
 
 
-Change = Callable[[JointLogs, _Split, _Trial], _Trial]
-
-
 def fit_with_effects(joint: JointLogs) -> JointFit:
     """Fit all logs with the effects that predict held-out loads better.
 
@@ -118,13 +113,11 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     """
     joint = joint.with_starts_found()
     held = frozenset(held_out(joint.logs))
-    split = _Split(joint.logs, held, "", QUICK_ITERATIONS)
-    if held:
-        split = split._replace(of=f"{len(split.held)} drive(s)")
-        candidates = _candidates(joint)
-    else:
+    split = _Split(joint.logs, held, f"{len(held)} drive(s)", QUICK_ITERATIONS)
+    candidates = _candidates(joint)
+    if not held:
         split = _without_pulses(joint.logs, joint.settings.iterations)
-        candidates = {"charge_transfer": _transfer}
+        candidates = ("charge_transfer",)
     few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
     if not split.held:
@@ -133,22 +126,28 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     best = _tried(joint, split, joint.settings)
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
-        refused = {}
+        refused = []
         before = best
-        for name, change in candidates.items():
-            trial = change(joint, split, best)
-            gain = _gain(best, trial)
+        for name in candidates:
+            trial = _tried(joint, split, *_changed(name, joint, best))
+            # In volts: where a model is most wrong counts most.
+            gain = held_out_gain(best.residual_V, trial.residual_V, best.block)
             accepted = gain.gain > NEEDED.gain and gain.low > 0.0
             if accepted:
                 best = trial
             else:
-                refused[name] = change
+                refused.append(name)
             if accepted or decided.get(name) is None or decided[name].gain is None:
                 decided[name] = _decided(name, gain, accepted, split.of)
-        candidates = refused if best is not before and len(refused) < len(candidates) else {}
-    logs = tuple(replace(item, surface=best.surface) for item in joint.logs)
+        candidates = tuple(refused) if best is not before else ()
+    logs = _with_surface(joint.logs, best.effects)
     result = joint.fit(logs, best.settings, best.result.theta)
     return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
+
+
+def _with_surface(logs: Sequence[RefineLog], effects: Sequence[Effect]) -> tuple[RefineLog, ...]:
+    surface = next((e for e in effects if isinstance(e, SurfaceSoc)), SurfaceSoc())
+    return tuple(replace(item, surface=surface) for item in logs)
 
 
 def _tried(
@@ -159,8 +158,7 @@ def _tried(
     theta: FloatArray | None = None,
 ) -> _Trial:
     """A quick fit and its residuals on what is held out."""
-    surface = next((e for e in effects if isinstance(e, SurfaceSoc)), SurfaceSoc())
-    logs = [replace(item, surface=surface) for item in split.logs]
+    logs = _with_surface(split.logs, effects)
     trained = [item for k, item in enumerate(logs) if k not in split.held]
     result = joint.fit(trained, settings, theta, quick=split.steps)
     found = joint.residuals(result, [logs[k] for k in sorted(split.held)], settings)
@@ -170,12 +168,7 @@ def _tried(
         last = int(block.max()) + 1
         blocks.append(block)
     residual = np.concatenate([r for _, r in found])
-    return _Trial(settings, surface, effects, result, residual, np.concatenate(blocks))
-
-
-def _gain(before: _Trial, after: _Trial) -> HeldOutGain:
-    """In volts: where a model is most wrong counts most."""
-    return held_out_gain(before.residual_V, after.residual_V, before.block)
+    return _Trial(settings, effects, result, residual, np.concatenate(blocks))
 
 
 def _decided(name: str, g: HeldOutGain, accepted: bool, held: str) -> Decided:
@@ -189,34 +182,27 @@ def _decided(name: str, g: HeldOutGain, accepted: bool, held: str) -> Decided:
     return Decided(name, accepted, round(g.gain, 4), reason)
 
 
-def _candidates(joint: JointLogs) -> dict[str, Change]:
-    """Changes to a trial by the effect's name."""
-    found: dict[str, Change] = {"charge_transfer": _transfer, "surface_soc": _surface}
-    if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
-        return {"temperature_dependence": _own_activations, **found}
-    return found
+def _candidates(joint: JointLogs) -> tuple[str, ...]:
+    """Effects that drives can show."""
+    several = joint.grid_C.size > 1 or drive_temperatures(joint.logs) < NEEDED.activations
+    return ("temperature_dependence",) * (not several) + ("charge_transfer", "surface_soc")
 
 
-def _transfer(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
-    """The asinh law of the fast branch."""
-    law = replace(best.settings, charge_transfer=True)
-    theta = best.result.theta.copy()
-    theta[best.result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
-    return _tried(joint, split, law, best.effects, theta)
-
-
-def _own_activations(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
-    """Beside the common activation one of each resistance and time constant."""
-    freed = replace(best.settings, own_activation_std_K=OWN_ACTIVATION_STD_K)
-    return _tried(joint, split, freed, best.effects, best.result.theta)
-
-
-def _surface(joint: JointLogs, split: _Split, best: _Trial) -> _Trial:
-    """Tables at the SOC of the particles' surface."""
-    depth_h, tau_s, activation_K = SURFACE
-    several = joint.grid_C.size > 1
-    effect = SurfaceSoc(depth_h, tau_s, activation_K if several else 0.0, joint.reference_C)
-    return _tried(joint, split, best.settings, (*best.effects, effect), best.result.theta)
+def _changed(
+    name: str, joint: JointLogs, best: _Trial
+) -> tuple[RefineSettings, tuple[Effect, ...], FloatArray]:
+    """Settings, effects and beginning of a trial of one more effect."""
+    settings, effects, theta = best.settings, best.effects, best.result.theta.copy()
+    if name == "charge_transfer":  # the asinh law of the fast branch
+        settings = replace(settings, charge_transfer=True)
+        theta[best.result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
+    elif name == "temperature_dependence":  # one of each resistance and time constant
+        settings = replace(settings, own_activation_std_K=OWN_ACTIVATION_STD_K)
+    else:  # tables at the SOC of the particles' surface
+        depth_h, tau_s, activation_K = SURFACE
+        activation_K *= joint.grid_C.size > 1
+        effects = (*effects, SurfaceSoc(depth_h, tau_s, activation_K, joint.reference_C))
+    return settings, effects, theta
 
 
 def _without_pulses(logs: Sequence[RefineLog], steps: int) -> _Split:

@@ -21,8 +21,9 @@ from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.fitted_pulses import Group
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.problem import RefineSettings, StartTables
-from cellwise.identify.refinement.refine import RefineResult, refine, residuals_of
+from cellwise.identify.refinement.layout import RefineSettings, StartTables
+from cellwise.identify.refinement.problem import Problem
+from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.identify.soc_anchor import anchor_soc, full_before, likely_full, mean_current_A
@@ -121,7 +122,10 @@ class JointLogs:
         self, result: RefineResult, logs: Sequence[RefineLog], settings: RefineSettings
     ) -> list[tuple[PreparedLog, FloatArray]]:
         """What a fit leaves of logs that it has not seen [V]."""
-        return residuals_of(result, self.start, logs, settings, self.capacity_Ah, QUICK_ROWS)
+        problem = Problem(
+            logs, self.start, settings, self.capacity_Ah, self.grid_C, self.reference_C, QUICK_ROWS
+        )
+        return list(zip(problem.logs, problem.residuals(result.theta), strict=True))
 
     def model_of(self, result: RefineResult, effects: Sequence[Effect] = ()) -> CellModel:
         """The model of a fit, and effects that lie beside its tables."""

@@ -22,17 +22,11 @@ from cellwise.identify.refinement.layout import (
     ASINH_UNIT_PER_V,
     SKEW_UNIT_S,
     Layout,
+    RefineSettings,
+    StartTables,
 )
-from cellwise.identify.refinement.problem import Problem, RefineSettings, StartTables
-from cellwise.identify.refinement.refine_data import (
-    BEYOND,
-    ROWS,
-    PreparedLog,
-    RefineLog,
-    inverse_K,
-    prepare_log,
-)
-from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_count
+from cellwise.identify.refinement.problem import Problem
+from cellwise.identify.refinement.refine_data import BEYOND, ROWS, PreparedLog, RefineLog, inverse_K
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
@@ -49,8 +43,6 @@ class RefineResult:
     """
 
     layout: Layout
-    knots: FloatArray
-    ocv_knots: FloatArray
     theta: FloatArray
     theta_std: FloatArray
     rmse_V: tuple[float, ...]
@@ -124,7 +116,7 @@ class RefineResult:
         ]
         return replace(
             self,
-            layout=lay._replace(temperatures=1),
+            layout=lay.of_temperatures(1),
             theta=cold + way * (warm - cold),
             theta_std=np.maximum(*stds),
             rmse_V=tuple(self.rmse_V[k] for k in seen),
@@ -144,8 +136,6 @@ def refine(
     capacity_Ah: float,
     reference_C: float = 25.0,
     grid_C: FloatArray | None = None,
-    knots: FloatArray = TABLE_KNOTS,
-    ocv_knots: FloatArray = OCV_KNOTS,
     theta: FloatArray | None = None,
     most_rows: int | None = None,
     with_errors: bool = True,
@@ -170,20 +160,9 @@ def refine(
     began = time.perf_counter()
     settings = RefineSettings() if settings is None else settings
     grid = np.array([reference_C]) if grid_C is None else np.asarray(grid_C, dtype=np.float64)
-    layout = Layout(
-        spline_count(ocv_knots),
-        spline_count(knots),
-        settings.branches,
-        settings.hysteresis,
-        int(grid.size),
-        settings.samples,
-        sum(item.start_std > 0.0 for item in logs),
-    )
     most = max(ROWS.most, ALL_ROWS // len(logs)) if most_rows is None else most_rows
-    problem = _problem(
-        logs, start, settings, layout, (knots, ocv_knots), capacity_Ah, grid, reference_C, most
-    )
-    theta = problem.start_vector() if theta is None else problem.inside(theta)
+    problem = Problem(logs, start, settings, capacity_Ah, grid, reference_C, most)
+    theta = problem.anchor if theta is None else problem.inside(theta)
     steps = 0
     residuals: tuple[FloatArray, ...] = ()
     # The first passes find the size of each log's residual (smoothing, robustness, balance) and
@@ -194,9 +173,7 @@ def refine(
         steps += done
         problem.judge(theta, residuals)
     return RefineResult(
-        layout=layout,
-        knots=knots,
-        ocv_knots=ocv_knots,
+        layout=problem.layout,
         theta=theta,
         theta_std=problem.standard_errors(theta) if with_errors else np.full(theta.size, np.nan),
         rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
@@ -207,43 +184,4 @@ def refine(
         iterations=steps,
         seconds=time.perf_counter() - began,
         grid_C=grid,
-    )
-
-
-def residuals_of(
-    result: RefineResult,
-    start: StartTables,
-    logs: Sequence[RefineLog],
-    settings: RefineSettings,
-    capacity_Ah: float,
-    most_rows: int = ROWS.most,
-) -> list[tuple[PreparedLog, FloatArray]]:
-    """Residuals of a refinement on logs that it was not fitted on: measured minus model [V]."""
-    problem = _problem(
-        logs, start, settings, result.layout, (result.knots, result.ocv_knots), capacity_Ah,
-        result.grid_C, result.reference_C, most_rows,
-    )  # fmt: skip
-    return list(zip(problem.logs, problem.residuals(result.theta), strict=True))
-
-
-def _problem(
-    logs: Sequence[RefineLog],
-    start: StartTables,
-    settings: RefineSettings,
-    layout: Layout,
-    knots: tuple[FloatArray, FloatArray],
-    capacity_Ah: float,
-    grid_C: FloatArray,
-    reference_C: float,
-    most_rows: int,
-) -> Problem:
-    """The least squares of some logs; ``knots`` are those of the tables and of the OCV."""
-    prepared = [
-        prepare_log(
-            item, *knots, reference_C, grid_C=grid_C, capacity_Ah=capacity_Ah, most_rows=most_rows
-        )
-        for item in logs
-    ]
-    return Problem(
-        prepared, start, settings, layout, *knots, 3600.0 * capacity_Ah, grid_C, reference_C
     )

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.cell.compiled import cached
 from cellwise.cell.effects import SurfaceSoc
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
-from cellwise.identify.refinement.refine_kernels import LogRows, choose_rows
-from cellwise.identify.refinement.splines import SplineRows, spline_rows
+from cellwise.identify.refinement.refine_kernels import LogRows
+from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
@@ -72,32 +73,20 @@ class RefineLog:
 
 @dataclass(frozen=True, eq=False)
 class PreparedLog:
-    """What the kernel reads: merged rows; ``error``-relevant arrays cover compared rows only.
+    """A log as the fit reads it: merged ``rows``, of which some are compared.
 
-    ``row`` and ``share`` say between which temperatures of the log's own a row lies; these are
-    ``temperatures`` of the grid's, from ``first_temperature`` on. ``table_soc`` is where the tables
-    are looked up.
+    ``soc`` and ``table_soc``, where the tables are looked up, are of all rows; ``measured_V`` and
+    ``time_s`` of the compared ones. ``rows.row`` and ``rows.share`` say between which of the log's
+    own temperatures a row lies; these are ``temperatures`` of the grid's, from
+    ``first_temperature`` on.
     """
 
-    name: str
-    dt_s: FloatArray
-    current_A: FloatArray
-    inverse_K: FloatArray
-    rows: SplineRows
-    ocv_rows: SplineRows
+    item: RefineLog
+    rows: LogRows
     soc: FloatArray
-    evaluate: BoolArray
+    table_soc: FloatArray
     measured_V: FloatArray
     time_s: FloatArray
-    skewed: bool
-    h0: float
-    weight: float
-    row: IndexArray
-    share: FloatArray
-    table_soc: FloatArray
-    sample: int | None = None
-    start_std: float = 0.0
-    past_V: float = 0.0
     first_temperature: int = 0
     temperatures: int = 1
 
@@ -109,29 +98,19 @@ class PreparedLog:
     def temperature_C(self, reference_C: float) -> FloatArray:
         """Temperature of the compared rows [degC]."""
         kelvin = reference_C + ZERO_CELSIUS_K
-        return np.asarray(1.0 / (self.inverse_K[self.evaluate] + 1.0 / kelvin) - ZERO_CELSIUS_K)
+        inverse = self.rows.inverse_K[self.rows.evaluate]
+        return np.asarray(1.0 / (inverse + 1.0 / kelvin) - ZERO_CELSIUS_K)
 
-    def for_kernel(self, base_ocv_V: FloatArray) -> LogRows:
-        """The arrays that the kernel takes."""
-        return LogRows(
-            self.dt_s,
-            self.current_A,
-            self.inverse_K,
-            self.row,
-            self.share,
-            self.rows.first,
-            self.rows.values,
-            self.ocv_rows.first,
-            self.ocv_rows.values,
-            base_ocv_V,
-            self.evaluate,
+    def moved(self, away: FloatArray) -> LogRows:
+        """The rows of a log that lies elsewhere on the SOC axis, (rows,)."""
+        return self.rows._replace(
+            tables=spline_rows(self.table_soc + away, TABLE_KNOTS),
+            ocv=spline_rows(self.soc + away, OCV_KNOTS),
         )
 
 
 def prepare_log(
     item: RefineLog,
-    knots: FloatArray,
-    ocv_knots: FloatArray,
     reference_C: float,
     grid_C: FloatArray | None = None,
     capacity_Ah: float = np.inf,
@@ -150,7 +129,6 @@ def prepare_log(
     """
     log = item.log
     current = log.known_current_A()
-    n = len(log)
     usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= 0.0)
     if item.compare is not None:
         usable &= item.compare
@@ -168,32 +146,25 @@ def prepare_log(
     merged = np.diff(moved, prepend=moved[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(dt > 0, merged / dt, current[kept])
-    finite = np.isfinite(item.soc)
-    soc = np.interp(np.arange(n), np.flatnonzero(finite), item.soc[finite])[kept]
+    soc = _bridged(item.soc)[kept]
     shown = evaluate[kept]
-    inverse = _inverse_kelvin(log, reference_C, item.temperature_C)[kept]
+    warm_C = _temperature_C(item, reference_C)[kept]
+    inverse = inverse_K(warm_C, reference_C)
     first, count, row, share = _between(inverse, np.abs(mean) * dt, reference_C, grid_C)
-    table_soc = _surface_soc(item, soc, mean, dt, kept, capacity_Ah)
+    table_soc = soc
+    effect = item.surface
+    if effect.depth_h != 0.0:
+        grown = np.exp(effect.activation_K * inverse_K(warm_C, effect.reference_C))
+        depth = effect.depth_h * grown / capacity_Ah
+        table_soc = np.clip(soc - depth * lagged(mean, dt, effect.tau_s), 0.0, 1.0)
+    splines = spline_rows(table_soc, TABLE_KNOTS), spline_rows(soc, OCV_KNOTS)
     return PreparedLog(
-        name=log.name,
-        dt_s=dt,
-        current_A=mean,
-        inverse_K=inverse,
-        rows=spline_rows(table_soc, knots),
-        ocv_rows=spline_rows(soc, ocv_knots),
+        item=item,
+        rows=LogRows(dt, mean, inverse, row, share, *splines, shown),
         soc=soc,
-        evaluate=shown,
+        table_soc=table_soc,
         measured_V=log.voltage_V[kept][shown],
         time_s=time_s[shown],
-        skewed=item.skewed,
-        h0=item.h0,
-        weight=item.weight,
-        row=row,
-        share=share,
-        table_soc=table_soc,
-        sample=item.sample,
-        start_std=item.start_std,
-        past_V=item.past_V,
         first_temperature=first,
         temperatures=count,
     )
@@ -207,8 +178,7 @@ def _chosen_rows(
     threshold = ROWS.edge_share * float(np.max(np.abs(current)))
     # A test whose discharge alone is compared is there for its OCV; pulses have their edges.
     charge = np.inf if item.compare is None else ROWS.most_soc * 3600.0 * capacity_Ah
-    keep = np.zeros(len(log), dtype=np.bool_)
-    evaluate = np.zeros(len(log), dtype=np.bool_)
+    keep, evaluate = np.zeros((2, len(log)), dtype=np.bool_)
     choose_rows(
         log.time_s, current, threshold, ROWS.shortest_s, ROWS.growth, charge, keep, evaluate
     )
@@ -229,24 +199,6 @@ def inverse_K(temperature_C: FloatArray | float, reference_C: float) -> FloatArr
     return np.asarray(1.0 / kelvin - 1.0 / (reference_C + ZERO_CELSIUS_K))
 
 
-def _surface_soc(
-    item: RefineLog,
-    soc: FloatArray,
-    current: FloatArray,
-    dt: FloatArray,
-    kept: IndexArray,
-    capacity_Ah: float,
-) -> FloatArray:
-    """SOC at which the tables are looked up, of every kept row."""
-    effect = item.surface
-    if effect.depth_h == 0.0:
-        return soc
-    slow = lagged(current, dt, effect.tau_s)
-    inverse = _inverse_kelvin(item.log, effect.reference_C, item.temperature_C)[kept]
-    depth = effect.depth_h * np.exp(effect.activation_K * inverse) / capacity_Ah
-    return np.asarray(np.clip(soc - depth * slow, 0.0, 1.0))
-
-
 def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
     """Values through a first-order lag, each constant over the interval that ends at its row."""
     found = np.empty(values.size)
@@ -257,15 +209,19 @@ def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
     return found
 
 
-def _inverse_kelvin(log: CellLog, reference_C: float, otherwise_C: float | None) -> FloatArray:
-    """1/T - 1/T_ref of every row [1/K]; at the reference where nothing is known."""
-    measured = log.temperature_C
-    good = None if measured is None else np.isfinite(measured)
-    if measured is None or good is None or not good.any():
-        held = np.full(len(log), reference_C if otherwise_C is None else otherwise_C)
-    else:
-        held = np.interp(np.arange(len(log)), np.flatnonzero(good), measured[good])
-    return inverse_K(held, reference_C)
+def _temperature_C(item: RefineLog, reference_C: float) -> FloatArray:
+    """Temperature of every row [degC]; the reference where nothing is known."""
+    measured = item.log.temperature_C
+    if measured is None or not np.isfinite(measured).any():
+        known = reference_C if item.temperature_C is None else item.temperature_C
+        return np.full(len(item.log), known)
+    return _bridged(measured)
+
+
+def _bridged(values: FloatArray) -> FloatArray:
+    """What is missing, straight between its neighbours."""
+    known = np.isfinite(values)
+    return np.interp(np.arange(values.size), np.flatnonzero(known), values[known])
 
 
 def _between(
@@ -292,3 +248,46 @@ def _between(
         row.astype(np.int64),
         np.clip(way, -BEYOND, 1.0 + BEYOND),
     )
+
+
+@cached(error_model="numpy")
+def choose_rows(
+    time_s: FloatArray,
+    current_A: FloatArray,
+    threshold_A: float,
+    shortest_s: float,
+    growth: float,
+    most_charge_As: float,
+    keep: BoolArray,
+    evaluate: BoolArray,
+) -> None:
+    """Mark the rows to keep and those to compare with the measurement.
+
+    Compared rows lie evenly on the logarithm of the time since the last change of current
+    (at least ``shortest_s`` apart, then ``growth`` times that time), so that hours of rest do not
+    outvote seconds of pulse; under load they are no further apart than ``most_charge_As``, so that
+    hours of a low rate show every bend of the OCV. Between them only rows at which the current
+    changes are kept: merging rows of equal current loses nothing, because the branches are solved
+    exactly.
+    """
+    kept = 0
+    edge_s = time_s[0]
+    compared_s = time_s[0]
+    moved_As = 0.0
+    keep[0] = True
+    evaluate[0] = True
+    for k in range(1, time_s.size):
+        moved_As += abs(current_A[k]) * (time_s[k] - time_s[k - 1])
+        if abs(current_A[k] - current_A[kept]) > threshold_A:
+            keep[k - 1] = True
+            keep[k] = True
+            kept = k
+            edge_s = time_s[k - 1]
+        spacing = max(shortest_s, growth * (time_s[k] - edge_s))
+        since_s = time_s[k] - compared_s
+        if since_s >= spacing or (since_s >= shortest_s and moved_As >= most_charge_As):
+            evaluate[k] = True
+            keep[k] = True
+            compared_s = time_s[k]
+            moved_As = 0.0
+    keep[-1] = True

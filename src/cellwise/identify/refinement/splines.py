@@ -53,9 +53,12 @@ def spline_rows(soc: FloatArray, breakpoints: FloatArray) -> SplineRows:
 
 
 def spline_values(rows: SplineRows, coefficients: FloatArray) -> FloatArray:
-    """Value of the spline with the given coefficients at each sample, shape (n,)."""
+    """Value of the spline with the given coefficients at each sample, shape (n,).
+
+    Coefficients of shape (splines, m) are those of m splines, their values of shape (n, m).
+    """
     index = rows.first[:, None] + np.arange(DEGREE + 1)
-    return np.asarray(np.einsum("ij,ij->i", rows.values, coefficients[index]))
+    return np.asarray(np.einsum("ij,ij...->i...", rows.values, coefficients[index]))
 
 
 def greville(breakpoints: FloatArray) -> FloatArray:
@@ -74,11 +77,14 @@ def curvature_penalty(breakpoints: FloatArray) -> FloatArray:
     grid of a tenth gives the plain second difference.
     """
     x = greville(breakpoints)
-    n = x.size
-    d = np.zeros((n - 2, n))
-    for i in range(n - 2):
-        left, right = x[i + 1] - x[i], x[i + 2] - x[i + 1]
-        mean = 0.5 * (left + right)
-        weight = 0.1**2 / mean * np.sqrt(mean / 0.1)
-        d[i, i : i + 3] = weight * np.array([1 / left, -1 / left - 1 / right, 1 / right])
+    mean = 0.5 * (x[2:] - x[:-2])
+    d = (0.1**2 / mean * np.sqrt(mean / 0.1))[:, None] * second_differences(x)
     return np.asarray(d.T @ d)
+
+
+def second_differences(x: FloatArray) -> FloatArray:
+    """Divided differences of slopes between neighbouring values at ``x``, shape (n - 2, n)."""
+    if x.size < 3:
+        return np.zeros((0, x.size))
+    slopes = np.diff(np.eye(x.size), axis=0) / np.diff(x)[:, None]
+    return np.diff(slopes, axis=0)

@@ -121,7 +121,12 @@ def _how(identification: Identification) -> str:
     """How the tables came about, and of which logs."""
     sets = [s for t in identification.temperatures for s in t.pulse_sets]
     fitted = sum(len(s.fits) for s in sets)
-    logs = [p.name for t in identification.temperatures if t.refinement for p in t.refinement.logs]
+    logs = [
+        p.item.log.name
+        for t in identification.temperatures
+        if t.refinement
+        for p in t.refinement.logs
+    ]
     how = [plural(fitted, "pulse")] * bool(fitted) + ["least squares over whole logs"] * bool(logs)
     names = listed(list(dict.fromkeys(logs or [s.log.name for s in sets])))
     return f"Resistances and time constants: {', then '.join(how)}, of {names}." if how else ""

@@ -10,7 +10,7 @@ import numpy as np
 from cellwise.cell.effects import SlowDiffusion, effect_table
 from cellwise.cell.model import CellModel
 from cellwise.identify.identification import REFERENCE_C, Identification, TemperatureResult
-from cellwise.identify.refinement.splines import greville
+from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, paragraph, record_table
 from cellwise.report.page.numerals import celsius, listed, ohm_unit, percent, significant
@@ -72,7 +72,7 @@ def table_error(found: TemperatureResult, name: str, soc: FloatArray) -> FloatAr
         return None
     first = lay.r0 if branch < 0 else lay.r(branch) if name.startswith("r") else lay.tau(branch)
     errors = result.theta_std[first : first + lay.knots]
-    return np.asarray(np.interp(soc, greville(result.knots), errors))
+    return np.asarray(np.interp(soc, greville(TABLE_KNOTS), errors))
 
 
 def pulse_values(found: TemperatureResult, name: str) -> PulseValues | None:
