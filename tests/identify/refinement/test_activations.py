@@ -46,28 +46,21 @@ def drives(truths: dict[float, Truth]) -> list[RefineLog]:
     return found
 
 
-def common(temperatures=DRIVES_C) -> dict[float, Truth]:
-    return {t: truth_at(t, COMMON_K, COMMON_K, COMMON_K) for t in temperatures}
-
-
 @pytest.mark.slow
-def test_each_resistance_gets_its_own_activation_where_drives_held_out_show_it():
-    logs = drives({t: truth_at(t, *OWN_K.values()) for t in DRIVES_C})
+@pytest.mark.parametrize("own", [True, False])
+def test_each_resistance_gets_its_own_activation_only_where_drives_held_out_show_it(own):
+    wanted = OWN_K if own else dict.fromkeys(OWN_K, COMMON_K)
+    logs = drives({t: truth_at(t, *wanted.values()) for t in DRIVES_C})
     found = fit_with_effects(joint_logs(logs, start_tables(2, 1.2), SETTINGS))
     verdict = next(d for d in found.decided if d.name == "temperature_dependence")
-    assert verdict.accepted
+    assert verdict.accepted == own
     thermal = found.result.temperature_dependence()
-    whole = {name: thermal.activation_K + getattr(thermal, f"{name}_K") for name in OWN_K}
-    assert whole == pytest.approx(OWN_K, abs=400.0)
-
-
-@pytest.mark.slow
-def test_a_cell_of_one_activation_needs_no_more():
-    found = fit_with_effects(joint_logs(drives(common()), start_tables(2, 1.2), SETTINGS))
-    verdict = next(d for d in found.decided if d.name == "temperature_dependence")
-    assert not verdict.accepted
-    thermal = found.result.temperature_dependence()
-    assert all(getattr(thermal, f"{name}_K") == 0.0 for name in OWN_K)
+    beside = {name: getattr(thermal, f"{name}_K") for name in OWN_K}
+    if own:
+        whole = {name: thermal.activation_K + value for name, value in beside.items()}
+        assert whole == pytest.approx(OWN_K, abs=400.0)
+    else:
+        assert not any(beside.values())
 
 
 def test_tables_of_several_temperatures_lack_the_activation_between_the_last():

@@ -85,17 +85,11 @@ def test_without_drives_to_hold_out_only_what_pulses_show_is_tried():
     assert result.asinh_per_V == 0.0
 
 
-def test_pulses_of_several_rates_show_a_charge_transfer_without_a_drive():
-    logs = [rated_pulses(with_charge_transfer)]
-    verdicts, result = decided(logs)
-    assert verdicts["charge_transfer"].accepted
-    assert result.asinh_per_V == pytest.approx(SHARP_PER_V, rel=0.25)
-
-
-def test_pulses_of_several_rates_of_a_plain_cell_show_none():
-    verdicts, result = decided([rated_pulses()])
-    assert not verdicts["charge_transfer"].accepted
-    assert result.asinh_per_V == 0.0
+@pytest.mark.parametrize("change", [with_charge_transfer, None])
+def test_pulses_of_several_rates_show_a_charge_transfer_without_a_drive(change):
+    verdicts, result = decided([rated_pulses(change)])
+    assert verdicts["charge_transfer"].accepted == (change is not None)
+    assert result.asinh_per_V == pytest.approx(SHARP_PER_V if change else 0.0, rel=0.25)
 
 
 def test_of_two_pulses_at_every_soc_each_is_held_out_somewhere():

@@ -38,7 +38,7 @@ from refine_cases import (
     start_tables,
     two_logs,
 )
-from synthetic import HppcPlan, drive_current, hppc_log, nmc_cell
+from synthetic import drive_current
 
 
 def table(result: RefineResult, at: int, soc) -> np.ndarray:
@@ -98,40 +98,6 @@ def test_a_lagging_voltage_still_shows_the_resistance():
     log = CellLog(0.1 * np.arange(current.size), current, 3.7 - 0.05 * late)
     group = Group(25.0, TestLogs(drive=log), (), None)
     assert rough_resistance([group]) == pytest.approx(0.05, rel=0.1)
-
-
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_penalties_shift_nothing_when_the_truth_is_in_the_class(factor):
-    # Straight tables cost no curvature, so only the start could hold them back: by less than a
-    # fifth of what even a noise of 0.2 mV (the least that is assumed) leaves open.
-    result = fit(Truth(), factor=factor)
-    true = fit(Truth(), iterations=0).theta
-    inner = np.flatnonzero((KNOTS > 0.25) & (KNOTS < 0.98))
-    for at in (result.layout.r0, *map(result.layout.r, (0, 1)), *map(result.layout.tau, (0, 1))):
-        shift = np.abs(result.theta[at + inner] - true[at + inner])
-        open_to_noise = result.theta_std[at + inner] * result.sigma_V / max(result.rmse_V)
-        assert np.all(shift < 0.2 * open_to_noise + 1e-4)
-    assert max(result.rmse_V) < 5e-5
-
-
-def test_two_branches_come_back_from_a_virtual_tester():
-    # Rows of 10 Hz in the pulses, 1 Hz else, parameters that bend with SOC: the closed-form cell.
-    cell = nmc_cell()
-    made = hppc_log(
-        cell,
-        HppcPlan(levels=tuple(np.arange(0.95, 0.1, -0.1)), noise_V=5e-4),
-        rng=np.random.default_rng(1),
-    )
-    start = replace(start_tables(2), ocv=lambda s: cell.ocv_V(np.clip(s, 0.0, 1.0)))
-    result = refine([RefineLog(made.log, made.soc)], start, capacity_Ah=cell.capacity_Ah,
-                    settings=RefineSettings(branches=2))  # fmt: skip
-    truth = Truth(cell.r0_ohm, ((cell.r1_ohm, cell.tau1_s), (cell.r2_ohm, cell.tau2_s)))
-    found = errors(result, truth, np.linspace(0.2, 0.9, 30))
-    assert found["r0"] < 0.02
-    assert found["r1"] < 0.08
-    assert found["r2"] < 0.08
-    assert found["tau1"] < 0.15
-    assert found["tau2"] < 0.15
 
 
 def test_three_branches_come_back():

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from cellwise.identify.refinement.layout import (
     SKEW_UNIT_S,
@@ -157,32 +156,6 @@ def constant_theta(layout, r0, pairs):
     return theta
 
 
-def test_voltage_solves_the_differential_equations():
-    # dv_j/dt = (R_j I - v_j) / tau_j and Plett's hysteresis, by scipy's integrator.
-    rng = np.random.default_rng(8)
-    layout = make_layout(3, True)
-    pairs = ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0))
-    theta = constant_theta(layout, 0.02, pairs)
-    theta[layout.m : layout.m + layout.knots] = 0.03
-    theta[layout.gamma] = np.log(40.0)
-    log = make_log(rng, 60, temperature=False)
-    prepared, voltage, _ = evaluate(log, theta, layout, skewed=False, h0=-0.5)
-    state = np.array([0.0, 0.0, 0.0, -0.5])
-    expected = [3.2 + 0.8 * prepared.soc[0] - 0.5 * 0.03]
-    for k in range(1, prepared.rows.dt_s.size):
-        i = prepared.rows.current_A[k]
-
-        def slope(_, x, i=i):
-            branches = [(r * i - v) / tau for (r, tau), v in zip(pairs, x, strict=False)]
-            return [*branches, 40.0 * (-abs(i) * x[3] - i) / (3600.0 * CAPACITY_AH)]
-
-        state = solve_ivp(slope, (0.0, prepared.rows.dt_s[k]), state, rtol=1e-10, atol=1e-13,
-                          method="LSODA").y[:, -1]  # fmt: skip
-        ocv = 3.2 + 0.8 * prepared.soc[k]
-        expected.append(ocv - 0.02 * i - state[:3].sum() + 0.03 * state[3])
-    np.testing.assert_allclose(voltage, expected, atol=1e-9)
-
-
 def fine_log(rng, seconds=6000) -> CellLog:
     """One row per second, current constant for minutes: what merging is for."""
     levels = rng.choice([-1.0, 0.0, 0.5, 1.0], seconds)
@@ -226,18 +199,6 @@ def choose(time, current, threshold=0.05):
     shown = np.zeros(time.size, dtype=np.bool_)
     choose_rows(time, current, threshold, 0.95, 0.03, np.inf, keep, shown)
     return keep, shown
-
-
-def test_rows_around_every_edge_are_kept():
-    log = fine_log(np.random.default_rng(11))
-    keep, shown = choose(log.time_s, log.current_A)
-    edges = np.flatnonzero(np.diff(log.current_A) != 0.0)
-    assert edges.size > 3
-    assert keep[edges].all()
-    assert keep[edges + 1].all()
-    assert keep[0]
-    assert keep[-1]
-    assert np.all(keep[shown])
 
 
 def test_hours_of_rest_do_not_outvote_a_pulse():

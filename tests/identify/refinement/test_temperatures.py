@@ -8,7 +8,7 @@ import pytest
 from cellwise.identify.assemble import KEPT, refined_model
 from cellwise.identify.refinement.layout import RefineSettings
 from cellwise.identify.refinement.refine import RefineResult, refine
-from cellwise.identify.refinement.refine_data import RefineLog, lagged, prepare_log
+from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
 from cellwise.identify.refinement.splines import (
     TABLE_KNOTS,
     spline_rows,
@@ -84,10 +84,3 @@ def test_rows_of_long_logs_are_chosen_evenly():
     # Seconds after an edge keep their share.
     short = [np.mean(np.diff(p.time_s) < 60.0) for p in (every, some)]
     assert short[1] > 0.8 * short[0]
-
-
-def test_a_lag_of_a_step():
-    dt = np.full(100, 10.0)
-    np.testing.assert_allclose(
-        lagged(np.full(100, 3.0), dt, 200.0), 3.0 * (1.0 - np.exp(-np.cumsum(dt) / 200.0))
-    )

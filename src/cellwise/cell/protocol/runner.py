@@ -228,7 +228,7 @@ class _Run:
         parts, asked = len(self.parts), True
         match step:
             case Rest():
-                done = self._even(step, (0.0, 0.0), step.duration_s, (-np.inf, np.inf))
+                done = self._even(step, 0.0, 0.0, step.duration_s, (-np.inf, np.inf))
             case ConstantCurrent():
                 end_s, asked = self._end_of_current(step)
                 done = self._current(step, step.current_A, end_s, self._limits(step))
@@ -243,13 +243,14 @@ class _Run:
                 low, high = np.minimum(current_A, 0.0), np.maximum(current_A, 0.0)
                 done = self._supplied(supply, 0.0, step.time_s[flows], low, high)
         self.clock_s += done.elapsed_s
+        said = None
         if done.reason == kernel.OUT_OF_RANGE or (done.reason == kernel.ENDED and not asked):
-            self._notice(
-                f"ended at SOC {self.state.soc:.3f} or after {done.elapsed_s / 3600:.1f} h "
-                "with no limit reached"
-            )
+            said = f"ended at SOC {self.state.soc:.3f} or after {done.elapsed_s / 3600:.1f} h "
+            said += "with no limit reached"
         elif len(self.parts) == parts:
-            self._notice("at its limit from the start, so it has no row")
+            said = "at its limit from the start, so it has no row"
+        if said is not None:
+            self.notices.append(f"step {self.number}: {said}")
 
     def log(self) -> CellLog:
         """What was recorded."""
@@ -296,8 +297,8 @@ class _Run:
         limits_V: tuple[float, float],
     ) -> kernel.Progress:
         """A constant current to the instant at which the supply would have to lower it."""
-        bounds = min(current_A, 0.0), max(current_A, 0.0)
-        return self._even(step, bounds, end_s, limits_V, abs(current_A))
+        low, high = min(current_A, 0.0), max(current_A, 0.0)
+        return self._even(step, low, high, end_s, limits_V, abs(current_A))
 
     def _voltage(self, step: ConstantVoltage, end_s: float) -> kernel.Progress:
         """A held voltage; before it, where the supply gives no more, its largest current."""
@@ -310,27 +311,28 @@ class _Run:
             if first.reason != kernel.AT_LIMIT:
                 return first
             elapsed_s = first.elapsed_s
-        until_A = np.nan if step.until_current_A is None else step.until_current_A
-        return self._even(step, (-most, most), end_s, at, until_A, elapsed_s)
+        return self._even(step, -most, most, end_s, at, step.until_current_A, elapsed_s)
 
     def _even(
         self,
         step: Rest | ConstantCurrent | ConstantVoltage,
-        bounds_A: tuple[float, float],
+        low_A: float,
+        high_A: float,
         end_s: float,
         limits_V: tuple[float, float],
-        until_A: float = np.nan,
+        until_A: float | None = None,
         elapsed_s: float = 0.0,
     ) -> kernel.Progress:
         """Rows at the multiples of the step's period and at its end."""
-        period = self.dt_s if step.period_s is None else step.period_s
-        supply = kernel.Supply(*limits_V, until_A, self.temperature_C)
+        period = step.period_s or self.dt_s
+        until = np.nan if until_A is None else until_A
+        supply = kernel.Supply(*limits_V, until, self.temperature_C)
         done = kernel.Progress(self.state, elapsed_s, 0, kernel.ENDED)
         while done.reason == kernel.ENDED and done.elapsed_s < end_s:
             first = np.floor(done.elapsed_s / period + SLIVER) + 1.0
             ends = period * (first + np.arange(CHUNK_ROWS))
             ends = np.append(ends[ends <= end_s - SLIVER * period], end_s)[:CHUNK_ROWS]
-            low, high = (np.full(ends.size, bound) for bound in bounds_A)
+            low, high = np.full((2, ends.size), [[low_A], [high_A]])
             done = self._supplied(supply, done.elapsed_s, ends, low, high)
         return done
 
@@ -352,6 +354,3 @@ class _Run:
             number = np.full(done.rows, float(self.number))
             self.parts.append(np.vstack((self.clock_s + made[0], made[1], number)))
         return done
-
-    def _notice(self, text: str) -> None:
-        self.notices.append(f"step {self.number}: {text}")

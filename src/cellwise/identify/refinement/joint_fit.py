@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.effects import Effect
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
@@ -27,8 +27,7 @@ from cellwise.identify.refinement.refine import RefineResult, refine
 from cellwise.identify.refinement.refine_data import PreparedLog, RefineLog, inverse_K
 from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.identify.soc_anchor import anchor_soc, full_before, likely_full, mean_current_A
-from cellwise.logs.cell_log import CellLog
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class TakesPart(NamedTuple):
@@ -66,20 +65,6 @@ SMOOTH_OF_SEVERAL = 0.003  # their logs are fitted worse, and what holds scales 
 HYSTERESIS_FROM_V = 0.004  # half gap between the low-rate branches, polarisation taken out
 ROUGH_S = 10.0  # within which R0 and R1 have answered
 USUAL_ACTIVATION_K = 3000.0  # of the resistances of lithium-ion cells, 2000 to 5000
-
-
-class Candidate(NamedTuple):
-    """A log, whether its current may lag, the rows to compare (None: all), why it is left out.
-
-    ``own_capacity``: its cell may hold another charge than that of the other logs.
-    """
-
-    log: CellLog
-    driven: bool
-    part: BoolArray | None
-    why_not: str = ""
-    low_rate: bool = False
-    own_capacity: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,32 +171,38 @@ def gather_logs(
     grid = np.array([g.temperature_C for g in groups])
     resistance = rough_resistance(groups)
     anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
-    driven = any(_is_deep(log, capacity_Ah) for g in groups for log, _ in g.tests.drive)
+    driven = any(
+        float(np.ptp(log.counted_charge_Ah())) >= LIMITS.deep * capacity_Ah
+        for g in groups
+        for log, _ in g.tests.drive
+    )
     own_capacity = keep_own_capacity(groups, driven)
     logs: list[RefineLog] = []
     starts: list[Start] = []
     notices: list[str] = []
-    for g in groups:
-        for c in _candidates(g, driven, own_capacity, capacity_Ah, grid):
-            anchor = anchors.get(id(c.log)) or anchor_soc(c.log, ocv, capacity_Ah, resistance)
-            if c.part is not None and c.log.soc0 is None and c.part.any():
-                anchor = full_before(c.log, c.part & discharge_rows(c.log), capacity_Ah, anchor)
-            why_not = c.why_not or _left_out(c, anchor, capacity_Ah)
-            starts.append(Start(c.log, anchor.soc, c.part, why_not))
-            if why_not:
-                notices.append(f"'{c.log.name}' left out of the refinement: {why_not}")
-                continue
-            known = anchor.std <= LIMITS.soc_std
-            if known:
-                notices.append(f"'{c.log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
-            soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
-            sample = sum(item.sample is not None for item in logs) if c.own_capacity else None
-            logs.append(RefineLog(c.log, soc, skewed=c.driven, h0=start_hysteresis(anchor.soc),
-                                  weight=LIMITS.low_rate if c.low_rate else 1.0,
-                                  compare=c.part, temperature_C=g.temperature_C,
-                                  low_rate=c.low_rate, sample=sample,
-                                  start_std=0.0 if known else anchor.std,
-                                  past_V=resistance * mean_current_A(c.log)))  # fmt: skip
+    samples = 0
+    for item, why_not in (c for g in groups for c in _candidates(g, driven, capacity_Ah, grid)):
+        log, part = item.log, item.compare
+        anchor = anchors.get(id(log)) or anchor_soc(log, ocv, capacity_Ah, resistance)
+        if part is not None and log.soc0 is None and part.any():
+            anchor = full_before(log, part & discharge_rows(log), capacity_Ah, anchor)
+        soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
+        inside = (soc >= 0.0) & np.isfinite(log.voltage_V)
+        if not why_not and part is not None and np.mean(inside[part]) < LIMITS.inside:
+            why_not = f"its discharge would begin at SOC {float(soc[np.argmax(part)]):.2f}"
+        starts.append(Start(log, anchor.soc, part, why_not))
+        if why_not:
+            notices.append(f"'{log.name}' left out of the refinement: {why_not}")
+            continue
+        known = anchor.std <= LIMITS.soc_std
+        if known:
+            notices.append(f"'{log.name}' begins at SOC {anchor.soc:.3f} ({anchor.how})")
+        sample = samples if own_capacity and part is not None and not item.low_rate else None
+        samples += sample is not None
+        item = replace(item, soc=soc, h0=start_hysteresis(anchor.soc), sample=sample,
+                       start_std=0.0 if known else anchor.std,
+                       past_V=resistance * mean_current_A(log))  # fmt: skip
+        logs.append(item)
     if all(item.compare is not None for item in logs):
         raise InputError(
             "no log whose SOC at the start is known",
@@ -225,7 +216,7 @@ def gather_logs(
         branches=settings.branches if long else 2,
         hysteresis=hysteresis,
         skew=any(item.skewed for item in logs),
-        samples=sum(item.sample is not None for item in logs),
+        samples=samples,
         balance=BALANCE if several else 0.0,
         smooth=SMOOTH_OF_SEVERAL if several else RefineSettings.smooth,
     )
@@ -244,50 +235,36 @@ def keep_own_capacity(groups: Sequence[Group], driven: bool) -> bool:
 
 
 def _candidates(
-    group: Group, driven: bool, own_capacity: bool, capacity_Ah: float, grid_C: FloatArray
-) -> Iterator[Candidate]:
-    """Logs of a temperature.
+    group: Group, driven: bool, capacity_Ah: float, grid_C: FloatArray
+) -> Iterator[tuple[RefineLog, str]]:
+    """Logs of a temperature, their SOC yet unknown, and why one is left out; else empty.
 
     Where no drive goes deep, the charges and rests of capacity tests are the only ones there are.
     Beside pulses a capacity test much warmer than the tables is left out.
     """
+    unknown = partial(RefineLog, soc=np.empty(0), temperature_C=group.temperature_C)
     for log, _ in group.tests.hppc:
-        yield Candidate(log, False, None)
+        yield unknown(log), ""
     for log, _ in group.tests.drive:
-        yield Candidate(log, True, None)
+        yield unknown(log, skewed=True), ""
     for log in group.tests.ocv:
         part = discharge_rows(log)
         out_Ah = np.diff(log.counted_charge_Ah(), prepend=0.0)[part]
         share = float(np.sum(np.maximum(out_Ah, 0.0))) / capacity_Ah
         little = f"its discharge moves {100 * share:.1f} % of the capacity"
-        yield Candidate(log, False, part, little if share < LIMITS.discharge else "", low_rate=True)
+        item = unknown(log, compare=part, low_rate=True, weight=LIMITS.low_rate)
+        yield item, little if share < LIMITS.discharge else ""
     for log in group.tests.capacity:
         part = discharge_rows(log) if driven else np.ones(len(log), dtype=np.bool_)
-        began_C, warmest_C = _began_C(log), float(np.max(grid_C))
-        warm = ""
-        if group.tests.hppc and began_C is not None and began_C > warmest_C + LIMITS.warmer_K:
-            warm = f"it began at {began_C:.0f} degC, the warmest pulses are of {warmest_C:.0f} degC"
-        yield Candidate(log, False, part, warm, own_capacity=own_capacity)
-
-
-def _left_out(c: Candidate, anchor: InitialSoc, capacity_Ah: float) -> str:
-    """Why a log cannot take part; empty if it can."""
-    soc = anchor.soc - c.log.counted_charge_Ah() / capacity_Ah
-    inside = (soc >= 0.0) & np.isfinite(c.log.voltage_V)
-    if c.part is not None and np.mean(inside[c.part]) < LIMITS.inside:
-        return f"its discharge would begin at SOC {float(soc[np.argmax(c.part)]):.2f}"
-    return ""
-
-
-def _began_C(log: CellLog) -> float | None:
-    """Temperature at which a log began, if it was measured: its own load warms a cell."""
-    warm = log.temperature_C
-    known = np.empty(0) if warm is None else warm[np.isfinite(warm)]
-    return float(known[0]) if known.size else None
-
-
-def _is_deep(log: CellLog, capacity_Ah: float) -> bool:
-    return float(np.ptp(log.counted_charge_Ah())) >= LIMITS.deep * capacity_Ah
+        # When it began: its own load warms a cell.
+        measured = log.temperature_C
+        known = np.empty(0) if measured is None else measured[np.isfinite(measured)]
+        warmest_C, warm = float(np.max(grid_C)), ""
+        if group.tests.hppc and known.size and known[0] > warmest_C + LIMITS.warmer_K:
+            warm = (
+                f"it began at {known[0]:.0f} degC, the warmest pulses are of {warmest_C:.0f} degC"
+            )
+        yield unknown(log, compare=part), warm
 
 
 def rough_resistance(groups: Sequence[Group]) -> float:

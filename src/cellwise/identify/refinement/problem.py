@@ -275,10 +275,8 @@ class Problem:
         system, middle = held.copy(), np.zeros_like(held)
         mean_variance = 0.0
         for i, share in enumerate(self.share):
-            r, jacobian = self.evaluate(i, theta)
-            w = 1.0 / self._robust(i, r)
-            information = share / r.size * (jacobian * w[:, None]).T @ jacobian
-            variance = share * float(np.mean(w * r * r)) / independent_samples(r)
+            _, _, information, r = self._one(i, theta)
+            variance = share * float(np.mean(r * r / self._robust(i, r))) / independent_samples(r)
             at = np.ix_(self.places[i], self.places[i])
             system[at] += information
             middle[at] += variance * information
