@@ -278,6 +278,11 @@ RULES: tuple[Rule, ...] = (
     Rule("a log that is fitted worse counts less", ((f"{FIT}.BALANCE", 0.0),), SEVERAL),
     Rule("smoother with several temperatures", ((f"{FIT}.SMOOTH_OF_SEVERAL", 0.01),), SEVERAL),
     Rule(
+        "hysteresis in the fit",
+        ((f"{FIT}.HYSTERESIS_FROM_V", np.inf),),
+        ("A123, four scripts", "A123 without -15 degC"),
+    ),
+    Rule(
         "capacity tests keep their own",
         ((f"{FIT}.keep_own_capacity", lambda *_: False),),
         ("Panasonic, pulses and two drives",),
