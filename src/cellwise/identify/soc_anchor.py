@@ -86,8 +86,8 @@ def anchor_soc(
     grid = np.linspace(0.0, 1.0, 1001)
     level = np.maximum.accumulate(ocv.function.evaluate(grid))
     half = np.zeros(grid.size)  # of the gap between the low-rate branches, where both are known
-    if ocv.gap_V is not None and np.any(known := np.isfinite(ocv.gap_V)):
-        half = 0.5 * np.abs(np.interp(grid, ocv.soc[known], ocv.gap_V[known]))
+    if ocv.gap_V is not None and np.any(there := np.isfinite(ocv.gap_V)):
+        half = 0.5 * np.abs(np.interp(grid, ocv.soc[there], ocv.gap_V[there]))
     slope = np.gradient(level, grid)
     seen, how = _evidence(log, capacity_Ah, resistance_ohm)
     later = [abs(q) > 1e-3 * capacity_Ah for q, _, _ in seen]
