@@ -88,7 +88,6 @@ RULES = (
     Rule("border by plans", ((PULSES, "_role_border", _by_gap),)),
     Rule("pulses of a drive", _record(pulses, "KINDS", drive=np.inf)),
     Rule("smallest pulse", _record(pulses, "KINDS", smallest=0.0)),
-    Rule("level without its rise", ((PULSES, "_level", lambda x: float(np.median(x))),)),
     Rule("moves as pulses", _record(pulses, "KINDS", many_moves=10**9)),
     Rule("edges of a misfit", _record(pulse_quality, "WINDOW", settling_rows=0)),
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -207,44 +207,30 @@ def _held(a: int, b: int, s: _Signals) -> bool:
 
 def _join_cv(spans: list[Span], s: _Signals) -> list[Span]:
     """Steps of a falling current at one voltage belong to one constant-voltage phase."""
-    ohm = _resistance(spans, s)
     out: list[Span] = []
     for span in spans:
-        while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, ohm, s):
+        while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, s):
             last = out.pop()
             span = Span("cv", last.start, span.stop, span.level_A)
         out.append(span)
     return out
 
 
-def _continues(last: Span, span: Span, before: Span | None, ohm: float, s: _Signals) -> bool:
+def _continues(last: Span, span: Span, before: Span | None, s: _Signals) -> bool:
     """Whether two spans are parts of one constant-voltage phase."""
     if "rest" in (last.kind, span.kind) or last.level_A * span.level_A <= 0.0:
         return False
-    fall = abs(last.level_A) - abs(span.level_A)
-    if fall < -s.scale.step_A:
-        return False
     held = float(s.voltage_V[last.stop - 1])
-    if last.kind == "cv":
-        return s.still(span.start, span.stop, held)
-    if "dynamic" in (last.kind, span.kind) or not s.still(span.start, span.stop, held):
+    falls = abs(last.level_A) - abs(span.level_A) >= -s.scale.step_A
+    if not falls or not s.still(span.start, span.stop, held):
         return False
+    if last.kind == "cv":
+        return True
     # A constant current that ends where the voltage is held: all of it was held already, and a
-    # larger current went before; or the current fell and the voltage did not answer.
-    if span.kind == "cv":
-        began = before is not None and before.kind != "rest" and before.level_A * last.level_A > 0.0
-        return began and s.still(last.start, last.stop, held)
-    return ohm * fall > 4.0 * s.tolerance_V and s.still(last.start, last.stop, held)
-
-
-def _resistance(spans: list[Span], s: _Signals) -> float:
-    """Median of the voltage step over the current step where the current switches [ohm]."""
-    ratios = []
-    for one, two in pairwise(spans):
-        step = abs(two.level_A - one.level_A)
-        if "cv" not in (one.kind, two.kind) and step > 0.05 * s.scale.range_A:
-            ratios.append(abs(s.voltage_V[two.start] - s.voltage_V[two.start - 1]) / step)
-    return float(np.median(ratios)) if ratios else 0.0
+    # larger current went before.
+    larger = before is not None and before.kind != "rest" and before.level_A * last.level_A > 0.0
+    constant = (last.kind, span.kind) == ("cc", "cv")
+    return constant and larger and s.still(last.start, last.stop, held)
 
 
 def _join_dynamic(spans: list[Span], s: _Signals) -> list[Span]:

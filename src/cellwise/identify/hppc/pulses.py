@@ -77,7 +77,7 @@ def _loads(log: CellLog, phases: Sequence[Phase]) -> list[Pulse]:
             relaxed += 1
         start, stop = phase.start, phases[after - 1].stop
         seconds = float(log.time_s[stop - 1] - log.time_s[start - 1])
-        level = _level(current[start : max(cc_stop, start + 1)])
+        level = float(np.median(current[start : max(cc_stop, start + 1)]))
         # Before the log's first row the cell may have rested for as long as one likes.
         known = rest > 0 or rested > KINDS.rest_s
         if known and sum(p.duration_s for p in phases[rest:k]) < rested:
@@ -132,28 +132,22 @@ def _role_border(phases: Sequence[Phase]) -> float:
     Every constant current counts, after a rest or not, except those that a limit ended. Durations
     that come more than once are plans; a single one may be a move that was cut.
     """
-    planned = np.array(
-        [
-            p.duration_s
-            for k, p in enumerate(phases)
-            if p.kind == "cc"
-            and p.duration_s > 0.0
-            and not (k + 1 < len(phases) and _same_load(p, phases[k + 1]))
-        ]
-    )
-    d: FloatArray = np.sort(planned)
+    following = [*phases[1:], None]
+    d: FloatArray = np.sort([
+        p.duration_s
+        for p, after in zip(phases, following, strict=True)
+        if p.kind == "cc" and p.duration_s > 0.0 and not (after and _same_load(p, after))
+    ])  # fmt: skip
     if d.size < 2:
         return KINDS.longest_s
     close = np.diff(d) <= LIMITS.same_duration * d[1:]
-    repeated = np.concatenate(([False], close)) | np.concatenate((close, [False]))
-    if not repeated.any():
-        return _widest_gap(d)
-    plan = d[repeated]
-    if plan[0] > KINDS.longest_s and plan[-1] < KINDS.factor * plan[0]:
+    repeated = np.append(False, close) | np.append(close, False)
+    plan = d[repeated] if repeated.any() else d
+    if repeated.any() and plan[0] > KINDS.longest_s and plan[-1] < KINDS.factor * plan[0]:
         # One plan of moves: what is a little shorter is a move, too, that a limit cut.
         return min(float(plan[0]) / KINDS.factor, KINDS.longest_s)
     border = _widest_gap(plan)
-    return border if border < KINDS.longest_s else _widest_gap(d[d >= d[repeated][0]])
+    return border if border < KINDS.longest_s else _widest_gap(d[d >= plan[0]])
 
 
 def _widest_gap(d: FloatArray) -> float:
@@ -165,9 +159,3 @@ def _widest_gap(d: FloatArray) -> float:
     ratio = np.where(fitting, d[1:] / d[:-1], 0.0)
     widest = int(np.argmax(ratio))
     return KINDS.margin * float(d[widest]) if ratio[widest] >= KINDS.factor else KINDS.longest_s
-
-
-def _level(current: FloatArray) -> float:
-    """Level of a constant current without the rows of its rise [A]."""
-    size = np.abs(current)
-    return float(np.median(current[size >= 0.9 * np.median(size)]))
