@@ -60,28 +60,27 @@ BUILDS = {
     "validity": {"model": curved_cell(5, validity=replace(VALID, soc=None)), "wide": False},
     "validity of SOC": {"model": curved_cell(5, validity=Validity(soc=VALID.soc))},
 }
-POWER = {
-    "model": curved_cell(5),
-    "wide": False,
-    "power": power_asked(curved_cell(5)),
+LEAN = {"model": curved_cell(5), "wide": False}
+BESIDE = {
+    "power": {**LEAN, "power": power_asked(curved_cell(5))},
+    "cells": {**LEAN, "health": True, "cells": CellSettings()},
+    "remaining": {**LEAN, "remaining_V": cutoff_asked(curved_cell(5))},
 }
-CELLS = {
-    "model": curved_cell(5),
-    "wide": False,
-    "health": True,
-    "cells": CellSettings(),
-}
-REMAINING = {
-    "model": curved_cell(5),
-    "wide": False,
-    "remaining_V": cutoff_asked(curved_cell(5)),
-}
-OTHERS = {"power": POWER, "cells": CELLS, "remaining": REMAINING}
+# What is entered with any bits, and the build that it is in.
+PROVED = [
+    *(("eva_any_bits", build) for build in BUILDS),
+    ("eva_any_start", "lean"),
+    ("eva_any_start", "three states"),
+    ("eva_any_power", "power"),
+    ("eva_any_remaining", "remaining"),
+    ("eva_any_plan", "remaining"),
+    ("eva_any_cells", "cells"),
+]
 
 
 def eva(folder, entry, mutant=None, build="lean"):
     """Alarms and assertions that Eva could not prove."""
-    tables = fixed_step_tables(dt_s=1.0, **(OTHERS | BUILDS)[build])
+    tables = fixed_step_tables(dt_s=1.0, **(BUILDS | BESIDE)[build])
     for name, text in write_sources(tables, "0" * 64):
         if mutant and name == "cellwise_ekf.c":
             assert text.count(mutant[0]) == 1
@@ -89,15 +88,8 @@ def eva(folder, entry, mutant=None, build="lean"):
         (folder / name).write_text(text)
     analysis = firmware_folder() / "analysis"
     apart = APART + (OF_CELLS if build == "cells" else "")  # a name that is not there is refused
-    command = [
-        "frama-c",
-        "-eva",
-        *PRECISION,
-        "-eva-slevel-function",
-        apart,
-        "-warn-special-float",
-        "none",
-    ]
+    command = ["frama-c", "-eva", *PRECISION, "-eva-slevel-function", apart]
+    command += ["-warn-special-float", "none"]
     command += ["-machdep", "gcc_x86_32", "-main", entry]
     command += [f"-cpp-extra-args=-msse2 -mfpmath=sse -I{folder} -include "
                 f"{analysis / 'eva_within.h'}"]  # fmt: skip
@@ -109,35 +101,9 @@ def eva(folder, entry, mutant=None, build="lean"):
     return re.findall(r"\[eva:alarm\][^\n]*\n[^\n]*", done.stdout), done.stdout
 
 
-@pytest.mark.parametrize("build", BUILDS)
-def test_no_alarm_whatever_bits(tmp_path, build):
-    alarms, text = eva(tmp_path, "eva_any_bits", build=build)
-    assert alarms == []
-    assert "100% of the logical properties reached have been proven" in text
-
-
-@pytest.mark.parametrize("build", ["lean", "three states"])
-def test_no_alarm_from_whatever_start(tmp_path, build):
-    alarms, text = eva(tmp_path, "eva_any_start", build=build)
-    assert alarms == []
-    assert "100% of the logical properties reached have been proven" in text
-
-
-def test_no_alarm_in_the_power_of_whatever_state(tmp_path):
-    alarms, text = eva(tmp_path, "eva_any_power", build="power")
-    assert alarms == []
-    assert "100% of the logical properties reached have been proven" in text
-
-
-@pytest.mark.parametrize("entry", ["eva_any_remaining", "eva_any_plan"])
-def test_no_alarm_in_what_is_ahead_of_whatever_state(tmp_path, entry):
-    alarms, text = eva(tmp_path, entry, build="remaining")
-    assert alarms == []
-    assert "100% of the logical properties reached have been proven" in text
-
-
-def test_no_alarm_in_the_cells_of_a_pack_whatever_bits(tmp_path):
-    alarms, text = eva(tmp_path, "eva_any_cells", build="cells")
+@pytest.mark.parametrize(("entry", "build"), PROVED)
+def test_no_alarm_whatever_bits(tmp_path, entry, build):
+    alarms, text = eva(tmp_path, entry, build=build)
     assert alarms == []
     assert "100% of the logical properties reached have been proven" in text
 

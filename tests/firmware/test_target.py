@@ -123,13 +123,3 @@ def test_looking_anew_is_counted():
     assert lean.reset is not None
     assert full.reset is not None
     assert full.stress >= full.reset > 100 * lean.reset
-
-
-@pytest.mark.slow
-def test_the_count_repeats():
-    samples = drive_samples(500)
-    first, second = (
-        run_on_target(tables_of("lean"), "cortex-m4f", samples, 0.9, 1e-4, measure_every=10).cost
-        for _ in range(2)
-    )
-    assert first == second or first.instructions_mean == second.instructions_mean

@@ -4,41 +4,29 @@ from __future__ import annotations
 
 import ast
 import itertools
-import re
 import shutil
 import subprocess
 
 import numpy as np
 import pytest
 
-from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.options import Options, flags_of
-from cellwise.estimate.status import Status
 from cellwise.export.c_tables import firmware_folder
 from cellwise.printing.__main__ import main
 from cellwise.printing.c99 import Function, Program
 from cellwise.printing.chosen import chosen
-from cellwise.printing.firmware import EVERYTHING, print_header, print_source
+from cellwise.printing.firmware import print_header, print_source
 from cellwise.printing.text import broken, comment, float_literal
 
 PROGRAM = Program(
-    structs={
-        "State": {"soc": "float", "soc_carry": "float"},
-        "Pair": {"a": "float", "b": "SlowFloat"},
-    },
-    constants={"ZERO": ("float", "0.0f"), "MOST": ("int", "MOST")},
-    columns={},
-    sizes={},
-)  # fmt: skip
+    structs={"State": {"soc": "float", "soc_carry": "float"}}, constants={}, columns={}, sizes={}
+)
 
 
-def c_of(source, slow=0, wide=0):
-    """A function in C, without comments and white space at its ends."""
-    pair = "class Pair:\n    a: float\n    b: SlowFloat\n"
-    read = chosen(ast.parse(pair + source), {"SLOW": slow, "WIDE": wide}, {})
-    fields = ["a", "b"] if slow else ["a"]
-    PROGRAM.structs["Pair"] = dict.fromkeys(fields, "float")
-    return [line.strip() for line in Function(read.body[1], PROGRAM, {}).text("f", True)]
+def c_of(source):
+    """A function in C, without white space at the ends of its lines."""
+    read = chosen(ast.parse(source), {}, {})
+    return [line.strip() for line in Function(read.body[0], PROGRAM, {}).text("f", True)]
 
 
 def test_the_tree_holds_what_is_printed(capsys):
@@ -63,31 +51,6 @@ def test_sentences_keep_their_order(python, c):
     assert c in found
 
 
-def test_what_options_rule_out_is_not_printed():
-    source = (
-        "def f(x: State, a: float) -> None:\n"
-        "    if SLOW:\n        x.soc = a\n"
-        "    if SLOW and a < ZERO:\n        x.soc = ZERO\n"
-        "    x.soc_carry = a if WIDE else ZERO\n"
-    )
-    assert c_of(source) == [
-        "static void f(cellwise_state *x, float a)", "{", "(void)a;", "x->soc_carry = 0.0f;", "}",
-    ]  # fmt: skip
-    assert c_of(source, slow=1, wide=1)[2:] == [
-        "x->soc = a;", "if (a < 0.0f) {", "x->soc = 0.0f;", "}", "x->soc_carry = a;", "}",
-    ]  # fmt: skip
-
-
-def test_a_named_tuple_is_filled_in_place():
-    source = (
-        "def f(a: float) -> Pair:\n    b = a * a\n    c = a + b if SLOW else ZERO\n"
-        "    return Pair(b, c)\n"
-    )
-    start = ["static void f(float a, cellwise_pair *pair)", "{", "pair->a = a * a;"]
-    assert c_of(source) == [*start, "}"]
-    assert c_of(source, slow=1) == [*start, "pair->b = a + pair->a;", "}"]
-
-
 def test_what_c_does_not_say_is_refused():
     for sentence in ("x.soc = [a]", "del a", "x.soc = a ** 2"):
         with pytest.raises((ValueError, KeyError)):
@@ -107,15 +70,6 @@ def test_literals_are_exact():
     for value in [*values[np.isfinite(values)], *np.float32([0.5, 120, 1e-6, 2000, 0.015625, 0])]:
         text = float_literal(value).removesuffix("f")
         assert np.float32(float.fromhex(text) if "0x" in text else float(text)) == value
-
-
-def test_header_names_every_bit_and_field():
-    text = print_header(EVERYTHING)
-    for bit in Status:
-        assert f"#define CELLWISE_{bit.name} {int(bit)}u" in text
-    for table in (layout.ROW, layout.CONSTANTS, layout.STATE, layout.OUTPUT_FIELDS):
-        for field in layout.fields_of(table, EVERYTHING):
-            assert re.search(rf"(float|uint32_t) {field.name}[;\[]", text), field.name
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")

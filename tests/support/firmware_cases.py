@@ -29,6 +29,14 @@ from example_cells import curved_cell, random_model
 VALID = Validity(soc=(0.3, 0.8), temperature_C=(0.0, 30.0), current_A=(-3.0, 6.0))
 
 
+CHANGED = {
+    "slow": {"effects": (SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),)},
+    "transfer": {"effects": (ChargeTransfer(60.0),)},
+    "surface": {"effects": (SurfaceSoc(0.08, 120.0),)},
+    "validity": {"validity": VALID},
+}
+
+
 def full_model():
     """Every effect, three temperatures."""
     model = random_model(np.random.default_rng(5))
@@ -45,43 +53,15 @@ def full_model():
 
 
 def tables_of(name, dt_s=1.0):
-    """Tables by the name of a case."""
-    if name == "lean":
-        return fixed_step_tables(curved_cell(), dt_s, wide=False)
-    if name == "plain":
-        return fixed_step_tables(curved_cell(), dt_s)
-    if name == "slow":
-        return fixed_step_tables(
-            curved_cell(effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),)), dt_s
-        )
-    if name == "transfer":
-        return fixed_step_tables(curved_cell(effects=(ChargeTransfer(60.0),)), dt_s)
-    if name == "surface":
-        return fixed_step_tables(curved_cell(effects=(SurfaceSoc(0.08, 120.0),)), dt_s)
-    if name == "validity":
-        return fixed_step_tables(curved_cell(validity=VALID), dt_s)
-    if name in ("power", "lean power"):
-        return power_tables(curved_cell(), dt_s, wide=name == "power")
-    if name == "full power":
-        return power_tables(full_model(), dt_s)
-    if name in ("remaining", "lean remaining", "full remaining"):
-        model = full_model() if name == "full remaining" else curved_cell()
-        wide = name != "lean remaining"
-        return fixed_step_tables(
-            model, dt_s, wide=wide, remaining_V=cutoff_asked(model), health=True
-        )
-    if name in ("lean pack", "full pack"):
-        lean = name == "lean pack"
-        model = curved_cell() if lean else full_model()
-        return fixed_step_tables(
-            model,
-            dt_s,
-            wide=not lean,
-            health=True,
-            cells=CellSettings(),
-            power=power_asked(model),
-        )
-    return fixed_step_tables(full_model(), dt_s)
+    """Tables by a model's name, behind it which functions beside the step: `full pack`."""
+    kind, _, more = name.partition(" ")
+    model = full_model() if kind == "full" else curved_cell(**CHANGED.get(kind, {}))
+    asked = {}
+    if more:  # pack, beside
+        asked = {"power": power_asked(model), "health": True, "cells": CellSettings()}
+    if more == "beside":
+        asked["remaining_V"] = cutoff_asked(model)
+    return fixed_step_tables(model, dt_s, wide=kind != "lean", **asked)
 
 
 def noisy_samples(count, seed=0):
@@ -108,11 +88,6 @@ def power_asked(model, horizon_s=10.0):
         low + 0.1, high - 0.05, 8 * model.capacity_Ah, 3 * model.capacity_Ah, 0.05, 0.97
     )
     return power_settings(model, horizons_s=(horizon_s,), limits=limits, hold="current")
-
-
-def power_tables(model, dt_s, **options):
-    """Tables with the state of power."""
-    return fixed_step_tables(model, dt_s, power=power_asked(model), **options)
 
 
 def compile_and_run(tables, folder: Path, program: str, *, flags=("-O2",), cc="gcc", run=()):

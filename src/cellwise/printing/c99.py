@@ -11,20 +11,17 @@ import ast
 from dataclasses import dataclass, field
 from typing import Any
 
+from cellwise.estimate.fixed import layout
 from cellwise.printing.chosen import FLOATS, note_of
 from cellwise.printing.text import broken, comment, float_literal
 
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
-RECORDS = {
-    "Model": "const cellwise_model", "Constants": "const cellwise_constants",
-    "State": "cellwise_state", "Sample": "const cellwise_input", "Output": "cellwise_output",
-    "Capability": "cellwise_capability", "Outlook": "cellwise_outlook",
-    "Landing": "cellwise_landing", "Phase": "const cellwise_phase",
-    "Cell": "cellwise_pack_cell",
-    "Cells": "cellwise_pack_cell", "CellOutput": "cellwise_cell_output", "Floats": "const float",
-    "Phases": "const cellwise_phase",
-}  # fmt: skip
 ELEMENTS = {"Cells": "Cell", "Floats": "float", "Phases": "Phase"}  # of what is an array
+READ = ("Model", "Constants", "Sample", "Phase", "Phases")  # and never changed
+RECORDS = {
+    kind: ("const " if kind in READ else "") + layout.c_name(ELEMENTS.get(kind, kind))
+    for kind in ("Model", *layout.RECORDS, "Cells", "Phases")
+} | {"Floats": "const float"}
 KEPT = ("State", "Cell")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
 MACROS = {

@@ -53,13 +53,6 @@ ALWAYS = ("between",)  # in the macros of cellwise_float.h
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
     "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
 })  # fmt: skip
-RECORDS = {
-    "Constants": layout.CONSTANTS, "State": layout.STATE, "Sample": layout.INPUT_FIELDS,
-    "Output": layout.OUTPUT_FIELDS, "Capability": layout.CAPABILITY_FIELDS,
-    "Outlook": layout.OUTLOOK_FIELDS, "Phase": layout.PHASE_FIELDS,
-    "Landing": layout.LANDING_FIELDS,
-    "Cell": layout.CELL_FIELDS, "CellOutput": layout.CELL_OUTPUT_FIELDS,
-}  # fmt: skip
 
 
 class Source(NamedTuple):
@@ -116,7 +109,7 @@ def program(read: list[Source], options: Options) -> Program:
     """Everything that is printed, functions in the order of their calls."""
     structs: dict[str, dict[str, str]] = {
         name: {f.name: "float" if f.type == "f4" else "int" for f in table}
-        for name, table in RECORDS.items()
+        for name, table in layout.RECORDS.items()
     }
     structs["Model"] = {"constant": "Constants", "row": "Rows"}
     for source in read:
@@ -245,10 +238,9 @@ def print_header(options: Options) -> str:
         "status": status_bits(),
         "row": record("cellwise_row", layout.ROW, options),
     }
-    names = {"Sample": "input", "Cell": "pack_cell", "CellOutput": "cell_output"}
-    for kind, table in RECORDS.items():
-        name = names.get(kind, kind.lower())
-        blocks[name] = record(f"cellwise_{name}", table, options)
+    for kind, table in layout.RECORDS.items():
+        name = layout.c_name(kind)
+        blocks[name.removeprefix("cellwise_")] = record(name, table, options)
     for name, public in PUBLIC.items():
         blocks[public] = []
         if name in made.functions:

@@ -124,24 +124,18 @@ def printed(model, **asked):
     return print_header(options) + print_source(options)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_that_is_not_there_is_not_printed(name):
-    words = EFFECTS[name][1]
-    plain, built = printed(curved_cell()), printed(model_with(name))
-    assert not any(word in plain for word in words)
-    assert all(word in built for word in words)
+ASKED = {
+    "power": ({"power": power_asked(curved_cell())}, ("power_low_V", "cellwise_power(")),
+    "remaining": ({"remaining_V": 3.2}, ("remaining_low_V", "cellwise_plan(")),
+    "health": ({"health": True}, ("per_capacity", "cellwise_set_health(")),
+    "cells": ({"cells": CellSettings()}, ("cell_soc2", "cellwise_cells_step(")),
+}
 
 
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ({"power": power_asked(curved_cell())}, ("power_low_V", "cellwise_power(")),
-        ({"remaining_V": 3.2}, ("remaining_low_V", "cellwise_plan(")),
-        ({"health": True}, ("per_capacity", "cellwise_set_health(")),
-        ({"cells": CellSettings()}, ("cell_soc2", "cellwise_cells_step(")),
-    ],
-)
-def test_what_was_not_asked_for_is_not_printed(asked, words):
-    plain, built = printed(curved_cell()), printed(curved_cell(), **asked)
+@pytest.mark.parametrize("name", [*EFFECTS, *ASKED])
+def test_what_is_not_there_or_not_asked_for_is_not_printed(name):
+    asked, words = ASKED.get(name) or ({}, EFFECTS[name][1])
+    model = curved_cell() if name in ASKED else model_with(name)
+    plain, built = printed(curved_cell()), printed(model, **asked)
     assert not any(word in plain for word in words)
     assert all(word in built for word in words)

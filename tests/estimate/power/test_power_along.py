@@ -1,4 +1,4 @@
-"""The state of power along a replay and a stream."""
+"""The state of power along a replay; by the commands: tests/cli/test_power.py."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ import pytest
 
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.power.along import PowerFollower
-from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.estimate.replay import replay
-from cellwise.estimate.sensing_kernels import Reading
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, within_its_error
 
@@ -29,42 +25,6 @@ def drive(rows=400, seed=1, model=CELL):
     log = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7), name="drive")
     found = simulate(model, log, START)
     return replace(log, voltage_V=found.voltage_V + rng.normal(0.0, 0.001, rows)), found
-
-
-@pytest.mark.slow
-def test_every_row_has_columns_of_values_and_bounds():
-    log, _ = drive()
-    settings = power_settings(CELL, horizons_s=(10.0,))
-    assert "power" not in replay(CELL, log, "ekf", soc0=START).to_dict()
-    found = replay(CELL, log, "ekf", soc0=START, power=settings)
-    columns = found.power.columns()
-    assert list(columns) == [
-        *("discharge_power_10s_W", "discharge_power_10s_low_W"),
-        *("charge_power_10s_W", "charge_power_10s_low_W"),
-    ]
-    assert all(v.shape == log.time_s.shape and np.all(v >= 0.0) for v in columns.values())
-    assert np.all(columns["discharge_power_10s_low_W"] <= columns["discharge_power_10s_W"])
-    assert set(columns) <= set(found.columns())
-
-
-@pytest.mark.slow
-def test_every_row_is_what_a_stream_says():
-    """Stepped one by one, with what the model was off by: the same as along the replay."""
-    log, _ = drive(120)
-    settings = power_settings(CELL, horizons_s=(2.0, 10.0), hold="current")
-    found = replay(CELL, log, "ekf", soc0=START, soc0_std=0.05, power=settings).power
-    ekf = Ekf(CELL)
-    state, follower = ekf.init(START, 0.05, float(log.current_A[0])), PowerFollower(settings)
-    for k in range(len(log)):
-        dt = float(log.interval_s[k])
-        state, info = ekf.step(state, log.current_A[k], log.voltage_V[k], dt_s=dt)
-        reading = Reading(log.current_A[k], log.voltage_V[k], 25.0, dt, False)
-        follower.take(reading, state, info.status)
-        for j, s in enumerate(follower.now(state, 25.0) if k % 17 == 0 else ()):
-            said = (s.discharge.power_W, s.discharge.power_low_W, s.charge.power_W)
-            along = (found.discharge_W, found.discharge_low_W, found.charge_W)
-            assert said == pytest.approx([x[j, k] for x in along], rel=2e-5, abs=1e-4)
-    assert found.last[1].discharge.power_W == pytest.approx(found.discharge_W[1, -1], rel=2e-5)
 
 
 @pytest.mark.slow
@@ -114,11 +74,3 @@ def test_a_power_without_limits_is_refused():
     log, _ = drive(50)
     with pytest.raises(InputError, match="no lower voltage limit for the power"):
         replay(curved_cell(), log, "ekf", soc0=START, power=True)
-
-
-@pytest.mark.slow
-def test_limits_that_nobody_stated_are_said():
-    log, _ = drive(50)
-    settings = power_settings(CELL, horizons_s=(10.0,), limits=OperatingLimits())
-    found = replay(CELL, log, "ekf", soc0=START, power=settings)
-    assert any("no limit of current is stated" in n for n in found.notices)

@@ -11,7 +11,7 @@ from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import one_reading
-from cellwise.estimate.fixed.fixed_step import FixedStep, median_interval_s, samples_of
+from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CAPABILITY, CELL, CELL_OUTPUT, INPUT
 from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.estimate.fixed.stepper import (
@@ -21,7 +21,6 @@ from cellwise.estimate.fixed.stepper import (
     sequence_number,
     start_state,
 )
-from cellwise.logs.packs.pack_log import PackLog
 
 
 class PackState(NamedTuple):
@@ -62,7 +61,10 @@ class FixedPack:
 
     def init(self, soc0: float, soc0_std: float = 0.15) -> PackState:
         """A pack at rest: its mean cell at ``soc0``, known to ``soc0_std``."""
-        return self._begin(self._stepper(), soc0, soc0_std)
+        stepper = self._stepper()
+        cells = np.zeros(self.count, dtype=CELL)
+        stepper.call("start_cells", cells, self.count)
+        return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def step(
         self,
@@ -122,51 +124,8 @@ class FixedPack:
         handed = state.mean, state.cells, self.count
         return stepper.need("power").answer("pack_power", CAPABILITY, *handed)
 
-    def run(
-        self,
-        log: PackLog,
-        soc0: float,
-        soc0_std: float = 0.15,
-        *,
-        cells: NDArray[Any] | None = None,
-        sequence: int = 0,
-    ) -> PackState:
-        """The state after a whole log.
-
-        An even log is taken row by row; of any other a cell has a reading at the time steps that
-        end at a row, and none between.
-
-        Parameters
-        ----------
-        cells : (cells,) records of CELL or None      what an earlier log left of the cells
-        sequence : int        time steps before this log, counted on over pauses as a target does
-        """
-        if not isinstance(log, PackLog) or log.cells != self.count:
-            raise InputError(
-                f"{shown(log)} for a pack of {self.count} cells",
-                "a PackLog with as many cells",
-                "Make the FixedPack with the log's own number of cells.",
-            )
-        dt_s = median_interval_s(log.mean) if self.filter.dt_s is None else self.filter.dt_s
-        stepper = self.filter.stepper(dt_s)
-        samples = samples_of(self.filter.model, log.mean, dt_s)
-        voltages = np.full((samples.records.size, self.count), np.nan, dtype=np.float32)
-        voltages[samples.row_sample] = log.cell_V
-        state = self._begin(stepper, soc0, soc0_std)
-        if cells is not None:
-            state = state._replace(cells=np.array(cells))
-            self._check(state, stepper)
-        samples.records["sequence"] += np.uint32(sequence_number(sequence))
-        stepper.pack_rows(state.mean, state.cells, samples.records, voltages)
-        return state
-
     def _stepper(self) -> Stepper:
         return self.filter.stepper(self.filter.known_dt_s)
-
-    def _begin(self, stepper: Stepper, soc0: float, soc0_std: float) -> PackState:
-        cells = np.zeros(self.count, dtype=CELL)
-        stepper.call("start_cells", cells, self.count)
-        return PackState(start_state(stepper, soc0, soc0_std), cells)
 
     def _check(self, state: PackState, stepper: Stepper) -> None:
         """Refuse what is no state of this pack: the kernel would read past it."""

@@ -6,6 +6,7 @@ tables; a test compares offsets and sizes with the compiler's.
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -182,81 +183,84 @@ def _state() -> tuple[Field, ...]:
     )
 
 
-STATE = _state()
+# By the name of its kind in the functions of the step.
+RECORDS = {
+    "Constants": CONSTANTS,
+    "State": _state(),
+    "Sample": (
+        Field("current_A", "mean over the interval that ends now, positive on discharge"),
+        Field("voltage_V", "now"),
+        Field("temperature_C", "now; read only where CELLWISE_NEEDS_TEMPERATURE"),
+        Field("sequence", "counts time steps, wraps", "", "u4"),
+    ),
+    "Output": (
+        Field("soc"),
+        Field("soc_variance"),
+        Field("voltage_V", "predicted, before the measured one was used"),
+        Field("innovation_V", "measured minus predicted; 0 where the voltage is invalid"),
+        Field("innovation_variance_V2", "of a single sample"),
+        Field("status", "what happened: bits", "", "u4"),
+    ),
+    "Capability": (
+        Field("discharge_W", "what the cell can give,"),
+        Field("discharge_low_W", "and sustains with 95 %"),
+        Field("charge_W", "what it can take, without sign,"),
+        Field("charge_low_W", "and sustains with 95 %"),
+    ),
+    "Outlook": (
+        Field("time_s", "until the load reaches the cutoff, or the cell is empty"),
+        Field("time_low_s", "two deviations less"),
+        Field("time_high_s", "two deviations more"),
+        Field("energy_J", "out until then"),
+        Field("energy_low_J"),
+        Field("energy_high_J"),
+    ),
+    "Phase": (
+        Field("seconds", "that it lasts"),
+        Field("load", "current [A], or power [W], positive on discharge"),
+    ),
+    "Landing": (
+        Field("soc", "at the plan's end"),
+        Field("soc_low", "two deviations less"),
+        Field("soc_high", "two deviations more"),
+        Field("least_V", "lowest voltage of the way"),
+        Field("least_low_V", "two deviations less"),
+        Field("energy_J", "given"),
+        Field(
+            "failed_s", "when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan"
+        ),
+        Field("chance", "to end at the SOC asked for or more, above the cutoff all the way"),
+    ),
+    "Cell": (
+        Field("soc", "more than the mean cell's, where that is 50 %"),
+        Field("capacity", "more than the mean cell's, relative"),
+        Field("resistance", "more than the mean cell's, relative"),
+        Field("ss", "their covariance"),
+        Field("sq"),
+        Field("sr"),
+        Field("qq"),
+        Field("qr"),
+        Field("rr"),
+        Field("seen_at", "sequence of its last turn", "", "u4"),
+        Field("rejections", "in a row", "", "u4"),
+        Field("status", "of the last sample: bits", "", "u4"),
+    ),
+    "CellOutput": (
+        Field("soc"),
+        Field("soc_variance"),
+        Field("capacity_share", "of the mean cell's"),
+        Field("capacity_variance"),
+        Field("resistance_scale", "beside the mean cell's"),
+        Field("resistance_variance"),
+        Field("status", "of the last sample: bits", "", "u4"),
+    ),
+}
+IN_C = {"Sample": "input", "Cell": "pack_cell"}  # where its name in C is another
 
-INPUT_FIELDS = (
-    Field("current_A", "mean over the interval that ends now, positive on discharge"),
-    Field("voltage_V", "now"),
-    Field("temperature_C", "now; read only where CELLWISE_NEEDS_TEMPERATURE"),
-    Field("sequence", "counts time steps, wraps", "", "u4"),
-)
 
-OUTPUT_FIELDS = (
-    Field("soc"),
-    Field("soc_variance"),
-    Field("voltage_V", "predicted, before the measured one was used"),
-    Field("innovation_V", "measured minus predicted; 0 where the voltage is invalid"),
-    Field("innovation_variance_V2", "of a single sample"),
-    Field("status", "what happened: bits", "", "u4"),
-)
-
-
-CAPABILITY_FIELDS = (
-    Field("discharge_W", "what the cell can give,"),
-    Field("discharge_low_W", "and sustains with 95 %"),
-    Field("charge_W", "what it can take, without sign,"),
-    Field("charge_low_W", "and sustains with 95 %"),
-)
-
-OUTLOOK_FIELDS = (
-    Field("time_s", "until the load reaches the cutoff, or the cell is empty"),
-    Field("time_low_s", "two deviations less"),
-    Field("time_high_s", "two deviations more"),
-    Field("energy_J", "out until then"),
-    Field("energy_low_J"),
-    Field("energy_high_J"),
-)
-
-PHASE_FIELDS = (
-    Field("seconds", "that it lasts"),
-    Field("load", "current [A], or power [W], positive on discharge"),
-)
-
-LANDING_FIELDS = (
-    Field("soc", "at the plan's end"),
-    Field("soc_low", "two deviations less"),
-    Field("soc_high", "two deviations more"),
-    Field("least_V", "lowest voltage of the way"),
-    Field("least_low_V", "two deviations less"),
-    Field("energy_J", "given"),
-    Field("failed_s", "when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan"),
-    Field("chance", "to end at the SOC asked for or more, above the cutoff all the way"),
-)
-
-CELL_FIELDS = (
-    Field("soc", "more than the mean cell's, where that is 50 %"),
-    Field("capacity", "more than the mean cell's, relative"),
-    Field("resistance", "more than the mean cell's, relative"),
-    Field("ss", "their covariance"),
-    Field("sq"),
-    Field("sr"),
-    Field("qq"),
-    Field("qr"),
-    Field("rr"),
-    Field("seen_at", "sequence of its last turn", "", "u4"),
-    Field("rejections", "in a row", "", "u4"),
-    Field("status", "of the last sample: bits", "", "u4"),
-)
-
-CELL_OUTPUT_FIELDS = (
-    Field("soc"),
-    Field("soc_variance"),
-    Field("capacity_share", "of the mean cell's"),
-    Field("capacity_variance"),
-    Field("resistance_scale", "beside the mean cell's"),
-    Field("resistance_variance"),
-    Field("status", "of the last sample: bits", "", "u4"),
-)
+def c_name(kind: str) -> str:
+    """Name of a record in C."""
+    return "cellwise_" + IN_C.get(kind, re.sub(r"(?<!^)([A-Z])", r"_\1", kind).lower())
 
 
 def fields_of(table: tuple[Field, ...], options: Options) -> list[Field]:
@@ -279,14 +283,9 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-INPUT = _record_type(INPUT_FIELDS, Options(points=3))
-OUTPUT = _record_type(OUTPUT_FIELDS, Options(points=3))
-CAPABILITY = _record_type(CAPABILITY_FIELDS, Options(points=3))
-OUTLOOK = _record_type(OUTLOOK_FIELDS, Options(points=3))
-PHASE = _record_type(PHASE_FIELDS, Options(points=3))
-LANDING = _record_type(LANDING_FIELDS, Options(points=3))
-CELL = _record_type(CELL_FIELDS, Options(points=3))
-CELL_OUTPUT = _record_type(CELL_OUTPUT_FIELDS, Options(points=3))
+INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, LANDING, CELL, CELL_OUTPUT = (
+    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
+)
 
 
 def row_names(options: Options) -> list[str]:
@@ -296,7 +295,7 @@ def row_names(options: Options) -> list[str]:
 
 def state_type(options: Options) -> np.dtype[Any]:
     """Record type of the state."""
-    return _record_type(STATE, options)
+    return _record_type(RECORDS["State"], options)
 
 
 def constant_type(options: Options) -> np.dtype[Any]:

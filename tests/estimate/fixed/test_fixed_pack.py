@@ -10,14 +10,13 @@ import pytest
 from cellwise import InputError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.fixed.fixed_pack import FixedPack
-from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.options import CellSettings
-from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import CellLog
 from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack
 from example_cells import curved_cell
-from firmware_cases import full_model, power_asked
+from firmware_cases import power_asked
 
 CELLS = 12
 ASKED = CellSettings()
@@ -28,14 +27,21 @@ def healthy():
     return emulated_pack(CELLS, hours=6.0)
 
 
-def after(model, pack, days=20):
-    """What the fixed step knows of every cell after as many days of one drive each."""
+def drives(model, pack, days=1):
+    """What the fixed step knows after as many days of one drive each: mean cell, every cell."""
     fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), pack.cells)
-    cells = None
+    stepper, cells = fixed.filter.stepper(1.0), fixed.init(0.85).cells
     for day in range(days):
-        state = fixed.run(pack, 0.85, 0.1, cells=cells, sequence=86_400 * day)
-        cells = state.cells
-    return fixed.cells(state)
+        state = fixed.init(0.85, 0.1)._replace(cells=cells)
+        samples = samples_of(model, pack.mean, 1.0).records
+        samples["sequence"] += np.uint32(86_400 * day)
+        stepper.pack_rows(state.mean, cells, samples, pack.cell_V)
+    return state.mean, fixed.cells(state)
+
+
+def after(model, pack):
+    """What it knows of every cell after twenty days."""
+    return drives(model, pack, 20)[1]
 
 
 def odd(values, cell):
@@ -93,8 +99,7 @@ def test_its_order_is_that_of_the_whole_log_in_float64(healthy):
 def test_the_mean_cell_is_what_it_is_alone(healthy):
     """Cells that are followed change nothing of the mean cell's state."""
     model, pack = healthy
-    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), pack.cells)
-    with_cells = fixed.run(pack, 0.85, 0.1).mean
+    with_cells, _ = drives(model, pack)
     alone = FixedStep(model, dt_s=1.0)
     trace = alone.run(pack.mean, 0.85, 0.1)
     assert with_cells["soc"][0] == np.float32(trace.soc[-1])
@@ -106,9 +111,8 @@ def test_a_dead_cell_and_a_missing_one_move_nobody(healthy):
     volts = pack.cell_V.copy()
     volts[9000:, 2] = np.nan
     volts[9000:, 7] = 0.0
-    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), CELLS)
-    hurt = fixed.cells(fixed.run(replace(pack, cell_V=volts), 0.85, 0.1))
-    whole = fixed.cells(fixed.run(pack, 0.85, 0.1))
+    _, hurt = drives(model, replace(pack, cell_V=volts))
+    _, whole = drives(model, pack)
     others = np.delete(np.arange(CELLS), (2, 7))
     for name in ("soc", "capacity_share", "resistance_scale"):  # the mean is that of fewer cells
         moved = (hurt[name] - whole[name])[others]
@@ -121,8 +125,7 @@ def test_a_cell_that_jumps_is_looked_for_again(healthy):
     model, pack = healthy
     volts = pack.cell_V.copy()
     volts[9000:, 4] += 0.1
-    fixed = FixedPack(FixedStep(model, dt_s=1.0, cells=ASKED), CELLS)
-    found = fixed.cells(fixed.run(replace(pack, cell_V=volts), 0.85, 0.1))
+    _, found = drives(model, replace(pack, cell_V=volts))
     assert found["soc"][4] - np.median(found["soc"]) > 0.05
     assert np.max(np.abs(np.delete(found["soc"], 4) - np.median(found["soc"]))) < 0.03
 
@@ -139,34 +142,6 @@ def test_all_cells_rejected_are_still_a_mean():
         fixed.step(state, 0.0, level + (k > 100) * apart, sequence=k)
     assert state.mean["cells_at"][0] == 1999
     assert np.all(np.diff(fixed.cells(state)["soc"]) > 0.01)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", ["plain", "full"])
-def test_the_same_bits_in_c(case):
-    model = curved_cell() if case == "plain" else full_model()
-    asked = {"dt_s": 1.0, "cells": ASKED, "health": True, "power": power_asked(model)}
-    packs = [FixedPack(kind(model, **asked), 9) for kind in (FixedStep, Firmware)]
-    states = [pack.init(0.8) for pack in packs]
-    rng = np.random.default_rng(3)
-    for pack, state in zip(packs, states, strict=True):
-        pack.filter.set_health(state.mean, 0.93, 1.2)
-    for k in range(1500):
-        volts = 3.7 + 0.2 * np.sin(k / 90) + rng.normal(0.0, 0.01, 9)
-        volts[rng.integers(9)] = rng.choice([np.nan, np.inf, -1.0, 3.9, 3.7])
-        current = float(rng.choice([np.nan, 0.0, 3.0, -2.0, 1e9], p=[0.02, 0.3, 0.35, 0.31, 0.02]))
-        if k % 400 == 399:
-            for state in states:  # a bit flips
-                state.cells["soc"][2] = np.nan
-        for pack, state in zip(packs, states, strict=True):
-            pack.step(state, current, volts, 20.0, sequence=k + (k > 700) * 90)
-        assert states[0].mean.tobytes() == states[1].mean.tobytes(), k
-        assert states[0].cells.tobytes() == states[1].cells.tobytes(), k
-    ours, theirs = (pack.power(state) for pack, state in zip(packs, states, strict=True))
-    assert ours.tobytes() == theirs.tobytes()
-    ours, theirs = (pack.cells(state) for pack, state in zip(packs, states, strict=True))
-    assert ours.tobytes() == theirs.tobytes()
-    assert np.all(np.isfinite(ours["soc"]))
 
 
 @pytest.mark.slow
