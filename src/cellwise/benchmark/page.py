@@ -13,6 +13,7 @@ from cellwise.benchmark.faults import NONE
 from cellwise.benchmark.leaderboard import Part
 from cellwise.benchmark.standings import Table, by_estimator, standings, step_time, suite_tables
 from cellwise.errors import InputError
+from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
     MOST,
@@ -25,7 +26,7 @@ from cellwise.report.page.markup import (
     table,
 )
 from cellwise.report.page.numerals import duration, listed, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Section, write_page
 
 Row = Mapping[str, Any]
@@ -213,26 +214,34 @@ def problems(rows: Rows) -> Markup:
     return Markup(said + bullets(text[:8], "notices")) if bad else EMPTY
 
 
+@pictured(
+    "standings", "Settled RMSE over hard runs (dot), and the largest settled error of any (bar)."
+)
+def standings_picture(part: Part) -> style.Figure:
+    """Every estimator that was judged on hard runs."""
+    found = [s for s in part.found if s.hard is not None and s.worst is not None]
+    hard, worst = ([100.0 * getattr(s, k) for s in found] for k in ("hard", "worst"))
+    text = f"Hard runs: {min(hard):.2f} to {max(hard):.2f} points RMS"
+    return style.dots_on_bars([s.estimator for s in found], hard, worst, text, "SOC error [points]")
+
+
 def standings_sections(
     parts: Sequence[Part], not_run: Sequence[tuple[str, str]] = ()
 ) -> list[Section]:
     """A section for each part."""
     said = bullets([f"{name}: {why}" for name, why in not_run], "notices")
     left = Markup(paragraph("Not run:") + said) if said else EMPTY
-    return [
-        Section(
-            f"standings-{k}",
-            part.title,
-            (
-                *(
-                    table(one.head, one.rows, caption=text, text_columns=one.text)
-                    for one, text in zip(part.tables, TABLES, strict=True)
-                ),
-                EMPTY if k else left,
-            ),
+    sections = []
+    for k, part in enumerate(parts):
+        pictures = [standings_picture(part)] if any(s.hard for s in part.found) else []
+        tables = (
+            table(one.head, one.rows, caption=text, text_columns=one.text)
+            for one, text in zip(part.tables, TABLES, strict=True)
         )
-        for k, part in enumerate(parts)
-    ]
+        key = f"standings-{k}"
+        blocks = (*(p._replace(key=key) for p in pictures), *tables, EMPTY if k else left)
+        sections.append(Section(key, part.title, blocks))
+    return sections
 
 
 def standings_page(suite: str, parts: Sequence[Part], path: Path) -> Path:
