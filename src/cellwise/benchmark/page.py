@@ -27,7 +27,7 @@ from cellwise.report.page.markup import (
 )
 from cellwise.report.page.numerals import duration, listed, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, pictured
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.section import Blocks, Section, write_page
 
 Row = Mapping[str, Any]
 Rows = Sequence[Row]
@@ -239,7 +239,7 @@ def standings_sections(
             for one, text in zip(part.tables, TABLES, strict=True)
         )
         key = f"standings-{k}"
-        blocks = (*(p._replace(key=key) for p in pictures), *tables, EMPTY if k else left)
+        blocks: Blocks = (*(p._replace(key=key) for p in pictures), *tables, EMPTY if k else left)
         sections.append(Section(key, part.title, blocks))
     return sections
 
