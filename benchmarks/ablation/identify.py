@@ -33,13 +33,17 @@ from cellwise.errors import InputError
 from cellwise.identify import pipeline
 from cellwise.identify.hppc import phases
 from cellwise.logs import CellLog, read_log
+from cellwise.logs.stated import Stated
 
 DIGITS = 6  # of a fingerprint: what differs less is rounding
 
 
 @dataclass(frozen=True)
 class Case:
-    """Logs by role, and logs that take no part, each with its start (None: by its first rows)."""
+    """Logs by role, ``cell/test`` and what is stated of it behind an @; logs that take no part.
+
+    Each of these with its start (None: by its first rows). ``series`` cells are in a log.
+    """
 
     name: str
     nominal_Ah: float
@@ -48,6 +52,8 @@ class Case:
     capacity: tuple[str, ...] = ()
     drive: tuple[str, ...] = ()
     judged: tuple[tuple[str, float | None], ...] = ()
+    prior: str = ""
+    series: int | None = None
 
 
 def _in(folder: str, *names: str) -> tuple[str, ...]:
@@ -98,19 +104,28 @@ CASES = (
 
 
 @cache
-def log_of(name: str) -> CellLog:
-    """A measured log, or one of the project's own."""
-    own = REPOSITORY / "datasets" / f"{name}.parquet"
-    return read_log(own if own.exists() else Path(str(data_folder())) / f"{name}.csv.gz")
+def log_of(name: str, series: int | None = None) -> CellLog:
+    """A measured log, or one of the project's own, with what is stated of it."""
+    stated = Stated.parse(name)
+    own = REPOSITORY / "datasets" / f"{stated.path}.parquet"
+    other = Path(str(data_folder())) / stated.path
+    found = own if own.exists() else other.with_name(f"{other.name}.csv.gz")
+    path = found if found.exists() else other.with_name(f"{other.name}.parquet")
+    log = read_log(path) if series is None else read_log(path, series=series)
+    return stated.applied(log)
 
 
 def tests_of(case: Case) -> TestLogs:
     """Its logs by what they are."""
+
+    def warm(names: tuple[str, ...]) -> tuple[tuple[CellLog, float | None], ...]:
+        return tuple((log_of(n, case.series), Stated.parse(n).temperature_C) for n in names)
+
     return TestLogs(
-        hppc=tuple((log_of(n), None) for n in case.hppc),
+        hppc=warm(case.hppc),
         ocv=tuple(log_of(n) for n in case.ocv),
         capacity=tuple(log_of(n) for n in case.capacity),
-        drive=tuple((log_of(n), None) for n in case.drive),
+        drive=warm(case.drive),
     )
 
 

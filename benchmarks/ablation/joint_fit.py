@@ -17,14 +17,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy.lfp import CHAMBER_C, chamber_log, drive
-from benchmarks.measured_data import HOW, data_folder, measured_log
+from benchmarks.ablation.identify import Case, log_of, tests_of
+from benchmarks.accuracy.lfp import CHAMBER_C
+from benchmarks.measured_data import HOW, data_folder
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
@@ -33,214 +34,154 @@ from cellwise.cell.stock import stock_model
 from cellwise.identify import Identification
 from cellwise.identify.prior.corrections import UsualDifference
 from cellwise.identify.prior.update import Evidence
-from cellwise.logs import CellLog, read_log
+from cellwise.logs import CellLog
 from cellwise.typing import FloatArray
 
-PANASONIC, LG, SAMSUNG, LEAF = "panasonic_18650pf", "lg_18650hg2", "samsung_30q_ageing", "leaf_pack"
-WARM_C = {"p25": 25.0, "p10": 10.0, "p00": 0.0, "n10": -10.0, "n20": -20.0}
+PANASONIC, LG = "panasonic_18650pf", "lg_18650hg2"
+SAMSUNG, A123 = "samsung_30q_ageing", "plett_a123"
+WARM_C = {"p25": 25, "p10": 10, "p00": 0, "n10": -10, "n20": -20}
 LEAF_SERIES = 96
-Prepared = tuple[TestLogs, IdentifySettings, list[tuple[CellLog, float | None]]]
+MIDDLE_SOC, PANASONIC_AH = (0.46, 0.66), 2.997
+CUT = "prior: the middle of a drive"
+Names = tuple[str, ...]
 
 
-def of_panasonic(data: Path, name: str, soc0: float | None = None) -> CellLog:
-    """A log under its own name."""
-    return replace(measured_log(data, f"{PANASONIC}/{name}"), name=name, soc0=soc0)
+def of(cell: str, *names: str, stated: str = "") -> Names:
+    """Names of a cell's logs, with what is stated of each."""
+    return tuple(f"{cell}/{name}{stated}" for name in names)
 
 
-def full(data: Path, *names: str) -> list[tuple[CellLog, float | None]]:
-    """Panasonic drives, which begin full."""
-    return [(of_panasonic(data, f"drive_{n}"), 1.0) for n in names]
+def full(cell: str, *names: str) -> tuple[tuple[str, float | None], ...]:
+    """Logs to judge on that begin full."""
+    return tuple((name, 1.0) for name in of(cell, *names))
 
 
-def pulses_and_drives(data: Path) -> Prepared:
-    """Laboratory tests and two drives at 25 degC."""
-    tests = TestLogs(
-        hppc=of_panasonic(data, "hppc_p25"),
-        ocv=of_panasonic(data, "ocv_c20_p25"),
-        capacity=of_panasonic(data, "cap_1c_p25_start_1"),
-        drive=[of_panasonic(data, f"drive_p25_cycle_{k}") for k in (2, 3)],
+def unknown(cell: str, *names: str) -> tuple[tuple[str, float | None], ...]:
+    """Logs to judge on whose start is found."""
+    return tuple((name, None) for name in of(cell, *names))
+
+
+def warm_drives(*names: str) -> Names:
+    """Panasonic drives at five temperatures, which began full."""
+    return tuple(
+        f"{PANASONIC}/drive_{tag}_{name}@temperature_C={warm},soc0=1"
+        for tag, warm in WARM_C.items()
+        for name in names
     )
-    judged = full(data, "p25_nn", "p25_hwfta", "p25_hwftb", "p25_us06", "p10_nn")
-    return tests, IdentifySettings(nominal_Ah=2.9), judged
 
 
-def laboratory(data: Path) -> Prepared:
-    """Laboratory tests alone."""
-    tests, settings, judged = pulses_and_drives(data)
-    return replace(tests, drive=()), settings, judged
-
-
-def pulses(data: Path) -> Prepared:
-    """A pulse test alone."""
-    tests = TestLogs(hppc=of_panasonic(data, "hppc_p25"))
-    return tests, IdentifySettings(nominal_Ah=2.9), full(data, "p25_nn", "p25_hwfta", "p25_us06")
-
-
-def driven(data: Path) -> Prepared:
-    """C/20 and three drives at 25 degC."""
-    tests = TestLogs(
-        ocv=of_panasonic(data, "ocv_c20_p25"),
-        drive=[of_panasonic(data, f"drive_p25_{n}") for n in ("cycle_2", "cycle_3", "us06")],
-    )
-    return tests, IdentifySettings(nominal_Ah=2.9), full(data, "p25_nn", "p25_hwfta", "p25_hwftb")
-
-
-def temperatures(data: Path) -> Prepared:
-    """Pulses and three drives at each of five temperatures."""
-    tests = TestLogs(
-        ocv=of_panasonic(data, "ocv_c20_p25"),
-        hppc=[(of_panasonic(data, f"hppc_{t}"), c) for t, c in WARM_C.items()],
-        drive=[
-            (of_panasonic(data, f"drive_{t}_{n}", 1.0), c)
-            for t, c in WARM_C.items()
-            for n in ("cycle_2", "cycle_4", "us06")
-        ],
-    )
-    judged = ("p25_nn", "p10_nn", "p00_la92", "p00_nn", "n10_la92", "n10_nn", "n20_la92", "n20_nn")
-    return tests, IdentifySettings(nominal_Ah=2.9), full(data, *judged)
-
-
-def samsung(data: Path) -> Prepared:
-    """Pulses of one cell at three temperatures, C/10 of another."""
-
-    def log(name: str) -> CellLog:
-        return replace(measured_log(data, f"{SAMSUNG}/{name}"), name=name)
-
-    tests = TestLogs(
-        hppc=[log(f"hppc_dnn01_1c_p{t}_time_rebuilt") for t in (20, 30, 40)],
-        ocv=log("fresh_s001_discharge_c10"),
-    )
-    judged = [(log(f"fresh_s001_discharge_{r}"), 1.0) for r in ("1c", "2c", "3c")]
-    return tests, IdentifySettings(nominal_Ah=3.0), judged
-
-
-def lg(data: Path) -> Prepared:
-    """C/20 and three rates at six temperatures, short cycles; no pulse test, no whole drive."""
-
-    def log(name: str, soc0: float | None = None) -> CellLog:
-        return replace(measured_log(data, f"{LG}/{name}"), name=name, soc0=soc0)
-
-    runs = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
-    rates = [f"cap_{r}_{t}_{n}" for t, n in runs.items() for r in ("0p5c", "2c")]
-    one_c = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
-    tests = TestLogs(
-        ocv=[log(f"ocv_c20_{t}_{n}") for t, n in runs.items()],
-        capacity=[log(n) for n in (*rates, *(f"cap_1c_{n}" for n in one_c))],
-        drive=[log(f"pauscycl_{n}", 1.0) for n in ("n10_604", "n20_611", "p00_590", "p10_571")],
-    )
-    names = ("us06_n10_601", "us06_n20_610", "mixed7_p40_562")
-    judged: list[tuple[CellLog, float | None]] = [(log(f"drive_{n}"), 1.0) for n in names]
-    return tests, IdentifySettings(nominal_Ah=3.0), judged
-
-
-def lfp(data: Path, tag: str) -> Prepared:
+def lfp(left_out: str) -> Case:
     """A123: C/30 branches at 25 degC and drives at all temperatures but one."""
-    tests = TestLogs(
-        ocv=[chamber_log(data, f"ocv_p25_{part}", 25.0, None) for part in ("s1", "s3")],
-        drive=[(drive(data, t), c) for t, c in CHAMBER_C.items() if t != tag],
-    )
-    return tests, IdentifySettings(nominal_Ah=2.07), [(drive(data, tag), 1.0)]
+    drives = {
+        tag: f"{A123}/dyn_{tag}_s1@temperature_C={warm:g},soc0=1" for tag, warm in CHAMBER_C.items()
+    }
+    judged = drives.pop(left_out)
+    name = f"A123 without {CHAMBER_C[left_out]:g} degC"
+    branches = of(A123, "ocv_p25_s1", "ocv_p25_s3", stated="@25")
+    return Case(name, 2.07, (), branches, (), tuple(drives.values()), ((judged, 1.0),))
 
 
-def lfp_twice(data: Path) -> Prepared:
-    """A123: all four C/30 scripts and two drives, of one temperature."""
-    tests = TestLogs(
-        ocv=[measured_log(data, f"plett_a123/ocv_p25_s{k}") for k in (1, 2, 3, 4)],
-        drive=[measured_log(data, f"plett_a123/dyn_{t}_s1") for t in ("p35", "p45")],
-    )
-    judged: list[tuple[CellLog, float | None]] = [(drive(data, "p25"), 1.0)]
-    return tests, IdentifySettings(nominal_Ah=2.3), judged
-
-
-def leaf_cell(data: Path) -> Prepared:
-    """A pouch cell: pulses at three temperatures, 1C."""
-
-    def log(name: str) -> CellLog:
-        return replace(measured_log(data, f"nissan_leaf/{name}"), name=name)
-
-    tests = TestLogs(
-        hppc=[(log(f"hppc_p{t}"), float(t)) for t in (10, 25, 40)], capacity=log("cap_1c_p23")
-    )
-    judged: list[tuple[CellLog, float | None]] = [(log(f"cap_{r}_p23"), None) for r in ("2c", "3c")]
-    return tests, IdentifySettings(nominal_Ah=33.1), judged
-
-
-def lipo(data: Path) -> Prepared:
-    """Discharges at 1C and 3C, which warm the cell; nothing else."""
-
-    def log(name: str) -> CellLog:
-        return replace(measured_log(data, f"lipo_5450/{name}"), name=name)
-
-    tests = TestLogs(capacity=[log(f"c{r}_cycle01") for r in (1, 3)])
-    judged: list[tuple[CellLog, float | None]] = [
-        (log(n), None) for n in ("c2_cycle01", "c4_cycle01", "c1_cycle03")
-    ]
-    return tests, IdentifySettings(nominal_Ah=5.45), judged
-
-
-def one_drive(data: Path) -> Prepared:
-    """A stock model of another kind and one drive that began full."""
-    tests = TestLogs(drive=of_panasonic(data, "drive_p25_us06", 1.0))
-    settings = IdentifySettings(nominal_Ah=2.9, prior=stock_model("nmc-18650"))
-    return tests, settings, full(data, "p25_cycle_3", "p25_nn", "p25_hwfta")
-
-
-def cut_drive(data: Path) -> Prepared:
-    """No prior named, and a drive of which only the middle is there."""
-    whole = of_panasonic(data, "drive_p25_nn")
-    soc = 1.0 - whole.counted_charge_Ah() / 2.997
-    rows = np.flatnonzero((soc < 0.66) & (soc > 0.46))
-    tests = TestLogs(drive=whole.part(int(rows[0]), int(rows[-1])))
-    settings = IdentifySettings(nominal_Ah=2.9)
-    return tests, settings, full(data, "p25_us06", "p25_hwfta")
-
-
-def one_discharge(data: Path) -> Prepared:
-    """A stock model and one 1C discharge."""
-    tests = TestLogs(capacity=of_panasonic(data, "cap_1c_p25_start_1"))
-    settings = IdentifySettings(nominal_Ah=2.9, prior=stock_model("nmc-18650"))
-    return tests, settings, full(data, "p25_us06", "p25_nn", "p25_hwfta")
-
-
-def lfp_drive(data: Path) -> Prepared:
-    """A stock LFP model and one drive of another cell on the plateau."""
-    tests = TestLogs(drive=replace(drive(data, "p25"), soc0=None))
-    settings = IdentifySettings(nominal_Ah=2.07, prior=stock_model("lfp-26650"))
-    return tests, settings, [(drive(data, "p35"), 1.0), (drive(data, "p45"), 1.0)]
-
-
-def car(data: Path) -> Prepared:
+def car() -> Case:
     """A car's pack from the laboratory's cell of the kind and a fortnight of drives."""
-    files = sorted((data / LEAF).glob("leaf_201706*.parquet"))
-
-    def log(path: Path) -> CellLog:
-        read = read_log(path, series=LEAF_SERIES)
-        return replace(read, name=path.stem)
-
-    tests = TestLogs(drive=[log(f) for f in files[:15]])
-    settings = IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
-    return tests, settings, [(log(f), None) for f in files[15:18]]
+    files = sorted(Path(str(data_folder())).glob("leaf_pack/leaf_201706*.parquet"))
+    names = [f"leaf_pack/{file.stem}" for file in files]
+    judged = tuple((name, None) for name in names[15:18])
+    return Case("prior: a car's pack", 65.0, drive=tuple(names[:15]), judged=judged,
+                prior="lmo-pouch", series=LEAF_SERIES)  # fmt: skip
 
 
-CELLS: dict[str, Callable[[Path], Prepared]] = {
-    "Panasonic, pulses and two drives": pulses_and_drives,
-    "Panasonic, laboratory": laboratory,
-    "Panasonic, pulses": pulses,
-    "Panasonic, C/20 and three drives": driven,
-    "Panasonic, five temperatures": temperatures,
-    "Samsung, pulses of another sample": samsung,
-    "LG, constant currents": lg,
-    "A123 without 25 degC": lambda data: lfp(data, "p25"),
-    "A123 without -15 degC": lambda data: lfp(data, "n15"),
-    "A123, four scripts": lfp_twice,
-    "Leaf cell, pulses": leaf_cell,
-    "LiPo, two rates": lipo,
-    "prior: one drive": one_drive,
-    "prior: the middle of a drive": cut_drive,
-    "prior: one discharge": one_discharge,
-    "prior: LFP drive": lfp_drive,
-    "prior: a car's pack": car,
-}
+PULSES, SLOW, ONE_C = (of(PANASONIC, n) for n in ("hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1"))
+DRIVES_25 = ("drive_p25_nn", "drive_p25_hwfta", "drive_p25_hwftb", "drive_p25_us06", "drive_p10_nn")
+LG_RUNS = {"p25": 549, "p10": 575, "p00": 585, "n10": 593, "n20": 607, "p40": 555}
+LG_1C = ("p25_551", "p10_571", "p00_589", "n10_596", "n20_610", "p40_557")
+CELLS = {
+    case.name: case
+    for case in (
+        Case(
+            "Panasonic, pulses and two drives", 2.9, PULSES, SLOW, ONE_C,
+            of(PANASONIC, "drive_p25_cycle_2", "drive_p25_cycle_3"), full(PANASONIC, *DRIVES_25),
+        ),
+        Case("Panasonic, laboratory", 2.9, PULSES, SLOW, ONE_C, (), full(PANASONIC, *DRIVES_25)),
+        Case(
+            "Panasonic, pulses", 2.9, PULSES,
+            judged=full(PANASONIC, "drive_p25_nn", "drive_p25_hwfta", "drive_p25_us06"),
+        ),
+        Case(
+            "Panasonic, C/20 and three drives", 2.9, (), SLOW, (),
+            of(PANASONIC, *(f"drive_p25_{n}" for n in ("cycle_2", "cycle_3", "us06"))),
+            full(PANASONIC, *DRIVES_25[:3]),
+        ),
+        Case(
+            "Panasonic, five temperatures", 2.9,
+            tuple(f"{PANASONIC}/hppc_{t}@{c}" for t, c in WARM_C.items()), SLOW, (),
+            warm_drives("cycle_2", "cycle_4", "us06"),
+            full(PANASONIC, "drive_p25_nn", "drive_p10_nn", "drive_p00_la92", "drive_p00_nn",
+                 "drive_n10_la92", "drive_n10_nn", "drive_n20_la92", "drive_n20_nn"),
+        ),
+        Case(
+            "Samsung, pulses of another sample", 3.0,
+            of(SAMSUNG, *(f"hppc_dnn01_1c_p{t}_time_rebuilt" for t in (20, 30, 40))),
+            of(SAMSUNG, "fresh_s001_discharge_c10"),
+            judged=full(SAMSUNG, *(f"fresh_s001_discharge_{r}" for r in ("1c", "2c", "3c"))),
+        ),
+        Case(  # C/20 and three rates at six temperatures, short cycles; no pulses, no whole drive
+            "LG, constant currents", 3.0, (),
+            of(LG, *(f"ocv_c20_{t}_{n}" for t, n in LG_RUNS.items())),
+            of(LG, *(f"cap_{r}_{t}_{n}" for t, n in LG_RUNS.items() for r in ("0p5c", "2c")),
+               *(f"cap_1c_{n}" for n in LG_1C)),
+            of(LG, *(f"pauscycl_{n}" for n in ("n10_604", "n20_611", "p00_590", "p10_571")),
+               stated="@soc0=1"),
+            full(LG, "drive_us06_n10_601", "drive_us06_n20_610", "drive_mixed7_p40_562"),
+        ),
+        lfp("p25"),
+        lfp("n15"),
+        Case(
+            "A123, four scripts", 2.3, (), of(A123, *(f"ocv_p25_s{k}" for k in (1, 2, 3, 4))), (),
+            of(A123, "dyn_p35_s1", "dyn_p45_s1"),
+            tuple((n, 1.0) for n in of(A123, "dyn_p25_s1", stated="@25")),
+        ),
+        Case(
+            "Leaf cell, pulses", 33.1,
+            tuple(f"nissan_leaf/hppc_p{t}@{t}" for t in (10, 25, 40)), (),
+            of("nissan_leaf", "cap_1c_p23"), (),
+            unknown("nissan_leaf", "cap_2c_p23", "cap_3c_p23"),
+        ),
+        Case(
+            "LiPo, two rates", 5.45, (), (), of("lipo_5450", "c1_cycle01", "c3_cycle01"), (),
+            unknown("lipo_5450", "c2_cycle01", "c4_cycle01", "c1_cycle03"),
+        ),
+        Case(
+            "prior: one drive", 2.9, drive=of(PANASONIC, "drive_p25_us06@soc0=1"),
+            judged=full(PANASONIC, "drive_p25_cycle_3", "drive_p25_nn", "drive_p25_hwfta"),
+            prior="nmc-18650",
+        ),
+        Case(CUT, 2.9, drive=of(PANASONIC, "drive_p25_nn"),
+             judged=full(PANASONIC, "drive_p25_us06", "drive_p25_hwfta")),
+        Case(
+            "prior: one discharge", 2.9, capacity=ONE_C,
+            judged=full(PANASONIC, "drive_p25_us06", "drive_p25_nn", "drive_p25_hwfta"),
+            prior="nmc-18650",
+        ),
+        Case(
+            "prior: LFP drive", 2.07, drive=of(A123, "dyn_p25_s1@25"), prior="lfp-26650",
+            judged=tuple((f"{A123}/dyn_{t}_s1@{CHAMBER_C[t]:g}", 1.0) for t in ("p35", "p45")),
+        ),
+        car(),
+    )
+}  # fmt: skip
+
+
+def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
+    """What is identified, and how; of one drive the middle alone."""
+    prior = stock_model(case.prior) if case.prior else None
+    settings = IdentifySettings(nominal_Ah=case.nominal_Ah, prior=prior)
+    tests = tests_of(case)
+    if case.name == CUT:
+        ((whole, _),) = tests.drive
+        soc = 1.0 - whole.counted_charge_Ah() / PANASONIC_AH
+        rows = np.flatnonzero((soc > MIDDLE_SOC[0]) & (soc < MIDDLE_SOC[1]))
+        tests = TestLogs(drive=((whole.part(int(rows[0]), int(rows[-1])), None),))
+    return tests, settings
 
 
 @dataclass(frozen=True)
@@ -364,11 +305,10 @@ def judged(found: Identification, logs: Sequence[tuple[CellLog, float | None]]) 
 
 def run(rule: str, cell: str, output: Path) -> None:
     """One cell without one rule."""
-    data = data_folder()
-    if data is None:
-        raise SystemExit(f"no measured data: {HOW}")
     next(r for r in RULES if r.name == rule).throw()
-    tests, settings, logs = CELLS[cell](data)
+    case = CELLS[cell]
+    tests, settings = prepared(case)
+    logs = [(log_of(name, case.series), soc0) for name, soc0 in case.judged]
     began = time.perf_counter()
     found = identify_cell(tests, settings)
     seconds = time.perf_counter() - began
@@ -396,6 +336,8 @@ def main() -> int:
     parser.add_argument("--run", nargs=2, metavar=("RULE", "CELL"))
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
+    if data_folder() is None:
+        raise SystemExit(f"no measured data: {HOW}")
     if chosen.run:
         run(*chosen.run, kept_file(chosen.keep, *chosen.run))
         return 0

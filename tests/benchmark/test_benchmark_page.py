@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from cellwise.benchmark.page import (
-    BenchmarkTable,
     benchmark_finding,
     division_table,
     divisions,
+    own_part,
 )
-from page_cases import benchmark_table, row
+from page_cases import benchmark_rows, row
 
 
 def rows():
@@ -50,11 +50,10 @@ def test_without_faults_or_starts_there_is_no_table_of_them():
 
 
 def finding(found):
-    return benchmark_finding("s", BenchmarkTable("s", "", found).standings[0])
+    return benchmark_finding("s", own_part(found))
 
 
 def test_the_first_line_says_who_is_first_on_hard_runs():
-    found = benchmark_table()
-    assert benchmark_finding("s", found.standings[0]).startswith("s: ekf is first of 3, ")
+    assert finding(benchmark_rows()).startswith("s: ekf is first of 3, ")
     easy = [r | {"easy": True, "fault": "none", "start_error": 0.0} for r in rows()[:1]]
     assert finding(easy) == "s: a is first of 1, 1.00 points of SOC on easy runs"

@@ -13,8 +13,8 @@ import pytest
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.report import demo_page, identify_page, replay_page
+from cellwise.report.identification.measured_sections import pulse_pictures
 from cellwise.report.identification.page import identify_sections
-from cellwise.report.identification.pulse_section import pulse_pictures
 from cellwise.report.page.markup import EMPTY, MOST, Markup, finite, table
 from cellwise.report.page.picture import inline
 from cellwise.report.page.section import Section, page_text, pictures_of, program, rendered

@@ -11,8 +11,11 @@ import numpy as np
 
 from cellwise.benchmark.faults import NONE
 from cellwise.benchmark.leaderboard import Part
+from cellwise.benchmark.package_rows import NotRun
 from cellwise.benchmark.standings import Table, by_estimator, standings, step_time, suite_tables
+from cellwise.benchmark.suite import Suite
 from cellwise.errors import InputError
+from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
     MOST,
@@ -25,8 +28,8 @@ from cellwise.report.page.markup import (
     table,
 )
 from cellwise.report.page.numerals import duration, listed, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles
-from cellwise.report.page.section import Section, write_page
+from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.section import Blocks, Section, write_page
 
 Row = Mapping[str, Any]
 Rows = Sequence[Row]
@@ -48,26 +51,11 @@ BANDS = (
 TABLES = (STANDINGS, BANDS)
 
 
-class BenchmarkTable(NamedTuple):
-    """Rows of a benchmark with their columns by name.
-
-    ``parts`` are those of the leaderboard of a frozen suite, ``not_run`` names and reasons.
-    """
-
-    name: str
-    about: str
-    rows: Rows
-    parts: Sequence[Part] = ()
-    not_run: Sequence[tuple[str, str]] = ()
-
-    @property
-    def standings(self) -> Sequence[Part]:
-        """The leaderboard's, else those of the rows as they are."""
-        if self.parts:
-            return self.parts
-        found = standings(by_estimator(self.rows), fewer=True)
-        title = f"{plural(len(found), 'estimator')}, {plural(len(self.rows), 'run')}"
-        return (Part(title, found, suite_tables(found)),)
+def own_part(rows: Rows) -> Part:
+    """The standings of the rows as they are."""
+    found = standings(by_estimator(rows), fewer=True)
+    title = f"{plural(len(found), 'estimator')}, {plural(len(rows), 'run')}"
+    return Part(title, found, suite_tables(found))
 
 
 class Division(NamedTuple):
@@ -131,32 +119,38 @@ def start_name(row: Row) -> str:
 
 
 def benchmark_page(
-    found: BenchmarkTable, path: str | Path, *, figures: str | Path | FigureFiles | None = None
+    suite: Suite,
+    rows: Rows,
+    path: str | Path,
+    parts: Sequence[Part] = (),
+    *,
+    figures: str | Path | FigureFiles | None = None,
 ) -> Path:
     """Write the page of a benchmark.
 
     Parameters
     ----------
-    found : BenchmarkTable
+    suite : Suite
+    rows : of mapping             its runs, with the columns by name
+    parts : of Part               of a frozen suite's leaderboard; none: the rows' own standings
     path, figures : as of `write_page`, whose errors it raises
     """
-    if not found.rows:
+    if not rows:
         raise InputError("no row for the page", "at least one", "Run a suite first.")
-    rows, parts = found.rows, found.standings
-    sections = standings_sections(parts, found.not_run)
+    parts = parts or (own_part(rows),)
+    sections = standings_sections(parts, suite.not_run)
     for one in divisions(rows):
-        shown = percent if one.key == "inside" else tinted
-        division = division_table(one, shown)
+        division = division_table(one, percent if one.key == "inside" else tinted)
         text = table(*division[:2], caption=one.caption, sortable=True)
         sections.append(Section(one.key, one.title, (text,)))
     sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
     return write_page(
         path,
-        benchmark_finding(found.name, parts[0]),
-        f"Benchmark '{found.name}', by cellwise",
+        benchmark_finding(suite.name, parts[0]),
+        f"Benchmark '{suite.name}', by cellwise",
         sections,
-        {"suite": found.name, "rows": [dict(row) for row in rows]},
-        lead=Markup(paragraph(found.about) + problems(rows)),
+        {"suite": suite.name, "rows": [dict(row) for row in rows]},
+        lead=Markup(paragraph(suite.about or f"suite {suite.name}") + problems(rows)),
         figures=figures,
     )
 
@@ -213,26 +207,32 @@ def problems(rows: Rows) -> Markup:
     return Markup(said + bullets(text[:8], "notices")) if bad else EMPTY
 
 
-def standings_sections(
-    parts: Sequence[Part], not_run: Sequence[tuple[str, str]] = ()
-) -> list[Section]:
+@pictured(
+    "standings", "Settled RMSE over hard runs (dot), and the largest settled error of any (bar)."
+)
+def standings_picture(part: Part) -> style.Figure:
+    """Every estimator that was judged on hard runs."""
+    found = [s for s in part.found if s.hard is not None and s.worst is not None]
+    hard, worst = ([100.0 * getattr(s, k) for s in found] for k in ("hard", "worst"))
+    text = f"Hard runs: {min(hard):.2f} to {max(hard):.2f} points RMS"
+    return style.dots_on_bars([s.estimator for s in found], hard, worst, text, "SOC error [points]")
+
+
+def standings_sections(parts: Sequence[Part], not_run: Sequence[NotRun] = ()) -> list[Section]:
     """A section for each part."""
-    said = bullets([f"{name}: {why}" for name, why in not_run], "notices")
+    said = bullets([f"{one.name}: {one.why}" for one in not_run], "notices")
     left = Markup(paragraph("Not run:") + said) if said else EMPTY
-    return [
-        Section(
-            f"standings-{k}",
-            part.title,
-            (
-                *(
-                    table(one.head, one.rows, caption=text, text_columns=one.text)
-                    for one, text in zip(part.tables, TABLES, strict=True)
-                ),
-                EMPTY if k else left,
-            ),
+    sections = []
+    for k, part in enumerate(parts):
+        pictures = [standings_picture(part)] if any(s.hard for s in part.found) else []
+        tables = (
+            table(one.head, one.rows, caption=text, text_columns=one.text)
+            for one, text in zip(part.tables, TABLES, strict=True)
         )
-        for k, part in enumerate(parts)
-    ]
+        key = f"standings-{k}"
+        blocks: Blocks = (*(p._replace(key=key) for p in pictures), *tables, EMPTY if k else left)
+        sections.append(Section(key, part.title, blocks))
+    return sections
 
 
 def standings_page(suite: str, parts: Sequence[Part], path: Path) -> Path:

@@ -208,12 +208,10 @@ def _finish(
         write_atomically(place.folder / TABLE, standings_text(entries))
     written = None
     if page:
-        from cellwise.benchmark.page import BenchmarkTable, benchmark_page
+        from cellwise.benchmark.page import benchmark_page
 
-        about = place.suite.about or f"suite {place.suite.name}"
-        missing = [(one.name, one.why) for one in suite.not_run]
-        table = BenchmarkTable(suite.name, about, rows, parts_of(entries), missing)
-        written = benchmark_page(table, place.folder / "index.html", figures=figures)
+        parts = parts_of(entries)
+        written = benchmark_page(suite, rows, place.folder / "index.html", parts, figures=figures)
     return BenchmarkResult(place.suite, rows, parquet, written, resumed)
 
 

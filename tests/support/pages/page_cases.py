@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.benchmark.figures import COLUMNS
-from cellwise.benchmark.page import BenchmarkTable, benchmark_page
+from cellwise.benchmark.page import benchmark_page
+from cellwise.benchmark.suite import Suite
 from cellwise.report import export_page, identify_page, replay_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
@@ -29,14 +30,16 @@ def every_page(folder, diagnosis):
         "identify": lambda p: identify_page(identification(), p),
         "replay": lambda p: replay_page([replay(log), odd], p, [simulation(log)]),
         "diagnose": lambda p: diagnose_page(diagnosis, p),
-        "benchmark": lambda p: benchmark_page(benchmark_table(), p),
+        "benchmark": lambda p: benchmark_page(
+            Suite(name="by hand", about="made <by> hand"), benchmark_rows(), p
+        ),
         "capacity-study": study_page,
         "export": lambda p: export_page(exported(), p, simulation(log)),
     }
     return {kind: make[kind](folder / f"{kind}.html") for kind in KINDS}
 
 
-def benchmark_table():
+def benchmark_rows():
     """Three estimators, two logs, three faults, three starts."""
     rows = []
     for e, estimator in enumerate(ESTIMATORS):
@@ -44,7 +47,7 @@ def benchmark_table():
             for f, fault in enumerate(FAULTS):
                 for start in (-0.3, 0.0, 0.3):
                     rows.append(row(estimator, log, fault, start, 0.01 * (1 + e + g + f), g))
-    return BenchmarkTable("by hand", "made <by> hand", rows)
+    return rows
 
 
 def row(estimator, log, fault, start, rmse, warm):

@@ -124,15 +124,9 @@ def groups_of(data: Mapping[str, Any]) -> dict[str, Groups]:
 @pictured("certificate")
 def group_picture(name: str, groups: Groups) -> style.Figure:
     """RMS and 95 % error of every group of a division."""
-    figure, axes = style.new_axes(0.9 + 0.24 * len(groups))
-    order = list(groups)[::-1]
-    names = list(map(_named, order))
-    axes.barh(names, [100.0 * groups[n]["p95"] for n in order], color=style.BLUE, alpha=0.35)
-    axes.plot([100.0 * groups[n]["rmse"] for n in order], names, "o", color=style.INK, ms=4)
-    least, most = (100.0 * f(groups[n]["rmse"] for n in order) for f in (min, max))
-    style.finding(axes, f"By {name}: {least:.1f} to {most:.1f} points RMS")
-    style.labels(axes, "SOC error [points]")
-    return figure
+    rmse, p95 = ([100.0 * one[k] for one in groups.values()] for k in ("rmse", "p95"))
+    text = f"By {name}: {min(rmse):.1f} to {max(rmse):.1f} points RMS"
+    return style.dots_on_bars(list(map(_named, groups)), rmse, p95, text, "SOC error [points]")
 
 
 def group_table(name: str, groups: Groups) -> Markup:

@@ -14,16 +14,18 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.identify.identification import Identification, OwnLog
-from cellwise.report.identification.capacity_and_ocv import (
+from cellwise.report.identification.measured_sections import (
     capacity_content,
     ocv_content,
     ocv_pictures,
+    pulse_content,
+    pulse_pictures,
+    pulse_sets,
 )
 from cellwise.report.identification.parameter_section import (
     parameter_content,
     parameter_pictures,
 )
-from cellwise.report.identification.pulse_section import pulse_content, pulse_pictures, pulse_sets
 from cellwise.report.identification.simulation_section import simulation_blocks
 from cellwise.report.page.markup import (
     Markup,

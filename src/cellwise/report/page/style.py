@@ -156,6 +156,18 @@ def error_dots(axes: Axes, x: FloatArray, y: FloatArray, std: FloatArray, **look
     axes.errorbar(x, y, 2.0 * std, **drawn)
 
 
+def dots_on_bars(
+    names: Sequence[str], dots: Sequence[float], bars: Sequence[float], text: str, label: str
+) -> Figure:
+    """A row for each name from the top: a bar, and a dot on it."""
+    figure, axes = new_axes(0.9 + 0.24 * len(names))
+    axes.barh(names[::-1], bars[::-1], color=BLUE, alpha=0.35)
+    axes.plot(dots[::-1], names[::-1], "o", color=INK, markersize=4)
+    finding(axes, text)
+    labels(axes, label)
+    return figure
+
+
 def soc_axis(axes: Axes, y: str = "") -> None:
     """SOC from 0 to 100 % on the x axis."""
     axes.set_xlim(-2.0, 102.0)
