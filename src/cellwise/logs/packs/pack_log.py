@@ -14,7 +14,7 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
-from cellwise.logs.files.csv_layout import csv_layout
+from cellwise.logs.files.csv_text import csv_layout
 from cellwise.logs.files.format import Format, detect_format
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
 from cellwise.logs.files.tables import is_parquet, parquet_names
