@@ -48,38 +48,22 @@ class Server:
 
 @pytest.fixture
 def server():
+    """The files, and lists of them as Mendeley Data, Zenodo and `sha256sum` write them."""
     made = Server()
-    for name, body in FILES.items():
-        made.pages[f"/file/{name}"] = body
-    made.pages["/mendeley"] = json.dumps(
-        [
-            {
-                "filename": name,
-                "content_details": {
-                    "sha256_hash": hashlib.sha256(body).hexdigest(),
-                    "download_url": f"{made.url}/file/{name}",
-                    "size": len(body),
-                },
-            }
-            for name, body in FILES.items()
-        ]
-    ).encode()
-    made.pages["/zenodo"] = json.dumps(
-        {
-            "files": [
-                {
-                    "key": name,
-                    "checksum": "md5:" + hashlib.md5(body).hexdigest(),
-                    "links": {"self": f"{made.url}/file/{name}"},
-                    "size": len(body),
-                }
-                for name, body in FILES.items()
-            ]
-        }
-    ).encode()
-    made.pages["/file/SHA256SUMS"] = "".join(
-        f"{hashlib.sha256(body).hexdigest()}  {name}\n" for name, body in FILES.items()
-    ).encode()
+    made.pages |= {f"/file/{name}": body for name, body in FILES.items()}
+    url, sums = f"{made.url}/file/", {n: hashlib.sha256(b).hexdigest() for n, b in FILES.items()}
+    mendeley = [
+        {"filename": n, "content_details": {"sha256_hash": sums[n], "download_url": url + n}}
+        for n in FILES
+    ]
+    zenodo = [
+        {"key": n, "checksum": "md5:" + hashlib.md5(b).hexdigest(), "links": {"self": url + n}}
+        for n, b in FILES.items()
+    ]
+    made.pages["/mendeley"] = json.dumps(mendeley).encode()
+    made.pages["/zenodo"] = json.dumps({"files": zenodo}).encode()
+    lines = (f"{checksum}  {name}\n" for name, checksum in sums.items())
+    made.pages["/file/SHA256SUMS"] = "".join(lines).encode()
     yield made
     made.http.shutdown()
     made.http.server_close()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
@@ -16,26 +19,25 @@ from cellwise.live.run import LatencyMeter
 from example_cells import curved_cell
 from streams import driven, samples
 
+MODEL = curved_cell()
 
-def followed(model, log, soc0):
-    live = LiveFilter(model, soc0=soc0, soc0_std=0.05)
-    outlook = Outlook(model, cutoff_of(model, 3.0))
+
+def under(*loads_A, rows=300, **more):
+    """Log, filter, outlook and last sample of a cell at 80 % after so many rows of each load."""
+    log = driven(MODEL, rows=rows * len(loads_A))
+    log = replace(log, current_A=np.repeat(np.array(loads_A), rows))
+    log = replace(log, voltage_V=simulate(MODEL, log, 0.8).voltage_V)
+    live = LiveFilter(MODEL, soc0=0.8, soc0_std=0.05)
+    outlook = Outlook(MODEL, cutoff_of(MODEL, 3.0), **more)
     for sample in samples(log):
         outlook.take(live.take(sample))
-    return outlook.forecast(live.state, 25.0)
+    return log, live, outlook, sample
 
 
 def test_a_steady_load_leaves_what_a_replay_predicts():
-    model = curved_cell()
-    log = driven(model, 0.8, rows=900)
-    log = type(log)(log.time_s, 0.0 * log.time_s + 2.0, log.voltage_V)
-    from dataclasses import replace
-
-    from cellwise.cell.simulate import simulate
-
-    log = replace(log, voltage_V=simulate(model, log, 0.8).voltage_V)
-    left = followed(model, log, 0.8)
-    told = forecast(model, replay(model, log, "ekf", soc0=0.8, soc0_std=0.05), cutoff_V=3.0).last
+    log, live, outlook, _ = under(2.0, rows=900)
+    left = outlook.forecast(live.state, 25.0)
+    told = forecast(MODEL, replay(MODEL, log, "ekf", soc0=0.8, soc0_std=0.05), cutoff_V=3.0).last
     assert left.load_A == pytest.approx(2.0)
     assert left.remaining_s == pytest.approx(told.remaining_s, rel=0.01)
     assert left.remaining_Wh == pytest.approx(told.remaining_Wh, rel=0.01)
@@ -44,42 +46,24 @@ def test_a_steady_load_leaves_what_a_replay_predicts():
     assert left.remaining_s < 3600 * 3.0 * 0.7 / 2.0
 
 
-def test_at_rest_and_while_charging_nothing_runs_out():
-    model = curved_cell()
-    for amps in (0.0, -2.0):
-        log = driven(model, 0.5, rows=100)
-        log = type(log)(log.time_s, 0.0 * log.time_s + amps, log.voltage_V)
-        assert followed(model, log, 0.5) is None
+@pytest.mark.parametrize("amps", [0.0, -2.0])
+def test_at_rest_and_while_charging_nothing_runs_out(amps):
+    _, live, outlook, _ = under(amps, rows=100)
+    assert outlook.forecast(live.state, 25.0) is None
 
 
-def steady(amps, rows=300):
-    model = curved_cell()
-    log = driven(model, 0.8, rows=rows)
-    log = type(log)(log.time_s, 0.0 * log.time_s + amps, log.voltage_V)
-    live = LiveFilter(model, soc0=0.8, soc0_std=0.05)
-    outlook = Outlook(model, cutoff_of(model, 3.0))
-    for sample in samples(log):
-        outlook.take(live.take(sample))
-    return live, outlook, sample
-
-
-def test_a_reading_that_no_cell_carries_is_no_load():
-    live, outlook, last = steady(2.0)
+@pytest.mark.parametrize(
+    ("after_s", "amps", "rel"), [(1.0, 1e9, 1e-6), (20.0, 8.0, 0.05)], ids=["impossible", "pause"]
+)
+def test_a_reading_that_no_cell_carries_and_a_pause_keep_the_mean_load(after_s, amps, rel):
+    _, live, outlook, last = under(2.0)
     before = outlook.forecast(live.state, 25.0)
-    spike = last._replace(time_s=last.time_s + 1.0, current_A=1e9)
-    outlook.take(live.take(spike))
-    after = outlook.forecast(live.state, 25.0)
-    assert after.load_A == pytest.approx(before.load_A)
-    assert after.remaining_s == pytest.approx(before.remaining_s, rel=0.01)
-
-
-def test_a_pause_of_some_seconds_keeps_the_mean_load():
-    live, outlook, last = steady(2.0)
-    late = last._replace(time_s=last.time_s + 20.0, current_A=8.0)
-    update = live.take(late)
-    assert update.gap
+    update = live.take(last._replace(time_s=last.time_s + after_s, current_A=amps))
+    assert update.gap == (after_s > 10.0)
     outlook.take(update)
-    assert outlook.forecast(live.state, 25.0).load_A == pytest.approx(2.0, rel=0.05)
+    after = outlook.forecast(live.state, 25.0)
+    assert after.load_A == pytest.approx(2.0, rel=rel)
+    assert after.remaining_s == pytest.approx(before.remaining_s, rel=max(rel, 0.01))
 
 
 def test_without_a_deadline_the_interval_is_it():
@@ -92,15 +76,7 @@ def test_without_a_deadline_the_interval_is_it():
 
 def test_a_given_load_and_the_median_are_known_at_rest():
     """A vehicle that stands asks how long it could go."""
-    model = curved_cell()
-    live, _, _ = steady(2.0)
-    outlook = Outlook(model, cutoff_of(model, 3.0), given_W=9.0)
-    parts = [driven(model, 0.8, rows=rows) for rows in (300, 400)]
-    live = LiveFilter(model, soc0=0.8, soc0_std=0.05)
-    for k, (log, amps) in enumerate(zip(parts, (2.0, 0.0), strict=True)):
-        log = type(log)(log.time_s + 300.0 * k, 0.0 * log.time_s + amps, log.voltage_V)
-        for sample in samples(log):
-            outlook.take(live.take(sample))
+    _, live, outlook, _ = under(2.0, 0.0, rows=350, given_W=9.0)
     row = outlook.columns(live.state, 25.0)
     assert row["remaining_s"] is None
     # What is left over the time that it lasts is the load.
@@ -111,7 +87,7 @@ def test_a_given_load_and_the_median_are_known_at_rest():
     low, high = row["median_load_remaining_s_band"]
     assert low < row["median_load_remaining_s"] == median.remaining_s < high
     with pytest.raises(InputError, match="load of -1 W"):
-        Outlook(model, 3.0, given_W=-1.0)
+        Outlook(MODEL, 3.0, given_W=-1.0)
 
 
 def test_a_charger_in_a_stream_says_when_the_cell_is_full(tmp_path, capsys):

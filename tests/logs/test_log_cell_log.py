@@ -27,22 +27,19 @@ def test_the_callers_arrays_stay_writeable_and_the_logs_do_not():
             getattr(log, field)[0] = 0
 
 
-@pytest.mark.parametrize("field", ["current_A", "voltage_V", "temperature_C", "charge_Ah", "step"])
-def test_unequal_lengths(field):
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [*(({field: np.ones(4)}, field) for field in ("current_A", "temperature_C", "step")),
+     ({"time_s": [], "current_A": [], "voltage_V": []}, "row"),
+     ({"time_s": [0.0], "current_A": [1.0], "voltage_V": [3.7]}, "row"),
+     ({"time_s": [0.0, 2.0, 1.0]}, "backwards"), ({"time_s": [0.0, np.nan, 1.0]}, "finite time"),
+     ({"current_meaning": "end"}, "current_meaning 'end'"),
+     *(({"soc0": soc0}, "soc0") for soc0 in (-0.1, 1.1, np.nan))],
+)  # fmt: skip
+def test_what_is_no_log(changes, says):
     channels = {"time_s": np.arange(3.0), "current_A": np.ones(3), "voltage_V": np.ones(3)}
-    with pytest.raises(InputError, match=field):
-        CellLog(**{**channels, field: np.ones(4)})
-
-
-@pytest.mark.parametrize("time", [[], [0.0]])
-def test_fewer_than_two_rows(time):
-    with pytest.raises(InputError, match="row"):
-        CellLog(np.array(time), np.ones(len(time)), np.ones(len(time)))
-
-
-def test_unknown_meaning_of_the_current():
-    with pytest.raises(InputError, match="current_meaning 'end'"):
-        ramp(current_meaning="end")
+    with pytest.raises(InputError, match=says):
+        CellLog(**channels | changes)
 
 
 def test_interval_start_shifts_the_current_by_one_interval():

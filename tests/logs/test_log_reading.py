@@ -157,28 +157,26 @@ def test_seconds_since_1970_are_counted_from_the_start(tmp_path):
     assert any("counted from there" in notice for notice in log.notices)
 
 
-@pytest.mark.parametrize(
-    ("name", "field", "own", "factor", "offset"),
-    [
-        ("current_mA", "current_A", "current_A", 1e-3, 0.0),
-        ("voltage_mV", "voltage_V", "voltage_V", 1e-3, 0.0),
-        ("time_ms", "time_s", "time_s", 1e-3, 0.0),
-        ("time_us", "time_s", "time_s", 1e-6, 0.0),
-        ("time_min", "time_s", "time_s", 60.0, 0.0),
-        ("time_h", "time_s", "time_s", 3600.0, 0.0),
-        ("temperature_K", "temperature_C", "temperature_C", 1.0, -273.15),
-        ("charge_mAh", "charge_Ah", "ampere_hours", 1e-3, 0.0),
-        ("milliampere_hours", "charge_Ah", "ampere_hours", 1e-3, 0.0),
-        ("ampere_seconds", "charge_Ah", "ampere_hours", 1 / 3600, 0.0),
-    ],
-)
-def test_units_that_the_name_tells(tmp_path, name, field, own, factor, offset):
-    columns = {
-        (name if key == own else key): (value - offset) / factor if key == own else value
-        for key, value in CHANNELS.items()
-    }
+# Another name of a column: the usual one, factor and offset to its unit.
+UNITS = {
+    "current_mA": ("current_A", 1e-3, 0.0), "voltage_mV": ("voltage_V", 1e-3, 0.0),
+    "time_ms": ("time_s", 1e-3, 0.0), "time_us": ("time_s", 1e-6, 0.0),
+    "time_min": ("time_s", 60.0, 0.0), "time_h": ("time_s", 3600.0, 0.0),
+    "temperature_K": ("temperature_C", 1.0, -273.15),
+    "temperature_F": ("temperature_C", 5 / 9, -160 / 9),
+    "charge_mAh": ("ampere_hours", 1e-3, 0.0), "milliampere_hours": ("ampere_hours", 1e-3, 0.0),
+    "ampere_seconds": ("ampere_hours", 1 / 3600, 0.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_units_that_the_name_tells(tmp_path, name):
+    own, factor, offset = UNITS[name]
+    columns = {n: v for n, v in CHANNELS.items() if n != own}
+    columns[name] = (CHANNELS[own] - offset) / factor
     log = read_log(write_csv(tmp_path / "log.csv", columns))
-    np.testing.assert_allclose(getattr(log, field), CHANNELS[own], rtol=1e-12, atol=1e-12)
+    found = log.charge_Ah if own == "ampere_hours" else getattr(log, own)
+    np.testing.assert_allclose(found, CHANNELS[own], rtol=1e-12, atol=1e-12)
     assert any(f"'{name}'" in notice and own in notice for notice in log.notices)
 
 
@@ -195,24 +193,3 @@ def test_from_table_refuses_what_read_log_refuses():
         CellLog.from_table({"time_s": [0, 1], "current_A": [0, 1]})
     with pytest.raises(InputError, match="'voltage_V'"):
         CellLog.from_table({"time_s": [0, 1], "current_A": [0, 1], "voltage_V": ["a", "b"]})
-
-
-def test_reads_every_measured_file(real_data):
-    """Row counts and extremes as pandas reads them."""
-    files = sorted(real_data.glob("*/*.csv.gz"))[::9]
-    assert len(files) > 15
-    for path in files:
-        log, frame = read_log(path), pd.read_csv(path)
-        assert len(log) == len(frame)
-        for field, column in (
-            ("time_s", "time_s"),
-            ("current_A", "current_A"),
-            ("voltage_V", "voltage_V"),
-            ("temperature_C", "temperature_C"),
-            ("charge_Ah", "ampere_hours"),
-            ("step", "step"),
-        ):
-            values = getattr(log, field)
-            assert (values is None) == (column not in frame), (path.name, column)
-            if values is not None:
-                np.testing.assert_allclose(values, frame[column], rtol=1e-14, err_msg=path.name)

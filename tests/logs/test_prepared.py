@@ -34,16 +34,11 @@ def same(one, other):
     assert [getattr(one, n) for n in told] == [getattr(other, n) for n in told]
 
 
-def test_it_is_the_log_that_was_read_the_first_time_and_after(path, tmp_path):
-    for _ in range(2):
-        same(read_prepared(path, tmp_path / "cache"), read_log(path))
+def test_it_is_the_log_that_was_read_and_the_second_time_not_parsed(path, tmp_path, monkeypatch):
+    same(read_prepared(path, tmp_path / "cache"), read_log(path))
     assert len(os.listdir(tmp_path / "cache")) == 1
-
-
-def test_the_second_time_the_file_is_not_parsed(path, tmp_path, monkeypatch):
-    read_prepared(path, tmp_path / "cache")
     monkeypatch.setattr("cellwise.fleet.store.read_log", None)
-    assert len(read_prepared(path, tmp_path / "cache")) == 400
+    same(read_prepared(path, tmp_path / "cache"), read_log(path))
 
 
 def test_another_file_and_other_options_are_read_again(path, tmp_path):

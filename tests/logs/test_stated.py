@@ -95,9 +95,3 @@ def test_the_start_belongs_to_the_first_row(drive):
     assert log.rows(np.arange(60) > 5).soc0 is None
     assert log.rows(np.arange(60) < 5).soc0 == 0.8
     assert resample(log, 2.0).soc0 == 0.8
-
-
-@pytest.mark.parametrize("soc0", [-0.1, 1.1, float("nan")])
-def test_a_log_refuses_an_impossible_start(drive, soc0):
-    with pytest.raises(InputError, match="soc0"):
-        replace(drive, soc0=soc0)

@@ -17,6 +17,7 @@ from cellwise.logs.packs.pack_log import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.differences import RESISTANCE, MeanCell, OcvSlope, mean_cell, regressors
 from cellwise.pack.pack_estimate import estimate_pack
+from emulated_packs import with_cells
 
 MODEL = named_model("lmo-pouch", 54.0)
 HURT = 37
@@ -56,7 +57,7 @@ def changed(logs, kind):
             volts[:, HURT] += 0.005
         elif kind == "time_skew":
             volts[:, HURT] = np.interp(time - 2.0, time, volts[:, HURT])
-        found.append(log.with_cells(np.round(volts, 3)))
+        found.append(with_cells(log, np.round(volts, 3)))
     return found
 
 
@@ -94,7 +95,7 @@ def drained(log, leak_A):
     ocv, volts = OcvSlope(MODEL, log.mean), log.cell_V.copy()
     lost = leak_A * 24.0 * days / MODEL.capacity_Ah
     volts[:, HURT] += ocv.ocv_V(np.clip(soc - lost, 0.0, 1.0)) - ocv.ocv_V(soc)
-    return log.with_cells(np.round(volts, 3))
+    return with_cells(log, np.round(volts, 3))
 
 
 @pytest.mark.slow
@@ -180,6 +181,6 @@ def test_resistances_keep_their_order_under_polling(weeks, even):
         time = log.mean.time_s
         for cell in range(0, 96, 2):
             volts[:, cell] = np.interp(time - 1.0, time, volts[:, cell])
-        late.append(replace(log.with_cells(volts)))
+        late.append(replace(with_cells(log, volts)))
     delayed = estimate_pack(MODEL, late).cells.resistance_scale
     assert spearmanr(even.cells.resistance_scale, delayed).statistic >= 0.95

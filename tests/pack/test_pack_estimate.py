@@ -13,7 +13,7 @@ from cellwise.pack.differences import RESISTANCE
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
 from cellwise.pack.suspicion import CAUSES, named
-from emulated_packs import Fault, emulated_pack
+from emulated_packs import Fault, emulated_pack, with_cells
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
 # A fault, the cause that names it, and which others cannot be told from it within one short log.
@@ -110,7 +110,7 @@ def test_a_dead_sensor_is_named_and_no_other_cell():
     model, log = emulated_pack(6, hours=2.0)
     volts = log.cell_V.copy()
     volts[:, 3] = 0.0
-    found = estimate_pack(model, [log.with_cells(volts)])
+    found = estimate_pack(model, [with_cells(log, volts)])
     assert [(c["cell"], c["name"]) for c in found.causes] == [("cell_04", "sensor_fault")]
     assert "cell_04" not in found.weakest.values()
     row = found.to_dict()["per_cell"][3]
@@ -179,7 +179,7 @@ def test_exchanged_columns_are_said_and_nobody_is_accused(two_months):
     order = np.arange(16)
     order[[2, 9]] = order[[9, 2]]
     known = estimate_pack(model, [first])
-    found = estimate_pack(model, [second.with_cells(second.cell_V[:, order])], known.state)
+    found = estimate_pack(model, [with_cells(second, second.cell_V[:, order])], known.state)
     assert any("cell_03 and cell_10 have exchanged" in notice for notice in found.notices)
     assert not any(c["changed"] for c in found.causes)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -70,3 +70,10 @@ def emulated_pack(
     volts += rng.normal(0.0, noise_V, volts.shape)
     volts = np.round(volts, 3)
     return model, PackLog.from_arrays(time, current, volts, temperature_C=warm, name=name)
+
+
+def with_cells(pack, volts):
+    """A pack's log with other cell voltages, shape (n, cells): mean and checks again."""
+    mean = {one.name: getattr(pack.mean, one.name) for one in fields(pack.mean)}
+    same = {name: getattr(pack, name) for name in ("names", "pack_V", "balancing")}
+    return PackLog.from_arrays(cell_V=volts, **same, **mean)

@@ -92,10 +92,9 @@ def _fetch(file: RemoteFile, folder: Path, progress: Progress | None) -> Path:
         digest = hashlib.new(file.algorithm)
         done = 0
         with _open(file.url) as answer, place.open("wb") as local:
-            while piece := _read(answer, file):
+            while piece := _piece(answer, file):
                 digest.update(piece)
-                local.write(piece)
-                done += len(piece)
+                done += local.write(piece)
                 if progress is not None:
                     progress(file.name, done, file.size)
         if digest.hexdigest() != file.checksum:
@@ -108,16 +107,15 @@ def _fetch(file: RemoteFile, folder: Path, progress: Progress | None) -> Path:
     return write_atomically(target, download)
 
 
-def _read(answer: Any, file: RemoteFile) -> bytes:
+def _piece(answer: Any, file: RemoteFile) -> bytes:
     try:
-        piece: bytes = answer.read(1_000_000)
+        return bytes(answer.read(1_000_000))
     except (OSError, http.client.HTTPException) as error:
         raise InputError(
             f"a connection that broke within '{file.name}' ({error})",
             "the whole file",
             "Fetch again: what is whole is not fetched twice.",
         ) from None
-    return piece
 
 
 def _open(url: str) -> Any:
@@ -179,17 +177,14 @@ def read_listing(text: str, url: str) -> list[RemoteFile]:
 def _entry(entry: Any, url: str) -> RemoteFile:
     try:
         if "content_details" in entry:
-            details = entry["content_details"]
-            checksum = str(details["sha256_hash"])
-            return RemoteFile(
-                str(entry["filename"]), str(details["download_url"]), "sha256", checksum,
-                details.get("size"),
-            )  # fmt: skip
-        algorithm, _, checksum = str(entry["checksum"]).rpartition(":")
-        address = str(entry["links"].get("self") or entry["links"]["content"])
-        return RemoteFile(
-            str(entry["key"]), address, algorithm or "md5", checksum, entry.get("size")
-        )
+            said = entry["content_details"]
+            name, address, size = entry["filename"], said["download_url"], said.get("size")
+            algorithm, checksum = "sha256", said["sha256_hash"]
+        else:
+            name, links, size = entry["key"], entry["links"], entry.get("size")
+            address = links.get("self") or links["content"]
+            algorithm, _, checksum = str(entry["checksum"]).rpartition(":")
+        return RemoteFile(str(name), str(address), algorithm or "md5", str(checksum), size)
     except (KeyError, TypeError) as error:
         raise InputError(
             f"a file without {error} in the list at '{url}'",

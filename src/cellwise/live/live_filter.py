@@ -35,6 +35,8 @@ WIDEST_STD = 0.3
 # A jump further than this is a broken stamp until more samples say the same.
 JUMP_S = 3600.0
 AGREEING = 5
+# What is said of a pack's cells, and what its deviation is called.
+SHOWN = {"soc": "soc", "capacity_share": "capacity", "resistance_scale": "resistance"}
 
 
 class Interval(NamedTuple):
@@ -164,17 +166,11 @@ class LivePack:
         """What is known of every cell, as values for JSON: one list each, cells in order."""
         if self._state is None:
             return {}
-        found = self._pack.cells(self._state)
-        return {
-            "cells": {
-                "soc": found["soc"].tolist(),
-                "soc_std": np.sqrt(found["soc_variance"]).tolist(),
-                "capacity_share": found["capacity_share"].tolist(),
-                "capacity_std": np.sqrt(found["capacity_variance"]).tolist(),
-                "resistance_scale": found["resistance_scale"].tolist(),
-                "resistance_std": np.sqrt(found["resistance_variance"]).tolist(),
-            }
-        }
+        found, shown = self._pack.cells(self._state), {}
+        for value, stem in SHOWN.items():
+            shown[value] = found[value].tolist()
+            shown[f"{stem}_std"] = np.sqrt(found[f"{stem}_variance"]).tolist()
+        return {"cells": shown}
 
     def to_dict(self) -> dict[str, Any]:
         """What outlives the program: the cells' differences and for how long they were followed."""

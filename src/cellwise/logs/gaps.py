@@ -31,7 +31,6 @@ class GapRule(NamedTuple):
 
 
 GAP = GapRule()
-_CHUNK = 100_000
 
 
 @dataclass(frozen=True)
@@ -51,10 +50,8 @@ class Gap:
 def find_gaps(time_s: FloatArray) -> BoolArray:
     """Rows that end a pause far longer than the logging interval around it.
 
-    An interval is a gap when it lasts more than 5 s, more than 10 times what is usual on either
-    side (the second longest of the five intervals before, and of the five after: one neighbouring
-    gap does not hide another), and more than 4 times each interval next to it (two long rows in a
-    sequence are slow logging).
+    What counts as one says `GapRule`; usual on a side is the second longest of the intervals there
+    (one neighbouring gap does not hide another).
 
     Parameters
     ----------
@@ -72,13 +69,10 @@ def find_gaps(time_s: FloatArray) -> BoolArray:
     if np.min(interval) == 0.0:  # rows that share a stamp have no interval of their own
         ends = ends[interval > 0]
         interval = interval[interval > 0]
-    suspects = np.flatnonzero(interval > GAP.least_s)
-    for start in range(0, suspects.size, _CHUNK):
-        at = suspects[start : start + _CHUNK]
-        long = interval[at] > GAP.beside * _beside(interval, at)
-        at = at[long]
-        usual = np.maximum(_usual(interval, at, -1), _usual(interval, at, +1))
-        found[ends[at[interval[at] > GAP.times * usual]]] = True
+    at = np.flatnonzero(interval > GAP.least_s)
+    at = at[interval[at] > GAP.beside * _beside(interval, at)]
+    usual = np.maximum(_usual(interval, at, -1), _usual(interval, at, +1))
+    found[ends[at[interval[at] > GAP.times * usual]]] = True
     return found
 
 

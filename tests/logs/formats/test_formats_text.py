@@ -300,6 +300,13 @@ def test_a_state_that_contradicts_the_signs_is_refused(tmp_path):
         read_log(path)
 
 
+def test_a_sensors_zero_does_not_pass_for_a_sign(tmp_path):
+    """A few negative milliamperes at rest leave a current unsigned."""
+    path = tmp_path / "export.txt"
+    path.write_text(maccor("where(i == 0, where(n % 2, 1e-3, -1e-3), abs(i))").text())
+    np.testing.assert_array_equal(read_log(path).current_A[I != 0], I[I != 0])
+
+
 def test_a_counter_that_restarts_with_every_cycle_is_joined(tmp_path):
     """Arbin's two capacities go to zero where a cycle begins; the net charge goes on."""
     half = T.size // 2

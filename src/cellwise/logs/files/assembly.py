@@ -83,7 +83,7 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
         steps[0] = 0.0
         channels.setdefault("charge_Ah", np.cumsum(steps))
     if "current_A" not in channels:
-        channels["current_A"] = _counted_current(channels, sign, where)
+        channels["current_A"] = _counted_current(channels, sign)
         notices.append("there is no current; it was taken from the counter's steps")
     notices += _drop_rows_without_time(channels, where)
     return RawLog(channels, tuple(notices), raw.cells)
@@ -177,16 +177,8 @@ def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
     return np.where(filled == 0.0, np.nan, filled)
 
 
-def _counted_current(
-    channels: dict[str, FloatArray], sign: SignConvention, where: str
-) -> FloatArray:
+def _counted_current(channels: dict[str, FloatArray], sign: SignConvention) -> FloatArray:
     """Mean current of every interval from the counter, in the format's sign."""
-    if "charge_Ah" not in channels:
-        raise InputError(
-            f"neither a current nor a counter in {where}",
-            "a current",
-            "Export the current with the log.",
-        )
     interval = np.diff(channels["time_s"], prepend=np.nan)
     drawn = np.diff(channels["charge_Ah"], prepend=np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -7,6 +7,7 @@ import os
 import time
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -81,15 +82,11 @@ NOTHING_SAID = ReadOptions()
 
 @dataclass(frozen=True)
 class LogSource:
-    """A log file before anything is known of its format.
-
-    ``head`` holds the first bytes of the content, decompressed when the file is gzip.
-    """
+    """A log file before anything is known of its format."""
 
     path: Path
     size: int
     gzipped: bool
-    head: bytes
     progress: Progress | None = None
     options: ReadOptions = NOTHING_SAID
 
@@ -97,6 +94,25 @@ class LogSource:
     def where(self) -> str:
         """The file, for messages."""
         return f"'{self.path}'"
+
+    @cached_property
+    def head(self) -> bytes:
+        """The first bytes of the content, decompressed when the file is gzip.
+
+        Raises
+        ------
+        InputError        damaged gzip
+        """
+        try:
+            with self.open() as stream:
+                return stream.read(HEAD_BYTES)
+        except (OSError, EOFError, zlib.error) as error:
+            # What can still be decompressed from the beginning.
+            with suppress(zlib.error), self.path.open("rb") as file:
+                begins = file.read(HEAD_BYTES)
+                if head := zlib.decompressobj(wbits=31).decompress(begins, HEAD_BYTES):
+                    return head
+            raise damaged_gzip(self, str(error)) from None
 
     @cached_property
     def is_text(self) -> bool:
@@ -168,21 +184,14 @@ def open_source(
             "a readable log file",
             "Check its permissions and that the disk is there.",
         ) from None
-    source = LogSource(place, size, magic == GZIP_MAGIC, b"", progress)
-    try:
-        with source.open() as stream:
-            head = stream.read(HEAD_BYTES)
-    except (OSError, EOFError, zlib.error) as error:
-        head = _gzip_head(source)
-        if not head:
-            raise damaged_gzip(source, str(error)) from None
-    if not head:
+    source = LogSource(place, size, magic == GZIP_MAGIC, progress, options or NOTHING_SAID)
+    if not source.head:
         raise InputError(
             f"the empty file '{place}'",
             "a log with a header and rows",
             "Check the export, or the copy, that wrote it.",
         )
-    return LogSource(place, size, source.gzipped, head, progress, options or NOTHING_SAID)
+    return source
 
 
 def decoded(text: bytes) -> str:
@@ -202,15 +211,6 @@ def damaged_gzip(source: LogSource, reason: str) -> InputError:
         "a complete file",
         "Copy or download it again; 'gzip -t' checks that it is whole.",
     )
-
-
-def _gzip_head(source: LogSource) -> bytes:
-    """What can still be decompressed from the beginning of a damaged gzip file."""
-    try:
-        with source.path.open("rb") as file:
-            return zlib.decompressobj(wbits=31).decompress(file.read(HEAD_BYTES), HEAD_BYTES)
-    except zlib.error:
-        return b""
 
 
 def _near_files(path: Path) -> str:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.logs.files.columns import REQUIRED, Channel, Unit, named_units
-from cellwise.logs.files.csv_layout import has_names
-from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.csv_text import has_names, read_csv
 from cellwise.logs.files.format import Format, Reader
 from cellwise.logs.files.source import LogSource
 

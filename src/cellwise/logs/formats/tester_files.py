@@ -17,8 +17,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import folded
-from cellwise.logs.files.csv_layout import has_names, header_cells
-from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.csv_text import has_names, header_cells, read_csv
 from cellwise.logs.files.format import Format, library_at_work, need
 from cellwise.logs.files.source import Limits, LogSource, RawLog, decoded
 from cellwise.logs.files.tables import channels_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,7 +14,7 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
-from cellwise.logs.files.csv_layout import csv_layout
+from cellwise.logs.files.csv_text import csv_layout
 from cellwise.logs.files.format import Format, detect_format
 from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
 from cellwise.logs.files.tables import is_parquet, parquet_names
@@ -151,12 +151,6 @@ class PackLog:
             balancing=taken(self.balancing),
             pack_V=taken(self.pack_V),
         )
-
-    def with_cells(self, cell_V: FloatArray) -> Self:
-        """The same log with other cell voltages, shape (n, cells): mean and checks again."""
-        mean = {one.name: getattr(self.mean, one.name) for one in fields(self.mean)}
-        pack = {name: getattr(self, name) for name in ("names", "pack_V", "balancing")}
-        return type(self).from_arrays(cell_V=cell_V, **pack, **mean)
 
     def columns(self) -> Mapping[str, FloatArray]:
         """The tidy form's columns: time, current, temperature, ``cell_01_V``, ..."""
