@@ -32,8 +32,7 @@ from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.fixed.layout import INPUT
-from cellwise.estimate.lockstep import LockstepEkf
-from cellwise.estimate.lockstep_kernels import FIELDS, LANES
+from cellwise.estimate.lockstep import FIELDS, LANES, LockstepEkf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog
 

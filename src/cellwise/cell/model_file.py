@@ -7,13 +7,14 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import fields
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
-from cellwise.cell.model import TABLES, CellModel, ModelTables
+from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
@@ -36,17 +37,29 @@ class Range(NamedTuple):
 
 # Of a cell: wider than any chemistry, narrow enough for every slip of a unit by a thousand.
 VOLTAGE = Range(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.")
-CAPACITY = Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs.")
 # What a resistance takes at 1C: resistances alone differ by cells' sizes. Today's cells take
 # 0.02 to 0.2 V at room temperature, in the cold and empty up to some volts.
 DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
 TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
 TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
-ERROR = Range(0.0, 6.0, "V", "Volts: not mV.")
-# Of the data behind a model: a counter may run a little beyond 0..1, a sensor see a short circuit.
-VALID_SOC = Range(-0.5, 1.5, "", "A fraction, not per cent.")
-SOC_LENGTH = Range(0.0, 10.0, "of the SOC", "A fraction, not per cent.")
-VALID_RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
+SHARE = Range(0.0, 10.0, "of the polarisation", "A share, not per cent.")
+SIZES = {
+    "capacity_Ah": Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs."),
+    "temperature_C": TEMPERATURE,
+    "ocv_V": VOLTAGE,
+    "tau1_s": TIME,
+    "tau2_s": TIME,
+    "voltage_min_V": VOLTAGE,
+    "voltage_max_V": VOLTAGE,
+    "error.std_V": Range(0.0, 6.0, "V", "Volts: not mV."),
+    "error.scales_s": TIME._replace(low=0.0),
+    "error.correlation_soc": Range(0.0, 10.0, "of the SOC", "A fraction, not per cent."),
+    "error.temperature_C": TEMPERATURE,
+    # Of its data: a counter may run a little beyond 0..1, a sensor see a short circuit.
+    "validity.soc": Range(-0.5, 1.5, "", "A fraction, not per cent."),
+    "validity.temperature_C": TEMPERATURE,
+}
+RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
 
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
@@ -198,38 +211,21 @@ def check_physical(model: CellModel, where: str) -> None:
 
 def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
     """Every entry with its range; resistances as the voltage that they take at 1C."""
-    yield "capacity_Ah", model.capacity_Ah, CAPACITY
-    yield "temperature_C", model.temperature_C, TEMPERATURE
-    yield "ocv_V", model.ocv_V, VOLTAGE
-    for name in ("r0_ohm", "r1_ohm", "r2_ohm"):
-        with np.errstate(over="ignore"):  # beyond every number is beyond every bound
+    for path, allowed in SIZES.items():
+        holder, _, name = path.rpartition(".")
+        values = attrgetter(path)(model)
+        if values is not None and np.size(values):
+            yield f"{name} of the {holder}" if holder else name, values, allowed
+    with np.errstate(over="ignore"):  # beyond every number is beyond every bound
+        for name in RESISTANCES:
             yield f"{name} with a drop", getattr(model, name) * model.capacity_Ah, DROP
-    slow = np.asarray(model.effect(SlowDiffusion).r3_ohm) * model.capacity_Ah
-    yield "r3_ohm with a drop", slow, DROP._replace(low=0.0)
-    for name in ("tau1_s", "tau2_s"):
-        yield name, getattr(model, name), TIME
-    for name in ("voltage_min_V", "voltage_max_V"):
-        if getattr(model, name) is not None:
-            yield name, getattr(model, name), VOLTAGE
-    error = model.error
-    yield "std_V of the error", error.std_V, ERROR
-    yield "scales_s of the error", error.scales_s, TIME._replace(low=0.0)
-    yield "correlation_soc of the error", error.correlation_soc or 0.0, SOC_LENGTH
-    yield (
-        "share and charge_share of the error",
-        (*error.shares(), *error.shares(-1.0)),
-        Range(0.0, 10.0, "of the polarisation", "A share, not per cent."),
-    )
-    if error.temperature_C:
-        yield "temperature_C of the error", error.temperature_C, TEMPERATURE
-    valid = model.validity
-    if valid.soc is not None:
-        yield "soc of the validity", valid.soc, VALID_SOC
-    if valid.temperature_C is not None:
-        yield "temperature_C of the validity", valid.temperature_C, TEMPERATURE
-    if valid.current_A is not None:
-        rate = np.array(valid.current_A) / model.capacity_Ah
-        yield "current_A of the validity, a rate", rate, VALID_RATE
+        slow = np.asarray(model.effect(SlowDiffusion).r3_ohm) * model.capacity_Ah
+        yield "r3_ohm with a drop", slow, DROP._replace(low=0.0)
+    shares = (*model.error.shares(), *model.error.shares(-1.0))
+    yield "share and charge_share of the error", shares, SHARE
+    if model.validity.current_A is not None:
+        rate = np.array(model.validity.current_A) / model.capacity_Ah
+        yield "current_A of the validity, a rate", rate, RATE
 
 
 def _span(low: float, high: float) -> str:

@@ -1,22 +1,253 @@
-"""Many cells of one kind in lockstep: one EKF each, one call per sample."""
+"""Many cells of one kind in lockstep: one EKF each, side by side in vector registers.
+
+State lies in blocks of LANES cells, number by number. Each lane reads its sample and looks up its
+tables by itself; what follows, the filter's own prediction, innovation, gate and update, is one
+loop over the lanes without a branch, which compiles to vector instructions. A cell whose step is
+not plain (SOC badly known, a reading that is missing, a voltage beyond the gate) takes the EKF's
+step after that.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cellwise.arguments import number, numbers
-from cellwise.cell.compiled import announce, for_kernel
+from cellwise.cell.compiled import announce, for_kernel, inline, kernel, rows
+from cellwise.cell.equations import (
+    CellTables,
+    drop_of,
+    heat_step,
+    loaded,
+    slow_step,
+    soc_step,
+    states_step,
+    transition,
+    with_heat,
+)
 from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.packed import put_record, record_at, size_of
+from cellwise.cell.plausibility.validity_kernels import is_outside
+from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
-from cellwise.estimate import lockstep_kernels as layout
-from cellwise.estimate.filters.filter_state import OUTPUTS, EkfState, ekf_start
+from cellwise.estimate.evidence_kernels import gate
+from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
+from cellwise.estimate.filters.drift_kernels import counted_on
+from cellwise.estimate.filters.filter_state import (
+    OUT_INNOVATION,
+    OUT_RATIO,
+    OUT_SOC,
+    OUT_STD,
+    OUT_VARIANCE,
+    OUT_VOLTAGE,
+    OUTPUTS,
+    EkfInfo,
+    EkfStart,
+    EkfState,
+    ekf_start,
+)
 from cellwise.estimate.filters.kalman import Ekf, check_state
-from cellwise.estimate.lockstep_kernels import LockstepRules, lockstep
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.filters.kalman_kernels import kalman_step
+from cellwise.estimate.filters.predict_kernels import Interval, with_noise
+from cellwise.estimate.filters.step_kernels import innovate, say
+from cellwise.estimate.filters.update_kernels import Predicted, update
+from cellwise.estimate.noise import Noise, NoiseScalars
+from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, tangent
 from cellwise.typing import BoolArray, FloatArray, IntArray
+
+LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler
+
+
+class Lane(NamedTuple):
+    """What one cell has read, and the tables at its SOC after the interval."""
+
+    current_A: float
+    seen_A: float
+    voltage_V: float
+    temperature_C: float
+    no_warm_s: float
+    soc: float
+    slow_A: float
+    point: CellPoint
+
+
+# Rows of the scratch of a block, LANES of each: what was read, whether the step is plain, what is
+# reported, the status. All in one array: LLVM gives up checking more of them for overlaps ("too
+# many memory checks needed"), and then vectorises nothing.
+FIELDS = size_of(EkfState)
+PLAIN = size_of(Lane)
+OUT = PLAIN + 1
+STATUS = OUT + OUTPUTS
+SCRATCH_ROWS = STATUS + 1
+
+
+@inline
+def get_state(block: FloatArray, lane: int) -> EkfState:
+    """A cell's state out of its lane."""
+    state: EkfState = record_at(EkfState, block, lane, LANES)
+    return state
+
+
+@inline
+def put_info(work: FloatArray, lane: int, info: EkfInfo) -> None:
+    """What there is to report of one lane."""
+    work[(OUT + OUT_SOC) * LANES + lane] = info.soc
+    work[(OUT + OUT_STD) * LANES + lane] = info.soc_std
+    work[(OUT + OUT_VOLTAGE) * LANES + lane] = info.voltage_V
+    work[(OUT + OUT_INNOVATION) * LANES + lane] = info.innovation_V
+    work[(OUT + OUT_VARIANCE) * LANES + lane] = info.innovation_variance_V2
+    work[(OUT + OUT_RATIO) * LANES + lane] = info.test_ratio
+    work[STATUS * LANES + lane] = info.status
+
+
+@inline
+def read_lane(
+    tables: CellTables,
+    noise: NoiseScalars,
+    start: EkfStart,
+    old: EkfState,
+    reading: Reading,
+    work: FloatArray,
+    lane: int,
+) -> None:
+    """A cell's sample and its tables; whether its step is plain so far."""
+    cell, w = tables.cell, old.watch
+    s = read_sample(tables, noise, w, start.temperature_C, reading)
+    soc = soc_step(cell, old.cell.soc, s.flow_A, s.dt_s)
+    plain = s.status == 0 and math.isfinite(s.voltage_V) and math.isfinite(soc)
+    plain &= (w.evidence_s >= 0.0) & (w.no_voltage_s == 0.0) & (w.no_current_s == 0.0)
+    plain &= (old.p.ss <= WIDE_VARIANCE) & (old.past.first_variance <= 0.0) & (s.no_warm_s <= 0.0)
+    plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.seen_A)
+    work[PLAIN * LANES + lane] = 1.0 if plain else 0.0
+    if plain:
+        slow = slow_step(cell, old.cell.slow_A, s.flow_A, s.dt_s)
+        point = loaded(tables, soc, s.temperature_C + old.cell.heat_K, s.seen_A, slow)
+        seen = Lane(
+            s.current_A, s.seen_A, s.voltage_V, s.temperature_C, s.no_warm_s, soc, slow, point
+        )
+        put_record(work, lane, LANES, seen, True)
+
+
+@inline
+def plain_step(
+    tables: CellTables, noise: NoiseScalars, old: EkfState, lane: Lane, dt_s: float
+) -> tuple[EkfState, EkfInfo, bool]:
+    """The EKF's step where SOC is well known; whether gate and sensors allow it."""
+    cell, point, flow_A = tables.cell, lane.point, lane.seen_A
+    # fmt: off
+    s = Sample(
+        lane.current_A, flow_A, flow_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,
+        lane.no_warm_s, dt_s, False, 0,
+    )
+    t = transition(cell, point, flow_A, dt_s)
+    end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
+    over = Interval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
+    p = with_noise(decayed(old.p, t), noise, s, over, 0.0)
+    x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
+    followed = old.drift.believed * old.drift.reach
+    drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
+    now = Predicted(
+        old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
+        old.watch.evidence_s, old.past, drift, None, followed, 0,
+    )
+    # fmt: on
+    i, seen = innovate(tables, noise, None, s, now)
+    v = gate(cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
+    after, info = say(i, v, update(noise, None, s, now, seen, i, v), v.status)
+    return after, info, v.accepted
+
+
+@inline
+def plain_block(
+    tables: CellTables, noise: NoiseScalars, block: FloatArray, work: FloatArray, dt_s: float
+) -> None:
+    """The plain lanes of a block; the others keep their state."""
+    for k in range(LANES):
+        seen: Lane = record_at(Lane, work, k, LANES)
+        new, info, fits = plain_step(tables, noise, get_state(block, k), seen, dt_s)
+        plain = (work[PLAIN * LANES + k] > 0.0) & fits
+        work[PLAIN * LANES + k] = 1.0 if plain else 0.0
+        put_record(block, k, LANES, new, plain)
+        put_info(work, k, info)
+
+
+@kernel
+def full_lane(
+    tables: CellTables,
+    noise: NoiseScalars,
+    start: EkfStart,
+    block: FloatArray,
+    lane: int,
+    reading: Reading,
+    work: FloatArray,
+) -> None:
+    """The EKF's own step for one lane."""
+    state, info = kalman_step(tables, noise, None, start, get_state(block, lane), reading)
+    put_record(block, lane, LANES, state, True)
+    put_info(work, lane, info)
+
+
+class LockstepRules(NamedTuple):
+    """What stays from step to step: where a state begins, how many cells are real, the time.
+
+    Flat, since Python hands it over with every step, and takes longer over records within records.
+    """
+
+    soc: float
+    variance: float
+    hysteresis_variance: float
+    temperature_C: float
+    cells: int
+    dt_s: float
+
+
+@rows
+def lockstep(
+    tables: CellTables,
+    noise: NoiseScalars,
+    rules: LockstepRules,
+    state: FloatArray,
+    work: FloatArray,
+    current_A: FloatArray,
+    voltage_V: FloatArray,
+    temperature_C: FloatArray,
+    gap: BoolArray,
+    out: FloatArray,
+    status: IntArray,
+) -> int:
+    """One sample of every cell; how many had a plain step.
+
+    ``state`` is in blocks of LANES cells with FIELDS rows each; the samples have one value for
+    each of the ``rules.cells``, ``out`` (OUTPUTS, cells) and ``status`` likewise. ``work`` is
+    scratch for one block.
+    """
+    soc0, variance, hysteresis_variance, unknown_C, cells, dt_s = rules
+    start = EkfStart(soc0, variance, hysteresis_variance, unknown_C)
+    short = 0
+    for first in range(0, cells, LANES):
+        # Slices: offsets into them are known to be positive, without which nothing is vectorised.
+        block = state[first * FIELDS : (first + LANES) * FIELDS]
+        lanes = min(LANES, cells - first)
+        for k in range(lanes):
+            at = first + k
+            reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
+            read_lane(tables, noise, start, get_state(block, k), reading, work, k)
+        plain_block(tables, noise, block, work, dt_s)
+        for k in range(lanes):
+            at = first + k
+            if work[PLAIN * LANES + k] > 0.0:
+                short += 1
+            else:
+                reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
+                full_lane(tables, noise, start, block, k, reading, work)
+            for row in range(OUTPUTS):
+                out[row, at] = work[(OUT + row) * LANES + k]
+            status[at] = int(work[STATUS * LANES + k])
+    return short
 
 
 class LockstepState(NamedTuple):
@@ -81,8 +312,8 @@ class LockstepEkf:
         self._tables = model.parameters()
         self._noise = self.noise.scalars(model)
         self._rules = LockstepRules(*self._ekf.start(0.5, 0.3), self.cells, self.dt_s)
-        self._blocks = -(-self.cells // layout.LANES)
-        self._scratch = np.zeros(layout.SCRATCH_ROWS * layout.LANES)
+        self._blocks = -(-self.cells // LANES)
+        self._scratch = np.zeros(SCRATCH_ROWS * LANES)
         self._out = np.zeros((OUTPUTS, self.cells))
         self._status = np.zeros(self.cells, dtype=np.int32)
         self._no_gap = np.zeros(self.cells, dtype=np.bool_)
@@ -95,12 +326,12 @@ class LockstepEkf:
         InputError        soc0 outside 0..1, soc0_std not above zero, another number of cells
         """
         starts = np.stack([self._each(soc0, "soc0"), self._each(soc0_std, "soc0_std")], axis=1)
-        fields = np.zeros((self._blocks, layout.FIELDS, layout.LANES))
+        fields = np.zeros((self._blocks, FIELDS, LANES))
         different, which = np.unique(starts, axis=0, return_inverse=True)
         for k, one in enumerate(different.tolist()):
             cells = np.flatnonzero(which.ravel() == k)
             row = ekf_start(self._ekf.start(*one), 0.0).row()
-            fields[cells // layout.LANES, :, cells % layout.LANES] = row
+            fields[cells // LANES, :, cells % LANES] = row
         return LockstepState(fields.ravel(), self.cells)
 
     def step(
@@ -152,8 +383,8 @@ class LockstepEkf:
 
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:
         """One cell's state as the EKF carries it."""
-        block, lane = divmod(range(self.cells)[cell], layout.LANES)
-        fields = state.blocks.reshape(-1, layout.FIELDS, layout.LANES)
+        block, lane = divmod(range(self.cells)[cell], LANES)
+        fields = state.blocks.reshape(-1, FIELDS, LANES)
         return EkfState.of_row(fields[block, :, lane])
 
     def _each(self, values: ArrayLike, name: str) -> FloatArray:
