@@ -31,6 +31,7 @@ cellwise live: a stream of samples to SOC, as they come
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import signal
 import sys
@@ -39,12 +40,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import IO
+
+from rich.console import Console
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
 
 from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FarOffStream
 from cellwise.cli.common import forecast_options, log_options, options, printing
-from cellwise.cli.live_output import Followed, LineWriter, live_panel, state_row, warned_once
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
@@ -53,9 +60,13 @@ from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of
 from cellwise.live import Counts, LiveFilter, Update, open_source
 from cellwise.live import run_live as follow_source
+from cellwise.live.followed import FORECAST_EVERY_S, Followed, state_row
 from cellwise.live.run import LatencyMeter, check_any
 from cellwise.live.source import sender_to
 from cellwise.logs import Stated
+
+REFRESH_S = 0.25  # of the panel
+SILENT_S = 2.0  # after which the panel says that nothing comes
 
 
 def run_live(arguments: argparse.Namespace) -> None:
@@ -203,3 +214,102 @@ def _report_end(
             f"outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
             f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
         )
+
+
+class LineWriter:
+    """One JSON object per update, at most one in ``every_s`` of the stream's time."""
+
+    def __init__(self, file: IO[str], followed: Followed, every_s: float = 0.0) -> None:
+        self._file, self._followed, self._every_s = file, followed, every_s
+        self._waited_s = self._since_forecast_s = math.inf
+
+    def __call__(self, update: Update) -> None:
+        """Write a line if it is time."""
+        self._waited_s += update.dt_s
+        self._since_forecast_s += update.dt_s
+        if self._waited_s < self._every_s * (1.0 - 1e-9):
+            return
+        self._waited_s = 0.0
+        row = state_row(update)
+        if self._since_forecast_s >= FORECAST_EVERY_S:
+            self._since_forecast_s = 0.0
+            row |= self._followed.columns(update)
+        self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
+        self._file.flush()
+
+
+def warned_once(what: Callable[[Update], str | None]) -> Callable[[Update], None]:
+    """Says on standard error, once, what comes true of a stream."""
+    said = False
+
+    def take(update: Update) -> None:
+        nonlocal said
+        if not said and (text := what(update)) is not None:
+            said = True
+            printing.warn(f"cellwise live: {text}")
+
+    return take
+
+
+@contextmanager
+def live_panel(
+    name: str, followed: Followed, console: Console | None = None
+) -> Iterator[Callable[[Counts], None]]:
+    """A panel that is drawn at most four times a second, and what it is shown the counts by."""
+    seen, latest = 0, None
+    drawn_s, heard_s = -math.inf, time.monotonic()
+    with Live(console=console or Console(), auto_refresh=False) as shown:
+
+        def look(counts: Counts) -> None:
+            nonlocal seen, latest, drawn_s, heard_s
+            now_s, latest = time.monotonic(), counts
+            if counts.samples != seen:
+                heard_s, seen = now_s, counts.samples
+            if now_s - drawn_s >= REFRESH_S:
+                drawn_s = now_s
+                shown.update(panel(name, followed, counts, now_s - heard_s), refresh=True)
+
+        try:
+            yield look
+        finally:
+            if latest is not None:
+                shown.update(panel(name, followed, latest))
+
+
+def panel(name: str, followed: Followed, counts: Counts, silent_s: float = 0.0) -> Panel:
+    """What stands on the terminal: the state, and all that a line of JSON would say beside it."""
+    last, stray = counts.last, sum(counts.stray.values())
+    if last is None:
+        return Panel(f"waiting for samples ({stray} not readable)", title=name)
+    row, late = followed.row(last), counts.latency.to_dict()
+    said = {} if followed.far_off is None else {"far off": followed.far_off}
+    said |= {
+        "current": f"{row['current_A']:.3f} A",
+        "voltage": f"{row['measured_voltage_V']:.4f} V, {row['voltage_V']:.4f} expected",
+        "temperature": f"{row['temperature_C']:.1f} degC",
+        "flags": ", ".join(row["flags"]).lower() or "-",
+    }
+    foreseen = followed.columns(last)
+    for key, value in foreseen.items():
+        label = key.replace("_", " ")
+        if key == "cells":
+            said[label] = f"SOC {100 * min(value['soc']):.1f} to {100 * max(value['soc']):.1f} %"
+        elif key.endswith("_s") and value is not None:
+            low, high = foreseen[f"{key}_band"]
+            minutes = f"{value / 60:.1f} min ({low / 60:.1f} to {high / 60:.1f})"
+            said[label.removesuffix(" s")] = minutes
+        elif isinstance(value, float):
+            said[label] = f"{value:.3g}"
+    said["stream"] = (
+        f"{counts.samples:,} samples, {counts.gaps} gap(s), {counts.late} late, "
+        f"{stray} not readable"
+    )
+    said["latency"] = f"{late['p50_ms']:.2f} ms, 99 % {late['p99_ms']:.2f} ms"
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(justify="right", style="bold")
+    grid.add_row("SOC", f"{100 * row['soc']:.2f} % +- {200 * row['soc_std']:.2f}")
+    grid.add_row("", ProgressBar(total=1.0, completed=min(max(row["soc"], 0.0), 1.0), width=40))
+    for label, text in said.items():
+        grid.add_row(label, text)
+    silent = f"nothing for {silent_s:.0f} s | " if silent_s > SILENT_S else ""
+    return Panel(grid, title=silent + name, width=72)
