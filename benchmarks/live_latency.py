@@ -62,10 +62,11 @@ def play(channel: str, dbc: Path, rate_Hz: float, samples: int, sent: list[float
 
 def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     """Figures of one rate."""
-    from cellwise.cli.live_output import Followed, LineWriter
+    from cellwise.cli.live import LineWriter
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
+    from cellwise.live.followed import Followed
     from cellwise.live.run import LatencyMeter
     from cellwise.live.source import BUS_EVERY_S, Sending
     from cellwise.logs.files.source import ReadOptions

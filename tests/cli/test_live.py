@@ -193,9 +193,10 @@ def test_a_bus_with_soc_back(model, lines, tmp_path, run_json):
 
 
 def test_the_view_shows_what_a_person_asks_for(model, stream_file):
-    from cellwise.cli.live_output import Followed, live_panel, panel
+    from cellwise.cli.live import live_panel, panel
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import LiveFilter, open_source, run_live
+    from cellwise.live.followed import Followed
 
     cell = read_model(model)
     live, source = LiveFilter(cell), open_source(f"json:{stream_file}")

@@ -7,8 +7,6 @@ import subprocess
 
 import pytest
 
-from cellwise.cell.model_file import write_model
-from cellwise.cli import main
 from example_cells import curved_cell
 
 cantools = pytest.importorskip("cantools", reason="no cantools: pip install 'cellwise[importers]'")
@@ -37,15 +35,9 @@ int main(void) {
 """
 
 
-def exported(folder, *more):
-    write_model(curved_cell(), folder / "model.json")
-    arguments = ["--model", folder / "model.json", "--can", folder / "gauge.dbc", *more]
-    return main(["export", *map(str, arguments)])
-
-
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
-def test_what_the_c_packs_the_database_unpacks(tmp_path):
-    assert exported(tmp_path) == 0
+def test_what_the_c_packs_the_database_unpacks(export, tmp_path):
+    export("--can", tmp_path / "gauge.dbc")
     (tmp_path / "main.c").write_text(PROGRAM)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
     subprocess.run(["gcc", *flags, "main.c", "gauge.c", "-o", "main"], cwd=tmp_path, check=True)
@@ -66,22 +58,9 @@ def test_what_the_c_packs_the_database_unpacks(tmp_path):
     assert bus.get_message_by_name("Soc").signals[0].unit == "%"
 
 
-def test_the_power_of_a_pack_has_room_in_its_signal(tmp_path):
-    assert exported(tmp_path, "--cells", 96) == 0
+def test_the_power_of_a_pack_has_room_in_its_signal(export, tmp_path):
+    export("--can", tmp_path / "gauge.dbc", "--cells", 96)
     bus = cantools.database.load_file(tmp_path / "gauge.dbc")
     cell = curved_cell()
     most = max(s.maximum for s in bus.get_message_by_name("Power").signals)
     assert most >= 96 * 10 * cell.capacity_Ah * cell.ocv_V.max()
-
-
-def test_without_cantools_or_with_a_name_that_is_none_nothing_is_written(
-    tmp_path, capsys, monkeypatch
-):
-    write_model(curved_cell(), tmp_path / "model.json")
-    base = ["export", "--model", str(tmp_path / "model.json"), "--can"]
-    assert main([*base, str(tmp_path / "1 bus.dbc")]) == 2
-    assert "name of C" in capsys.readouterr().err
-    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
-    assert main([*base, str(tmp_path / "gauge.dbc")]) == 2
-    assert "cellwise[importers]" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["model.json"]

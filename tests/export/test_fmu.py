@@ -10,9 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.cli import main
 from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.firmware import need_package
@@ -25,12 +23,15 @@ pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt
 STEPS = 100_000
 
 
-def exported(folder, model, *more):
-    write_model(model, folder / "model.json")
-    place = folder / "out.fmu"
-    arguments = ["--model", folder / "model.json", "--dt", 0.5, "--fmu", place, *more, "--json"]
-    assert main(["export", *map(str, arguments)]) == 0
-    return place
+@pytest.fixture
+def exported(export, tmp_path):
+    """An FMU as the command writes it."""
+
+    def run(model, *more):
+        export("--dt", 0.5, "--fmu", tmp_path / "out.fmu", *more, model=model)
+        return tmp_path / "out.fmu"
+
+    return run
 
 
 class Instance:
@@ -58,10 +59,12 @@ class Instance:
 
 
 @pytest.mark.parametrize("what", ["estimator", pytest.param("cell", marks=pytest.mark.slow)])
-def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tmp_path, what):
+def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(
+    exported, tmp_path, what
+):
     from fmpy.validation import validate_fmu
 
-    place = exported(tmp_path, full_model(), "--what", what)
+    place = exported(full_model(), "--what", what)
     assert validate_fmu(str(place)) == []
     with zipfile.ZipFile(place) as archive:
         archive.extractall(tmp_path)
@@ -76,9 +79,9 @@ def test_an_importer_finds_it_valid_and_its_sources_compile_without_a_warning(tm
 
 
 @pytest.mark.slow
-def test_the_estimator_has_the_bits_of_python_over_100_000_steps(tmp_path):
+def test_the_estimator_has_the_bits_of_python_over_100_000_steps(exported, tmp_path):
     model = full_model()
-    one = Instance(exported(tmp_path, model), tmp_path / "x", soc0=0.6, soc0_std=0.1)
+    one = Instance(exported(model), tmp_path / "x", soc0=0.6, soc0_std=0.1)
     records = noisy_samples(STEPS)
     names = ("soc", "soc_std", "predicted_voltage_V", "innovation_V")
     ins = [one.refs[n] for n in ("current_A", "voltage_V", "temperature_C")]
@@ -102,9 +105,9 @@ def test_the_estimator_has_the_bits_of_python_over_100_000_steps(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_cell_has_the_voltage_of_simulate(tmp_path):
+def test_the_cell_has_the_voltage_of_simulate(exported, tmp_path):
     model = curved_cell()
-    place = exported(tmp_path, model, "--what", "cell")
+    place = exported(model, "--what", "cell")
     time_s = np.arange(4001) * 0.5
     current = np.where(time_s % 400 < 250, 2.0, -1.0)
     held = np.array([(t, i) for t, i in zip(time_s, current, strict=True)],
@@ -121,11 +124,11 @@ def test_the_cell_has_the_voltage_of_simulate(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_state_is_kept_and_set_again_and_steps_may_be_longer_than_a_sample(tmp_path):
+def test_a_state_is_kept_and_set_again_and_steps_may_be_longer_than_a_sample(exported, tmp_path):
     low_V, high_V = curved_cell().ocv_V.min(), curved_cell().ocv_V.max()
     more = ["--remaining", low_V + 0.1, "--power", 10, "--voltage-limits", low_V, high_V]
     more += ["--current-limits", 10, 5]
-    one = Instance(exported(tmp_path, curved_cell(), *more), tmp_path / "x", soc0=0.8)
+    one = Instance(exported(curved_cell(), *more), tmp_path / "x", soc0=0.8)
     one.set(current_A=1.0, voltage_V=3.8)
     one.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=10.0)
     kept = one.fmu.serializeFMUState(one.fmu.getFMUState())
@@ -143,9 +146,9 @@ def test_a_state_is_kept_and_set_again_and_steps_may_be_longer_than_a_sample(tmp
     assert one.get(*names) == after
 
 
-def test_another_importer_finds_the_same_and_another_token_is_refused(tmp_path, capfd):
+def test_another_importer_finds_the_same_and_another_token_is_refused(exported, tmp_path):
     loader = pytest.importorskip("fmuloader.fmi3", reason="no fmuloader: pip install fmuloader")
-    place = exported(tmp_path, curved_cell())
+    place = exported(curved_cell())
     one = Instance(place, tmp_path / "x", soc0=0.4)
     described = fmpy.read_model_description(str(place))
     other = loader.Fmi3Slave(place, model_identifier=described.coSimulation.modelIdentifier)
@@ -168,8 +171,8 @@ def test_another_importer_finds_the_same_and_another_token_is_refused(tmp_path, 
 
 
 @pytest.mark.slow
-def test_a_step_takes_at_most_a_microsecond_beside_the_importer(tmp_path):
-    one = Instance(exported(tmp_path, curved_cell()), tmp_path / "x", soc0=0.8)
+def test_a_step_takes_at_most_a_microsecond_beside_the_importer(exported, tmp_path):
+    one = Instance(exported(curved_cell()), tmp_path / "x", soc0=0.8)
     one.set(current_A=0.01, voltage_V=3.8)
     best = np.inf
     for k in range(5):
@@ -177,16 +180,3 @@ def test_a_step_takes_at_most_a_microsecond_beside_the_importer(tmp_path):
         one.fmu.doStep(currentCommunicationPoint=5e4 * k, communicationStepSize=5e4)
         best = min(best, time.perf_counter() - began)
     assert best / 1e5 < 1e-6
-
-
-def test_an_fmu_without_headers_or_time_step_is_refused(tmp_path, capsys, monkeypatch):
-    write_model(curved_cell(), tmp_path / "model.json")
-    base = ["export", "--model", str(tmp_path / "model.json"), "--fmu"]
-    assert main([*base, str(tmp_path / "out.fmu")]) == 2
-    assert "--dt" in capsys.readouterr().err
-    assert main([*base, str(tmp_path / "out.zip"), "--dt", "1"]) == 2
-    assert ".fmu" in capsys.readouterr().err
-    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
-    assert main([*base, str(tmp_path / "out.fmu"), "--dt", "1"]) == 2
-    assert "cellwise[fmu]" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["model.json"]

@@ -15,11 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from cellwise.cell.model_file import write_model
-from cellwise.cli import main
-from cellwise.cli.exporting import LAYOUT_NAMES
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
-from cellwise.export.package import LAYOUTS
 from example_cells import curved_cell
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -29,20 +25,20 @@ needs_cmake = pytest.mark.skipif(CMAKE is None, reason="no cmake: apt-get instal
 BITS = "every bit as expected"
 
 
-def exported(folder, layout, capsys, *more):
-    """The folder of a layout as the command writes it; no cross compiler is asked."""
-    write_model(curved_cell(), folder / "model.json")
-    place = folder / "out"
-    arguments = ["--model", folder / "model.json", "--dt", 1, "-o", place, "--layout", layout]
-    assert main(["export", *map(str, (*arguments, *more)), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert all((place / name).is_file() for name in told["files"])
-    return place
+pytestmark = pytest.mark.usefixtures("no_cross_compiler")
 
 
-@pytest.fixture(autouse=True)
-def no_cross_compiler(monkeypatch):
-    monkeypatch.setattr("cellwise.export.cross.has_tools", lambda core: False)
+@pytest.fixture
+def exported(export, tmp_path):
+    """The folder of a layout as the command writes it."""
+
+    def run(layout, *more):
+        place = tmp_path / "out"
+        told = export("--dt", 1, "-o", place, "--layout", layout, *more)
+        assert all((place / name).is_file() for name in told["files"])
+        return place
+
+    return run
 
 
 def run(*command, cwd=None):
@@ -53,15 +49,11 @@ def run(*command, cwd=None):
     return done.stdout
 
 
-def test_the_names_on_the_command_line_are_those_there_are():
-    assert set(LAYOUT_NAMES) == set(LAYOUTS)
-
-
 @needs_cmake
 @needs_gcc
 @pytest.mark.parametrize("prefix", ["", pytest.param("nmc", marks=pytest.mark.slow)])
-def test_cmake_builds_it_and_its_test_passes(tmp_path, capsys, prefix):
-    place = exported(tmp_path, "cmake", capsys, *(["--prefix", prefix] if prefix else []))
+def test_cmake_builds_it_and_its_test_passes(exported, tmp_path, prefix):
+    place = exported("cmake", *(["--prefix", prefix] if prefix else []))
     run(CMAKE, "-S", place, "-B", tmp_path / "build")
     run(CMAKE, "--build", tmp_path / "build")
     name = prefix or "cellwise"
@@ -95,9 +87,9 @@ target_link_libraries(app cellwise)
 @pytest.mark.slow
 @needs_cmake
 @needs_gcc
-def test_zephyr_takes_the_module(tmp_path, capsys):
+def test_zephyr_takes_the_module(exported, tmp_path):
     yaml = pytest.importorskip("yaml")
-    place = exported(tmp_path, "zephyr", capsys)
+    place = exported("zephyr")
     module = yaml.safe_load((place / "zephyr/module.yml").read_text())
     assert module["name"] == "cellwise"
     assert (place / module["build"]["cmake"] / "CMakeLists.txt").is_file()
@@ -110,9 +102,9 @@ def test_zephyr_takes_the_module(tmp_path, capsys):
     assert BITS in run(tmp_path / "build/app")
 
 
-def test_zephyrs_kconfig_has_the_symbol_that_the_sample_sets(tmp_path, capsys):
+def test_zephyrs_kconfig_has_the_symbol_that_the_sample_sets(exported, tmp_path):
     kconfiglib = pytest.importorskip("kconfiglib", reason="no kconfiglib: pip install kconfiglib")
-    place = exported(tmp_path, "zephyr", capsys, "--prefix", "nmc")
+    place = exported("zephyr", "--prefix", "nmc")
     found = kconfiglib.Kconfig(str(place / "Kconfig"))
     assert "NMC" in found.syms
     assert "CONFIG_NMC=y" in (place / "samples/check/prj.conf").read_text()
@@ -120,8 +112,8 @@ def test_zephyrs_kconfig_has_the_symbol_that_the_sample_sets(tmp_path, capsys):
 
 @pytest.mark.slow
 @needs_gcc
-def test_platformio_takes_the_manifest_and_the_example_compiles(tmp_path, capsys):
-    place = exported(tmp_path, "platformio", capsys)
+def test_platformio_takes_the_manifest_and_the_example_compiles(exported, tmp_path):
+    place = exported("platformio")
     manifest = json.loads((place / "library.json").read_text())
     assert all((place / "examples/check" / f).is_file() for f in manifest["examples"][0]["files"])
     build = manifest["build"]
@@ -149,8 +141,8 @@ int main() { setup(); }
 
 @pytest.mark.slow
 @needs_gcc
-def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(tmp_path, capsys):
-    place = exported(tmp_path, "arduino", capsys)
+def test_arduino_takes_the_library_and_the_sketch_finds_every_bit(exported, tmp_path):
+    place = exported("arduino")
     lines = (place / "library.properties").read_text().splitlines()
     properties = dict(line.split("=", 1) for line in lines)
     wanted = {"name", "version", "author", "maintainer", "sentence", "paragraph", "category"}
@@ -186,9 +178,9 @@ target_link_libraries(app main)
 @pytest.mark.slow
 @needs_cmake
 @needs_gcc
-def test_esp_idf_takes_the_component(tmp_path, capsys):
+def test_esp_idf_takes_the_component(exported, tmp_path):
     yaml = pytest.importorskip("yaml")
-    place = exported(tmp_path, "esp-idf", capsys)
+    place = exported("esp-idf")
     (tmp_path / "CMakeLists.txt").write_text(IDF)
     run(CMAKE, "-S", tmp_path, "-B", tmp_path / "build")
     run(CMAKE, "--build", tmp_path / "build")
@@ -259,8 +251,8 @@ int main(void) {
 
 @pytest.mark.slow
 @needs_gcc
-def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(tmp_path, capsys):
-    place = exported(tmp_path, "foxbms", capsys)
+def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path):
+    place = exported("foxbms")
     for name, text in FOXBMS.items():
         (tmp_path / name).write_text(text)
     sources = [place / f"{n}.c" for n in ("soc_cellwise", "cellwise_ekf", "cell_table")]
@@ -278,16 +270,3 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(tmp_path, capsys):
     assert float(after[2]) < float(after[1])
     # The wscript is Python that waf calls with a build context.
     run(sys.executable, "-m", "py_compile", place / "wscript")
-
-
-def test_what_cannot_be_arranged_is_refused(tmp_path, capsys):
-    write_model(curved_cell(), tmp_path / "model.json")
-    base = ["export", "--model", str(tmp_path / "model.json"), "--layout", "foxbms"]
-    can = ["export", "--model", str(tmp_path / "model.json"), "--can", str(tmp_path / "a.dbc")]
-    assert main([*can, "--report", str(tmp_path / "a.html")]) == 2
-    assert "--report without -o" in capsys.readouterr().err
-    assert main([*base, "--dt", "0.0305", "--fmu", str(tmp_path / "a.fmu")]) == 2
-    assert "-o DIR" in capsys.readouterr().err
-    assert main([*base, "--dt", "0.03051", "-o", str(tmp_path / "out")]) == 2
-    assert "milliseconds" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 
 from browser import CHROMIUM, Browser
-from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.cli import main
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import INPUT, OUTLOOK, OUTPUT
 from cellwise.estimate.fixed.stepper import numba_stepper, start_state
@@ -34,11 +32,15 @@ MOST_BYTES = 1_000_000
 ROWS = 200_000
 
 
-def exported(folder, model, *more):
-    write_model(model, folder / "model.json")
-    arguments = ["--model", folder / "model.json", "--page", folder / "page.html", *more, "--json"]
-    assert main(["export", *map(str, arguments)]) == 0
-    return folder / "page.html"
+@pytest.fixture
+def exported(export, tmp_path):
+    """A page as the command writes it."""
+
+    def run(model, *more):
+        export("--page", tmp_path / "page.html", *more, model=model)
+        return tmp_path / "page.html"
+
+    return run
 
 
 def looked_at(folder, page, work):
@@ -95,9 +97,9 @@ def python_rows(model, records, soc0, std):
 @needs_clang
 @in_chromium
 @pytest.mark.slow
-def test_the_page_has_the_bits_of_python_over_200_000_samples(tmp_path):
+def test_the_page_has_the_bits_of_python_over_200_000_samples(exported, tmp_path):
     model = full_model()
-    page = exported(tmp_path, model)
+    page = exported(model)
     assert page.stat().st_size < MOST_BYTES
     records = noisy_samples(ROWS)
     lines = ["time_s,current_A,voltage_V,temperature_C"]
@@ -133,8 +135,8 @@ def test_the_page_has_the_bits_of_python_over_200_000_samples(tmp_path):
 @needs_clang
 @in_chromium
 @pytest.mark.slow
-def test_a_million_samples_take_at_most_a_second(tmp_path):
-    page = exported(tmp_path, curved_cell())
+def test_a_million_samples_take_at_most_a_second(exported, tmp_path):
+    page = exported(curved_cell())
 
     async def work(browser):
         return await browser.value(
@@ -151,9 +153,11 @@ def test_a_million_samples_take_at_most_a_second(tmp_path):
 @needs_clang
 @in_chromium
 @pytest.mark.slow
-def test_an_uneven_log_with_a_gap_becomes_the_samples_of_python_and_the_page_can_be_read(tmp_path):
+def test_an_uneven_log_with_a_gap_becomes_the_samples_of_python_and_the_page_can_be_read(
+    exported, tmp_path
+):
     model = curved_cell()
-    page = exported(tmp_path, model)
+    page = exported(model)
     rng = np.random.default_rng(3)
     step = rng.uniform(0.05, 0.4, 9000)
     step[5000] = 3600.0
@@ -201,8 +205,8 @@ def test_an_uneven_log_with_a_gap_becomes_the_samples_of_python_and_the_page_can
 @needs_clang
 @in_chromium
 @pytest.mark.slow
-def test_the_example_and_the_c_of_the_page_work(tmp_path):
-    page = exported(tmp_path, curved_cell(), "--prefix", "nmc")
+def test_the_example_and_the_c_of_the_page_work(exported, tmp_path):
+    page = exported(curved_cell(), "--prefix", "nmc")
 
     async def work(browser):
         await browser.value("document.getElementById('example').click()")
@@ -234,12 +238,3 @@ def test_the_example_and_the_c_of_the_page_work(tmp_path):
         b"every bit as expected"
         in subprocess.run([program], capture_output=True, check=True).stdout
     )
-
-
-def test_without_clang_nothing_is_written(tmp_path, capsys, monkeypatch):
-    write_model(curved_cell(), tmp_path / "model.json")
-    monkeypatch.setattr("cellwise.export.page.shutil.which", lambda name: None)
-    arguments = ["--model", tmp_path / "model.json", "--page", tmp_path / "page.html"]
-    assert main(["export", *map(str, arguments)]) == 2
-    assert "apt-get install clang lld" in capsys.readouterr().err
-    assert not (tmp_path / "page.html").exists()

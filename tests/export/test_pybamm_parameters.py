@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +16,8 @@ from cellwise.cell.effects import (
     SlowDiffusion,
     TemperatureDependence,
 )
-from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import named_model
-from cellwise.cli import main
 from cellwise.data import load_dataset
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
@@ -32,14 +29,6 @@ EFFECTS = (
     SelfHeating(3.0, 300.0),
     TemperatureDependence(activation_K=2000.0, reference_C=25.0),
 )
-
-
-def exported(folder, model, suffix, *more):
-    write_model(model, folder / "model.json")
-    place = folder / f"cell.{suffix}"
-    arguments = ["--model", folder / "model.json", "--pybamm", place, *more]
-    assert main(["export", *map(str, arguments)]) == 0
-    return place
 
 
 def run(pybamm, values, branches, log, soc0):
@@ -82,17 +71,18 @@ def drive(capacity_Ah, warm_C, rows=250):
         ("nca-18650", "py", 4.2),  # between rows of a temperature axis, OCV too
     ],
 )
-def test_pybamm_is_within_a_millivolt_of_simulate(tmp_path, which, suffix, warm_C):
+def test_pybamm_is_within_a_millivolt_of_simulate(export, tmp_path, which, suffix, warm_C):
     pybamm = pytest.importorskip("pybamm", reason="no PyBaMM: pip install 'cellwise[generate]'")
     if which.endswith("18650"):
         model = named_model(which)
         kept = tuple(e for e in model.effects if not isinstance(e, Hysteresis))
         omitted = ["--without", "hysteresis"] if len(kept) < len(model.effects) else []
-        place = exported(tmp_path, model, suffix, *omitted)
-        model = replace(model, effects=kept)
+        written, model = model, replace(model, effects=kept)
     else:
-        model = curved_cell(effects=EFFECTS if which == "effects" else ())
-        place = exported(tmp_path, model, suffix)
+        written = model = curved_cell(effects=EFFECTS if which == "effects" else ())
+        omitted = []
+    place = tmp_path / f"cell.{suffix}"
+    export("--pybamm", place, *omitted, model=written)
     if suffix == "json":
         values = pybamm.ParameterValues.from_json(str(place))
         assert values["Ambient temperature [K]"] == pytest.approx(warm_C + 273.15)
@@ -109,19 +99,7 @@ def test_pybamm_is_within_a_millivolt_of_simulate(tmp_path, which, suffix, warm_
     assert np.max(np.abs(theirs - ours)[1:]) < 1e-3
 
 
-def test_what_pybamm_has_no_place_for_is_refused_by_name(tmp_path, capsys, monkeypatch):
-    model = curved_cell(effects=(Hysteresis(0.02, 50.0),))
-    write_model(model, tmp_path / "model.json")
-    base = ["export", "--model", str(tmp_path / "model.json"), "--pybamm"]
-    assert main([*base, str(tmp_path / "cell.py")]) == 2
-    assert "--without hysteresis" in capsys.readouterr().err
-    monkeypatch.setattr("cellwise.export.firmware.find_spec", lambda name: None)
-    assert main([*base, str(tmp_path / "cell.json"), "--without", "hysteresis"]) == 2
-    assert "cellwise[generate]" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["model.json"]
-
-
-def test_what_is_left_out_is_said(tmp_path, capsys):
-    exported(tmp_path, curved_cell(charge_efficiency=0.99), "py", "--json")
-    assert "charge_efficiency 0.99" in json.loads(capsys.readouterr().out)["notices"][0]
+def test_what_is_left_out_is_said(export, tmp_path):
+    told = export("--pybamm", tmp_path / "cell.py", model=curved_cell(charge_efficiency=0.99))
+    assert "charge_efficiency 0.99" in told["notices"][0]
     compile((tmp_path / "cell.py").read_text(), "cell.py", "exec")

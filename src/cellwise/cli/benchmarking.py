@@ -1,4 +1,49 @@
-"""cellwise benchmark and cellwise certify."""
+"""Estimators, and an export, judged.
+
+cellwise benchmark: estimators x logs x start errors x sensor faults, yours among them
+    requires nothing (the embedded suite), or the file or name of a suite
+    $ benchmark --estimator ekf --estimator ukf -o results
+    $ benchmark suite.toml --estimator mine.py:Mine -o results
+    [SUITE=embedded]  a TOML file, or embedded, leo, flight, panasonic, a123, public-1; or submit,
+        for a row of another run
+    [ROW]  with submit: the row's JSON, drawn in beside the rows of the run in DIR
+    -o, --output DIR=benchmark  the folder
+<data folder>
+    --estimator E...  instead of the suite's: a name, or file.py:Name of your own; baselines
+        always run
+    --processes N=2  at once
+    --fresh  forget what an earlier run left in DIR
+    --no-page  no index.html (it needs matplotlib)
+    --quick  the suite's quick cut alone
+    --own  no rows of other packages: cellwise's, and --estimator
+    --rows DIR  of adapters of other packages [benchmarks/rows of the repository]
+    --list  suites that come with cellwise
+<figures>
+
+cellwise certify: an exported filter over a virtual fleet: how wrong it will be, and where
+    requires a folder that `cellwise export` wrote, and a C compiler
+    $ certify firmware -o certificate
+    $ certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9
+    EXPORT  folder that `cellwise export` wrote
+    --model MODEL  that was exported [the one in the folder]
+    --cells N=200  cells
+    --hours H=100  hours of each
+    --sensor F.toml  what the target's sensors are off by, as TOML [as vehicles have them]
+    --seed N=1  of all that is drawn
+    --physics N  cells of porous electrodes beside, 20 h each [one for 20, where PyBaMM is
+        installed]
+    --log LOG...  a measured log of this cell, run as it is and with faults; LOG@soc0=X states its
+        start
+    --reference-capacity-ah X  of the sample that was logged, below its SOC [the model's]
+    --keep-logs N=0  write what the filter saw of the N worst
+    --scheduler WHERE=local  local (threads), processes, or a Dask scheduler's address
+    --most-rmse X  limit of the SOC error, RMS (0.03: three points)
+    --most-p95 X  limit of the SOC error in 95 % of the time
+    --most-worst X  limit of the worst SOC error
+    --least-coverage X  limit of the time within two deviations
+    -o, --output DIR  for the certificate, its page and finished cells; a run goes on there
+<log options>
+"""
 
 from __future__ import annotations
 
@@ -7,14 +52,26 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cellwise.benchmark.certify import (
+    Certificate,
+    Limits,
+    certify,
+    measured_log,
+    read_export,
+    read_sensor,
+)
+from cellwise.benchmark.certify.page import GROUP_COLUMNS, certificate_page, groups_of
+from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
+from cellwise.benchmark.page import division_table, divisions, standings_page
+from cellwise.benchmark.run_suite import BenchmarkResult, run_suite
+from cellwise.benchmark.standings import by_estimator, standings, suite_tables
+from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
+from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
-
-if TYPE_CHECKING:
-    from cellwise.benchmark.certify import Certificate
-    from cellwise.benchmark.run_suite import BenchmarkResult
+from cellwise.files import write_atomically
 
 MOST_PROCESSES = 64
 SUBMIT = "submit"
@@ -22,82 +79,8 @@ JSON_FILE, PAGE_FILE = "certificate.json", "index.html"
 BEYOND = 1  # exit code where a limit of a certificate is not kept
 
 
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands that judge estimators, and an export."""
-    _add_benchmark(commands)
-    _add_certify(commands)
-
-
-def _add_benchmark(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    p = commands.add_parser(
-        "benchmark", help="estimators x logs x start errors x sensor faults, yours among them"
-    )
-    p.add_argument(
-        "suite",
-        nargs="?",
-        default="embedded",
-        metavar="SUITE",
-        help="a TOML file, or embedded, leo, flight, panasonic, a123, public-1 [embedded]; or "
-        "submit, for a row of another run",
-    )
-    text = "with submit: the row's JSON, drawn in beside the rows of the run in DIR"
-    p.add_argument("row", nargs="?", metavar="ROW.json", help=text)
-    p.add_argument("-o", "--output", default="benchmark", metavar="DIR", help="[benchmark]")
-    options.add_data(p)
-    text = "instead of the suite's: a name, or file.py:Name of your own; baselines always run"
-    options.several(p, "--estimator", "E", text, default=None)
-    options.count(p, "--processes", "N", "at once [2]", default=2)
-    options.flag(p, "--fresh", "forget what an earlier run left in DIR")
-    options.flag(p, "--no-page", "no index.html (it needs matplotlib)")
-    options.flag(p, "--quick", "the suite's quick cut alone")
-    options.flag(p, "--own", "no rows of other packages: cellwise's, and --estimator")
-    text = "of adapters of other packages [benchmarks/rows of the repository]"
-    p.add_argument("--rows", metavar="DIR", help=text)
-    options.flag(p, "--list", "suites that come with cellwise")
-    page_options.add_figure_options(p)
-    options.add_json(p)
-    p.set_defaults(run=run_benchmark)
-
-
-def _add_certify(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    certify = commands.add_parser(
-        "certify", help="an exported filter over a virtual fleet: how wrong it will be, and where"
-    )
-    certify.add_argument("export", metavar="EXPORT", help="folder that `cellwise export` wrote")
-    text = "that was exported [the one in the folder]"
-    certify.add_argument("--model", metavar="MODEL", help=text)
-    options.count(certify, "--cells", "N", "cells [200]", default=200)
-    options.number(certify, "--hours", "H", "hours of each [100]", default=100.0)
-    text = "what the target's sensors are off by, as TOML [as vehicles have them]"
-    certify.add_argument("--sensor", metavar="F.toml", help=text)
-    options.count(certify, "--seed", "N", "of all that is drawn [1]", default=1)
-    text = "cells of porous electrodes beside, 20 h each [one for 20, where PyBaMM is installed]"
-    options.count(certify, "--physics", "N", text)
-    text = "a measured log of this cell, run as it is and with faults; LOG@soc0=X states its start"
-    options.several(certify, "--log", "LOG", text)
-    log_options.add_log_options(certify)
-    text = "of the sample that was logged, below its SOC [the model's]"
-    options.number(certify, "--reference-capacity-ah", "X", text)
-    options.count(
-        certify, "--keep-logs", "N", "write what the filter saw of the N worst [0]", default=0
-    )
-    text = "local (threads), processes, or a Dask scheduler's address [local]"
-    certify.add_argument("--scheduler", default="local", metavar="S", help=text)
-    options.number(certify, "--most-rmse", "X", "limit of the SOC error, RMS (0.03: three points)")
-    options.number(certify, "--most-p95", "X", "limit of the SOC error in 95 %% of the time")
-    options.number(certify, "--most-worst", "X", "limit of the worst SOC error")
-    options.number(certify, "--least-coverage", "X", "limit of the time within two deviations")
-    text = "for the certificate, its page and finished cells; a run goes on there"
-    certify.add_argument("-o", "--output", metavar="DIR", help=text)
-    options.add_json(certify)
-    certify.set_defaults(run=run_certify)
-
-
 def run_benchmark(arguments: argparse.Namespace) -> None:
     """Run a suite, print the ranking, write table and page."""
-    from cellwise.benchmark.run_suite import run_suite
-    from cellwise.benchmark.suite import read_suite, with_estimators
-
     if arguments.list:
         list_suites(arguments.json)
         return
@@ -150,8 +133,6 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
 
 def run_submit(arguments: argparse.Namespace) -> None:
     """Check a row from elsewhere and draw it in."""
-    from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
-
     folder = Path(arguments.output)
     if arguments.row is None:
         raise InputError(
@@ -162,8 +143,6 @@ def run_submit(arguments: argparse.Namespace) -> None:
     names = submit(Path(arguments.row), folder)
     page = None
     if not arguments.no_page:
-        from cellwise.benchmark.page import standings_page
-
         entries = read_entries(folder / LEADERBOARD)
         parts = parts_of(entries)
         page = standings_page(entries[0]["suite"], parts, folder / "leaderboard.html")
@@ -179,8 +158,6 @@ def run_submit(arguments: argparse.Namespace) -> None:
 
 def list_suites(as_json: bool) -> None:
     """Shipped suites with what they are."""
-    from cellwise.benchmark.suite import read_suite, shipped_suites
-
     suites = [read_suite(name) for name in shipped_suites()]
     if as_json:
         shown = [
@@ -194,9 +171,6 @@ def list_suites(as_json: bool) -> None:
 
 def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: how estimators stand, faults, what could not be judged."""
-    from cellwise.benchmark.page import division_table, divisions
-    from cellwise.benchmark.standings import by_estimator, standings, suite_tables
-
     rows = found.rows
     for one in suite_tables(standings(by_estimator(rows), fewer=True)):
         printing.table(f"{found.suite.name}, points of SOC", one.head, one.rows)
@@ -212,17 +186,6 @@ def print_benchmark(found: BenchmarkResult) -> None:
 
 def run_certify(arguments: argparse.Namespace) -> None:
     """Run the exported C over cells that vary and age; exit 1 beyond a stated limit."""
-    from cellwise.benchmark.certify import (
-        Limits,
-        certify,
-        measured_log,
-        read_export,
-        read_sensor,
-    )
-    from cellwise.benchmark.certify.page import certificate_page
-    from cellwise.cell.model_file import read_model
-    from cellwise.files import write_atomically
-
     limits = Limits(
         arguments.most_rmse, arguments.most_p95, arguments.most_worst, arguments.least_coverage
     )
@@ -265,8 +228,6 @@ def run_certify(arguments: argparse.Namespace) -> None:
 
 def print_certificate(found: Certificate, data: dict[str, Any], folder: str | None) -> None:
     """The certificate for people: whole, by what, verdict."""
-    from cellwise.benchmark.certify.page import GROUP_COLUMNS, groups_of
-
     printing.say(repr(found))
     printing.say(
         f"{printing.percent(data['discharges_within_3_points'], 1)} % of {data['discharges']} "

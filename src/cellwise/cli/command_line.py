@@ -9,11 +9,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from importlib import import_module
 from types import FrameType
 
-from cellwise.cli.common.examples import guide_of
 from cellwise.cli.common.options import check_overwriting
 from cellwise.cli.common.printing import in_options
+from cellwise.cli.common.usage import add_commands
 from cellwise.errors import InputError
 
 REFUSED = 2
@@ -27,34 +28,13 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of every command."""
     from importlib.metadata import version
 
-    from cellwise.cli import (
-        benchmarking,
-        data,
-        diagnosing,
-        estimating,
-        exporting,
-        fleet,
-        health,
-        identifying,
-        live,
-        start,
-        studies,
-    )
-
     parser = argparse.ArgumentParser(
         prog="cellwise",
         description="Battery cells: identify a model from laboratory tests, simulate it, "
-        "estimate SOC.",
+        "estimate SOC. Begin with `cellwise start FOLDER`, or `cellwise demo`.",
     )
     parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    modules = (
-        start, data, identifying, estimating, live, diagnosing, health, exporting, studies,
-        benchmarking, fleet,
-    )  # fmt: skip
-    for module in modules:
-        module.add_commands(commands)
-    _complete(commands)
+    add_commands(parser)
     return parser
 
 
@@ -69,27 +49,6 @@ def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) ->
         said = f"unrecognized arguments: {' '.join(unknown)}"
         parser.error(f"{said}; did you mean {meant}?" if meant else said)
     return parsed
-
-
-def _complete(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Give every command, and every action of one, what it does, --debug and two examples."""
-    about = {one.dest: one.help for one in commands._choices_actions}
-    for name, command in commands.choices.items():
-        said = about.get(name) or ""
-        command.description = f"{said[:1].upper()}{said[1:]}."
-        command.epilog = guide_of(command.prog)
-        command.formatter_class = argparse.RawDescriptionHelpFormatter
-        actions = [a for a in command._actions if isinstance(a, argparse._SubParsersAction)]
-        # An action's own default would hide what stands before it.
-        outer = command.prog.count(" ") == 1
-        command.add_argument(
-            "--debug",
-            action="store_true",
-            default=False if outer else argparse.SUPPRESS,
-            help="show the traceback of an error",
-        )
-        for inner in actions:
-            _complete(inner)
 
 
 @contextmanager
@@ -154,7 +113,8 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
             from cellwise.first_use import begin
 
             begin()  # in a process of its own, where nothing has been compiled yet
-        parsed.run(parsed)
+        module, function = parsed.call
+        getattr(import_module(f"cellwise.cli.{module}"), function)(parsed)
     except (BrokenPipeError, KeyboardInterrupt):
         raise
     except Exception as error:

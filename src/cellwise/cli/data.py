@@ -1,4 +1,50 @@
-"""cellwise inspect, convert; data list, generate, fetch, import."""
+"""Logs as they are, and data sets.
+
+cellwise inspect: say what is in a log
+    requires a log; a text needs columns with units, native files need nothing
+    $ inspect drive.csv
+    $ inspect flight.bin --series 4
+<log>
+<log options>
+
+cellwise convert: write a log in the tidy form
+    requires a log, and where to write it (.csv, .csv.gz or .parquet)
+    $ convert cycler.mpt -o test.csv
+    $ convert drive.csv --channel current_mA=I_pack -o drive.parquet
+<log>
+    -o, --output OUT!  the file
+<log options>
+
+cellwise data: embedded data sets and public originals
+
+cellwise data list: what there is, with DOI and licence
+    requires nothing
+    $ data list
+    $ data list --json
+
+cellwise data generate: generate the embedded data again (needs PyBaMM)
+    requires the extra 'generate' (PyBaMM) and a new folder
+    $ data generate -o made
+    $ data generate -o made --json
+    --only NAME...  a test or a cell
+    -o, --output DIR!  the folder
+
+cellwise data fetch: download a public original, checksums verified
+    requires the name of a registered set, a folder and a network
+    $ data fetch panasonic_18650pf -o originals
+    $ data fetch nissan_leaf -o originals --json
+    NAME  as in `cellwise data list`
+    --listing URL  list of files with checksums [the registry's]
+    -o, --output DIR!  the folder
+
+cellwise data import: a downloaded original to tidy parquet
+    requires the name of a registered set and the folder of its originals
+    $ data import panasonic_18650pf originals -o tidy
+    $ data import nissan_leaf originals -o tidy --json
+    NAME  as in `cellwise data list`
+    SOURCE  folder or zip archive as downloaded
+    -o, --output DIR!  the folder
+"""
 
 from __future__ import annotations
 
@@ -8,40 +54,13 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.cli.common import log_options, options, printing
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands about logs as they are, and about data sets."""
-    inspect = commands.add_parser("inspect", help="say what is in a log")
-    convert = commands.add_parser("convert", help="write a log in the tidy form")
-    data = commands.add_parser("data", help="embedded data sets and public originals")
-    actions = data.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="what there is, with DOI and licence")
-    text = "generate the embedded data again (needs PyBaMM)"
-    generate = actions.add_parser("generate", help=text)
-    fetch = actions.add_parser("fetch", help="download a public original, checksums verified")
-    bring = actions.add_parser("import", help="a downloaded original to tidy parquet")
-    for command in (inspect, convert):
-        log_options.add_log(command)
-    for command in (fetch, bring):
-        command.add_argument("name", metavar="NAME", help="as in `cellwise data list`")
-    bring.add_argument("source", metavar="SOURCE", help="folder or zip archive as downloaded")
-    text = "list of files with checksums [the registry's]"
-    fetch.add_argument("--listing", metavar="URL", help=text)
-    options.several(generate, "--only", "NAME", "a test or a cell", default=None)
-    for command, place in ((convert, "OUT"), (generate, "DIR"), (fetch, "DIR"), (bring, "DIR")):
-        command.add_argument("-o", "--output", required=True, metavar=place)
-    runs = {inspect: run_inspect, convert: run_convert, listing: run_list,
-            generate: run_generate, fetch: run_fetch, bring: run_import}  # fmt: skip
-    for command, run in runs.items():
-        options.add_json(command)
-        command.set_defaults(run=run)
+from cellwise.data import datasets_folder, generate_datasets, list_datasets, list_originals
+from cellwise.datasets import fetch_dataset, import_dataset
+from cellwise.logs import inspect_log, write_log
 
 
 def run_inspect(arguments: argparse.Namespace) -> None:
     """Print what is in a log."""
-    from cellwise.logs import inspect_log
-
     found = inspect_log(log_options.read(arguments.log, arguments)).to_dict()
     if arguments.json:
         printing.print_json(found)
@@ -51,8 +70,6 @@ def run_inspect(arguments: argparse.Namespace) -> None:
 
 def run_convert(arguments: argparse.Namespace) -> None:
     """Write a log in the tidy form."""
-    from cellwise.logs import write_log
-
     options.check_places(arguments.output)
     log = log_options.read(arguments.log, arguments)
     if log.soc0 is not None:
@@ -100,8 +117,7 @@ def print_inspection(found: dict[str, Any]) -> None:
 
 def run_list(arguments: argparse.Namespace) -> None:
     """Print the stock models, the embedded data sets and the registry."""
-    from cellwise.cell.stock import list_stock
-    from cellwise.data import datasets_folder, list_datasets, list_originals
+    from cellwise.cell.stock import list_stock  # waits for a compiler
 
     embedded, originals, stock = list_datasets(), list_originals(), list_stock()
     if arguments.json:
@@ -143,10 +159,8 @@ def run_list(arguments: argparse.Namespace) -> None:
 
 def run_generate(arguments: argparse.Namespace) -> None:
     """Generate data sets."""
-    from cellwise.data import generate_datasets
-
     with printing.working("generate") as follow:
-        written = generate_datasets(Path(arguments.output), arguments.only, follow)
+        written = generate_datasets(Path(arguments.output), arguments.only or None, follow)
     if arguments.json:
         printing.print_json({"written": [str(path) for path in written]})
         return
@@ -156,8 +170,6 @@ def run_generate(arguments: argparse.Namespace) -> None:
 
 def run_fetch(arguments: argparse.Namespace) -> None:
     """Fetch a public original."""
-    from cellwise.datasets import fetch_dataset
-
     with printing.working("fetch") as follow:
         files = fetch_dataset(arguments.name, arguments.output, arguments.listing, follow)
     if arguments.json:
@@ -168,8 +180,6 @@ def run_fetch(arguments: argparse.Namespace) -> None:
 
 def run_import(arguments: argparse.Namespace) -> None:
     """Import a public original."""
-    from cellwise.datasets import import_dataset
-
     with printing.working("import") as follow:
         found = import_dataset(arguments.name, arguments.source, arguments.output, follow)
     if arguments.json:

@@ -1,55 +1,47 @@
-"""cellwise diagnose."""
+"""Model and logs to what is wrong, and by how much.
+
+cellwise diagnose: model and logs to what is wrong, and by how much
+    requires a model and a log; a second log of the same cell shows what the finding gains
+    $ diagnose --model cell.json odd.csv --holdout other.csv -o extended.json
+    $ diagnose --model cell.json odd.csv --baseline healthy.csv --report found.html
+<scaled model>
+    LOG+  what is to be explained
+    --holdout LOG+  log on which gains are measured [later parts of the logs]; several
+    --baseline LOG+  log of the same cell and instruments that is known to be good; several
+    --soc0 SOC=auto  of logs without LOG@soc0=X: 0..1, or auto
+    --cause C...  try only this cause; several [all but charge_transfer]
+    --reference-capacity-ah X  measured apart from these logs: what SOC is judged over [the
+        model's own]
+    -o, --output MODEL2  the model with the causes known
+    --corrected DIR  folder for logs without the sensors' faults
+<page>
+<log options>
+"""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cellwise.cell.model_file import write_model
+from cellwise.cell.simulate import Simulation
 from cellwise.cli.common import log_options, options, page_options, printing
+from cellwise.diagnose import diagnose
+from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.errors import InputError
 from cellwise.files import made_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from cellwise.cell.model import CellModel
-    from cellwise.cell.simulate import Simulation
-    from cellwise.diagnose.result import Diagnosis, FoundCause
-    from cellwise.logs import CellLog
+from cellwise.logs import CellLog, write_log
+from cellwise.logs.checks.grave import graves_first, is_grave
+from cellwise.logs.stated import logs_of
 
 SHOWN = 6
 
 
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the command that criticises a model."""
-    p = commands.add_parser("diagnose", help="model and logs to what is wrong, and by how much")
-    options.add_model(p, scalable=True)
-    p.add_argument("logs", nargs="+", metavar="LOG", help="what is to be explained")
-    for name, text in (
-        ("--holdout", "log on which gains are measured [later parts of the logs]; several"),
-        ("--baseline", "log of the same cell and instruments that is known to be good; several"),
-    ):
-        p.add_argument(name, action="extend", nargs="+", default=[], metavar="LOG", help=text)
-    options.add_soc0(p, "of logs without LOG@soc0=X: ")
-    text = "try only this cause; several [all but charge_transfer]"
-    options.several(p, "--cause", "C", text, default=None)
-    text = "measured apart from these logs: what SOC is judged over [the model's own]"
-    options.number(p, "--reference-capacity-ah", "X", text)
-    p.add_argument("-o", "--output", metavar="MODEL2", help="the model with the causes known")
-    p.add_argument("--corrected", metavar="DIR", help="folder for logs without the sensors' faults")
-    page_options.add_page_options(p)
-    log_options.add_log_options(p)
-    options.add_json(p)
-    p.set_defaults(run=run_diagnose)
-
-
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose, write what was asked for, print the verdict."""
-    from cellwise.diagnose import diagnose
-    from cellwise.logs.checks.grave import graves_first, is_grave
-
     _check_places(arguments)
     soc0 = options.soc0_of(arguments)
     model = options.read_model(arguments)
@@ -65,7 +57,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             holdout,
             baseline,
             "auto" if soc0 is None else soc0,
-            causes=arguments.cause,
+            causes=arguments.cause or None,
             reference_capacity_Ah=arguments.reference_capacity_ah,
             progress=lambda share, what: follow(what, share),
         )
@@ -106,16 +98,12 @@ def _check_places(arguments: argparse.Namespace) -> None:
 
 def _files(paths: list[str]) -> list[Path]:
     """The files that paths mean, whatever is stated of them."""
-    from cellwise.logs.stated import logs_of
-
     return [Path(one.path).resolve() for path in paths for one in logs_of(path).logs]
 
 
 def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
     """Write model, logs and page; where they are."""
-    from cellwise.cell.model_file import write_model
-
-    extended: CellModel | None = found.extended_model
+    extended = found.extended_model
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
     with page_options.page_places(arguments) as pages:
         if pages is not None:
@@ -133,8 +121,6 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _write_logs(logs: tuple[CellLog, ...], folder: str) -> list[str]:
-    from cellwise.logs import write_log
-
     place = made_folder(folder, "the corrected logs")
     names: list[str] = []
     for log in logs:

@@ -1,76 +1,83 @@
-"""cellwise simulate, cellwise replay."""
+"""A model over logs.
+
+cellwise simulate: model and log to voltage error
+    requires a model (a file or the name of a stock model) and a log with voltages
+    $ simulate --model cell.json drive.csv
+    $ simulate --model nmc-18650 --capacity-ah 3 drive.csv --soc0 1
+<scaled model>
+<log>
+<start>
+    -o, --output OUT  rows as .csv, .csv.gz or .parquet
+<log options>
+
+cellwise replay: model and log to SOC
+    requires a model and a log; where it stands at the start is found, or stated with --soc0
+    $ replay --model cell.json drive.csv --report replay.html
+    $ replay --model cell.json flight.bin --series 4 --estimator adaptive -o soc.csv
+<scaled model>
+<log>
+    --estimator E=ekf  coulomb, rest-ocv, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf,
+        filterpy-ukf
+<start>
+<start std>
+    --dt S  resample to an even step
+<reference>
+    --hold power|current=power  what of the load is held constant
+    --load X  how long, too, at a load of X W in each cell (A with --hold current)
+<ahead>
+    --plan P+  what lies ahead: CSV of time_s and power_W or current_A of the pack, or past logs
+    --land-above X  with which chance it ends above this SOC [0]
+    -o, --output OUT  rows as .csv, .csv.gz or .parquet
+<page>
+<log options>
+"""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from cellwise.cli.common import (
-    forecast_options,
-    log_options,
-    options,
-    page_options,
-    printing,
-)
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.pauses import simulate_stretches
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import ends_forecasts
+from cellwise.cell.plausibility.validity import check_cells_in_series
+from cellwise.cell.simulate import Simulation, simulate
+from cellwise.cli.common import forecast_options, log_options, options, page_options, printing
+from cellwise.cli.replay_output import Run, print_runs, write_rows
 from cellwise.errors import InputError
-
-if TYPE_CHECKING:
-    from cellwise.cell.initial_soc.initial_soc import InitialSoc
-    from cellwise.cell.model import CellModel
-    from cellwise.cell.simulate import Simulation
-    from cellwise.cli.replay_output import Run
-    from cellwise.estimate.power.state_of_power import PowerSettings
-    from cellwise.forecast.plan import Plan
-    from cellwise.logs import CellLog
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands that run a model."""
-    simulate = commands.add_parser("simulate", help="model and log to voltage error")
-    _common(simulate)
-    simulate.set_defaults(run=run_simulate)
-    replay = commands.add_parser("replay", help="model and log to SOC")
-    _common(replay)
-    replay.add_argument(
-        "--estimator",
-        default="ekf",
-        metavar="E",
-        help="coulomb, rest-ocv, ekf, ukf, adaptive, fixed-step, firmware, filterpy-ekf, "
-        "filterpy-ukf [ekf]",
-    )
-    options.add_soc0_std(replay)
-    options.number(replay, "--dt", "S", "resample to an even step")
-    options.add_reference(replay)
-    options.number(replay, "--cutoff-v", "V", "cell voltage at which the load stops [model]")
-    text = "what of the load is held constant [power]"
-    replay.add_argument("--hold", choices=("power", "current"), default="power", help=text)
-    text = "how long, too, at a load of X W in each cell (A with --hold current)"
-    options.number(replay, "--load", "X", text)
-    forecast_options.add_charger(replay)
-    forecast_options.add_plan(replay)
-    forecast_options.add_display(replay)
-    forecast_options.add_power_options(replay)
-    options.flag(replay, "--anyway", "forecasts, power and health of a log far off the model, too")
-    page_options.add_page_options(replay)
-    replay.set_defaults(run=run_replay)
-
-
-def _common(parser: argparse.ArgumentParser) -> None:
-    options.add_model(parser, scalable=True)
-    parser.add_argument("log", metavar="LOG", help=log_options.LOG_HELP)
-    options.add_soc0(parser)
-    parser.add_argument("-o", "--output", metavar="OUT", help="rows as .csv, .csv.gz or .parquet")
-    log_options.add_log_options(parser)
-    options.add_json(parser)
+from cellwise.estimate.estimators import make_estimator
+from cellwise.estimate.power.state_of_power import PowerSettings
+from cellwise.estimate.replay import expected_convergence_s, replay
+from cellwise.forecast.charging import forecast_charge
+from cellwise.forecast.display import display_along
+from cellwise.forecast.plan import Plan, forecast_plan
+from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
+from cellwise.logs import CellLog
+from cellwise.logs.cell_log import resample
+from cellwise.logs.gaps import cut_at_pauses
+from cellwise.logs.stated import logs_of
+from cellwise.logs.writing import write_columns
 
 
 def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellLog, ...]:
-    """The logs that the arguments name, of one cell as the model is."""
-    from cellwise.cell.plausibility.validity import check_cells_in_series
+    """The logs that the arguments name, of one cell as the model is.
 
+    Raises
+    ------
+    InputError        as `log_options.read`; one file for the rows of several logs
+    """
+    named = logs_of(arguments.log).logs
+    if arguments.output and len(named) > 1:
+        raise InputError(
+            f"-o {arguments.output} for {len(named)} logs",
+            "the rows of one log",
+            "Leave out -o, or name one log; `cellwise fleet replay` writes a row for each.",
+        )
     logs = log_options.read_all([arguments.log], arguments)
     for log in logs:
         check_cells_in_series(model, log)
@@ -79,16 +86,8 @@ def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellL
 
 def run_simulate(arguments: argparse.Namespace) -> None:
     """Simulate a log and print the error."""
-    import time
-
-    from cellwise.cell.initial_soc.initial_soc import initial_soc
-    from cellwise.cell.initial_soc.pauses import simulate_stretches
-    from cellwise.cell.simulate import simulate
-    from cellwise.logs.writing import write_columns
-
     options.check_places(arguments.output)
     model = options.read_model(arguments)
-    check_one_output(arguments)
     logs = read_logs_of(model, arguments)
     printed = []
     for log in logs:
@@ -108,31 +107,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
         printing.print_json(printed[0] if len(logs) == 1 else {"logs": printed})
 
 
-def check_one_output(arguments: argparse.Namespace) -> None:
-    """Refuse one file for the rows of several logs.
-
-    Raises
-    ------
-    InputError        there are several
-    """
-    from cellwise.logs.stated import logs_of
-
-    logs = logs_of(arguments.log).logs
-    if arguments.output and len(logs) > 1:
-        raise InputError(
-            f"-o {arguments.output} for {len(logs)} logs",
-            "the rows of one log",
-            "Leave out -o, or name one log; `cellwise fleet replay` writes a row for each.",
-        )
-
-
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay a log through an estimator and print how it did."""
-    from cellwise.cli.replay_output import print_runs, write_rows
-    from cellwise.estimate.estimators import make_estimator
-    from cellwise.forecast.remaining import check_load
-    from cellwise.logs.gaps import cut_at_pauses
-
     options.check_places(arguments.output)
     page_options.check_page_options(arguments)
     options.check_fraction("--reference-soc0", arguments.reference_soc0)
@@ -141,7 +117,6 @@ def run_replay(arguments: argparse.Namespace) -> None:
     power = forecast_options.power_of(arguments, model, arguments.hold)
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
-    check_one_output(arguments)
     plans = forecast_options.plans_of(arguments)
     whole = read_logs_of(model, arguments)
     logs = [(one, k == 0) for log in whole for k, one in enumerate(cut_at_pauses(log))]
@@ -157,7 +132,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
             from cellwise.report import replay_page
 
             flights = tuple(run.flight for run in runs if run.flight is not None)
-            replays = [dataclasses.replace(run.found, power=run.power) for run in runs]
+            replays = [replace(run.found, power=run.power) for run in runs]
             replay_page(replays, pages.page, flights=flights, figures=pages.figures)
     if arguments.json:
         printed = [run.to_dict() for run in runs]
@@ -182,52 +157,47 @@ def run_of(
 
     What is stated of the start holds where it ``begins``: not behind a pause that nobody counted.
     """
-    from cellwise.cell.initial_soc.initial_soc import initial_soc
-    from cellwise.cell.plausibility.notice import ends_forecasts
-    from cellwise.cli.replay_output import Run
-    from cellwise.estimate.estimators import make_estimator
-    from cellwise.estimate.replay import expected_convergence_s, replay
-    from cellwise.forecast.charging import forecast_charge
-    from cellwise.forecast.remaining import cutoff_of, forecast, forecast_at
-    from cellwise.logs.cell_log import resample
-
     log = log if arguments.dt is None else resample(log, arguments.dt)
-    reference_soc0 = options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
     found = replay(
         model,
         log,
         arguments.estimator,
         soc0=options.start_of(log.soc0, options.soc0_of(arguments)) if begins else None,
         soc0_std=arguments.soc0_std if begins else None,
-        reference_soc0=reference_soc0,
+        reference_soc0=options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0"),
         reference_capacity_Ah=arguments.reference_capacity_ah if begins else None,
         power=power or False,
     )
     begun = found.start.how in ("given", "stated")
-    run = Run(
+    cutoff_V = cutoff_of(model, arguments.cutoff_v)
+    far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
+    ahead: dict[str, Any] = {}
+    if far is None:
+        held: dict[str, Any] = {"cutoff_V": cutoff_V, "hold": arguments.hold}
+        charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
+        load, above = arguments.load, arguments.land_above or 0.0
+        at_load = None if load is None else forecast_at(model, found, load, **held)
+        flight = forecast(model, found, **held)
+        ahead["at_load"] = at_load
+        ahead["flight"] = None if flight is None else replace(flight, given=at_load)
+        ahead["charge"] = forecast_charge(model, found, **charger)
+        if plans:
+            how_far = {"above": above, "cutoff_V": arguments.cutoff_v}
+            ahead["plan"] = forecast_plan(model, found, plans, **how_far)
+    how = forecast_options.how_displayed(arguments, model)
+    shown = None
+    if how is not None:
+        shown = display_along(how, found, ahead.get("flight"), ahead.get("charge"))
+    return Run(
         found,
         expected_convergence_s(model, found, make_estimator(arguments.estimator, model)),
         None if begun else initial_soc(model, found.log, whole_log=True),
-        None if arguments.anyway else ends_forecasts(found.far_off, found.log),
+        far,
+        displayed_percent=shown,
+        hold=arguments.hold,
+        cutoff_V=cutoff_V,
+        **ahead,
     )
-    if run.far is None:
-        held = {"cutoff_V": cutoff_of(model, arguments.cutoff_v), "hold": arguments.hold}
-        charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
-        at_load = None
-        if arguments.load is not None:
-            at_load = forecast_at(model, found, arguments.load, **held)
-        flight = forecast(model, found, **held)
-        run = dataclasses.replace(
-            run,
-            hold=arguments.hold,
-            cutoff_V=held["cutoff_V"],
-            flight=None if flight is None else dataclasses.replace(flight, given=at_load),
-            at_load=at_load,
-            charge=forecast_charge(model, found, **charger),
-            plan=forecast_options.outcome_of(arguments, model, found, plans),
-        )
-    shown = forecast_options.display_of(arguments, model, found, run.flight, run.charge)
-    return dataclasses.replace(run, displayed_percent=shown)
 
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:

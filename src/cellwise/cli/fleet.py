@@ -1,71 +1,56 @@
-"""cellwise fleet: replay, diagnose, pack, history."""
+"""Many logs, one row for each.
+
+cellwise fleet: thousands of logs: one row for each
+
+cellwise fleet replay: SOC over every log of a folder
+    requires a model, a folder of logs and a place for the table
+    $ fleet replay --model cell.json logs -o soc.parquet
+    $ fleet replay --model cell.json logs -o soc.parquet --estimator adaptive --workers 8
+    --estimator E=ekf  as in cellwise replay
+<start std>
+<reference>
+<fleet of logs>
+
+cellwise fleet diagnose: the errors of the model on every log
+    requires a model, a folder of logs and a place for the table
+    $ fleet diagnose --model cell.json logs -o causes.parquet
+    $ fleet diagnose --model cell.json logs -o causes.parquet --retry-failed
+    --baseline LOG...  known to be good; several
+    --cause NAME...  try only this cause; several
+<fleet of logs>
+
+cellwise fleet pack: a folder for each pack: every cell over its logs
+    requires a model, a folder with one folder of logs for each pack, a place for the table
+    $ fleet pack --model cell.json packs -o cells.parquet
+    $ fleet pack --model cell.json packs -o cells.parquet --workers 8
+<fleet>
+<cells options>
+
+cellwise fleet history: a folder for each cell: capacity over its logs
+    requires a model, a folder with one folder of logs for each cell, a place for the table
+    $ fleet history --model cell.json cells -o ageing.parquet
+    $ fleet history --model cell.json cells -o ageing.parquet --fresh
+<fleet of logs>
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cellwise.cli.common import log_options, options, printing
+from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.errors import InputError
-
-if TYPE_CHECKING:
-    from cellwise.fleet.tasks import LogTask
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands about many logs."""
-    fleet = commands.add_parser("fleet", help="thousands of logs: one row for each")
-    actions = fleet.add_subparsers(dest="action", metavar="ACTION", required=True)
-    replay = actions.add_parser("replay", help="SOC over every log of a folder")
-    _common(replay)
-    replay.add_argument("--estimator", default="ekf", metavar="E", help="as in cellwise replay")
-    options.add_soc0_std(replay)
-    options.add_reference(replay)
-    replay.set_defaults(run=run_replay)
-    diagnose = actions.add_parser("diagnose", help="the errors of the model on every log")
-    _common(diagnose)
-    options.several(diagnose, "--baseline", "LOG", "known to be good; several")
-    options.several(diagnose, "--cause", "NAME", "try only this cause; several", default=None)
-    diagnose.set_defaults(run=run_diagnose)
-    history = actions.add_parser("history", help="a folder for each cell: capacity over its logs")
-    _common(history)
-    history.set_defaults(run=run_history)
-    pack = actions.add_parser("pack", help="a folder for each pack: every cell over its logs")
-    _running(pack)
-    log_options.add_cells_options(pack)
-    options.add_json(pack)
-    pack.set_defaults(run=run_pack)
-
-
-def _common(parser: argparse.ArgumentParser) -> None:
-    _running(parser)
-    options.add_soc0(parser)
-    parser.add_argument("--cache", metavar="DIR", help="keep logs as they were read and checked")
-    log_options.add_log_options(parser)
-    options.add_json(parser)
-
-
-def _running(parser: argparse.ArgumentParser) -> None:
-    """What is run over which folder, and how."""
-    options.add_model(parser, scalable=True)
-    text = "searched with its subfolders; DIR@temperature_C=25,soc0=1 says it of every log"
-    parser.add_argument("folder", metavar="DIR", help=text)
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="folder of parquet")
-    text = "local (threads), processes, or a Dask scheduler's address [local]"
-    parser.add_argument("--scheduler", default="local", metavar="S", help=text)
-    options.count(parser, "--workers", "N", "of this machine [its cores]")
-    parser.add_argument("--pattern", default="*", metavar="P", help="of the file names [*]")
-    options.count(parser, "--batch", "N", "logs sent together [by their number]")
-    options.flag(parser, "--fresh", "start again, whatever OUT holds")
-    options.flag(parser, "--retry-failed", "try the logs again that have failed")
+from cellwise.estimate.estimators import make_estimator
+from cellwise.fleet import DiagnoseTask, HistoryTask, PackTask, ReplayTask, run_fleet
+from cellwise.fleet.store import all_rows
+from cellwise.fleet.tasks import LogTask
+from cellwise.logs import Stated
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """Replay every log of a folder."""
-    from cellwise.estimate.estimators import make_estimator
-    from cellwise.fleet import ReplayTask
-
     task = ReplayTask(
         **_of_task(arguments),
         estimator=arguments.estimator,
@@ -79,15 +64,12 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
     """Diagnose every log of a folder."""
-    from cellwise.diagnose.causes.catalogue import CAUSES
-    from cellwise.fleet import DiagnoseTask
-
-    for name in arguments.cause or ():
+    for name in arguments.cause:
         if name not in CAUSES:
             raise InputError(f"--cause {name}", f"one of {', '.join(CAUSES)}", "Correct its name.")
     task = DiagnoseTask(
         **_of_task(arguments),
-        causes=arguments.cause,
+        causes=arguments.cause or None,
         baseline=log_options.read_all(arguments.baseline, arguments),
     )
     _run(task, arguments)
@@ -95,15 +77,11 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
 
 def run_history(arguments: argparse.Namespace) -> None:
     """Follow every cell of a folder over its life."""
-    from cellwise.fleet import HistoryTask
-
     _run(HistoryTask(**_of_task(arguments), pattern=arguments.pattern), arguments)
 
 
 def run_pack(arguments: argparse.Namespace) -> None:
     """Estimate every pack of a folder."""
-    from cellwise.fleet import PackTask
-
     task = PackTask(
         model=options.read_model(arguments),
         read={"sign": arguments.sign, **log_options.pack_arguments(arguments)},
@@ -113,8 +91,6 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 
 def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
-    from cellwise.logs import Stated
-
     soc0 = options.soc0_of(arguments)
     stated = Stated.parse(arguments.folder)
     arguments.folder = stated.path
@@ -129,8 +105,6 @@ def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(task: LogTask, arguments: argparse.Namespace) -> None:
-    from cellwise.fleet import run_fleet
-
     label = f"fleet {task.kind}"
     with printing.working(label) as follow:
         found = run_fleet(
@@ -149,7 +123,6 @@ def _run(task: LogTask, arguments: argparse.Namespace) -> None:
         )
     page = None
     if task.kind == "replay":
-        from cellwise.fleet.store import all_rows
         from cellwise.report.fleet_page import fleet_page
 
         # Names that begin so are no part of the data to those who read the folder.

@@ -1,62 +1,58 @@
-"""cellwise pack, cellwise history: how every cell is, and how one has aged."""
+"""How every cell of a pack is, and how one cell has aged.
+
+cellwise pack: logs with cell voltages to every cell's state
+    requires a model of the cell and logs with a voltage of every cell
+    $ pack --model cell.json day1.csv day2.csv --report pack.html
+    $ pack --model lmo-pouch --capacity-ah 65 day.parquet -o cells.csv
+<scaled model>
+    PACKLOG+  one pack, in the order of time; a folder or a pattern
+    --anyway  capacity, resistance and odd cells of logs far off the model, too
+    --state FILE  go on from this file where it exists, and write it
+    -o, --output OUT  cells as .csv, .csv.gz or .parquet
+<cells options>
+<page>
+
+cellwise history: a cell's logs in order to its ageing
+    requires a model and a cell's logs in the order of their age
+    $ history --model cell.json 2023.csv 2024.csv 2025.csv --report life.html
+    $ history --model cell.json year*.csv --save-model aged.json
+<scaled model>
+    LOG+  of one cell, in the order of time; a folder or a pattern
+    --save-model MODEL  write the model as the cell is now, for every command
+    --anyway  capacity and resistance by logs far off the model, too
+    -o, --output OUT  logs as .csv, .csv.gz or .parquet
+<page>
+<log options>
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
-
-if TYPE_CHECKING:
-    from cellwise.history.life import Life
-    from cellwise.pack.pack_estimate import PackEstimate
+from cellwise.history.life import Life, life_of
+from cellwise.logs.packs.pack_log import read_pack
+from cellwise.logs.writing import write_columns
+from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
+from cellwise.pack.pack_state import read_state, write_state
+from cellwise.report import history_page, pack_page
 
 SHOWN_CELLS = 6
-ROWS = ".csv, .csv.gz or .parquet"
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands that look at packs and at lives."""
-    pack = commands.add_parser("pack", help="logs with cell voltages to every cell's state")
-    text = "one pack, in the order of time; a folder or a pattern"
-    pack.add_argument("logs", nargs="+", metavar="PACKLOG", help=text)
-    text = "capacity, resistance and odd cells of logs far off the model, too"
-    options.flag(pack, "--anyway", text)
-    text = "go on from this file where it exists, and write it"
-    pack.add_argument("--state", metavar="FILE", help=text)
-    pack.add_argument("-o", "--output", metavar="OUT", help=f"cells as {ROWS}")
-    log_options.add_cells_options(pack)
-    history = commands.add_parser("history", help="a cell's logs in order to its ageing")
-    text = "of one cell, in the order of time; a folder or a pattern"
-    history.add_argument("logs", nargs="+", metavar="LOG", help=text)
-    text = "write the model as the cell is now, for every command"
-    history.add_argument("--save-model", metavar="MODEL", help=text)
-    options.flag(history, "--anyway", "capacity and resistance by logs far off the model, too")
-    history.add_argument("-o", "--output", metavar="OUT", help=f"logs as {ROWS}")
-    log_options.add_log_options(history)
-    for command, run in ((pack, run_pack), (history, run_history)):
-        options.add_model(command, scalable=True)
-        page_options.add_page_options(command)
-        options.add_json(command)
-        command.set_defaults(run=run)
 
 
 def run_pack(arguments: argparse.Namespace) -> None:
     """Estimate every cell of a pack."""
-    from cellwise.logs.packs.pack_log import read_pack
-    from cellwise.logs.writing import write_columns
-    from cellwise.pack.pack_estimate import estimate_pack
-    from cellwise.pack.pack_state import read_state, write_state
-    from cellwise.report import pack_page
-
     options.check_places(arguments.output, arguments.state)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)
     known = arguments.state is not None and Path(arguments.state).exists()
     state = read_state(arguments.state) if known else None
     stated = {"sign": arguments.sign, **log_options.pack_arguments(arguments)}
-    each = log_options.read_each(arguments.logs, lambda one: read_pack(one, **stated))
+    each = log_options.read_each(arguments.packlogs, lambda one: read_pack(one, **stated))
     logs = [log for log, _ in each]
     with printing.working(f"{logs[0].cells} cells in {len(logs)} log(s)"):
         whole = estimate_pack(model, logs, state)
@@ -72,8 +68,6 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
-    import numpy as np
-
     percent, data = printing.percent, found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
     first = data["notices"][:1] if found.far_off else []
@@ -114,11 +108,6 @@ def print_pack(found: PackEstimate) -> None:
 
 def run_history(arguments: argparse.Namespace) -> None:
     """Follow a cell over its life."""
-    from cellwise.cell.model_file import write_model
-    from cellwise.history.life import life_of
-    from cellwise.logs.writing import write_columns
-    from cellwise.report import history_page
-
     options.check_places(arguments.output, arguments.save_model)
     page_options.check_page_options(arguments)
     model = options.read_model(arguments)

@@ -1,55 +1,43 @@
-"""cellwise identify."""
+"""Laboratory tests to a model.
+
+cellwise identify: laboratory tests to a model
+    requires -o, and one test at least: pulses with an OCV test, or drives with --prior
+    $ identify --hppc hppc.csv --ocv c20.csv --nominal-ah 2.9 -o cell.json
+    $ identify --drive flight.bin --series 4 --prior lipo-pouch -o cell.json
+<tests>
+    --nominal-ah X  rated capacity
+    --capacity-choice C  nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 [the slowest
+        complete discharge]
+    --prior MODEL  a stock model (`cellwise data list`) or a model file of such a cell: scaled to
+        the capacity, and corrected as far as the logs determine
+    --method varpro|segments|pso=varpro  of the pulses
+    --tables spline|cubic=spline  over SOC
+    --no-refine  keep the tables of the single pulses
+    --branches 2|3=3  RC branches
+    --hysteresis auto|on|off=auto  of the OCV
+    --temperature-c X  of tests that measured none
+    --name NAME  name of the cell, written into the model
+    --chemistry NAME  written into the model
+    -o, --output MODEL!  model file (JSON)
+<page>
+<log options>
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
+from cellwise.cell.model_file import write_model
+from cellwise.cell.stock import named_model
 from cellwise.cli.common import log_options, options, page_options, printing
-
-if TYPE_CHECKING:
-    from cellwise.identify import Identification
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the command that makes models."""
-    p = commands.add_parser("identify", help="laboratory tests to a model")
-    log_options.add_test_options(p)
-    options.number(p, "--nominal-ah", "X", "rated capacity")
-    p.add_argument(
-        "--capacity-choice",
-        metavar="C",
-        help="nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 "
-        "[the slowest complete discharge]",
-    )
-    p.add_argument(
-        "--prior",
-        metavar="MODEL",
-        help="a stock model (`cellwise data list`) or a model file of such a cell: scaled to the "
-        "capacity, and corrected as far as the logs determine",
-    )
-    p.add_argument("--method", choices=("varpro", "segments", "pso"), default="varpro")
-    p.add_argument("--tables", choices=("spline", "cubic"), default="spline")
-    options.flag(p, "--no-refine", "keep the tables of the single pulses")
-    options.count(p, "--branches", None, "RC branches [3]", choices=(2, 3), default=3)
-    p.add_argument("--hysteresis", choices=("auto", "on", "off"), default="auto")
-    options.number(p, "--temperature-c", "T", "of tests that measured none")
-    p.add_argument("--name", default="", help="name of the cell, written into the model")
-    p.add_argument("--chemistry", default="")
-    p.add_argument("-o", "--output", required=True, metavar="MODEL", help="model file (JSON)")
-    page_options.add_page_options(p)
-    log_options.add_log_options(p)
-    options.add_json(p)
-    p.set_defaults(run=run_identify)
+from cellwise.identify import Identification, IdentifySettings, identify_cell
+from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
+from cellwise.identify.own_logs import start_notices
+from cellwise.logs.stated import check_temperature
 
 
 def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
-    from cellwise.cell.model_file import write_model
-    from cellwise.cell.stock import named_model
-    from cellwise.identify import IdentifySettings, identify_cell
-    from cellwise.logs.stated import check_temperature
-
     options.check_places(arguments.output)
     page_options.check_page_options(arguments)
     check_temperature(arguments.temperature_c)
@@ -65,8 +53,8 @@ def run_identify(arguments: argparse.Namespace) -> None:
         hysteresis={"auto": None, "on": True, "off": False}[arguments.hysteresis],
         temperature_C=arguments.temperature_c,
         prior=None if arguments.prior is None else named_model(arguments.prior),
-        name=arguments.name,
-        chemistry=arguments.chemistry,
+        name=arguments.name or "",
+        chemistry=arguments.chemistry or "",
     )
     with printing.working("identify") as follow:
         found = identify_cell(tests, settings, follow)
@@ -87,9 +75,6 @@ def run_identify(arguments: argparse.Namespace) -> None:
 
 def print_identification(found: Identification) -> None:
     """An identification for people."""
-    from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
-    from cellwise.identify.own_logs import start_notices
-
     # Logs that do not go together come before every figure that was made of them.
     printing.say_notices(found.contradictions)
     complete = [t for t in found.capacity_tests if t.complete]

@@ -1,68 +1,76 @@
-"""cellwise live."""
+"""A stream of samples, followed as they come.
+
+cellwise live: a stream of samples to SOC, as they come
+    requires a model and a source of samples
+    $ live --model cell.json --source stdin < samples.csv
+    $ live --model cell.json --source can:can0 --dbc pack.dbc --state soc.state
+<scaled model>
+    --source FROM!  stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin),
+        mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins
+    --follow  wait for more at a file's end
+    --estimator E=ekf  ekf or ukf
+<start>
+<start std>
+    --state FILE  goes on where FILE says, and keeps it there
+    --fresh  start again, whatever FILE says
+    --save-every S=10  seconds
+    -o, --output OUT  JSON lines, added at the end of OUT
+    --every S=0  at most one line in S seconds
+    --view  a view instead of lines [on a terminal]
+    --send TO  state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK, mqtt://HOST/PACK
+    --send-every S  seconds [1; on a CAN bus 0.1]
+    --load W  how long, too, at a load of W watts in each cell
+<ahead>
+    --cells N=0  follow N cells in series, each by itself
+    --deadline-ms MS  [the sample's interval]
+    --samples N  stop after N samples
+    --idle S  stop when nothing came for S seconds
+<stream options>
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
+import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO
 
+from rich.console import Console
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+
+from cellwise.cell.initial_soc.initial_soc import STATED_STD
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import FarOffStream
 from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
+from cellwise.estimate.power.along import PowerFollower
+from cellwise.estimate.power.limits import LEAST_LOAD_C
+from cellwise.forecast.display import Displayed
+from cellwise.forecast.outlook import Outlook
+from cellwise.forecast.remaining import cutoff_of
+from cellwise.live import Counts, LiveFilter, Update, open_source
+from cellwise.live import run_live as follow_source
+from cellwise.live.followed import FORECAST_EVERY_S, Followed, state_row
+from cellwise.live.run import LatencyMeter, check_any
+from cellwise.live.source import sender_to
+from cellwise.logs import Stated
 
-if TYPE_CHECKING:
-    from cellwise.cell.model import CellModel
-    from cellwise.cli.live_output import Followed
-    from cellwise.live import Counts, LiveFilter, Update
-    from cellwise.logs import Stated
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the command that follows a stream."""
-    live = commands.add_parser("live", help="a stream of samples to SOC, as they come")
-    options.add_model(live, scalable=True)
-    text = "stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin), "
-    text += "mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins"
-    live.add_argument("--source", required=True, metavar="S", help=text)
-    options.flag(live, "--follow", "wait for more at a file's end")
-    live.add_argument("--estimator", default="ekf", metavar="E", help="ekf or ukf [ekf]")
-    options.add_soc0(live)
-    options.add_soc0_std(live)
-    live.add_argument("--state", metavar="FILE", help="goes on where FILE says, and keeps it there")
-    options.flag(live, "--fresh", "start again, whatever FILE says")
-    options.number(live, "--save-every", "S", "seconds [10]", default=10.0)
-    live.add_argument("-o", "--output", metavar="OUT", help="JSON lines, added at the end of OUT")
-    options.number(live, "--every", "S", "at most one line in S seconds [0]", default=0.0)
-    options.flag(live, "--view", "a view instead of lines [on a terminal]")
-    text = "state to others: MESSAGE.SIGNAL of the CAN bus, mavlink:LINK, mqtt://HOST/PACK"
-    live.add_argument("--send", metavar="TO", help=text)
-    options.number(live, "--send-every", "S", "seconds [1; on a CAN bus 0.1]")
-    options.number(live, "--cutoff-v", "V", "voltage at which the load stops [model]")
-    options.number(live, "--load", "W", "how long, too, at a load of W watts in each cell")
-    forecast_options.add_charger(live)
-    forecast_options.add_display(live)
-    forecast_options.add_power_options(live)
-    options.flag(live, "--anyway", "forecasts, power and health of a stream far off the model, too")
-    text = "follow N cells in series, each by itself"
-    options.count(live, "--cells", "N", text, default=0)
-    options.number(live, "--deadline-ms", "MS", "[the sample's interval]")
-    options.count(live, "--samples", "N", "stop after N samples")
-    options.number(live, "--idle", "S", "stop when nothing came for S seconds")
-    log_options.add_pack_options(live)
-    options.add_json(live)
-    live.set_defaults(run=run_live_command)
+REFRESH_S = 0.25  # of the panel
+SILENT_S = 2.0  # after which the panel says that nothing comes
 
 
-def run_live_command(arguments: argparse.Namespace) -> None:
+def run_live(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
-    from cellwise.cli.live_output import LineWriter, live_panel, warned_once
-    from cellwise.estimate.power.limits import LEAST_LOAD_C
-    from cellwise.live import Counts, open_source, run_live
-    from cellwise.live.run import LatencyMeter, check_any
-    from cellwise.live.source import sender_to
-
     _check(arguments)
     model = options.read_model(arguments)
     name, stated = _stated(arguments.source)
@@ -99,7 +107,7 @@ def run_live_command(arguments: argparse.Namespace) -> None:
             takers.append(warned_once(followed.outside))
             takers.append(warned_once(lambda _: followed.far_off))
         stack.enter_context(_stopped_by_signal())
-        run_live(
+        follow_source(
             source,
             followed.live,
             take,
@@ -125,8 +133,6 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _stated(source: str) -> tuple[str, Stated]:
     """A source's name, and what is stated of its stream behind it."""
-    from cellwise.logs import Stated
-
     kind, colon, rest = source.partition(":")
     stated = Stated.parse(rest if colon else kind)
     return f"{kind}:{stated.path}" if colon else stated.path, stated
@@ -134,13 +140,6 @@ def _stated(source: str) -> tuple[str, Stated]:
 
 def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> Followed:
     """The filter, and what else is asked of the stream."""
-    from cellwise.cell.plausibility.notice import FarOffStream
-    from cellwise.cli.live_output import Followed
-    from cellwise.estimate.power.along import PowerFollower
-    from cellwise.forecast.display import Displayed
-    from cellwise.forecast.outlook import Outlook
-    from cellwise.forecast.remaining import cutoff_of
-
     charger = (arguments.charge_limit_v, arguments.charge_end_a)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = forecast_options.power_of(arguments, model)
@@ -157,12 +156,6 @@ def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -
 
 
 def _filter(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
-    import math
-    import time
-
-    from cellwise.cell.initial_soc.initial_soc import STATED_STD
-    from cellwise.live import LiveFilter
-
     asked = options.start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
@@ -182,9 +175,6 @@ def _filter(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> 
 @contextmanager
 def _stopped_by_signal() -> Iterator[None]:
     """A service manager's way to stop a program, and Ctrl-C, are the usual end of a stream."""
-    import signal
-    import threading
-
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -201,8 +191,6 @@ def _report_end(
     arguments: argparse.Namespace, followed: Followed, counts: Counts, viewed: bool
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
-    from cellwise.cli.live_output import state_row
-
     last, start = counts.last, followed.live.start
     if last is None or start is None:
         return
@@ -226,3 +214,102 @@ def _report_end(
             f"outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
             f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
         )
+
+
+class LineWriter:
+    """One JSON object per update, at most one in ``every_s`` of the stream's time."""
+
+    def __init__(self, file: IO[str], followed: Followed, every_s: float = 0.0) -> None:
+        self._file, self._followed, self._every_s = file, followed, every_s
+        self._waited_s = self._since_forecast_s = math.inf
+
+    def __call__(self, update: Update) -> None:
+        """Write a line if it is time."""
+        self._waited_s += update.dt_s
+        self._since_forecast_s += update.dt_s
+        if self._waited_s < self._every_s * (1.0 - 1e-9):
+            return
+        self._waited_s = 0.0
+        row = state_row(update)
+        if self._since_forecast_s >= FORECAST_EVERY_S:
+            self._since_forecast_s = 0.0
+            row |= self._followed.columns(update)
+        self._file.write(json.dumps(printing.clean(row), allow_nan=False) + "\n")
+        self._file.flush()
+
+
+def warned_once(what: Callable[[Update], str | None]) -> Callable[[Update], None]:
+    """Says on standard error, once, what comes true of a stream."""
+    said = False
+
+    def take(update: Update) -> None:
+        nonlocal said
+        if not said and (text := what(update)) is not None:
+            said = True
+            printing.warn(f"cellwise live: {text}")
+
+    return take
+
+
+@contextmanager
+def live_panel(
+    name: str, followed: Followed, console: Console | None = None
+) -> Iterator[Callable[[Counts], None]]:
+    """A panel that is drawn at most four times a second, and what it is shown the counts by."""
+    seen, latest = 0, None
+    drawn_s, heard_s = -math.inf, time.monotonic()
+    with Live(console=console or Console(), auto_refresh=False) as shown:
+
+        def look(counts: Counts) -> None:
+            nonlocal seen, latest, drawn_s, heard_s
+            now_s, latest = time.monotonic(), counts
+            if counts.samples != seen:
+                heard_s, seen = now_s, counts.samples
+            if now_s - drawn_s >= REFRESH_S:
+                drawn_s = now_s
+                shown.update(panel(name, followed, counts, now_s - heard_s), refresh=True)
+
+        try:
+            yield look
+        finally:
+            if latest is not None:
+                shown.update(panel(name, followed, latest))
+
+
+def panel(name: str, followed: Followed, counts: Counts, silent_s: float = 0.0) -> Panel:
+    """What stands on the terminal: the state, and all that a line of JSON would say beside it."""
+    last, stray = counts.last, sum(counts.stray.values())
+    if last is None:
+        return Panel(f"waiting for samples ({stray} not readable)", title=name)
+    row, late = followed.row(last), counts.latency.to_dict()
+    said = {} if followed.far_off is None else {"far off": followed.far_off}
+    said |= {
+        "current": f"{row['current_A']:.3f} A",
+        "voltage": f"{row['measured_voltage_V']:.4f} V, {row['voltage_V']:.4f} expected",
+        "temperature": f"{row['temperature_C']:.1f} degC",
+        "flags": ", ".join(row["flags"]).lower() or "-",
+    }
+    foreseen = followed.columns(last)
+    for key, value in foreseen.items():
+        label = key.replace("_", " ")
+        if key == "cells":
+            said[label] = f"SOC {100 * min(value['soc']):.1f} to {100 * max(value['soc']):.1f} %"
+        elif key.endswith("_s") and value is not None:
+            low, high = foreseen[f"{key}_band"]
+            minutes = f"{value / 60:.1f} min ({low / 60:.1f} to {high / 60:.1f})"
+            said[label.removesuffix(" s")] = minutes
+        elif isinstance(value, float):
+            said[label] = f"{value:.3g}"
+    said["stream"] = (
+        f"{counts.samples:,} samples, {counts.gaps} gap(s), {counts.late} late, "
+        f"{stray} not readable"
+    )
+    said["latency"] = f"{late['p50_ms']:.2f} ms, 99 % {late['p99_ms']:.2f} ms"
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(justify="right", style="bold")
+    grid.add_row("SOC", f"{100 * row['soc']:.2f} % +- {200 * row['soc_std']:.2f}")
+    grid.add_row("", ProgressBar(total=1.0, completed=min(max(row["soc"], 0.0), 1.0), width=40))
+    for label, text in said.items():
+        grid.add_row(label, text)
+    silent = f"nothing for {silent_s:.0f} s | " if silent_s > SILENT_S else ""
+    return Panel(grid, title=silent + name, width=72)

@@ -7,17 +7,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.common import log_options, printing
-
-if TYPE_CHECKING:
-    from cellwise.cell.initial_soc.initial_soc import InitialSoc
-    from cellwise.estimate.power.along import PowerTrace
-    from cellwise.estimate.replay import Replay
-    from cellwise.forecast.plan import Outcome
-    from cellwise.forecast.remaining import Flight, Forecast
-    from cellwise.typing import FloatArray
+from cellwise.estimate.adaptive import AdaptiveTrace
+from cellwise.estimate.power.along import PowerTrace
+from cellwise.estimate.replay import Replay
+from cellwise.forecast.plan import Outcome
+from cellwise.forecast.remaining import Flight, Forecast
+from cellwise.logs.files.source import open_source
+from cellwise.logs.formats.ros_bag import start_of
+from cellwise.logs.writing import write_columns
+from cellwise.typing import FloatArray
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
          "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", "")}  # fmt: skip
@@ -83,17 +87,11 @@ class Run:
 
 def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
     """The rows of a log's stretches as a file: a table, or topics with a layout for Foxglove."""
-    import numpy as np
-
-    from cellwise.logs.writing import write_columns
-
     found = runs[0].found
     parts = [rows_of(run) for run in runs]
     names = [name for name in parts[0] if all(name in part for part in parts)]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
     if Path(arguments.output).suffix == ".mcap":
-        from cellwise.logs.files.source import open_source
-        from cellwise.logs.formats.ros_bag import start_of
         from cellwise.report.viewer_files import write_foxglove, write_mcap
 
         start_s = 0.0
@@ -108,8 +106,6 @@ def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
 
 def rows_of(run: Run) -> dict[str, Any]:
     """What the estimator said of every row; of a log that is far off no parameters and no power."""
-    from cellwise.estimate.adaptive import AdaptiveTrace
-
     log, trace = run.found.log, run.found.trace
     columns = replace(run.found, power=None).columns()
     columns |= {"current_A": log.interval_current_A, "measured_voltage_V": log.voltage_V}

@@ -1,40 +1,51 @@
-"""cellwise start: look at a folder, print the commands that fit it, and run them if asked."""
+"""Look at a folder, print the commands that fit it, and run them if asked.
+
+cellwise start: say what lies in a folder and which commands fit it
+    requires a folder with logs, native files among them
+    $ start measurements
+    $ start flights --run --nominal-ah 5.2
+    FOLDER  logs of a cell, a pack or a flight
+    --run  run the commands and end on a page
+    --nominal-ah X  rated capacity [the largest whole discharge]
+    --prior MODEL  model to start from [by the logs]
+    --sign auto|charge-positive|discharge-positive=auto  sign of the current
+    -o, --output DIR=started  where models and pages go, one folder for each cell
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import re
 import shlex
-import subprocess
-import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from cellwise.cli.common import options, printing
-from cellwise.cli.common.log_options import SIGNS
-from cellwise.errors import InputError
+import numpy as np
 
-if TYPE_CHECKING:
-    from cellwise.cli.found_files import FoundFile
+from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
+from cellwise.cli.command_line import INTERRUPTED, main
+from cellwise.cli.common import printing
+from cellwise.errors import InputError, MachineError
+from cellwise.files import made_folder
+from cellwise.identify.measured_capacity import LIMITS as SIZES
+from cellwise.identify.test_kind import kind_of
+from cellwise.logs import CellLog, read_log
+from cellwise.logs.reading import AS_MEAN_CELL
+from cellwise.logs.stated import SUFFIXES, in_order
 
+FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
+DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
+CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
+MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused
+# A temperature in a name: _p25, _n10, -10degC.
+NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
 UNKNOWN = "X"  # stands for what has to be stated
-
-
-class _Limits(NamedTuple):
-    """Which files go together, and how many of a kind are used."""
-
-    other_full_V: float = 0.4  # LFP is full this much below all others; a loaded test is not
-    fitted: int = 6  # drives in one fit: more add time, and little else
-    # Discharges of a cell that was cycled: so many, at one current and temperature.
-    life: int = 8
-    same_current: float = 1.1
-    same_K: float = 5.0
-
-
-LIMITS = _Limits()
-ROLES = {"hppc": "hppc", "ocv": "ocv", "capacity": "capacity", "drive": "drive",
-         "flight": "drive", "pack": "drive"}  # fmt: skip
+TESTS = ("hppc", "ocv", "capacity")
+DRIVES = ("drive", "flight", "pack")
 MISSING = {
     "hppc": "a pulse test (HPPC: 10 s pulses after rests, every 5 to 10 % of SOC): without it "
     "resistances and time constants come from drives and a prior",
@@ -44,25 +55,68 @@ MISSING = {
 }
 
 
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the command that begins with whatever there is."""
-    p = commands.add_parser("start", help="say what lies in a folder and which commands fit it")
-    p.add_argument("folder", metavar="FOLDER", help="logs of a cell, a pack or a flight")
-    text = "run the commands and end on a page"
-    p.add_argument("--run", dest="run_them", action="store_true", help=text)
-    options.number(p, "--nominal-ah", "X", "rated capacity [the largest whole discharge]")
-    p.add_argument("--prior", metavar="MODEL", help="model to start from [by the logs]")
-    p.add_argument("--sign", choices=SIGNS, default="auto", help="sign of the current [auto]")
-    text = "where models and pages go, one folder for each cell [started]"
-    p.add_argument("-o", "--output", default="started", metavar="DIR", help=text)
-    options.add_json(p)
-    p.set_defaults(run=run_start)
+class _Limits(NamedTuple):
+    """What a file is taken for, which files go together, how many of a kind are used."""
+
+    # The last per cent of a low-rate test, its dither too: of a whole discharge, and its rates.
+    end_moved: float = 0.05
+    end_rates: tuple[float, float] = (0.01, 0.5)
+    other_full_V: float = 0.4  # LFP is full this much below all others; a loaded test is not
+    fitted: int = 6  # drives in one fit: more add time, and little else
+    # Discharges of a cell that was cycled: so many, at one current and temperature.
+    life: int = 8
+    same_current: float = 1.1
+    same_K: float = 5.0
+
+
+LIMITS = _Limits()
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A file and what it is taken for.
+
+    ``kind``: hppc, ocv, capacity, charge, drive, rest; end (of a low-rate test); pack (a voltage
+    for each cell), flight; unread (refused, ``why`` says for what), other (no log by its name).
+    ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
+    ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
+    that only the name states.
+    """
+
+    path: Path
+    kind: str
+    why: str
+    series: int = 1
+    moved_Ah: float = 0.0
+    whole_Ah: float = 0.0
+    current_A: float = 0.0
+    largest_A: float = 0.0
+    highest_V: float = 0.0
+    usual_C: float | None = None
+    named_C: float | None = None
+
+    @property
+    def stated(self) -> str:
+        """The path as a command takes it, with the temperature that only its name states."""
+        return str(self.path) if self.named_C is None else f"{self.path}@{self.named_C:g}"
+
+
+class Plan(NamedTuple):
+    """The commands of one cell, where they write, the page that they end on, what is missing."""
+
+    place: Path
+    commands: list[list[str]]
+    page: str
+    missing: list[str]
+
+    @property
+    def runs(self) -> bool:
+        """Whether nothing has to be stated first."""
+        return not any(UNKNOWN in one for one in self.commands)
 
 
 def run_start(arguments: argparse.Namespace) -> None:
     """Look at the folder, plan, print, run."""
-    from cellwise.cli.found_files import look_at
-
     folder, out = Path(arguments.folder), Path(arguments.output)
     with printing.working(f"looking at {folder}") as follow:
         files = look_at(folder, arguments, follow)
@@ -71,22 +125,26 @@ def run_start(arguments: argparse.Namespace) -> None:
         raise _nothing(folder, files)
     places = [out] if len(groups) == 1 else [out / f"cell_{k + 1}" for k in range(len(groups))]
     plans = [plan_of(g, arguments, place) for g, place in zip(groups, places, strict=True)]
-    names = [""] if len(plans) == 1 else [f"{place.name}: " for place in places]
+    names = [""] if len(plans) == 1 else [f"{plan.place.name}: " for plan in plans]
     found: dict[str, Any] = {
         "files": [{"path": str(f.path), "kind": f.kind, "why": f.why} for f in files],
         "missing": [n + m for n, plan in zip(names, plans, strict=True) for m in plan.missing],
-        "commands": [line for plan in plans for line in plan.lines],
+        "commands": [shlex.join(("cellwise", *one)) for plan in plans for one in plan.commands],
     }
-    if arguments.run_them and not any(plan.runs for plan in plans):
+    if arguments.run and not any(plan.runs for plan in plans):
         what = f"logs in '{folder}' that do not say all that is needed"
         raise InputError(what, plans[0].missing[0], "Give it.")
     if not arguments.json:
-        _print(folder, found)
-    if arguments.run_them:
-        found["ran"] = _run_all(plans, places, quiet=arguments.json)
-        found["pages"] = [r["page"] for r in found["ran"] if r["page"]]
-        if len(found["pages"]) > 1 and not arguments.json:  # of one, its command has said it
-            printing.say(f"pages to open: {', '.join(found['pages'])}")
+        rows = [(f.path.name, f.kind, f.why) for f in files]
+        printing.table(str(folder), ("file", "taken for", "why"), rows)
+        for text in found["missing"]:
+            printing.say(f"  missing: {text}")
+        printing.say("\n  ".join(["commands (--run runs them):", *found["commands"]]))
+    if arguments.run:
+        found["ran"] = run_all(plans, quiet=arguments.json)
+        found["pages"] = pages = [r["page"] for r in found["ran"] if r["page"]]
+        if len(pages) > 1 and not arguments.json:  # of one, its command has said it
+            printing.say(f"pages to open: {', '.join(pages)}")
     if arguments.json:
         printing.print_json(found)
 
@@ -101,226 +159,243 @@ def _nothing(folder: Path, files: list[FoundFile]) -> InputError:
     return InputError(what, "logs with time, current and voltage of a cell", hint)
 
 
-def _print(folder: Path, found: dict[str, Any]) -> None:
-    rows = [(Path(f["path"]).name, f["kind"], f["why"]) for f in found["files"]]
-    printing.table(str(folder), ("file", "taken for", "why"), rows)
-    for text in found["missing"]:
-        printing.say(f"  missing: {text}")
-    printing.say("commands (--run runs them):")
-    for line in found["commands"]:
-        printing.say(f"  {line}")
-
-
-def _run_all(plans: list[Plan], places: list[Path], *, quiet: bool) -> list[dict[str, Any]]:
-    """Run each cell's commands in a process of their own; what came of each cell.
+def run_all(plans: list[Plan], *, quiet: bool) -> list[dict[str, Any]]:
+    """Run each cell's commands; what came of each cell.
 
     Raises
     ------
     InputError        no cell's commands came to an end
     """
-    from cellwise.files import made_folder
-
     ran = []
-    for plan, place in zip(plans, places, strict=True):
-        if not plan.runs:
-            ran.append({"page": None, "error": f"not run: {plan.missing[0]} is needed"})
-            continue
-        made_folder(place, "models and pages")
-        error = next(filter(None, (_run(c, quiet=quiet) for c in plan.commands)), None)
+    for plan in plans:
+        error: str | None = f"not run: {plan.missing[0]} is needed" if not plan.runs else None
+        if error is None:
+            made_folder(plan.place, "models and pages")
+            error = next(filter(None, (_run(c, quiet=quiet) for c in plan.commands)), None)
         ran.append({"page": None if error else plan.page, "error": error})
     errors = [one["error"] for one in ran if one["error"]]
-    if len(errors) < len(ran):
-        for error in errors:
-            printing.warn(error)
-    else:
+    if len(errors) == len(ran):
         raise InputError(
             f"no cell whose commands ran to their end ({errors[0]})",
             "logs that give a model",
             "See the table without --run, and state what is missing.",
         )
+    for error in errors:
+        printing.warn(error)
     return ran
 
 
-def _run(command: tuple[str, ...], *, quiet: bool) -> str | None:
+def _run(command: list[str], *, quiet: bool) -> str | None:
     """Run one command; what it says where it was refused."""
-    out = subprocess.DEVNULL if quiet else None
-    done = subprocess.run(
-        [sys.executable, "-m", "cellwise", *command],
-        stdout=out,
-        stderr=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
-    if done.returncode == 0:
+    said = io.StringIO()
+    shown = contextlib.redirect_stdout(io.StringIO()) if quiet else contextlib.nullcontext()
+    with contextlib.redirect_stderr(said), shown:
+        code = main(command)
+    if code == INTERRUPTED:
+        raise KeyboardInterrupt
+    if code == 0:
         return None
-    lines = done.stderr.strip().splitlines() or [f"cellwise {command[0]} ended unexpectedly"]
-    return lines[-1]
+    return said.getvalue().strip().splitlines()[-1]
 
 
-@dataclass
-class Group:
-    """Files of one cell, or of cells of one kind."""
+def look_at(
+    folder: Path, arguments: argparse.Namespace, follow: Callable[..., None]
+) -> list[FoundFile]:
+    """Every file of a folder, in the order of time; those of folders in it are left alone.
 
-    files: list[FoundFile] = field(default_factory=list)
-
-    @property
-    def size_Ah(self) -> float:
-        """The largest whole discharge [Ah]; by pulse tests where there is none, else 0."""
-        whole = [f.whole_Ah for f in self.files if f.kind != "charge"]
-        return max(whole, default=0.0) or max((f.moved_Ah for f in self.of("hppc")), default=0.0)
-
-    @property
-    def full_V(self) -> float:
-        """The highest voltage of a cell."""
-        return max(f.highest_V for f in self.files)
-
-    def of(self, *kinds: str) -> list[FoundFile]:
-        """The files of some kinds."""
-        return [f for f in self.files if f.kind in kinds]
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The commands of one cell, the page that they end on, and what is missing."""
-
-    commands: tuple[tuple[str, ...], ...]
-    page: str
-    missing: tuple[str, ...]
-
-    @property
-    def lines(self) -> list[str]:
-        """The commands as they are typed."""
-        return [shlex.join(("cellwise", *one)) for one in self.commands]
-
-    @property
-    def runs(self) -> bool:
-        """Whether nothing has to be stated first."""
-        return not any(UNKNOWN in one for one in self.commands)
+    Raises
+    ------
+    InputError        no such folder
+    """
+    if not folder.is_dir():
+        raise InputError(f"no folder '{folder}'", "a folder with logs", "Check the path.")
+    places = [p for p in folder.iterdir() if p.is_file() and p.name[0] not in "._"]
+    places.sort(key=in_order)
+    databases = [p for p in places if p.suffix.lower() in DATABASES]
+    dbc = databases[0] if len(databases) == 1 else None
+    found = []
+    for k, place in enumerate(places):
+        follow(f"reading {place.name}", k, len(places))
+        found.append(_look_at_one(place, arguments, dbc))
+    return [_end_of_test(one, found) for one in found]
 
 
-def groups_of(files: Sequence[FoundFile]) -> list[Group]:
+def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
+    """A slow test that moves hardly anything beside a whole discharge in the folder."""
+    low, high = LIMITS.end_rates
+    steady = _of(files, "ocv", "capacity", "charge")
+    whole = (f.whole_Ah for f in steady if f.series == one.series)
+    size = max((w for w in whole if low * w < one.largest_A < high * w), default=0.0)
+    if one.kind not in (*TESTS, "drive") or one.moved_Ah >= LIMITS.end_moved * size:
+        return one
+    share = one.moved_Ah / size
+    return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
+
+
+def _look_at_one(place: Path, arguments: argparse.Namespace, dbc: Path | None) -> FoundFile:
+    if not place.name.lower().endswith(SUFFIXES):
+        return FoundFile(place, "other", "no log by its name")
+    try:
+        dbc = dbc if place.suffix.lower() in CAN_LOGS else None
+        log = read_log(place, sign=arguments.sign, dbc=dbc)
+    except MachineError:
+        raise
+    except InputError as error:
+        lacks = MISSING_COLUMNS.search(error.found)
+        if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
+            return FoundFile(place, "unread", f"a table without {lacks[1]}: no log")
+        return FoundFile(place, "unread", f"{error.found}. {error.action}")
+    series = 1
+    if log.typical_voltage_V > ONE_CELL.largest_V:
+        series = cells_in_series(log, ONE_CELL.full_V)
+    return _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, arguments)
+
+
+def _taken_for(place: Path, log: CellLog, series: int, arguments: argparse.Namespace) -> FoundFile:
+    """What a log of one cell, of so many in series, is."""
+    test = kind_of(log, arguments.nominal_ah)
+    kind: str = "flight" if log.format in FLIGHTS else test.kind
+    why = test.why if series == 1 else f"{series} cells in series; {test.why}"
+    moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    mean = next((n for n in log.notices if AS_MEAN_CELL in n), None)
+    if mean is not None:  # what a test is called by its load says nothing of a day on the road
+        hours = log.duration_s / 3600.0
+        kind = "pack"
+        why = f"{mean.partition(',')[0]}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
+    return FoundFile(
+        place,
+        kind,
+        why,
+        series,
+        moved_Ah,
+        test.charge_Ah,
+        test.current_A,
+        largest_A=float(np.nanmax(np.abs(log.current_A))),
+        highest_V=float(np.nanmax(log.voltage_V)),
+        usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
+        named_C=_named_C(log),
+    )
+
+
+def _named_C(log: CellLog) -> float | None:
+    """The temperature that the name states, of a log that measured none."""
+    said = None if log.temperature_C is not None else NAMED_C.search(log.name)
+    if said is None:
+        return None
+    if said[1]:
+        return float(said[2]) * (-1.0 if said[1].lower() == "n" else 1.0)
+    return float(said[4]) * (-1.0 if said[3].endswith("-") else 1.0)
+
+
+def _of(group: Sequence[FoundFile], *kinds: str) -> list[FoundFile]:
+    return [f for f in group if f.kind in kinds]
+
+
+def _size_Ah(group: Sequence[FoundFile]) -> float:
+    """The largest whole discharge [Ah]; by pulse tests where there is none, else 0."""
+    whole = max((f.whole_Ah for f in group if f.kind != "charge"), default=0.0)
+    return whole or max((f.moved_Ah for f in _of(group, "hppc")), default=0.0)
+
+
+def groups_of(files: Sequence[FoundFile]) -> list[list[FoundFile]]:
     """Files that may be of one cell: by cells in series, full voltage and whole discharges."""
-    found: list[Group] = []
-    tests = [f for f in files if f.kind in ("hppc", "ocv", "capacity")]
-    for one in sorted(tests, key=lambda f: -f.moved_Ah):
+    found: list[list[FoundFile]] = []
+    for one in sorted(_of(files, *TESTS), key=lambda f: -f.moved_Ah):
         home = next((g for g in found if _belongs(one, g)), None)
         if home is None:
-            found.append(home := Group())
-        home.files.append(one)
-    for one in (f for f in files if f.kind in ("drive", "flight", "pack", "charge")):
-        homes = [g for g in found if _may_belong(one, g)]
-        if not homes:
-            found.append(Group())
-        (homes or found[-1:])[0].files.append(one)
+            found.append(home := [])
+        home.append(one)
+    for one in _of(files, *DRIVES, "charge"):
+        home = next((g for g in found if _may_belong(one, g)), None)
+        if home is None:
+            found.append(home := [])
+        home.append(one)
     order = {f.path: k for k, f in enumerate(files)}
-    for group in found:
-        group.files.sort(key=lambda f: order[f.path])
-    return [g for g in found if g.of(*ROLES)]
+    ordered = [sorted(group, key=lambda f: order[f.path]) for group in found]
+    return [group for group in ordered if _of(group, *TESTS, *DRIVES)]
 
 
-def _belongs(one: FoundFile, group: Group) -> bool:
+def _belongs(one: FoundFile, group: list[FoundFile]) -> bool:
     """Whether a test is of a group's cell."""
-    from cellwise.identify.measured_capacity import LIMITS as SIZES
-
+    full_V = max(f.highest_V for f in group)
     return (
-        one.series == group.files[0].series
-        and abs(one.highest_V - group.full_V) < LIMITS.other_full_V
-        and group.size_Ah < SIZES.far * one.moved_Ah
+        one.series == group[0].series
+        and abs(one.highest_V - full_V) < LIMITS.other_full_V
+        and _size_Ah(group) < SIZES.far * one.moved_Ah
     )
 
 
-def _may_belong(one: FoundFile, group: Group) -> bool:
+def _may_belong(one: FoundFile, group: list[FoundFile]) -> bool:
     """Whether a drive may be of a group's cell."""
-    from cellwise.identify.measured_capacity import LIMITS as SIZES
-
-    first = group.files[0]
-    if group.size_Ah == 0.0 or one.kind == "pack":
+    first, size_Ah = group[0], _size_Ah(group)
+    if size_Ah == 0.0 or one.kind == "pack":
         return (one.kind, one.series) == (first.kind, first.series)
     return (
         first.kind != "pack"
         and one.series == first.series
-        and one.moved_Ah < SIZES.far * group.size_Ah
-        and one.highest_V < group.full_V + LIMITS.other_full_V
+        and one.moved_Ah < SIZES.far * size_Ah
+        and one.highest_V < max(f.highest_V for f in group) + LIMITS.other_full_V
     )
 
 
-def plan_of(group: Group, arguments: argparse.Namespace, folder: Path) -> Plan:
-    """The commands for a group's files; what they write goes to ``folder``."""
+def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) -> Plan:
+    """The commands for a group's files; what they write goes to ``place``."""
     used, held_out = _chosen(group)
-    read = _reading(group, arguments)
-    model, page = str(folder / "model.json"), str(folder / "identify.html")
+    series = group[0].series
+    read = ["--series", str(series)] if series > 1 else []
+    read += ["--sign", arguments.sign] if arguments.sign != "auto" else []
+    model, page = str(place / "model.json"), str(place / "identify.html")
     identify = ["identify"]
     for one in used:
-        identify += [f"--{ROLES[one.kind]}", one.stated]
-    nominal = arguments.nominal_ah or float(f"{group.size_Ah:.3g}")
+        identify += [f"--{one.kind if one.kind in TESTS else 'drive'}", one.stated]
+    nominal = arguments.nominal_ah or float(f"{_size_Ah(group):.3g}")
     identify += ["--nominal-ah", f"{nominal:g}" if nominal else UNKNOWN]
-    prior = arguments.prior or ("lipo-pouch" if group.of("flight") else None)
+    prior = arguments.prior or ("lipo-pouch" if _of(group, "flight") else None)
     identify += ["--prior", prior] if prior else []
     commands = [[*identify, *read, "-o", model, "--report", page]]
-
-    def add(command: str, logs: Sequence[FoundFile]) -> str:
-        target = str(folder / f"{command}.html")
-        paths = (one.stated for one in logs)
-        commands.append([command, "--model", model, *paths, *read, "--report", target])
-        return target
-
-    drives = [f for f in held_out if f.kind in ("drive", "flight", "pack")]
-    driven = drives or [f for f in used if f.kind in ("drive", "flight", "pack")]
-    if driven:
-        page = add("replay", driven[:1])
-    if group.of("pack"):
-        page = add("pack", group.of("pack")[-LIMITS.fitted :])
-    life = _life(group)
-    if life:
-        page = add("history", life)
-    missing = _missing(group, nominal, drives)
-    return Plan(tuple(tuple(c) for c in commands), page, tuple(missing))
+    # What follows it: where there are logs for it, and the last one's page is the one to open.
+    packs = _of(group, "pack")[-LIMITS.fitted :]
+    driven = _of(held_out, *DRIVES) or _of(used, *DRIVES)
+    for command, logs in (("replay", driven[:1]), ("pack", packs), ("history", _life(group))):
+        if logs:
+            page = str(place / f"{command}.html")
+            paths = (one.stated for one in logs)
+            commands.append([command, "--model", model, *paths, *read, "--report", page])
+    return Plan(place, commands, page, _missing(group, nominal, held_out))
 
 
-def _chosen(group: Group) -> tuple[list[FoundFile], list[FoundFile]]:
+def _chosen(group: list[FoundFile]) -> tuple[list[FoundFile], list[FoundFile]]:
     """The files that the model is made of, and the drives that are left to judge it."""
-    driven = group.of("drive", "flight", "pack")
+    driven = _of(group, *DRIVES)
     spread = driven[:: -(-len(driven) // LIMITS.fitted) or 1]
-    laboratory = bool(group.of("hppc", "ocv"))
-    if len(driven) <= LIMITS.fitted and len(driven) > 1:
+    if 1 < len(driven) <= LIMITS.fitted:
         spread = driven[:-1]
-    elif len(driven) == 1 and laboratory:
+    elif len(driven) == 1 and _of(group, "hppc", "ocv"):
         spread = []
-    life = _life(group)
-    tests = [f for f in group.of("hppc", "ocv", "capacity") if f not in life[1:]]
+    later = _life(group)[1:]
+    tests = [f for f in _of(group, *TESTS) if f not in later]
     return [*tests, *spread], [f for f in driven if f not in spread]
 
 
-def _life(group: Group) -> list[FoundFile]:
-    """Discharges at one rate, of a cell that was cycled; none where they are few."""
-    tests = group.of("capacity")
-    for first in tests:
-        alike = [f for f in tests if _alike(f, first)]
-        if len(alike) >= LIMITS.life:
-            return alike
-    return []
+def _life(group: list[FoundFile]) -> list[FoundFile]:
+    """Discharges at one rate and temperature, of a cell that was cycled; none where few."""
+
+    def alike(one: FoundFile, other: FoundFile) -> bool:
+        ratio = max(one.current_A, other.current_A) / min(one.current_A, other.current_A)
+        apart_K = abs((one.usual_C or 0.0) - (other.usual_C or 0.0))
+        return ratio < LIMITS.same_current and apart_K < LIMITS.same_K
+
+    tests = _of(group, "capacity")
+    lives = ([f for f in tests if alike(f, first)] for first in tests)
+    return next((life for life in lives if len(life) >= LIMITS.life), [])
 
 
-def _alike(one: FoundFile, other: FoundFile) -> bool:
-    ratio = max(one.current_A, other.current_A) / min(one.current_A, other.current_A)
-    apart_K = abs((one.usual_C or 0.0) - (other.usual_C or 0.0))
-    return ratio < LIMITS.same_current and apart_K < LIMITS.same_K
-
-
-def _reading(group: Group, arguments: argparse.Namespace) -> list[str]:
-    """The options that every command reads these files with."""
-    series = group.files[0].series
-    said = ["--series", str(series)] if series > 1 else []
-    return said + (["--sign", arguments.sign] if arguments.sign != "auto" else [])
-
-
-def _missing(group: Group, nominal_Ah: float, judged: Sequence[FoundFile]) -> list[str]:
+def _missing(group: list[FoundFile], nominal_Ah: float, judged: list[FoundFile]) -> list[str]:
     found = [] if nominal_Ah else ["the rated capacity: --nominal-ah"]
-    laboratory = bool(group.of("hppc", "ocv", "capacity"))
-    kinds = {"hppc": laboratory, "ocv": laboratory, "drive": True}
-    has = {"hppc": group.of("hppc"), "ocv": group.of("ocv"), "drive": judged}
-    found += [MISSING[kind] for kind, wanted in kinds.items() if wanted and not has[kind]]
-    unknown = [f.path.name for f in group.files if f.named_C is not None]
+    if _of(group, *TESTS):
+        found += [MISSING[kind] for kind in ("hppc", "ocv") if not _of(group, kind)]
+    found += [] if judged else [MISSING["drive"]]
+    unknown = [f.path.name for f in group if f.named_C is not None]
     if unknown:
         found.append(
             f"a measured temperature: {len(unknown)} file(s) state one in the name only "

@@ -1,60 +1,66 @@
-"""cellwise papers, demo, capacity-study."""
+"""Whole studies on the embedded data.
+
+cellwise papers: the two papers' tables, on embedded data
+    requires nothing
+    $ papers
+    $ papers --json
+
+cellwise demo: identify, simulate and replay on embedded data
+    requires nothing
+    $ demo
+    $ demo -o pages
+    -o, --output DIR=demo  the folder
+<figures>
+
+cellwise capacity-study: what each choice of the capacity does to voltage and SOC
+    requires nothing (embedded cells), or tests of a cell and a log to judge by
+    $ capacity-study --cell embedded-nmc --report study.html
+    $ capacity-study --hppc hppc.csv --ocv c20.csv --judge drive.csv --nominal-ah 2.9
+    --cell NAME...  embedded-nmc, embedded-nmc-rates, embedded-lfp [all]
+    --estimator E...  only these [all four]
+<page>
+    a cell of your own:
+<tests>
+    --judge LOG...  log with a charge counter to judge the choices on
+    --nominal-ah X  rated capacity
+    --reference-capacity-ah X  of the reference
+    --reference-soc0 X  [as stated, else 1]
+<log options>
+"""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cellwise.cli.common import log_options, options, page_options, printing
+from cellwise.cli.estimating import print_simulation
+from cellwise.cli.identifying import print_identification
+from cellwise.cli.replay_output import print_replay
+from cellwise.data import datasets_folder
 from cellwise.errors import InputError
-
-if TYPE_CHECKING:
-    from cellwise.logs.cell_log import CellLog
-    from cellwise.studies.capacity_study import CellStudy, StudyCell
-
-
-def add_commands(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the commands that run whole studies on the embedded data."""
-    papers = commands.add_parser("papers", help="the two papers' tables, on embedded data")
-    options.add_json(papers)
-    papers.set_defaults(run=run_papers)
-    demo = commands.add_parser("demo", help="identify, simulate and replay on embedded data")
-    demo.add_argument("-o", "--output", default="demo", metavar="DIR")
-    page_options.add_figure_options(demo)
-    options.add_json(demo)
-    demo.set_defaults(run=run_demo)
-    _add_capacity_study(commands)
-
-
-def _add_capacity_study(commands: options.Commands[argparse.ArgumentParser]) -> None:
-    """Add the command that redoes everything for every capacity."""
-    p = commands.add_parser(
-        "capacity-study", help="what each choice of the capacity does to voltage and SOC"
-    )
-    text = "embedded-nmc, embedded-nmc-rates, embedded-lfp [all]"
-    options.several(p, "--cell", "NAME", text)
-    own = p.add_argument_group("a cell of your own")
-    log_options.add_test_options(own)
-    options.several(own, "--judge", "LOG", "log with a charge counter to judge the choices on")
-    options.number(own, "--nominal-ah", "X", "rated capacity")
-    options.number(own, "--reference-capacity-ah", "X", "of the reference")
-    options.number(own, "--reference-soc0", "X", "[as stated, else 1]")
-    options.several(p, "--estimator", "E", "only these [all four]", default=None)
-    page_options.add_page_options(p)
-    log_options.add_log_options(p)
-    options.add_json(p)
-    p.set_defaults(run=run_capacity_study)
+from cellwise.estimate.estimators import ESTIMATORS
+from cellwise.identify import IdentifySettings
+from cellwise.logs import CellLog
+from cellwise.report import capacity_study_page as study_page
+from cellwise.report import demo_page
+from cellwise.studies import demo, papers
+from cellwise.studies.capacity_study import (
+    STUDIED,
+    CellStudy,
+    StudyCell,
+    published_orders,
+    study_cell,
+    study_cells,
+)
 
 
 def run_papers(arguments: argparse.Namespace) -> None:
     """Print the tables of both papers."""
-    from cellwise.data import datasets_folder
-    from cellwise.studies.papers import paper_tables
-
     with printing.working("papers") as follow:
-        found = paper_tables(datasets_folder(), follow)
+        found = papers.paper_tables(datasets_folder(), follow)
     if arguments.json:
         printing.print_json(found)
         return
@@ -89,22 +95,16 @@ def figure_of(value: Any) -> str:
 
 def run_demo(arguments: argparse.Namespace) -> None:
     """The main job on embedded data: identify, simulate, replay, one page."""
-    from cellwise.report import demo_page
-    from cellwise.studies.demo import run_demo as run
-
     page_options.check_page_options(arguments)
     figures = page_options.figure_files(arguments)
     with printing.working("demo") as follow:
-        found = run(Path(arguments.output), follow)
+        found = demo.run_demo(Path(arguments.output), follow)
         follow("page")
         simulations = [simulation for simulation, _ in found.simulations]
         demo_page(found.identification, simulations, found.replays, found.page, figures=figures)
     if arguments.json:
         printing.print_json(found.to_dict())
         return
-    from cellwise.cli.estimating import print_simulation
-    from cellwise.cli.identifying import print_identification
-    from cellwise.cli.replay_output import print_replay
 
     print_identification(found.identification)
     for simulation, start in found.simulations:
@@ -116,14 +116,6 @@ def run_demo(arguments: argparse.Namespace) -> None:
 
 def run_capacity_study(arguments: argparse.Namespace) -> None:
     """Study the cells, print which choice wins, write the page."""
-    from cellwise.estimate.estimators import ESTIMATORS
-    from cellwise.studies.capacity_study import (
-        STUDIED,
-        published_orders,
-        study_cell,
-        study_cells,
-    )
-
     page_options.check_page_options(arguments)
     estimators = tuple(arguments.estimator or STUDIED)
     for name in estimators:
@@ -137,10 +129,8 @@ def run_capacity_study(arguments: argparse.Namespace) -> None:
         studies = [study_cell(cell, None, estimators, follow) for cell in cells]
         with page_options.page_places(arguments) as pages:
             if pages is not None:
-                from cellwise.report.capacity_study_page import capacity_study_page
-
                 follow("page")
-                capacity_study_page(studies, pages.page, figures=pages.figures)
+                study_page.capacity_study_page(studies, pages.page, figures=pages.figures)
     if arguments.json:
         orders = {name: list(order) for name, order in published_orders().items()}
         printing.print_json({"studies": [s.to_dict() for s in studies], "published_orders": orders})
@@ -156,9 +146,6 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
     ------
     InputError        tests without a log to judge on, a reference that is missing or impossible
     """
-    from cellwise.identify import IdentifySettings
-    from cellwise.studies.capacity_study import StudyCell
-
     tests = arguments.hppc + arguments.ocv + arguments.capacity + arguments.drive
     if not tests and not arguments.judge:
         return None
@@ -194,16 +181,14 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
 def print_studies(studies: list[CellStudy]) -> None:
     """Tables and verdicts for people."""
-    from cellwise.report.capacity_study_page import choices, papers_beside, verdicts
-
     for study in studies:
         printing.table(
             f"{study.name}: RMSE by capacity, reference {study.reference_Ah:g} Ah "
             f"({study.reference}), judged on {', '.join(study.logs)}",
-            *choices(study),
+            *study_page.choices(study),
         )
-        for line in verdicts(study):
+        for line in study_page.verdicts(study):
             printing.say(f"  {line}")
         printing.say(f"  {study.seconds:.1f} s\n")
-    for line in papers_beside():
+    for line in study_page.papers_beside():
         printing.say(line)

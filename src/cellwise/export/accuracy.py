@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,17 +12,22 @@ from numpy.typing import NDArray
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
+from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.layout import INPUT
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import GATE_RECOVERY
 from cellwise.estimate.trace import Trace
+from cellwise.export import cross
 from cellwise.export.cross import run_on_target
+from cellwise.export.package import Export
 from cellwise.logs.cell_log import CellLog, resample
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray
+
+STEPS_TO_MEASURE = 4000
 
 
 class Stress(NamedTuple):
@@ -134,6 +140,37 @@ def worst_case(model: CellModel, tables: FixedStepTables, core: str) -> WorstCas
     return WorstCase(max(most, reset), reset, max(stack, once.stack_bytes or 0))
 
 
+def target_costs(
+    export: Export, log: CellLog | None, follow: Callable[[str], object] = lambda _: None
+) -> list[dict[str, Any]]:
+    """Code, stack and instructions on every core; empty without a cross compiler.
+
+    Counted on the log that is given, else on the embedded drive of an NMC cell; and under stress:
+    every fault, and the step that re-initialises SOC after a lock-out.
+    """
+    here = cross.cores_here()
+    if not here:
+        return []
+    tables = export.tables
+    drive = load_dataset("nmc_drive_b") if log is None else log
+    records = samples_of(export.model, drive, tables.dt_s).records[:STEPS_TO_MEASURE]
+    costs = []
+    for core in here:
+        follow(f"counting instructions on {core}")
+        count = partial(run_on_target, tables, core, records, 0.5, 0.0225, measure_every=10)
+        worst = worst_case(export.model, tables, core)
+        report = asdict(count().cost)
+        report["stack_bytes"] = max(report["stack_bytes"], worst.stack_bytes)
+        report["instructions_stress"] = worst.stress
+        report["instructions_anew"] = worst.reset
+        if export.cells:
+            pack = count(cells=export.cells).cost
+            report["pack_instructions_mean"] = pack.instructions_mean
+            report["pack_instructions_most"] = pack.instructions_most
+        costs.append(report)
+    return costs
+
+
 GRIDS = (11, 21, 51, 101, 201)  # SOC points to choose from
 
 
@@ -180,21 +217,21 @@ def fixed_and_float(
     *,
     soc0: float | None = None,
     lean: bool = False,
-    grids: Sequence[int] = GRIDS,
+    points: int | None = None,
     noise: Noise | None = None,
 ) -> list[FixedAndFloat]:
     """Run what is exported (in Python, the same bits) by every grid, and the float64 EKF.
 
     Both take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the log's
-    start. noise None: the model's.
+    start. ``points`` are those of the export, None: the model's. noise None: the model's.
     """
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
     reference = Ekf(model, noise).run(even, start.soc, start.std)
     found = []
-    for points in sorted({*grids, model.points}):
-        step = FixedStep(model, noise, dt_s=dt_s, points=points, wide=not lean)
+    for count in sorted({*GRIDS, points or model.points}):
+        step = FixedStep(model, noise, dt_s=dt_s, points=count, wide=not lean)
         soc = step.run(even, start.soc, start.std).soc
         flash_bytes = step.stepper(dt_s).tables.flash_bytes
-        found.append(FixedAndFloat(points, flash_bytes, even, reference, soc))
+        found.append(FixedAndFloat(count, flash_bytes, even, reference, soc))
     return found

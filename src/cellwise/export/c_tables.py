@@ -18,7 +18,7 @@ from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.files import shipped_folder
 from cellwise.printing.firmware import print_header, print_source
 
-BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c")
+BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c", "cellwise_cell.h")
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (
@@ -40,23 +40,19 @@ def firmware_folder() -> Path:
 
 def header_text(tables: FixedStepTables, sha256: str, name: str = "") -> str:
     """cell_table.h: what is compiled in, the time step, and which model it was."""
-    lines = [
-        "/* Written by `cellwise export`; do not edit. */",
-        f"/* cell: {comment(name) or 'unnamed'} */",
-        f"/* sha256 of the model: {sha256} */",
-        "#ifndef CELLWISE_CELL_TABLE_H",
-        "#define CELLWISE_CELL_TABLE_H",
-        "",
-        f"#define CELLWISE_DT_S {hex_float(tables.dt_s)} /* {tables.dt_s:g} s */",
-        f'#define CELLWISE_MODEL_SHA256 "{sha256}"',
-        f"#define CELLWISE_MODEL_BYTES {tables.flash_bytes}u",
-        f"#define CELLWISE_MODEL_CRC 0x{zlib.crc32(tables.to_bytes()):08X}u",
-        "",
-    ]
-    for key, value in tables.options.defines().items():
-        unsigned = "u" if key in ("CELLWISE_POINTS", "CELLWISE_TEMPERATURES") or value > 1 else ""
-        lines.append(f"#define {key} {value}{unsigned}")
-    return "\n".join([*lines, "", "#endif", ""])
+    unsigned = ("CELLWISE_POINTS", "CELLWISE_TEMPERATURES")
+    marks = {
+        "@NAME@": comment(name) or "unnamed",
+        "@SHA256@": sha256,
+        "@DT_S@": f"{hex_float(tables.dt_s)} /* {tables.dt_s:g} s */",
+        "@BYTES@": str(tables.flash_bytes),
+        "@CRC@": f"{zlib.crc32(tables.to_bytes()):08X}",
+        "@DEFINES@": "\n".join(
+            f"#define {key} {value}{'u' if key in unsigned or value > 1 else ''}"
+            for key, value in tables.options.defines().items()
+        ),
+    }
+    return filled((firmware_folder() / "cell_table.h.in").read_text(encoding="utf-8"), marks)
 
 
 def source_text(tables: FixedStepTables) -> str:
@@ -80,19 +76,6 @@ def source_text(tables: FixedStepTables) -> str:
     return "\n".join([*lines, "    },", "};", ""])
 
 
-CELL_HEADER = """\
-/* Written by `cellwise export`; do not edit. */
-#ifndef CELLWISE_CELL_H
-#define CELLWISE_CELL_H
-
-#include "cellwise_ekf.h"
-
-extern const cellwise_model cellwise_cell;
-
-#endif
-"""
-
-
 def write_sources(
     tables: FixedStepTables, sha256: str, name: str = ""
 ) -> Iterator[tuple[str, str]]:
@@ -103,7 +86,6 @@ def write_sources(
     for source in BY_HAND:
         yield source, (folder / source).read_text(encoding="utf-8")
     yield "cell_table.h", header_text(tables, sha256, name)
-    yield "cellwise_cell.h", CELL_HEADER
     yield "cell_table.c", source_text(tables)
 
 

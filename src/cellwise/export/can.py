@@ -11,6 +11,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.export.c_tables import comment
 from cellwise.export.firmware import need_package
+from cellwise.export.package import Export
 from cellwise.files import write_atomically
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class Bus(NamedTuple):
 
 
 BUS = Bus()
+SUFFIXES = (".dbc",)
 POWER_FACTORS_W = (0.01, 0.1, 1.0, 10.0, 100.0)
 
 
@@ -68,15 +70,18 @@ def messages_of(model: CellModel, cells: int = 1) -> dict[str, tuple[Value, ...]
     }
 
 
-def write_dbc(model: CellModel, path: str | Path, cells: int = 1) -> list[Path]:
+def check(_: str) -> None:
+    """Refuse to write without cantools."""
+    need_package("cantools", "importers")
+
+
+def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
     """Write the DBC and, beside it, the C that packs its signals: OUT.dbc, OUT.h, OUT.c.
 
     Raises
     ------
-    InputError        cantools is missing; a file name that is no name of C; a path that cannot be
-                      written
+    InputError        a file name that is no name of C; a path that cannot be written
     """
-    need_package("cantools", "importers")
     from cantools.database.can import c_source
 
     place = Path(path)
@@ -87,13 +92,13 @@ def write_dbc(model: CellModel, path: str | Path, cells: int = 1) -> list[Path]:
             "a name of C, which its functions begin with",
             "Rename it.",
         )
-    database = database_of(model, cells)
+    database = database_of(export.model, export.cells)
     header, source, *_ = c_source.generate(
         database, name, f"{name}.h", f"{name}.c", f"{name}_fuzz.c", use_float=True
     )
     texts = {place: database.as_dbc_string(), place.with_suffix(".h"): header}
     texts[place.with_suffix(".c")] = source
-    return [write_atomically(where, text) for where, text in texts.items()]
+    return [write_atomically(where, text) for where, text in texts.items()], []
 
 
 def database_of(model: CellModel, cells: int) -> Database:

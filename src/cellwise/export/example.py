@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from string import Template
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.layout import LANDING, PHASE, hex_float, state_type
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
-from cellwise.export.c_tables import comment, firmware_folder, initialiser
+from cellwise.export.c_tables import comment, filled, firmware_folder, initialiser
 from cellwise.export.firmware import HostLibrary
 from cellwise.logs.cell_log import CellLog
 
@@ -58,7 +58,7 @@ BUILD = (
 
 
 def example_files(
-    model: CellModel, tables: FixedStepTables, description: dict[str, Any]
+    model: CellModel, tables: FixedStepTables, description: Mapping[str, Any]
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of README, example, test vector and what the example prints."""
     inputs, outputs, *plan = vector(model, tables)
@@ -94,47 +94,30 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
     return inputs, outputs, plan, landing
 
 
-def vector_text(inputs: NDArray[Any], outputs: NDArray[Any], *plan: NDArray[Any]) -> str:
-    """test_vector.h: every number a hex float."""
-    lines = [
-        "/* Written by `cellwise export`; do not edit. */",
-        "#ifndef CELLWISE_TEST_VECTOR_H",
-        "#define CELLWISE_TEST_VECTOR_H",
-        "",
-        '#include "cellwise_ekf.h"',
-        "",
-        f"#define CELLWISE_VECTOR_SAMPLES {inputs.size}u",
-        f"#define CELLWISE_VECTOR_SOC {hex_float(VECTOR.soc)}",
-        f"#define CELLWISE_VECTOR_VARIANCE {hex_float(float(np.float32(VECTOR.variance)))}",
-        "",
-        f"static const cellwise_input cellwise_vector_inputs[{inputs.size}] = {{",
-        *(f"    {initialiser(record)}," for record in inputs),
-        "};",
-        "",
-        f"static const cellwise_output cellwise_vector_outputs[{outputs.size}] = {{",
-        *(f"    {initialiser(record)}," for record in outputs),
-        "};",
-        "",
-        *(plan_lines(*plan) if plan else ()),
-        "#endif",
-        "",
-    ]
-    return "\n".join(lines)
+def vector_text(
+    inputs: NDArray[Any],
+    outputs: NDArray[Any],
+    plan: NDArray[Any] | None = None,
+    landing: NDArray[Any] | None = None,
+) -> str:
+    """test_vector.h: every number a hex float; without a plan its part is compiled out."""
 
+    def lines(records: NDArray[Any] | None) -> str:
+        each = () if records is None else records
+        return "\n".join(f"    {initialiser(record)}," for record in each)
 
-def plan_lines(plan: NDArray[Any], landing: NDArray[Any]) -> list[str]:
-    """The part of test_vector.h that is a plan."""
-    return [
-        f"#define CELLWISE_PLAN_PHASES {plan.size}u",
-        f"#define CELLWISE_PLAN_ABOVE {hex_float(VECTOR.above)}",
-        "",
-        f"static const cellwise_phase cellwise_plan_phases[{plan.size}] = {{",
-        *(f"    {initialiser(record)}," for record in plan),
-        "};",
-        "",
-        f"static const cellwise_landing cellwise_plan_landing = {initialiser(landing[0])};",
-        "",
-    ]
+    marks = {
+        "@SAMPLES@": str(inputs.size),
+        "@SOC@": hex_float(VECTOR.soc),
+        "@VARIANCE@": hex_float(float(np.float32(VECTOR.variance))),
+        "@INPUTS@": lines(inputs),
+        "@OUTPUTS@": lines(outputs),
+        "@COUNT@": str(0 if plan is None else plan.size),
+        "@ABOVE@": hex_float(VECTOR.above),
+        "@PHASES@": lines(plan),
+        "@LANDING@": "{0}" if landing is None else initialiser(landing[0]),
+    }
+    return filled((firmware_folder() / "test_vector.h.in").read_text(encoding="utf-8"), marks)
 
 
 def expected_text(outputs: NDArray[Any]) -> str:
@@ -148,7 +131,7 @@ def expected_text(outputs: NDArray[Any]) -> str:
     return "\n".join([*lines, "every bit as expected", ""])
 
 
-def readme(description: dict[str, Any]) -> str:
+def readme(description: Mapping[str, Any]) -> str:
     """README.md of the folder."""
     options = [k for k, v in description["options"].items() if v]
     text = (firmware_folder() / "EXPORT.md").read_text(encoding="utf-8")

@@ -12,14 +12,13 @@ import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.estimate.fixed.options import Options
-from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.status import VOLTAGE_INVALID, VOLTAGE_LOST
 from cellwise.export.c_tables import (
     STRICT_FLAGS,
@@ -31,9 +30,10 @@ from cellwise.export.c_tables import (
     zipped,
 )
 from cellwise.export.firmware import compile_c, host_compiler, need_package
+from cellwise.export.package import Export
 from cellwise.files import write_atomically
 
-What = Literal["estimator", "cell"]
+SUFFIXES = (".fmu",)
 STATUS, FIRST_SET, FIRST_PARAMETER = 12, 20, 23  # value references, as in cellwise_fmu.c
 CELL_STD = 1e-3  # of a cell's initial SOC, which is known: nothing follows from it
 
@@ -79,7 +79,7 @@ VARIABLES = (
 )
 
 
-def variables_of(what: What, options: Options) -> list[Variable]:
+def variables_of(what: str, options: Options) -> list[Variable]:
     """What an importer sees, beside time and status."""
     there = {"", what}
     if what == "estimator":
@@ -87,32 +87,35 @@ def variables_of(what: What, options: Options) -> list[Variable]:
     return [v for v in VARIABLES if v.of in there]
 
 
-def starts(model: CellModel, what: What) -> tuple[float, ...]:
+def starts(model: CellModel, what: str) -> tuple[float, ...]:
     """Start values of inputs and parameters, from the reference FIRST_SET on."""
     half_V = float(np.interp(0.5, model.soc, model.ocv_V[0]))
     start = (1.0, CELL_STD) if what == "cell" else (0.5, 0.15)
     return 0.0, model.usual_temperature_C, half_V, *start
 
 
-def write_fmu(
-    model: CellModel,
-    tables: FixedStepTables,
-    path: str | Path,
-    description: Mapping[str, Any],
-    what: What = "estimator",
-) -> Path:
-    """Write the FMU: description, C sources, a binary for this machine.
+def check(_: str) -> None:
+    """Refuse what could only fail after the work is done.
 
-    Parameters
-    ----------
-    description : mapping     what `cellwise export` says of the tables
-    what : str                ``estimator`` (current, voltage, temperature in; SOC out) or ``cell``
-                              (current and temperature in; voltage and SOC out)
+    Raises
+    ------
+    InputError        no C compiler, no FMI headers (package fmpy)
+    """
+    host_compiler()
+    need_package("fmpy", "fmu")
+
+
+def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+    """Write the FMU: description, C sources, a binary for this machine; where, and what to know.
+
+    Of the ``estimator`` current, voltage and temperature go in and SOC comes out, of the ``cell``
+    current and temperature go in, voltage and SOC come out.
 
     Raises
     ------
     InputError        no C compiler, no FMI headers (package fmpy), a path that cannot be written
     """
+    model, tables, what, description = export.model, export.tables, export.what, export.description
     name, start = identifier(model, what), starts(model, what)
     variables = variables_of(what, tables.options)
     state = json.dumps(description, sort_keys=True, default=str) + what
@@ -150,12 +153,12 @@ def write_fmu(
         **{f"sources/{file}": text for file, text in sources.items()},
         "sources/buildDescription.xml": made["buildDescription.xml"],
         binary_place(name): binary,
-        "extra/org.cellwise/cellwise_export.json": json.dumps(dict(description), indent=1) + "\n",
+        "extra/org.cellwise/cellwise_export.json": json.dumps(description, indent=1) + "\n",
     }
-    return write_atomically(path, zipped(files))
+    return [write_atomically(path, zipped(files))], []
 
 
-def identifier(model: CellModel, what: What) -> str:
+def identifier(model: CellModel, what: str) -> str:
     """Name of the binary: a name of C."""
     return re.sub(r"\W", "_", f"cellwise_{what}_{comment(model.name)}".strip("_"))
 

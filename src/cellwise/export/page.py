@@ -7,9 +7,9 @@ import html
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,9 +30,13 @@ from cellwise.export.c_tables import (
     zipped,
 )
 from cellwise.export.firmware import compile_c
+from cellwise.export.package import Export
 from cellwise.files import write_atomically
+from cellwise.forecast.remaining import cutoff_of
 from cellwise.logs.cell_log import CellLog
 
+SUFFIXES = (".html", ".htm")
+STEP_S = 1.0  # where none is stated
 EXPORTED = (
     *("cellwise_init", "cellwise_rows", "cellwise_remaining"),
     *("cellwise_cell", "__heap_base"),
@@ -54,25 +58,19 @@ class Example(NamedTuple):
 EXAMPLE = Example()
 
 
-def write_estimator_page(
-    model: CellModel,
-    tables: FixedStepTables,
-    path: str | Path,
-    description: Mapping[str, Any],
-    package: Mapping[str, str],
-) -> Path:
-    """Write the page.
-
-    Parameters
-    ----------
-    tables : FixedStepTables     with the remaining time
-    description : mapping        what `cellwise export` says of the tables
-    package : names and texts    the C package that the page offers
+def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+    """Write the page, with the remaining time, and the C package for who opens it.
 
     Raises
     ------
     InputError        no clang that compiles to WebAssembly; a path that cannot be written
     """
+    cutoff_V = cutoff_of(export.model, export.asked.remaining_V)
+    export = replace(
+        export, dt_s=export.dt_s or STEP_S, asked=replace(export.asked, remaining_V=cutoff_V)
+    )
+    model, tables, description = export.model, export.tables, export.description
+    package = export.files(description)
     name = model.name or "a cell"
     data = {
         "model_sha256": description["model_sha256"],
@@ -97,10 +95,10 @@ def write_estimator_page(
         "@JS@": (folder / "page.js").read_text(encoding="utf-8"),
         "@DATA@": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
     }
-    return write_atomically(path, filled(text, marks))
+    return [write_atomically(path, filled(text, marks))], []
 
 
-def check_wasm_compiler() -> str:
+def check(_: str = "") -> str:
     """The clang that compiles to WebAssembly.
 
     Raises
@@ -124,7 +122,7 @@ def compiled(tables: FixedStepTables) -> bytes:
     ------
     InputError        no compiler, or C that it does not compile
     """
-    clang = check_wasm_compiler()
+    clang = check()
     with tempfile.TemporaryDirectory(prefix="cellwise-") as name:
         folder = Path(name)
         rows = "port/host_rows.c"

@@ -24,22 +24,30 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.tables import ROWS_C
 from cellwise.export.c_tables import comment, filled, firmware_folder
 from cellwise.export.firmware import need_package
+from cellwise.export.package import Export
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
 KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating)
+SUFFIXES = (".py", ".json")
 HELD_J_PER_K = 1e12  # thermal mass of what keeps its temperature
 TEMPLATE = "pybamm/parameters.py.in"
 
 
-def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
+def check(path: str) -> None:
+    """Refuse a ``.json`` without PyBaMM, which writes it."""
+    if path.lower().endswith(".json"):
+        need_package("pybamm", "generate")
+
+
+def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
     """Write the parameters, a ``.json`` by PyBaMM; the place, and what they omit.
 
     Raises
     ------
-    InputError        effects that PyBaMM's model has no place for; no PyBaMM for a ``.json``; a
-                      path that cannot be written
+    InputError        effects that PyBaMM's model has no place for; a path that cannot be written
     """
+    model = export.model
     others = [e.name for e in model.effects if not isinstance(e, KNOWN)]
     if others:
         raise InputError(
@@ -48,13 +56,12 @@ def write_pybamm(model: CellModel, path: str | Path) -> tuple[Path, list[str]]:
             "Leave them out: " + " ".join(f"`without={name}`" for name in others) + ".",
         )
     text, notices = parameter_file(model)
-    if not str(path).lower().endswith(".json"):
-        return write_atomically(path, text), notices
-    need_package("pybamm", "generate")
+    if not path.lower().endswith(".json"):
+        return [write_atomically(path, text)], notices
     names: dict[str, Any] = {"__name__": "cellwise_parameters"}
     exec(compile(text, "cellwise_parameters.py", "exec"), names)  # what was written above
     values = names["get_parameter_values"]().to_json()
-    return write_atomically(path, json.dumps(values, indent=1) + "\n"), notices
+    return [write_atomically(path, json.dumps(values, indent=1) + "\n")], notices
 
 
 def parameter_file(model: CellModel) -> tuple[str, list[str]]:

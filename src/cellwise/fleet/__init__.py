@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellwise.fleet.run import FleetResult, run_fleet
+from cellwise.fleet.engine import FleetResult, run_fleet
 from cellwise.fleet.tasks import DiagnoseTask, HistoryTask, PackTask, ReplayTask
 
 __all__ = ["DiagnoseTask", "FleetResult", "HistoryTask", "PackTask", "ReplayTask", "run_fleet"]

@@ -8,7 +8,6 @@ import shlex
 import pytest
 
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.common.examples import GUIDES
 
 
 def leaves(parser):
@@ -21,10 +20,6 @@ def leaves(parser):
 
 
 COMMANDS = {parser.prog.partition(" ")[2]: parser for parser in leaves(build_parser())}
-
-
-def test_every_command_has_its_examples_and_no_other_has():
-    assert set(GUIDES) == set(COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

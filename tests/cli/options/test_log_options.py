@@ -109,8 +109,8 @@ def test_columns_are_stated_on_the_command_line(tmp_path, run_json):
     [
         (("--series", "four"), "--series four"),
         (("--series", "0"), "series = 0"),
-        (("--parallel", "2.5"), "--parallel 2.5"),
-        (("--instance", "first"), "--instance first"),
+        (("--parallel", "2.5"), "--parallel"),
+        (("--instance", "first"), "--instance"),
         (("--channel", "current_A"), "NAME=COLUMN"),
         (("--channel", "current_A=Strom"), "no column 'Strom'"),
         (("--dbc", "nowhere.dbc"), "no DBC file"),

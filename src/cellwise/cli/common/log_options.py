@@ -1,4 +1,4 @@
-"""What every command that takes a LOG lets a user say about it."""
+"""The logs that a command names, read as its options say."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from cellwise.cli.common import options, printing
+from cellwise.cli.common import printing
 from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
@@ -22,59 +22,6 @@ if TYPE_CHECKING:
     from cellwise.identify import TestLogs
 
 Log = TypeVar("Log")
-SIGNS = ("auto", "charge-positive", "discharge-positive")
-LOG_HELP = (
-    "a table of text or parquet, or a native file; @-20 or @temperature_C=-20,soc0=1 behind it "
-    "says what is known of it; or an embedded data set's name"
-)
-
-
-def add_log(parser: argparse.ArgumentParser, name: str = "log", **more: Any) -> None:
-    """Add the log, or the logs, and the options that say how one is to be read."""
-    parser.add_argument(name, **({"metavar": "LOG", "help": LOG_HELP} | more))
-    add_log_options(parser)
-
-
-def add_log_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say how a log is to be read."""
-    group = add_pack_options(parser, "; auto: as the log states")
-    options.flag(group, "--partial", "read a recording that was cut off, as far as it goes")
-    group.add_argument(
-        "--decimal",
-        choices=("auto", ".", ","),
-        default="auto",
-        metavar="C",
-        help="decimal sign of a text, . or , [by its first rows]",
-    )
-
-
-def add_pack_options(parser: argparse.ArgumentParser, series: str = "") -> argparse._ArgumentGroup:
-    """Add the options of a log and a stream alike: sign, pack, channels, database."""
-    _add_sign(parser)
-    group = parser.add_argument_group("packs and native logs")
-    text = f"cells in series, to read a pack as its mean cell{series} [1]"
-    group.add_argument("--series", default="1", metavar="N", help=text)
-    _add_channels(group)
-    group.add_argument("--dbc", metavar="FILE", help="database of the frames of a CAN log")
-    return group
-
-
-def add_cells_options(parser: argparse.ArgumentParser) -> None:
-    """Add what `pack_arguments` reads, and the sign."""
-    _add_sign(parser)
-    _add_channels(parser)
-
-
-def _add_sign(parser: argparse.ArgumentParser) -> None:
-    text = "sign of the current in the file [auto]"
-    parser.add_argument("--sign", choices=SIGNS, default="auto", help=text)
-
-
-def _add_channels(parser: options.Parser) -> None:
-    parser.add_argument("--parallel", default="1", metavar="N", help="cells in parallel [1]")
-    text = "which column or signal is which, e.g. current_mA=I_pack; NAME gives the unit"
-    options.several(parser, "--channel", "NAME=COLUMN", text)
-    parser.add_argument("--instance", metavar="K", help="which battery of several, from 0")
 
 
 def read(path: str | Stated, arguments: argparse.Namespace) -> CellLog:
@@ -162,18 +109,6 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
     return found
 
 
-def add_test_options(parser: options.Parser) -> None:
-    """Add the laboratory tests that a cell is identified on."""
-    stated = "@-10 or @temperature_C=-10,soc0=1 says what is known"
-    for name, text in (
-        ("--hppc", f"pulse test; {stated}"),
-        ("--ocv", "low-rate discharge, charge or both"),
-        ("--capacity", "capacity test"),
-        ("--drive", "drive log to refine on"),
-    ):
-        options.several(parser, name, "LOG[@...]", text)
-
-
 def test_logs(arguments: argparse.Namespace) -> TestLogs:
     """The laboratory tests, those with a temperature of their own with it.
 
@@ -202,8 +137,9 @@ def arguments_of_read(arguments: argparse.Namespace) -> dict[str, Any]:
     ------
     InputError        options that are no numbers or no pairs
     """
-    reading = {"partial": arguments.partial, "decimal": arguments.decimal}
-    return {"sign": arguments.sign, **_stated(arguments), **reading}
+    names = ("sign", "dbc", "partial", "decimal")
+    said = {name: getattr(arguments, name) for name in names}
+    return {**said, **pack_arguments(arguments), "series": _series(arguments.series)}
 
 
 def read_options(arguments: argparse.Namespace) -> ReadOptions:
@@ -213,10 +149,8 @@ def read_options(arguments: argparse.Namespace) -> ReadOptions:
     ------
     InputError        options that are no numbers or no pairs; what `ReadOptions` refuses
     """
-    stated = _stated(arguments)
-    if stated["dbc"] is not None:
-        stated["dbc"] = Path(stated["dbc"])
-    return ReadOptions(**stated)
+    dbc = None if arguments.dbc is None else Path(arguments.dbc)
+    return ReadOptions(series=_series(arguments.series), dbc=dbc, **pack_arguments(arguments))
 
 
 def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -224,30 +158,22 @@ def pack_arguments(arguments: argparse.Namespace) -> dict[str, Any]:
 
     Raises
     ------
-    InputError        options that are no numbers or no pairs
+    InputError        options that are no pairs
     """
-    instance = arguments.instance
     return {
-        "parallel": _count("--parallel", arguments.parallel),
+        "parallel": arguments.parallel,
         "channels": dict(_pair(text) for text in arguments.channel),
-        "instance": None if instance is None else _count("--instance", instance),
+        "instance": arguments.instance,
     }
 
 
-def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
-    series = arguments.series
-    return {
-        "series": "auto" if series == "auto" else _count("--series", series),
-        **pack_arguments(arguments),
-        "dbc": arguments.dbc,
-    }
-
-
-def _count(option: str, text: str) -> int:
+def _series(text: str) -> int | Literal["auto"]:
+    if text == "auto":
+        return "auto"
     try:
         return int(text)
     except ValueError:
-        raise InputError(f"{option} {text}", "a whole number", "Correct it.") from None
+        raise InputError(f"--series {text}", "a whole number, or auto", "Correct it.") from None
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Options that several commands share, and the places that they write to."""
+"""What the options say that several commands share, and the places that they write to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 OUTPUTS = ("output", "report")
-LOGS = ("log", "logs", "holdout", "baseline", "hppc", "ocv", "capacity", "drive")
+LOGS = ("log", "logs", "packlogs", "holdout", "baseline", "hppc", "ocv", "capacity", "drive")
 
 
 def check_places(*paths: str | None) -> None:
@@ -73,46 +73,6 @@ def _is_file(text: str) -> bool:
         return False
 
 
-Parser = argparse._ActionsContainer
-Commands = argparse._SubParsersAction  # made by `add_subparsers`
-
-
-def number(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
-    """An option that takes a number."""
-    parser.add_argument(name, type=float, metavar=metavar, help=text, **more)
-
-
-def count(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
-    """An option that takes a whole number."""
-    parser.add_argument(name, type=int, metavar=metavar, help=text, **more)
-
-
-def several(parser: Parser, name: str, metavar: str | None, text: str, **more: Any) -> None:
-    """An option that may be given several times; without it, an empty list."""
-    parser.add_argument(
-        name, action="append", metavar=metavar, help=text, **({"default": []} | more)
-    )
-
-
-def flag(parser: Parser, name: str, text: str) -> None:
-    """An option that is there or not."""
-    parser.add_argument(name, action="store_true", help=text)
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json``."""
-    flag(parser, "--json", "print one JSON object and no more")
-
-
-def add_model(parser: argparse.ArgumentParser, *, scalable: bool = False) -> None:
-    """Add the option that names the model, and that which scales it to a capacity."""
-    text = "model file, or a stock model (`cellwise data list`)"
-    parser.add_argument("--model", required=True, metavar="MODEL", help=text)
-    if scalable:
-        text = "scale the model to this capacity: resistances by the inverse ratio [its own]"
-        number(parser, "--capacity-ah", "X", text)
-
-
 def read_model(arguments: argparse.Namespace) -> CellModel:
     """The model that the arguments name, scaled where they say so.
 
@@ -123,23 +83,6 @@ def read_model(arguments: argparse.Namespace) -> CellModel:
     from cellwise.cell.stock import named_model
 
     return named_model(arguments.model, getattr(arguments, "capacity_ah", None))
-
-
-def add_soc0(parser: argparse.ArgumentParser, of: str = "") -> None:
-    """Add ``--soc0``."""
-    parser.add_argument("--soc0", default="auto", metavar="X", help=f"{of}0..1, or auto [auto]")
-
-
-def add_soc0_std(parser: argparse.ArgumentParser) -> None:
-    """Add ``--soc0-std``."""
-    text = "standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)"
-    number(parser, "--soc0-std", "S", text)
-
-
-def add_reference(parser: argparse.ArgumentParser) -> None:
-    """Add what an SOC is judged by: the true start, and the capacity below the counter."""
-    number(parser, "--reference-soc0", "X", "true SOC at the start [by the whole log]")
-    number(parser, "--reference-capacity-ah", "X", "for the reference by the counter")
 
 
 def soc0_of(arguments: argparse.Namespace) -> float | None:
@@ -187,12 +130,6 @@ def check_fraction(option: str, value: float | None) -> None:
     """
     if value is not None and not 0.0 <= value <= 1.0:
         raise InputError(f"{option} {value:g}", "a fraction from 0 to 1", "Correct it.")
-
-
-def add_data(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of measured data."""
-    text = "folder of the measured cells [$CELLWISE_DATA]"
-    parser.add_argument("--data", metavar="DIR", help=text)
 
 
 def data_folder(arguments: argparse.Namespace) -> Path | None:

@@ -9,14 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cellwise.cli.common import options, printing
+from cellwise.cli.common import printing
 from cellwise.cli.common.options import check_places
 from cellwise.errors import InputError
 
 if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
 
-FORMATS = ("png", "svg", "pdf")
 PAGES = (".html", ".htm")
 
 
@@ -25,19 +24,6 @@ class PagePlaces(NamedTuple):
 
     page: Path
     figures: FigureFiles | None
-
-
-def add_page_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--report``, ``--figures`` and ``--figure-format``."""
-    parser.add_argument("--report", metavar="F.html", help="page with pictures")
-    add_figure_options(parser)
-
-
-def add_figure_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--figures`` and ``--figure-format``, of a command that writes its page anyway."""
-    parser.add_argument("--figures", metavar="DIR", help="folder for the pictures as files")
-    text = "png, svg or pdf; several [png]"
-    options.several(parser, "--figure-format", "K", text, choices=FORMATS, default=None)
 
 
 def check_page_options(arguments: argparse.Namespace) -> None:

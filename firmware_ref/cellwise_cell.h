@@ -1,0 +1,9 @@
+/* Written by `cellwise export`; do not edit. */
+#ifndef CELLWISE_CELL_H
+#define CELLWISE_CELL_H
+
+#include "cellwise_ekf.h"
+
+extern const cellwise_model cellwise_cell;
+
+#endif
