@@ -87,9 +87,8 @@ def test_truncated_gzip_of_many_blocks(tmp_path):
 
 # A column's name, and the one of the tidy form that it is most likely.
 NEAREST = {
-    "Test_Time(s)": "time_s", "Zeit": "time_s", "elapsed_s": "time_s",
-    "Current(A)": "current_A", "curent_A": "current_A", "Strom [A]": "current_A",
-    "I / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
+    "Zeit": "time_s", "Time of run": "time_s", "curent_A": "current_A", "Strom": "current_A",
+    "Pack current / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
 }  # fmt: skip
 
 

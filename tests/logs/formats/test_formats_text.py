@@ -469,9 +469,7 @@ def test_a_column_that_the_format_does_not_know_is_reported_with_the_nearest(tmp
 @pytest.mark.parametrize(
     ("names", "factors"),
     [
-        (("Testzeit [s]", "Strom [mA]", "Spannung [V]"), (1, 1e3, 1)),
         (("t_sec", "Pack Current (mA)", "Cell Volts"), (1, 1e3, 1)),
-        (("Zeit/ms", "I/A", "U/mV"), (1e3, 1, 1e3)),
         (("Time (h)", "Strom", "Ewe/V"), (1 / 3600, 1, 1)),
     ],
 )

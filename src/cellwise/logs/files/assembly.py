@@ -86,7 +86,7 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
         channels["current_A"] = _counted_current(channels, sign)
         notices.append("there is no current; it was taken from the counter's steps")
     notices += _drop_rows_without_time(channels, where)
-    return RawLog(channels, tuple(notices), raw.cells)
+    return replace(raw, channels=channels, notices=tuple(notices))
 
 
 def accumulated(counter: FloatArray) -> FloatArray:
@@ -253,6 +253,9 @@ def assemble(
     )
     log, noted = grave.without_impossible(log)
     notices += noted
+    if sign == "auto" and not raw.signed:
+        log, noted = _signed_by_voltage(log)
+        notices += noted
     notices += grave.grave_notices(log)
     notices += units.check_voltage(log, where)
     log, counter, noted = units.checked_counter(log, where)
@@ -296,6 +299,18 @@ def _steps(step: FloatArray | None) -> IntArray | None:
         return None
     known = np.isfinite(step) & (np.abs(step) < 2**31)
     return np.where(known, step, NO_STEP).astype(np.int32)
+
+
+def _signed_by_voltage(log: CellLog) -> tuple[CellLog, list[str]]:
+    """A current whose sign nobody states, by what the voltage does under it."""
+    said = "nothing says what the sign of the current means"
+    verdict = verify_sign(possible_part(log)).verdict
+    if verdict == "contradicted":
+        log = replace(log, current_A=-log.current_A)
+        return log, [f"{said}; positive is charge, by the voltage, and was inverted"]
+    if verdict == "verified":
+        return log, [f"{said}; positive is discharge, by the voltage"]
+    return log, [f"{said}, nor does the voltage: positive was read as discharge; `sign=` states it"]
 
 
 def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:

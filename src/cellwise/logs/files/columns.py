@@ -96,12 +96,16 @@ class Channel:
 
 @dataclass(frozen=True)
 class Column:
-    """A column chosen for a channel: its place and name in the file, its unit."""
+    """A column chosen for a channel: its place and name in the file, its unit.
+
+    ``by_words``: no format's name, but a word for the quantity and the unit.
+    """
 
     field: str
     index: int
     name: str
     unit: Unit
+    by_words: bool = False
 
 
 REQUIRED = ("time_s", "current_A", "voltage_V")
@@ -145,6 +149,11 @@ def tidy_name(name: str, fields: Collection[str] = ()) -> tuple[str, Unit]:
     )
 
 
+def says_its_sign(columns: Sequence[Column]) -> bool:
+    """The current's name is a format's, which says what its sign means."""
+    return not any(c.by_words and c.field == "current_A" for c in columns)
+
+
 def choose_columns(
     header: Sequence[str],
     channels: Sequence[Channel],
@@ -178,10 +187,17 @@ def choose_columns(
     notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
     found = {column.field for column in columns}
     for channel in channels:
-        if channel.field in found or (column := _find(channel, names, where)) is None:
+        if channel.field in found:
+            continue
+        column = _find(channel, names, where)
+        if column is None and channels is TIDY_CHANNELS:
+            column = _by_words(channel, names)
+        if column is None:
             continue
         columns.append(column)
-        if known is None and column.unit != OWN:
+        if column.by_words:
+            notices.append(f"column '{column.name}' was taken for {channel.field}, by its name")
+        elif known is None and column.unit != OWN:
             tidy = TIDY_NAME.get(channel.field, channel.field)
             notices.append(f"column '{column.name}' was converted to {tidy}")
     found = {column.field for column in columns}
@@ -257,6 +273,16 @@ def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
     return None
 
 
+def _by_words(channel: Channel, names: Sequence[str]) -> Column | None:
+    """The one column whose name is a word for the quantity with its unit: 'Strom [mA]'."""
+    places = [k for k, name in enumerate(names) if unit_of(name) and is_word(channel.field, name)]
+    if len(places) != 1 or channel.field == "charge_Ah":  # nor does a counter's name say its sign
+        return None
+    name = names[places[0]]
+    unit = channel.names.get(_tidy_of(channel, name))
+    return None if unit is None else Column(channel.field, places[0], name, unit, by_words=True)
+
+
 def folded(name: str) -> str:
     """A column name as names are compared."""
     return name.casefold().replace(" ", "").replace("_", "").strip('"\t\ufeff')
@@ -266,7 +292,7 @@ def _missing_columns(
     missing: Sequence[Channel], names: Sequence[str], channels: Sequence[Channel], where: str
 ) -> InputError:
     near = [(c, name) for c in missing if (name := nearest(c.field, names))]
-    said = ", ".join(f"{_tidy_of(c, name)!r}: {name!r}" for c, name in near)
+    said = ", ".join(f"{_tidy_of(c, name) or c.usual_name!r}: {name!r}" for c, name in near)
     optional = ", ".join(c.usual_name for c in channels if not c.required)
     required = ", ".join(c.usual_name for c in channels if c.required)
     return InputError(
@@ -280,10 +306,13 @@ def _missing_columns(
 
 
 def _tidy_of(channel: Channel, name: str) -> str:
-    """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``."""
-    tidy = TIDY_NAME.get(channel.field, channel.field)
-    wanted = f"{tidy.rpartition('_')[0]}_{unit_of(name)}"
-    return next((n for n in TIDY_NAMES if n.casefold() == wanted), tidy)
+    """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``.
+
+    Empty where it states another quantity's unit, the usual name where it states none.
+    """
+    tidy, unit = TIDY_NAME.get(channel.field, channel.field), unit_of(name)
+    wanted = f"{tidy.rpartition('_')[0]}_{unit}"
+    return next((n for n in TIDY_NAMES if n.casefold() == wanted), "" if unit else tidy)
 
 
 def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
@@ -297,15 +326,29 @@ WORDS = {
     "time_s": (
         *("time", "t", "timestamp", "seconds", "elapsed", "test time", "datum", "uhrzeit", "zeit"),
         *("testzeit", "laufzeit", "versuchszeit", "zeitstempel", "datetime"),
+        *("elapsed time", "temps", "tiempo", "tempo"),
     ),
-    "current_A": (*("current", "curr", "i", "amps", "ampere", "strom", "ibat", "batteriestrom"),),
+    "current_A": (
+        *("current", "curr", "i", "amps", "ampere", "strom", "ibat", "batteriestrom"),
+        *("courant", "corriente", "corrente", "battery current", "cell current"),
+    ),
     "voltage_V": (
-        *("voltage", "volt", "volts", "v", "u", "ewe", "spannung", "potential", "vbat", "ubat"),
-        *("batteriespannung", "zellspannung", "klemmenspannung"),
+        *("voltage", "volt", "volts", "v", "u", "spannung", "vbat", "ubat"),
+        *("batteriespannung", "zellspannung", "klemmenspannung", "tension", "tensión", "tensione"),
+        *("cell voltage", "battery voltage", "terminal voltage"),
     ),
-    "temperature_C": ("temperature", "temp", "tbat"),
+    "temperature_C": (
+        "temperature",
+        "temp",
+        "tbat",
+        "temperatur",
+        "zelltemperatur",
+        "cell temperature",
+    ),
     "charge_Ah": ("charge", "ah", "discharged", "consumed"),
 }
+# An electrode's potential may be the cell's voltage: asked for, never taken.
+PERHAPS = {"voltage_V": ("ewe", "potential")}
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+[a-z]*")
 # A unit at the end of a column's name, in brackets or behind a stroke.
 _UNIT = re.compile(r"(?:[(\[{<]|[/_])\s*([a-zµμ°]+)\s*[)\]}>]?$", re.IGNORECASE)
@@ -315,6 +358,9 @@ _UNIT_WORDS = {
     **dict.fromkeys(("µs", "μs"), "us"),
     **dict.fromkeys(("hr", "hrs", "hour", "hours", "std"), "h"),
     **dict.fromkeys(("minute", "minutes"), "min"),
+    **dict.fromkeys(("amps", "ampere"), "a"),
+    **dict.fromkeys(("volt", "volts"), "v"),
+    "°c": "degc",
 }
 
 
@@ -324,22 +370,32 @@ def words_of(name: str) -> set[str]:
 
 
 def unit_of(name: str) -> str:
-    """The unit that a name states at its end, in small letters: 'Strom [mA]' states ma."""
+    """The unit that a name states, at its end, in small letters: 'Strom [mA]' states ma."""
     found = _UNIT.search(name.strip())
-    text = "" if found is None else found[1].casefold()
+    if found is None:  # 'Volts' is its own unit, 'V' a symbol
+        return _UNIT_WORDS.get(name.strip().casefold(), "")
+    text = found[1].casefold()
     unit = _UNIT_WORDS.get(text, text)
     return unit if unit in _UNITS else ""
 
 
+def _without_unit(name: str) -> str:
+    plain = _UNIT.sub("", name.strip()) if unit_of(name) else name
+    return plain.replace("_", " ").strip(" .\t")
+
+
+def is_word(field: str, name: str) -> bool:
+    """A name is, but for its unit, a word for a quantity."""
+    return _without_unit(name).casefold() in WORDS.get(field, ())
+
+
 def nearest(field: str, names: Sequence[str]) -> str:
     """The name that most likely holds a quantity, empty if none does."""
-    known = WORDS.get(field, ())
+    known = (*WORDS.get(field, ()), *PERHAPS.get(field, ()))
 
     def likeness(name: str) -> int:
-        plain = _UNIT.sub("", name.strip()) if unit_of(name) else name
-        plain = plain.replace("_", " ").strip(" .\t")
-        words = {word for word in words_of(plain) if len(word) > 2}
-        if plain.casefold() in known:
+        words = {word for word in words_of(_without_unit(name)) if len(word) > 2}
+        if is_word(field, name):
             return 3
         if words.intersection(known):
             return 2

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import CLOCK, Column, choose_columns, folded
+from cellwise.logs.files.columns import CLOCK, Column, choose_columns, folded, says_its_sign
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -250,7 +250,7 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
         raise InputError(
             f"a header but no rows in {where}", "rows of numbers", "Check the export that wrote it."
         )
-    return RawLog(arrays, tuple(notices))
+    return RawLog(arrays, tuple(notices), signed=says_its_sign(columns))
 
 
 def _read(

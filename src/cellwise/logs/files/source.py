@@ -147,13 +147,14 @@ class RawLog:
     """What a reader takes from a file: channels by field of `CellLog`, in the channel's own unit.
 
     ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are there once `complete` has
-    seen it; missing values are NaN; the sign is still the format's. ``cells`` is the number of
-    cells in series that the file states.
+    seen it; missing values are NaN; the sign is still the format's, if it is ``signed``: else
+    nobody says what it means. ``cells`` is the number of cells in series that the file states.
     """
 
     channels: dict[str, FloatArray]
     notices: tuple[str, ...] = ()
     cells: int | None = None
+    signed: bool = True
 
     def noted(self, notices: Iterable[str]) -> RawLog:
         """The same with more notices."""

@@ -20,6 +20,7 @@ from cellwise.logs.files.columns import (
     Unit,
     choose_columns,
     folded,
+    says_its_sign,
 )
 from cellwise.logs.files.format import Format, library_at_work
 from cellwise.logs.files.source import Limits, LogSource, RawLog
@@ -63,7 +64,7 @@ def table_channels(
     names = list(cast(Iterable[str], table) if header is None else header)
     columns, notices = choose_columns([str(name) for name in names], channels, where, **options)
     found = {c.field: column_values(table[names[c.index]], c, where) for c in columns}
-    return RawLog(found, tuple(notices))
+    return RawLog(found, tuple(notices), signed=says_its_sign(columns))
 
 
 def channels_of(
@@ -144,7 +145,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
             table = file.read(columns=[header[column.index]], use_threads=False)
             arrays[column.field] = column_values(table.column(0), column, where)
             source.report(k + 1, len(columns))
-    return RawLog(arrays, tuple(notices))
+    return RawLog(arrays, tuple(notices), signed=says_its_sign(columns))
 
 
 def _check_type(kind: pyarrow.DataType, column: Column, where: str) -> None:

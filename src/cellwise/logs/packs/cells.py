@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -320,4 +320,4 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
         notices.append(
             f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
         )
-    return RawLog(channels, tuple(notices), raw.cells)
+    return replace(raw, channels=channels, notices=tuple(notices))

@@ -16,7 +16,7 @@ from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_text import csv_layout
 from cellwise.logs.files.format import Format, detect_format
-from cellwise.logs.files.source import LogSource, RawLog, ReadOptions, open_source
+from cellwise.logs.files.source import LogSource, ReadOptions, open_source
 from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import (
@@ -261,7 +261,8 @@ def pack_of(
         mean.setdefault("temperature_C", mean_of_known(np.stack(warm, axis=1)))
     # A conversion of each cell's column is not news.
     notices = [n for n in raw.notices if not any(f"'{c.name}' was converted" in n for c in cells)]
-    one = to_cell(RawLog(mean, tuple(notices)), replace(source.options, series=1), source.where)
+    of_cells = replace(raw, channels=mean, notices=tuple(notices), cells=None)
+    one = to_cell(of_cells, replace(source.options, series=1), source.where)
     log = assemble(one, known, source.path, name, sign, check_sign=check_sign)
     return PackLog(log, volts, names, balancing, pack_V, flags, source.options.parallel)
 
