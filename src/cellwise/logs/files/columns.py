@@ -338,12 +338,7 @@ WORDS = {
         *("cell voltage", "battery voltage", "terminal voltage"),
     ),
     "temperature_C": (
-        "temperature",
-        "temp",
-        "tbat",
-        "temperatur",
-        "zelltemperatur",
-        "cell temperature",
+        *("temperature", "temp", "tbat", "temperatur", "zelltemperatur", "cell temperature"),
     ),
     "charge_Ah": ("charge", "ah", "discharged", "consumed"),
 }
