@@ -34,6 +34,7 @@ from cellwise.files import made_folder
 from cellwise.identify.measured_capacity import LIMITS as SIZES
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
+from cellwise.logs.checks.sign import CONTRADICTED
 from cellwise.logs.reading import AS_MEAN_CELL
 from cellwise.logs.stated import SUFFIXES, in_order
 
@@ -43,6 +44,7 @@ CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
 MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused
 # A temperature in a name: _p25, _n10, -10degC.
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
+OTHER_SIGN = re.compile(CONTRADICTED + r".*`sign='([a-z-]+)'`", re.DOTALL)  # in a notice
 UNKNOWN = "X"  # stands for what has to be stated
 TESTS = ("hppc", "ocv", "capacity")
 DRIVES = ("drive", "flight", "pack")
@@ -80,7 +82,8 @@ class FoundFile:
     for each cell), flight; unread (refused, ``why`` says for what), other (no log by its name).
     ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
     ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
-    that only the name states.
+    that only the name states; ``other_sign`` what the current's sign would have to mean where the
+    voltage contradicts it.
     """
 
     path: Path
@@ -94,6 +97,7 @@ class FoundFile:
     highest_V: float = 0.0
     usual_C: float | None = None
     named_C: float | None = None
+    other_sign: str = ""
 
     @property
     def stated(self) -> str:
@@ -213,11 +217,32 @@ def look_at(
     places.sort(key=in_order)
     databases = [p for p in places if p.suffix.lower() in DATABASES]
     dbc = databases[0] if len(databases) == 1 else None
-    found = []
-    for k, place in enumerate(places):
-        follow(f"reading {place.name}", k, len(places))
-        found.append(_look_at_one(place, arguments, dbc))
+
+    def read_as(sign: str) -> list[FoundFile]:
+        found = []
+        for k, place in enumerate(places):
+            follow(f"reading {place.name}", k, len(places))
+            found.append(_look_at_one(place, sign, arguments.nominal_ah, dbc))
+        return found
+
+    found = read_as(arguments.sign)
+    others = {one.other_sign for one in found if one.other_sign}
+    if arguments.sign == "auto" and len(others) == 1:
+        again = read_as(sign := others.pop())
+        if not any(one.other_sign for one in again):
+            arguments.sign, said = sign, f"; {sign}, by its voltage"
+            found = [
+                replace(now, why=now.why + said) if before.other_sign else now
+                for before, now in zip(found, again, strict=True)
+            ]
+    found = [_with_a_wrong_sign(one) if one.other_sign else one for one in found]
     return [_end_of_test(one, found) for one in found]
+
+
+def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
+    """Of no use beside files whose sign is another's."""
+    why = f"the sign of the current looks wrong: read it by itself, with --sign {one.other_sign}"
+    return replace(one, kind="unread", why=why)
 
 
 def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
@@ -232,12 +257,12 @@ def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
     return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
 
 
-def _look_at_one(place: Path, arguments: argparse.Namespace, dbc: Path | None) -> FoundFile:
+def _look_at_one(place: Path, sign: str, nominal_Ah: float | None, dbc: Path | None) -> FoundFile:
     if not place.name.lower().endswith(SUFFIXES):
         return FoundFile(place, "other", "no log by its name")
     try:
         dbc = dbc if place.suffix.lower() in CAN_LOGS else None
-        log = read_log(place, sign=arguments.sign, dbc=dbc)
+        log = read_log(place, sign=sign, dbc=dbc)
     except MachineError:
         raise
     except InputError as error:
@@ -248,12 +273,12 @@ def _look_at_one(place: Path, arguments: argparse.Namespace, dbc: Path | None) -
     series = 1
     if log.typical_voltage_V > ONE_CELL.largest_V:
         series = cells_in_series(log, ONE_CELL.full_V)
-    return _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, arguments)
+    return _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
 
 
-def _taken_for(place: Path, log: CellLog, series: int, arguments: argparse.Namespace) -> FoundFile:
+def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile:
     """What a log of one cell, of so many in series, is."""
-    test = kind_of(log, arguments.nominal_ah)
+    test = kind_of(log, nominal_Ah)
     kind: str = "flight" if log.format in FLIGHTS else test.kind
     why = test.why if series == 1 else f"{series} cells in series; {test.why}"
     moved_Ah = float(np.ptp(log.counted_charge_Ah()))
@@ -274,6 +299,7 @@ def _taken_for(place: Path, log: CellLog, series: int, arguments: argparse.Names
         highest_V=float(np.nanmax(log.voltage_V)),
         usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
         named_C=_named_C(log),
+        other_sign=next((m[1] for n in log.notices if (m := OTHER_SIGN.search(n))), ""),
     )
 
 

@@ -187,3 +187,30 @@ def test_native_files_are_read_and_grouped_by_cell(real_data, run_json):
     found = run_json("start", str(real_data / "native"))
     assert set(kinds(found).values()) == {"ocv", "capacity", "flight"}
     assert len([c for c in found["commands"] if c.startswith("cellwise identify")]) == 5
+
+
+def swapped(folder: Path, *names: str) -> None:
+    """Logs of the embedded cell, tidy but for the sign of the current."""
+    folder.mkdir()
+    for name in names:
+        log = load_dataset(f"nmc_{name}")
+        columns = {"time_s": log.time_s, "current_A": -log.current_A, "voltage_V": log.voltage_V}
+        write_columns(columns, folder / f"{name}.csv")
+
+
+def test_a_sign_that_every_log_contradicts_is_read_the_other_way(tmp_path, run_json):
+    swapped(tmp_path / "logs", "hppc", "drive_b")
+    found = run_json("start", str(tmp_path / "logs"))
+    assert kinds(found) == {"hppc.csv": "hppc", "drive_b.csv": "drive"}
+    assert all("charge-positive, by its voltage" in f["why"] for f in found["files"])
+    assert all("--sign charge-positive" in line for line in found["commands"])
+
+
+def test_a_log_whose_sign_is_another_than_its_neighbours_is_left_out(tmp_path, run_json):
+    swapped(tmp_path / "logs", "drive_b")
+    shutil.copy(NMC / "hppc.parquet", tmp_path / "logs")
+    found = run_json("start", str(tmp_path / "logs"))
+    assert kinds(found) == {"drive_b.csv": "unread", "hppc.parquet": "hppc"}
+    assert not any("--sign" in line for line in found["commands"])
+    (why,) = (f["why"] for f in found["files"] if f["kind"] == "unread")
+    assert "--sign charge-positive" in why
