@@ -77,7 +77,15 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     """
     tests, nominal = checked.tests, settings.nominal_Ah
     notices: list[str] = []
-    measured = _tests(checked, settings, notices)
+    measured: tuple[CapacityTest, ...] = ()
+    # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
+    sources: list[CellLog | tuple[CellLog, ...]] = [*checked.low_rate, *tests.capacity]
+    try:
+        measured = measure_capacities(sources, nominal_Ah=nominal) if sources else ()
+    except InputError as error:
+        if nominal is None and not tests.hppc:
+            raise
+        notices.append(f"no capacity test found: {error}")
     total, empty_early = _of_pulse_tests(tests, nominal, notices)
     usable, parts = _without_parts(measured, nominal)
     if not any(t.complete for t in usable):
@@ -99,22 +107,6 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     return MeasuredCapacity(
         capacity, choice, choices, measured, ln_std, tuple(found), tuple(notices)
     )
-
-
-def _tests(
-    checked: CheckedLogs, settings: IdentifySettings, notices: list[str]
-) -> tuple[CapacityTest, ...]:
-    # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
-    sources: list[CellLog | tuple[CellLog, ...]] = [*checked.low_rate, *checked.tests.capacity]
-    if not sources:
-        return ()
-    try:
-        return measure_capacities(sources, nominal_Ah=settings.nominal_Ah)
-    except InputError as error:
-        if settings.nominal_Ah is None and not checked.tests.hppc:
-            raise
-        notices.append(f"no capacity test found: {error}")
-        return ()
 
 
 def _without_parts(

@@ -37,17 +37,14 @@ class _Limits(NamedTuple):
     cooling_C: float = 5.0  # a cell warms up under load: one that cools by more was moved
     # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
     efficiency: float = 1.02
+    # The end of a discharge where the limit is not given: slope over the last 3 % over that of the
+    # middle, or a voltage that is a multiple of a round one.
+    knee: float = 1.3
+    round_V: float = 0.1
+    tolerance_V: float = 0.004
 
 
-class _End(NamedTuple):
-    """What shows the end of a discharge where the limit is not given."""
-
-    knee: float = 1.3  # slope over the last 3 % over that of the middle
-    round_V: float = 0.1  # limits are set to a multiple of it ...
-    tolerance_V: float = 0.004  # ... and met within it
-
-
-LIMITS, END = _Limits(), _End()
+LIMITS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -275,11 +272,10 @@ def _looks_like_end(trace: Trace, start: int, stop: int) -> bool:
     if q.size < 2 or q[-1] <= q[0]:
         return False
     at_10, at_90, at_97 = np.interp((0.1, 0.9, 0.97), (q - q[0]) / (q[-1] - q[0]), v)
-    bends = (at_97 - v[-1]) / 0.03 >= END.knee * (at_10 - at_90) / 0.8
-    off_round = abs(float(v[-1]) - END.round_V * round(float(v[-1]) / END.round_V))
-    return bool(bends or off_round <= END.tolerance_V)
+    bends = (at_97 - v[-1]) / 0.03 >= LIMITS.knee * (at_10 - at_90) / 0.8
+    off_round = abs(float(v[-1]) - LIMITS.round_V * round(float(v[-1]) / LIMITS.round_V))
+    return bool(bends or off_round <= LIMITS.tolerance_V)
 
 
 def _median(values: FloatArray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else None
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else None
