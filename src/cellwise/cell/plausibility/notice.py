@@ -275,9 +275,7 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     ----------
     soc : (n,) float      simulated, or counted
     """
-    low, high = float(np.min(soc)), float(np.max(soc))
-    if not math.isfinite(low + high):
-        low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
+    low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
     outside = max(-low, high - 1.0)
     if outside <= SHOWN.soc:
         return []
@@ -347,12 +345,10 @@ def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Not
     rejected : float      share of the rows whose voltage was rejected
     """
     name = _name(log)
-    if math.isnan(rmse_V):
-        if not np.any(np.isfinite(log.voltage_V)):
-            return []
+    if math.isnan(rmse_V) and np.any(np.isfinite(log.voltage_V)):
         text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
         return [Notice(RANGE_V, f"{text} (another pack count?)")]
-    if rejected < SHOWN.rejected:
+    if math.isnan(rmse_V) or rejected < SHOWN.rejected:
         return []
     text = (
         f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "

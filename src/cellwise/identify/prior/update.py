@@ -264,7 +264,7 @@ class _Problem:
         ]
 
     def fitted(self, x: FloatArray) -> Iterator[FittedLog]:
-        """Every log with what is left of it."""
+        """Every log with its residual."""
         model = self.model(x)
         for log, soc0, r in zip(self.logs, self.soc0(x), self.residuals(x), strict=True):
             soc = log.soc(model, float(soc0))
