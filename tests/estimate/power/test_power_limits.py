@@ -13,7 +13,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.power.limit_kernels import largest_load
+from cellwise.estimate.power.limit_kernels import Question, largest_load
 from cellwise.estimate.power.limits import OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, Present
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
@@ -146,9 +146,8 @@ def test_of_draws_of_the_soc_95_of_100_sustain_the_lower_bound(side):
     now = Present(LOADED, 0.02**2, WARM_C, AS_MODEL)
     limits = operating_limits(model, LIMITS).scalars()
     noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
-    found = largest_load(
-        model.parameters(), noise, limits, now, False, 10.0, side, 1.6449, 0.0
-    )  # fmt: skip
+    asked = Question(model.parameters(), noise, limits, now, False, 10.0, side, 1.6449)
+    found = largest_load(asked, 0.0)
     current_A = found[1]
     socs = np.random.default_rng(3).normal(LOADED.soc, 0.02, 4000)
     limit_V = 3.0 if side > 0 else 4.2

@@ -6,15 +6,16 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import kernel, part, rows
-from cellwise.cell.equations import CellTables
-from cellwise.cell.packed import record_at
+from cellwise.cell.equations import CellTables, with_soc
+from cellwise.cell.packed import changed, record_at
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.power.load_kernels import Held, Present, moment_of, voltage_margin
+from cellwise.estimate.power.load_kernels import Held, Present, end_variance, held, moment_of
 from cellwise.typing import FloatArray
 
 # Which limit a load reaches first.
 BY_VOLTAGE, BY_CURRENT, BY_SOC, BY_SUPPLY = range(4)
 IMPOSSIBLE = -1.0
+SMALLEST_SHIFT = 1e-6  # of SOC: below it there is no chord
 
 
 class Search(NamedTuple):
@@ -42,6 +43,23 @@ class LimitScalars(NamedTuple):
     high_soc: float
 
 
+class Question(NamedTuple):
+    """What is asked of a cell one way: the largest load, within what, and for how long.
+
+    ``power`` holds a power, not a current; ``side`` is 1 on discharge and -1 on charge; ``sigmas``
+    deviations of the voltage and of the SOC are kept from the limits.
+    """
+
+    tables: CellTables
+    noise: NoiseScalars
+    limits: LimitScalars
+    now: Present
+    power: bool
+    horizon_s: float
+    side: float
+    sigmas: float
+
+
 class Trial(NamedTuple):
     """A load that was tried: where it leads, its room to the nearest limit, which one that is.
 
@@ -57,7 +75,7 @@ class Trial(NamedTuple):
 class Capability(NamedTuple):
     """The largest load: power and current at the horizon's end, without sign, and what limits it.
 
-    ``load`` is what was held, with its sign; ``voltage_V`` the terminal voltage at the end.
+    ``load`` is what was held, without sign; ``voltage_V`` the terminal voltage at the end.
     """
 
     power_W: float
@@ -68,96 +86,90 @@ class Capability(NamedTuple):
 
 
 @part
-def trial(
-    tables: CellTables,
-    noise: NoiseScalars,
-    limits: LimitScalars,
-    now: Present,
-    load: float,
-    power: bool,
-    horizon_s: float,
-    side: float,
-    sigmas: float,
-) -> Trial:
-    """Hold one load, with its sign; the margin to the nearest limit is above 0 within all.
+def led_to(q: Question, load: float, soc: float) -> Held:
+    """Where a load, without sign, leads to from a SOC."""
+    start = with_soc(q.now.cell, soc)
+    return held(
+        q.tables, start, q.side * load, q.power, q.horizon_s, q.now.temperature_C, q.now.but
+    )
 
-    Margins are compared as shares: a volt, the largest current, all of the SOC.
+
+@part
+def trial(q: Question, load: float) -> Trial:
+    """Hold one load, without sign; the margin to the nearest limit is above 0 within all.
+
+    Margins are compared as shares: a volt, the largest current, all of the SOC. The slope of the
+    voltage over SOC is the chord to the SOC that is ``sigmas`` deviations worse, so that a
+    resistance that rises there counts.
     """
-    there, off_V = voltage_margin(tables, noise, now, load, power, horizon_s, side, sigmas)
-    if not there.possible:
+    soc = q.now.cell.soc
+    there = led_to(q, load, soc)
+    possible = there.now.possible
+    off_V = 0.0
+    off_soc = q.sigmas * math.sqrt(q.now.soc_variance)
+    if possible and q.sigmas > 0.0:
+        slope_V = there.now.point.ocv_slope_V
+        if off_soc > SMALLEST_SHIFT:
+            worse = led_to(q, load, soc - q.side * off_soc).now
+            possible = worse.possible
+            slope_V = (there.now.voltage_V - worse.voltage_V) / (q.side * off_soc)
+        variance_V2 = end_variance(q.tables, q.noise, q.now, there, slope_V)
+        off_V = q.sigmas * math.sqrt(variance_V2)
+    if not possible:
         return Trial(there, 0.0, IMPOSSIBLE, BY_SUPPLY)
-    off_soc = sigmas * math.sqrt(now.soc_variance)
-    if side > 0.0:
-        margin = there.lowest_V - off_V - limits.low_V
-        most_A = limits.discharge_A
-        soc = there.end.soc - off_soc - limits.low_soc
+    if q.side > 0.0:
+        margin = there.lowest_V - off_V - q.limits.low_V
+        most_A = q.limits.discharge_A
+        left_soc = there.end.soc - off_soc - q.limits.low_soc
     else:
-        margin = limits.high_V - there.highest_V - off_V
-        most_A = limits.charge_A
-        soc = limits.high_soc - there.end.soc - off_soc
+        margin = q.limits.high_V - there.highest_V - off_V
+        most_A = q.limits.charge_A
+        left_soc = q.limits.high_soc - there.end.soc - off_soc
     reason = BY_VOLTAGE
     if math.isfinite(most_A):
         left = (most_A - there.largest_A) / max(most_A, 1e-12)
         if left < margin:
             margin = left
             reason = BY_CURRENT
-    if soc < margin:
-        margin = soc
+    if left_soc < margin:
+        margin = left_soc
         reason = BY_SOC
     return Trial(there, off_V, margin, reason)
 
 
 @kernel
-def largest_load(
-    tables: CellTables,
-    noise: NoiseScalars,
-    limits: LimitScalars,
-    now: Present,
-    power: bool,
-    horizon_s: float,
-    side: float,
-    sigmas: float,
-    guess: float,
-) -> Capability:
-    """The largest load that stays within the limits, on discharge (``side`` 1) or charge (-1).
+def largest_load(q: Question, guess: float) -> Capability:
+    """The largest load that stays within the limits; ``guess`` is a neighbour's, or 0.
 
     Bracketed, then false position (Illinois) on the margin to the nearest limit, which falls as
     the load grows. Not even no load: the power is 0.
 
     Source: G. Plett, High-performance battery-pack power estimation using a dynamic cell model,
     IEEE Trans. Veh. Technol. 53 (2004) 1586, 10.1109/TVT.2004.832408, section IV (bisection).
-
-    Parameters
-    ----------
-    power : bool      hold a power, not a current
-    sigmas : float    deviations of the voltage and of the SOC to keep from the limits
-    guess : float     the answer of a neighbour, as a size; 0: none
     """
-    none = moment_of(tables, now.cell, 0.0, False, now.temperature_C, now.but)
-    far_V = none.voltage_V - limits.low_V if side > 0.0 else limits.high_V - none.voltage_V
+    now, limits = q.now, q.limits
+    none = moment_of(q.tables, now.cell, 0.0, False, now.temperature_C, now.but)
+    discharge = q.side > 0.0
+    far_V = none.voltage_V - limits.low_V if discharge else limits.high_V - none.voltage_V
     # As if R0 alone took it all: more than a cell gives, for most.
     b = max(far_V, 1e-3) / max(none.point.r0_ohm, 1e-9)
-    most_A = limits.discharge_A if side > 0.0 else limits.charge_A
-    b = min(b, 1.001 * most_A + 1e-9)
-    if power:
-        b *= max(limits.low_V if side > 0.0 else limits.high_V, 1e-3)
-    start = 0.0
-    if guess > 0.0:
-        start = (1.0 - SEARCH.near) * guess
-    best = trial(tables, noise, limits, now, side * start, power, horizon_s, side, sigmas)
-    if start > 0.0 and best.margin > 0.0:
+    b = min(b, 1.001 * (limits.discharge_A if discharge else limits.charge_A) + 1e-9)
+    if q.power:
+        b *= max(limits.low_V if discharge else limits.high_V, 1e-3)
+    a = (1.0 - SEARCH.near) * guess
+    best = trial(q, a)
+    if a > 0.0 and best.margin > 0.0:
         b = (1.0 + SEARCH.near) * guess
-    elif start > 0.0:
-        b = start
-        start = 0.0
-        best = trial(tables, noise, limits, now, 0.0, power, horizon_s, side, sigmas)
-    a = start
+    elif a > 0.0:
+        b = a
+        a = 0.0
+        best = trial(q, a)
     fa = best.margin
     if not fa > 0.0:
-        return Capability(0.0, 0.0, best.load.voltage_V, best.reason, 0.0)
+        return Capability(0.0, 0.0, best.load.now.voltage_V, best.reason, 0.0)
     worst = best
     for _ in range(SEARCH.widenings):
-        worst = trial(tables, noise, limits, now, side * b, power, horizon_s, side, sigmas)
+        worst = trial(q, b)
         if not worst.margin > 0.0:
             break
         a, fa, best = b, worst.margin, worst
@@ -172,7 +184,7 @@ def largest_load(
         # A jump (a power that no current gives) or a kink: halve now and then.
         if k % 4 == 3 or not (a < c < b):
             c = 0.5 * (a + b)
-        there = trial(tables, noise, limits, now, side * c, power, horizon_s, side, sigmas)
+        there = trial(q, c)
         if there.margin > 0.0:
             a, fa, best = c, there.margin, there
             if last == 1:
@@ -186,9 +198,10 @@ def largest_load(
             if last == -1:
                 fa *= 0.5
             last = -1
-    end_A = abs(best.load.current_A)
-    end_W = a if power else end_A * (best.load.voltage_V - best.off_V)
-    return Capability(end_W, end_A, best.load.voltage_V, reason, side * a)
+    end = best.load.now
+    end_A = abs(end.current_A)
+    end_W = a if q.power else end_A * (end.voltage_V - best.off_V)
+    return Capability(end_W, end_A, end.voltage_V, reason, a)
 
 
 @kernel
@@ -219,14 +232,11 @@ def power_rows(
         for j in range(horizons_s.size):
             for way in range(2):
                 side = 1.0 - 2.0 * way
-                found = largest_load(
-                    tables, noise, limits, now, power, horizons_s[j], side, 0.0, guess[j, way, 0]
-                )
-                low = largest_load(
-                    tables, noise, limits, now, power, horizons_s[j], side, SUSTAINED_SIGMAS,
-                    guess[j, way, 1],
-                )  # fmt: skip
-                guess[j, way, 0], guess[j, way, 1] = abs(found.load), abs(low.load)
+                value = Question(tables, noise, limits, now, power, horizons_s[j], side, 0.0)
+                sure = changed(value, "sigmas", SUSTAINED_SIGMAS)
+                found = largest_load(value, guess[j, way, 0])
+                low = largest_load(sure, guess[j, way, 1])
+                guess[j, way, 0], guess[j, way, 1] = found.load, low.load
                 out[k, j, way, 0] = found.power_W
                 out[k, j, way, 1] = min(low.power_W, found.power_W)
                 out[k, j, way, 2] = found.current_A

@@ -16,7 +16,6 @@ from cellwise.cell.equations import (
     loaded,
     loaded_voltage,
     polarisation,
-    with_soc,
 )
 from cellwise.cell.plausibility.validity_kernels import (
     extrapolation_V,
@@ -32,7 +31,6 @@ from cellwise.estimate.noise import NoiseScalars
 STEPS = 5
 # A resistance that follows the current is found by repetition.
 REPETITIONS = 2
-SMALLEST_SHIFT = 1e-6  # of SOC: below it there is no chord
 
 
 class Spread(NamedTuple):
@@ -80,20 +78,6 @@ class Present(NamedTuple):
     but: Correction
 
 
-class Held(NamedTuple):
-    """A load after a horizon; ``lowest_V`` and ``highest_V`` from its first moment on."""
-
-    end: CellState
-    point: CellPoint
-    current_A: float
-    voltage_V: float
-    lowest_V: float
-    highest_V: float
-    largest_A: float
-    polarisation_V: float
-    possible: bool
-
-
 class Moment(NamedTuple):
     """A load at one instant: tables, current, terminal voltage, what the current takes off."""
 
@@ -102,6 +86,16 @@ class Moment(NamedTuple):
     voltage_V: float
     polarisation_V: float
     possible: bool
+
+
+class Held(NamedTuple):
+    """A load after a horizon; ``lowest_V`` and ``highest_V`` from its first moment on."""
+
+    end: CellState
+    now: Moment
+    lowest_V: float
+    highest_V: float
+    largest_A: float
 
 
 @inline
@@ -207,72 +201,31 @@ def held(
     now = moment_of(tables, x, load, power, temperature_C + x.heat_K, but)
     lowest = highest = now.voltage_V
     largest = abs(now.current_A)
-    possible = now.possible
     for _ in range(STEPS):
-        if not possible:
+        if not now.possible:
             break
         x, _ = advance(tables, x, now.current_A, dt_s, temperature_C)
         now = moment_of(tables, x, load, power, temperature_C + x.heat_K, but)
-        possible = now.possible
         lowest = min(lowest, now.voltage_V)
         highest = max(highest, now.voltage_V)
         largest = max(largest, abs(now.current_A))
-    # fmt: off
-    return Held(
-        x, now.point, now.current_A, now.voltage_V, lowest, highest, largest,
-        now.polarisation_V, possible,
-    )
-    # fmt: on
+    return Held(x, now, lowest, highest, largest)
 
 
 @part
 def end_variance(
-    tables: CellTables, noise: NoiseScalars, now: Present, load: Held, slope_V: float
+    tables: CellTables, noise: NoiseScalars, known: Present, load: Held, slope_V: float
 ) -> float:
     """Variance of the voltage at the end of a load [V^2].
 
     Of the SOC with ``slope_V``, of the model as the filters have it, of the correction.
     """
-    x = load.end
+    x, now = load.end, load.now
     branches = held_in_branches(x)
-    more = extrapolation_V(noise.valid, now.temperature_C, load.current_A, load.polarisation_V)
-    beyond = soc_extrapolation_V(noise.valid, x.soc) - soc_extrapolation_V(
-        noise.valid, now.cell.soc
-    )
-    more += max(beyond, 0.0)
-    point = widened(load.point, abs(more))
-    model = voltage_variance(noise, point, point.r0_ohm, load.current_A, 0.0, branches)
-    seen = correction_variance(tables.cell, now.but, load.point, x, load.current_A)
-    return slope_V * slope_V * now.soc_variance + model + seen
-
-
-@part
-def voltage_margin(
-    tables: CellTables,
-    noise: NoiseScalars,
-    now: Present,
-    load: float,
-    power: bool,
-    horizon_s: float,
-    side: float,
-    sigmas: float,
-) -> tuple[Held, float]:
-    """A held load, and by how much its voltage may be off against it [V].
-
-    ``side`` is 1 on discharge and -1 on charge. The slope over SOC is the chord to the SOC that is
-    ``sigmas`` deviations worse, so that a resistance that rises there counts.
-    """
-    there = held(tables, now.cell, load, power, horizon_s, now.temperature_C, now.but)
-    if sigmas == 0.0 or not there.possible:
-        return there, 0.0
-    shift = side * sigmas * math.sqrt(now.soc_variance)
-    slope = there.point.ocv_slope_V
-    if abs(shift) > SMALLEST_SHIFT:
-        x = now.cell
-        worse = with_soc(x, x.soc - shift)
-        low = held(tables, worse, load, power, horizon_s, now.temperature_C, now.but)
-        if not low.possible:
-            return low, 0.0
-        slope = (there.voltage_V - low.voltage_V) / shift
-    off = math.sqrt(end_variance(tables, noise, now, there, slope))
-    return there, sigmas * off
+    more = extrapolation_V(noise.valid, known.temperature_C, now.current_A, now.polarisation_V)
+    begun = soc_extrapolation_V(noise.valid, known.cell.soc)
+    more += max(soc_extrapolation_V(noise.valid, x.soc) - begun, 0.0)
+    point = widened(now.point, abs(more))
+    model = voltage_variance(noise, point, point.r0_ohm, now.current_A, 0.0, branches)
+    seen = correction_variance(tables.cell, known.but, now.point, x, now.current_A)
+    return slope_V * slope_V * known.soc_variance + model + seen
