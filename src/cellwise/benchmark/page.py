@@ -115,7 +115,7 @@ def log_name(row: Row) -> str:
 def start_name(row: Row) -> str:
     """A start error in points."""
     error = row["start_error"]
-    return f"{100.0 * error:+.0f} points" if error else "right start"
+    return f"{100.0 * error:+.0f} points".replace("-", "−") if error else "right start"
 
 
 def benchmark_page(

@@ -126,7 +126,7 @@ def test_a_measured_log_with_an_unknown_start_is_refused(folder, embedded_drive)
     cut = embedded_drive.part(int(rows[rows.size // 3]), len(embedded_drive))
     with pytest.raises(InputError, match="begins at"):
         measured_log(model, cut, None, None)
-    assert measured_log(model, cut, 0.6, None).soc[0] == pytest.approx(0.6)
+    assert measured_log(model, cut, 0.6, None).soc0 == pytest.approx(0.6)
     with pytest.raises(InputError, match="hour and a half"):
         measured_log(model, cut.part(0, 100), 0.6, None)
 
