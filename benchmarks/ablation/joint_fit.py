@@ -2,7 +2,7 @@
 
 python -m benchmarks.ablation.joint_fit [--keep DIR] [--only "RULE,RULE"] [--cells "NAME,NAME"]
 
-A rule is switched off by setting names of its modules, in a process of its own. Judged is the
+A rule is switched off by setting names of its modules for a while. Judged is the
 voltage of logs that took no part, above 10 % SOC, and the stated over the measured error of each
 band above 15 % SOC; what is decided and noticed on the way is kept beside it.
 """
@@ -10,10 +10,7 @@ band above 15 % SOC; what is decided and noticed on the way is kept beside it.
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.ablation.identify import Case, log_of, tests_of
+from benchmarks.ablation.identify import Case, kept, log_of, tests_of, thrown
 from benchmarks.accuracy.lfp import CHAMBER_C
 from benchmarks.measured_data import HOW, data_folder
 from cellwise import IdentifySettings, TestLogs, identify_cell
@@ -192,14 +189,11 @@ class Rule:
     names: tuple[tuple[str, Any], ...] = ()
     cells: tuple[str, ...] = ()
 
-    def throw(self) -> None:
-        """Set the names."""
-        for path, value in self.names:
-            module, name = path.rsplit(".", 1)
-            found = importlib.import_module(f"cellwise.identify.{module}")
-            if not hasattr(found, name):
-                raise AttributeError(f"{path}: the rule '{self.name}' is stale")
-            setattr(found, name, value)
+    @property
+    def places(self) -> tuple[tuple[str, str, Any], ...]:
+        """Module, name and value of each."""
+        ways = ((path.rsplit(".", 1), value) for path, value in self.names)
+        return tuple((f"cellwise.identify.{way[0]}", way[1], value) for way, value in ways)
 
 
 def _without(name: str) -> Callable[..., Any]:
@@ -303,17 +297,15 @@ def judged(found: Identification, logs: Sequence[tuple[CellLog, float | None]]) 
     }
 
 
-def run(rule: str, cell: str, output: Path) -> None:
+def run(rule: Rule, cell: str) -> dict[str, Any]:
     """One cell without one rule."""
-    next(r for r in RULES if r.name == rule).throw()
     case = CELLS[cell]
     tests, settings = prepared(case)
     logs = [(log_of(name, case.series), soc0) for name, soc0 in case.judged]
     began = time.perf_counter()
-    found = identify_cell(tests, settings)
-    seconds = time.perf_counter() - began
-    result = {**judged(found, logs), "seconds": seconds}
-    output.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    with thrown(rule.places):
+        found = identify_cell(tests, settings)
+    return {**judged(found, logs), "seconds": time.perf_counter() - began}
 
 
 def kept_file(keep: Path, rule: str, cell: str) -> Path:
@@ -333,28 +325,21 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, default=Path("build/ablation"))
     parser.add_argument("--only", default="")
     parser.add_argument("--cells", default="")
-    parser.add_argument("--run", nargs=2, metavar=("RULE", "CELL"))
     chosen = parser.parse_args()
     chosen.keep.mkdir(parents=True, exist_ok=True)
     if data_folder() is None:
         raise SystemExit(f"no measured data: {HOW}")
-    if chosen.run:
-        run(*chosen.run, kept_file(chosen.keep, *chosen.run))
-        return 0
     rules = [r for r in RULES if not chosen.only or r.name in chosen.only.split(",")]
     for rule in rules:
         for cell in rule.cells or CELLS:
             if chosen.cells and not any(part in cell for part in chosen.cells.split(";")):
                 continue
             file = kept_file(chosen.keep, rule.name, cell)
-            if not file.exists():
-                command = [sys.executable, "-m", "benchmarks.ablation.joint_fit", "--keep"]
-                command += [str(chosen.keep), "--run", rule.name, cell]
-                done = subprocess.run(command, env=os.environ, capture_output=True, text=True)
-                if done.returncode:
-                    print(f"{rule.name} | {cell} | {done.stderr.strip().splitlines()[-1]}")
-                    continue
-            without = json.loads(file.read_text(encoding="utf-8"))
+            try:
+                without = kept(file, lambda r=rule, c=cell: run(r, c))
+            except Exception as error:  # the others go on
+                print(f"{rule.name} | {cell} | {type(error).__name__}: {error}", flush=True)
+                continue
             base = kept_file(chosen.keep, "nothing", cell)
             with_it = json.loads(base.read_text(encoding="utf-8")) if base.exists() else without
             mean, most = row_of(rule.name, with_it, without)

@@ -31,7 +31,7 @@ def by(found, key):
 def test_a_figure_by_fault_is_of_the_start_that_faults_are_run_from():
     assert by(rows(), "faults") == {"none": [0.01, 0.01], "offset": [0.02, 0.02]}
     assert by(rows(), "inside") == {"none": [1.0, 0.9], "offset": [0.7, 0.9]}
-    assert set(by(rows(), "starts")) == {"right start", "-30 points"}
+    assert set(by(rows(), "starts")) == {"right start", "−30 points"}
 
 
 def test_a_run_that_could_not_be_judged_counts_nowhere():

@@ -70,7 +70,7 @@ def test_the_page_has_tables_and_stands_alone(arguments, capsys):
         assert name in printed
     assert "from an earlier run" in printed
     text = (Path(arguments[3]) / "index.html").read_text(encoding="utf-8")
-    assert text.count("<table") >= 7  # standings, bands, logs, starts, faults twice, every run
+    assert text.count("<table") >= 6  # standings, bands, logs, starts, faults twice
     assert not re.search(r'(src|href)="(?!#)', text)
     assert "every run" in text.lower()
     assert "is first of" in text

@@ -27,7 +27,7 @@ def test_the_page_names_the_weak_cell_first(weak, tmp_path):
     title = re.search(r"<h1>(.*?)</h1>", text, re.S)[1]
     assert "cell_04" in title
     assert "resistance" in title
-    assert text.count("<figure") == 6
+    assert text.count("<figure") == 5
     before = text[: text.index("<figure")]
     assert "resistance" in before[before.index('<ul class="notices">') :], "alerts come first"
     assert before.count("<li>") - before[before.find("<details") :].count("<li>") <= 3

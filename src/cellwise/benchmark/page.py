@@ -12,22 +12,19 @@ import numpy as np
 from cellwise.benchmark.faults import NONE
 from cellwise.benchmark.leaderboard import Part
 from cellwise.benchmark.package_rows import NotRun
-from cellwise.benchmark.standings import Table, by_estimator, standings, step_time, suite_tables
+from cellwise.benchmark.standings import Table, by_estimator, standings, suite_tables
 from cellwise.benchmark.suite import Suite
 from cellwise.errors import InputError
 from cellwise.report.page import style
 from cellwise.report.page.markup import (
     EMPTY,
-    MOST,
     Markup,
     bullets,
-    details,
     escape,
     paragraph,
-    record_table,
     table,
 )
-from cellwise.report.page.numerals import duration, listed, percent, plural, significant
+from cellwise.report.page.numerals import listed, percent, plural
 from cellwise.report.page.picture import FigureFiles, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 
@@ -47,6 +44,10 @@ BANDS = (
     "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is consistent. Interval "
     "score: width of the band and 40 times what lies outside, smaller is better. Mean NIS: squared "
     "innovation over its variance, 1 if noise is as modelled."
+)
+ROWS = (
+    "Every run with all its figures stands in results.csv and results.parquet beside this page, "
+    "and in the block for machines."
 )
 TABLES = (STANDINGS, BANDS)
 
@@ -115,7 +116,7 @@ def log_name(row: Row) -> str:
 def start_name(row: Row) -> str:
     """A start error in points."""
     error = row["start_error"]
-    return f"{100.0 * error:+.0f} points" if error else "right start"
+    return f"{100.0 * error:+.0f} points".replace("-", "−") if error else "right start"
 
 
 def benchmark_page(
@@ -143,7 +144,7 @@ def benchmark_page(
         division = division_table(one, percent if one.key == "inside" else tinted)
         text = table(*division[:2], caption=one.caption, sortable=True)
         sections.append(Section(one.key, one.title, (text,)))
-    sections.append(Section("rows", "Every run", (every_row(rows),), "Rows"))
+    sections.append(Section("rows", "Every run", (paragraph(ROWS),)))
     return write_page(
         path,
         benchmark_finding(suite.name, parts[0]),
@@ -172,31 +173,6 @@ def tinted(value: float) -> Markup:
     shown = escape(percent(value))
     tint = 1 + sum(value > limit for limit in TINTS)
     return shown if math.isnan(value) else Markup(f'<span class="tint-{tint}">{shown}</span>')
-
-
-def every_row(rows: Rows) -> Markup:
-    """All rows behind a click, the first ones where there are very many."""
-    more = f", the first {MOST.runs} here, all in the data block" if len(rows) > MOST.runs else ""
-    figures = record_table(
-        rows[: MOST.runs],
-        ("cell", lambda row: row["cell"]),
-        ("log", lambda row: row["log"]),
-        ("estimator", lambda row: row["estimator"]),
-        ("fault", lambda row: row["fault"]),
-        ("start", lambda row: f"{100 * row['start_error']:+.0f}"),
-        ("settled RMSE", lambda row: percent(row["settled_rmse"])),
-        ("settled max", lambda row: percent(row["settled_max"])),
-        ("RMSE", lambda row: percent(row["soc_rmse"])),
-        ("within 2 points after", lambda row: duration(row["convergence_s"])),
-        ("last 10 % SOC", lambda row: percent(row["low_soc_rmse"])),
-        ("inside 2σ", lambda row: percent(row["coverage_2sigma"], 1)),
-        ("NIS", lambda row: significant(row["nis_mean"], 2)),
-        ("per step", lambda row: step_time(row["ns_per_step"])),
-        ("problem", lambda row: row["problem"]),
-        text_columns=(0, 1, 2, 3, 13),
-        sortable=True,
-    )
-    return details(f"{plural(len(rows), 'run')}{more}", figures)
 
 
 def problems(rows: Rows) -> Markup:

@@ -27,6 +27,7 @@ from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
 
 MOST_LOCATED = 512
+ROOM_C = 25.0  # where nobody measured or stated a temperature
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from cellwise.benchmark.package_rows import (
 )
 from cellwise.benchmark.suite import Suite, SuiteCell
 from cellwise.benchmark.suite_logs import (
+    ROOM_C,
     JudgedLog,
     at_step,
     cell_model,
@@ -109,7 +110,6 @@ def _step(suite: Suite, name: str) -> float | None:
 
 SEED = 20240725
 KEPT_LOGS = 4
-ROOM_C = 25.0
 # A replay that takes less is clocked again: its first touch of the memory is not its step.
 SHORT_S = 0.1
 CLOCKED = 3

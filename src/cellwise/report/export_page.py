@@ -11,7 +11,7 @@ from cellwise.report.page.markup import Markup, bullets, paragraph, record_table
 from cellwise.report.page.numerals import counted, listed, plural, significant
 from cellwise.report.page.picture import FigureFiles
 from cellwise.report.page.plot import Plot
-from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.report.page.section import Section, write_page
 
 Row = Mapping[str, Any]
 COSTS = {
@@ -42,73 +42,50 @@ def export_page(
     on_log : Plottable or None   the exported filter beside the float64 one over a log
     path, figures : as of `write_page`, whose errors it raises
     """
-    return write_page(
-        path,
-        export_finding(report),
-        f"{report['model'] or 'A model'} as C for a step of {report['dt_s']:g} s, by cellwise",
-        export_sections(report, on_log),
-        report,
-        lead=export_tiles(report),
-        figures=figures,
-    )
-
-
-def export_finding(report: Mapping[str, Any]) -> str:
-    """What a step costs and what it loses."""
-    name = report["model"] or "The model"
-    text = f"{name} in C takes {counted(report['model_bytes'])} bytes of tables and "
-    text += f"{report['state_bytes']} bytes per cell"
-    cheapest = _cheapest(report["targets"])
-    if cheapest is not None:
-        text += f", {counted(round(cheapest['instructions_mean']))} instructions a step on "
-        text += cheapest["core"]
-    mine = _exported(report)
-    if mine is not None:
-        text += f"; SOC stays within {_points(mine['soc_max'])} of the float64 EKF's"
-    return text + "."
-
-
-def export_tiles(report: Mapping[str, Any]) -> Markup:
-    """Key figures."""
+    name, model_bytes = report["model"] or "The model", counted(report["model_bytes"])
+    text = f"{name} in C takes {model_bytes} bytes of tables and {report['state_bytes']} bytes per "
+    text += "cell"
     facts: list[tuple[object, object]] = [
-        ("tables in flash", f"{counted(report['model_bytes'])} B"),
+        ("tables in flash", f"{model_bytes} B"),
         ("state per cell", f"{report['state_bytes']} B"),
         ("time step", f"{report['dt_s']:g} s"),
         ("states", report["states"]),
     ]
-    cheapest = _cheapest(report["targets"])
-    if cheapest is not None:
-        facts.append((f"code, {cheapest['core']}", f"{counted(cheapest['text_bytes'])} B"))
-        facts.append((f"stack, {cheapest['core']}", f"{counted(cheapest['stack_bytes'])} B"))
-    mine = _exported(report)
-    if mine is not None:
-        facts.append(("SOC RMSE against float64", _points(mine["soc_rmse"])))
-    return tiles(facts)
-
-
-def export_sections(report: Mapping[str, Any], on_log: Plottable | None) -> list[Section]:
-    """The parts of the page."""
-    targets = report["targets"]
-    cost: Blocks = (
-        paragraph("No cross compiler was there: code, stack and instructions are unknown."),
+    known = [c for c in report["targets"] if c["instructions_mean"] is not None]
+    if known:
+        least = min(known, key=lambda c: float(c["instructions_mean"]))
+        core = least["core"]
+        text += f", {counted(round(least['instructions_mean']))} instructions a step on {core}"
+        facts.append((f"code, {core}", f"{counted(least['text_bytes'])} B"))
+        facts.append((f"stack, {core}", f"{counted(least['stack_bytes'])} B"))
+    cost, lost = (
+        "No cross compiler was there: code, stack and instructions are unknown.",
+        "No log was given, so what single precision loses is not known.",
     )
-    lost: Blocks = (paragraph("No log was given, so what single precision loses is not known."),)
-    if targets:
-        cost = (cost_table(targets),)
-    if report["accuracy"]:
-        lost = (accuracy_table(report),)
+    rows = list(report["accuracy"])
+    mine = next((k for k, a in enumerate(rows) if a["points"] == report["options"]["points"]), None)
+    if mine is not None:
+        text += f"; SOC stays within {_points(rows[mine]['soc_max'])} of the float64 EKF's"
+        facts.append(("SOC RMSE against float64", _points(rows[mine]["soc_rmse"])))
+    targets = report["targets"]
     sections = [
-        Section("cost", "Cost on the target", cost, "Cost"),
-        Section("accuracy", "What is lost", lost, "Accuracy"),
-        Section("files", "What was written", (files_content(report),), "Files"),
-    ]
+        Section(
+            "cost", "Cost on the target", (_costs(targets) if targets else paragraph(cost),), "Cost"
+        ),
+        Section(
+            "accuracy", "What is lost", (_lost(rows, mine) if rows else paragraph(lost),),
+            "Accuracy",
+        ),
+        Section("files", "What was written", (_files(report),), "Files"),
+    ]  # fmt: skip
     if on_log is not None:
         plot = Plot("trace", "The exported filter and the float64 EKF", *on_log.panels())
         sections.insert(2, Section("log", "Over a log", (plot,), "Log"))
-    return sections
+    about = f"{report['model'] or 'A model'} as C for a step of {report['dt_s']:g} s, by cellwise"
+    return write_page(path, f"{text}.", about, sections, report, lead=tiles(facts), figures=figures)
 
 
-def cost_table(targets: Sequence[Row]) -> Markup:
+def _costs(targets: Sequence[Row]) -> Markup:
     """All costs of every core, a column each."""
 
     def shown(value: float | None) -> str:
@@ -119,21 +96,20 @@ def cost_table(targets: Sequence[Row]) -> Markup:
     return table(("", *(c["core"] for c in targets)), rows, caption=caption)
 
 
-def accuracy_table(report: Mapping[str, Any]) -> Markup:
+def _lost(rows: Sequence[Row], exported: int | None) -> Markup:
     """SOC lost by number of points, what was exported marked."""
-    mine = _exported(report)
     return record_table(
-        report["accuracy"],
+        rows,
         ("SOC points", lambda a: a["points"]),
         ("tables [B]", lambda a: counted(a["flash_bytes"])),
         ("RMSE [points]", lambda a: f"{100 * a['soc_rmse']:.4f}"),
         ("largest [points]", lambda a: f"{100 * a['soc_max']:.4f}"),
         caption="SOC of the exported filter minus that of the float64 EKF on the same samples.",
-        marked=None if mine is None else list(report["accuracy"]).index(mine),
+        marked=exported,
     )
 
 
-def files_content(report: Mapping[str, Any]) -> Markup:
+def _files(report: Mapping[str, Any]) -> Markup:
     """Files, options, and the model they are of."""
     options = report["options"]
     on = [k for k, v in options.items() if v and k not in ("points", "temperatures")]
@@ -148,18 +124,6 @@ def files_content(report: Mapping[str, Any]) -> Markup:
     return bullets(lines)
 
 
-def _cheapest(targets: Sequence[Row]) -> Row | None:
-    """The core that takes the fewest instructions; None where none was counted."""
-    known = [c for c in targets if c["instructions_mean"] is not None]
-    return min(known, key=lambda c: float(c["instructions_mean"]), default=None)
-
-
 def _points(share: float) -> str:
     """A small SOC error in points, two digits."""
     return f"{significant(100.0 * share, 2)} points"
-
-
-def _exported(report: Mapping[str, Any]) -> Row | None:
-    """The row of the accuracy that is of what was exported."""
-    points = report["options"]["points"]
-    return next((a for a in report["accuracy"] if a["points"] == points), None)

@@ -107,7 +107,7 @@ def fleet_page(rows: Rows, path: str | Path) -> Path:
     """
     cells = cells_of(rows)
     failed = sum(cell.failed for cell in cells)
-    shown = cells[: MOST.runs]
+    shown = cells[: MOST.cells]
     known = sorted((c.voltage_rmse_V, c.name) for c in cells if math.isfinite(c.voltage_rmse_V))
     middle = median(size for size, _ in known) if known else math.nan
     finding = f"{plural(len(cells), 'cell')}: {millivolt(middle)} voltage RMSE for the median cell"

@@ -14,9 +14,7 @@ from cellwise.report.page.markup import Markup, details, lead_of, paragraph, rec
 from cellwise.report.page.numerals import millivolt, percent, plural, significant
 from cellwise.report.page.picture import FigureFiles, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
-from cellwise.typing import BoolArray, FloatArray
-
-REST_RATE, LOAD_RATE = 0.05, 0.3  # 1/h
+from cellwise.typing import FloatArray
 
 
 class CellImage(NamedTuple):
@@ -46,14 +44,13 @@ def pack_page(
         + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
         for cause in data["causes"]
     ]
-    cells = (cells_picture(found), *([rest_and_load_picture(found)] if means_of(found) else []))
     numbers = details("the numbers", _table(found))
     every: Blocks = (numbers,)
     if found.withheld is None:
         shown = [cells_figure(found, one) for one in figures_of(found)]
         every = (paragraph(EXPLAINED, "note"), *shown, numbers)
     sections = [
-        Section("cells", "Cells over time", cells, "Over time"),
+        Section("cells", "Cells over time", (cells_picture(found),), "Over time"),
         Section("every", "Every cell", every),
     ]
     return write_page(
@@ -181,51 +178,6 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
         names.append(f"{day.day:%d %b}" if day.day is not None else day.log.name)
         at += count
     return np.concatenate(parts).T, edges, names
-
-
-def means_of(found: PackEstimate) -> dict[str, FloatArray]:
-    """Mean difference of every cell [V], shape (cells,), at rest and under load where it was so."""
-    rates = [day.log.mean.current_A / found.model.capacity_Ah for day in found.days]
-    means = {
-        "at rest": _mean_where(found, [np.abs(rate) < REST_RATE for rate in rates]),
-        "under load": _mean_where(found, [rate > LOAD_RATE for rate in rates]),
-    }
-    return {name: mean for name, mean in means.items() if np.isfinite(mean).any()}
-
-
-@pictured(
-    "pack_rest_and_load",
-    "The same difference, averaged where the pack rests and where it is under load. "
-    "Resting differences are SOC and sensors; what a load adds is resistance and polling.",
-)
-def rest_and_load_picture(found: PackEstimate) -> style.Figure:
-    """Mean difference of every cell at rest and under load."""
-    figure, axes = style.new_axes(2.9)
-    looks = {"at rest": (style.BLUE, "o"), "under load": (style.VERMILLION, "s")}
-    means = means_of(found)
-    for name, mean in means.items():
-        colour, marker = looks[name]
-        number = np.arange(1, mean.size + 1)
-        axes.plot(number, 1e3 * mean, marker, color=colour, markersize=3.5, label=name)
-        _point_at(axes, found, 1e3 * mean)
-    style.zero_line(axes)
-    said = ", ".join(f"{millivolt(float(np.nanstd(v)))} {k}" for k, v in means.items())
-    style.finding(axes, f"Standard deviation between cells: {said}")
-    style.labels(axes, "cell", "cell minus mean [mV]")
-    style.legend(axes, columns=2)
-    return figure
-
-
-def _mean_where(found: PackEstimate, inside: list[BoolArray]) -> FloatArray:
-    total = np.zeros(len(found.names))
-    count = np.zeros(len(found.names))
-    for day, rows in zip(found.days, inside, strict=True):
-        part = day.log.difference_V[rows]
-        known = np.isfinite(part)
-        total += np.where(known, part, 0.0).sum(axis=0)
-        count += known.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(total / count)
 
 
 EXPLAINED = (

@@ -6,9 +6,9 @@ the bag's, and ``ros2 bag play`` plays it with its storage plugin for MCAP.
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +22,6 @@ from cellwise.typing import FloatArray
 NUMBER = "std_msgs/msg/Float64"
 ROOT = "/cellwise"
 BATTERY = f"{ROOT}/battery_state"
-# What is plotted: title, topics, each with its field.
-FOXGLOVE_PLOTS = (
-    ("voltage [V]", (f"{BATTERY}.voltage", f"{ROOT}/voltage_V.data")),
-    ("current [A], positive = charge", (f"{BATTERY}.current",)),
-    ("SOC", (f"{BATTERY}.percentage", f"{ROOT}/reference_soc.data")),
-    ("residual [V]", (f"{ROOT}/innovation_V.data",)),
-)
 TIME = "time_s"
 NOT_KNOWN = 0  # of status, health and technology
 
@@ -82,34 +75,8 @@ def write_mcap(path: str | Path, columns: Mapping[str, Any], start_s: float = 0.
 
 def write_foxglove(path: str | Path) -> Path:
     """Write a layout that plots what :func:`write_mcap` has written (JSON, whole or not at all)."""
-    titles = {f"Plot!{k}": plot for k, plot in enumerate(FOXGLOVE_PLOTS)}
-    configs = {
-        name: {
-            "title": title,
-            "paths": [
-                {"value": value, "enabled": True, "timestampMethod": "receiveTime"}
-                for value in values
-            ],
-            "xAxisVal": "timestamp",
-            "showLegend": True,
-            "isSynced": True,
-        }
-        for name, (title, values) in titles.items()
-    }
-    layout: Any = list(titles)[-1]
-    for k, name in enumerate(reversed(list(titles)[:-1]), start=2):
-        split = round(100.0 / k, 1)
-        layout = {
-            "first": name, "second": layout, "direction": "column", "splitPercentage": split
-        }  # fmt: skip
-    said = {
-        "configById": configs,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": layout,
-    }
-    return write_atomically(Path(path), json.dumps(said, indent=2) + "\n")
+    layout = (files("cellwise.report") / "foxglove.json").read_text(encoding="utf-8")
+    return write_atomically(Path(path), layout)
 
 
 def _battery(store: Any, arrays: Mapping[str, FloatArray], k: int, at_ns: int) -> Any:

@@ -24,16 +24,6 @@ PERFECT = Sensor(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SAME = Spread(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A stock model exported without a cross compiler's figures."""
-    place = tmp_path_factory.mktemp("export") / "firmware"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cellwise.export.cross.cores_here", list)
-        assert main(["export", "--model", "nmc-18650", "--dt", "5", "-o", str(place)]) == 0
-    return place
-
-
 def run(capsys, *arguments):
     """Exit code and JSON of the command."""
     try:

@@ -30,16 +30,6 @@ needs_pybamm = pytest.mark.skipif(find_spec("pybamm") is None, reason="PyBaMM is
 DRIVE = "nmc_drive_a"
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A stock model exported without a cross compiler's figures."""
-    place = tmp_path_factory.mktemp("export") / "firmware"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cellwise.export.cross.cores_here", list)
-        assert main(["export", "--model", "nmc-18650", "--dt", "5", "-o", str(place)]) == 0
-    return place
-
-
 @needs_pybamm
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "temperature_C"), [("nca-18650", 25.0), ("lfp-26650", 10.0)])
@@ -126,7 +116,7 @@ def test_a_measured_log_with_an_unknown_start_is_refused(folder, embedded_drive)
     cut = embedded_drive.part(int(rows[rows.size // 3]), len(embedded_drive))
     with pytest.raises(InputError, match="begins at"):
         measured_log(model, cut, None, None)
-    assert measured_log(model, cut, 0.6, None).soc[0] == pytest.approx(0.6)
+    assert measured_log(model, cut, 0.6, None).soc0 == pytest.approx(0.6)
     with pytest.raises(InputError, match="hour and a half"):
         measured_log(model, cut.part(0, 100), 0.6, None)
 

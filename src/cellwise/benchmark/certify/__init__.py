@@ -2,7 +2,7 @@
 
 from cellwise.benchmark.certify.certificate import Certificate, Limits
 from cellwise.benchmark.certify.exported import Exported, read_export
-from cellwise.benchmark.certify.lives import MeasuredLog, measured_log
+from cellwise.benchmark.certify.lives import measured_log
 from cellwise.benchmark.certify.run import certify
 from cellwise.benchmark.certify.virtual_cells import Sensor, read_sensor
 
@@ -10,7 +10,6 @@ __all__ = [
     "Certificate",
     "Exported",
     "Limits",
-    "MeasuredLog",
     "Sensor",
     "certify",
     "measured_log",

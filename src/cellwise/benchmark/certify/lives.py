@@ -21,6 +21,7 @@ from cellwise.benchmark.certify.virtual_cells import (
     with_sensor,
 )
 from cellwise.benchmark.faults import faulty_log
+from cellwise.benchmark.suite_logs import ROOM_C, JudgedLog
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.protocol import run_protocol
@@ -57,22 +58,6 @@ class Life:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredLog:
-    """A measured log of the cell and its true SOC.
-
-    Parameters
-    ----------
-    log : CellLog
-    soc : (n,) float          counted by the tester, else by the logged current, from ``soc[0]``
-    capacity_Ah : float       that it was counted over
-    """
-
-    log: CellLog
-    soc: FloatArray
-    capacity_Ah: float
-
-
-@dataclass(frozen=True, eq=False)
 class Fleet:
     """Everything that is drawn, and what it is drawn with.
 
@@ -80,13 +65,13 @@ class Fleet:
     ----------
     cells : int               of the model
     physics : int             of porous electrodes
-    measured : sequence of MeasuredLog     each is lived once as it is and once with each fault
+    measured : sequence of JudgedLog     each is lived once as it is and once with each fault
     hours, seed, sensor : float, int, Sensor
     """
 
     cells: int
     physics: int
-    measured: tuple[MeasuredLog, ...]
+    measured: tuple[JudgedLog, ...]
     hours: float
     seed: int
     sensor: Sensor
@@ -133,25 +118,27 @@ class Fleet:
         which, what = divmod(number, 1 + len(FAULTS))
         one = self.measured[which]
         rng = np.random.default_rng([self.seed, which, what, 2])
-        plain = NO_FAULT if what == 0 else FAULTS[what - 1]
-        fault = with_sensor(plain, _offsets_alone(self.sensor), one.capacity_Ah, rng)
-        start = float(np.clip(one.soc[0] + START_STD * rng.standard_normal(), 0.0, 1.0))
+        plain, capacity_Ah = (NO_FAULT, *FAULTS)[what], one.reference_Ah
+        # A measured log has its own noise.
+        offsets = replace(self.sensor, current_noise_A=0.0, voltage_noise_V=0.0)
+        fault = with_sensor(plain, offsets, capacity_Ah, rng)
+        start = float(np.clip(one.soc0 + START_STD * rng.standard_normal(), 0.0, 1.0))
         about = {
             "source": MEASURED,
             "cell": number,
             "name": one.log.name,
             "age": None,
-            "capacity_Ah": one.capacity_Ah,
-            "temperature_C": round(_temperature_C(one.log), 2),
+            "capacity_Ah": capacity_Ah,
+            "temperature_C": round(ROOM_C if one.temperature_C is None else one.temperature_C, 2),
             "fault": plain.name,
             "started_at": start,
         }
-        return Life(about, one.log, one.soc, faulty_log(fault, one.log, one.capacity_Ah, rng))
+        return Life(about, one.log, one.truth, faulty_log(fault, one.log, capacity_Ah, rng))
 
 
 def measured_log(
     model: CellModel, log: CellLog, soc0: float | None, capacity_Ah: float | None
-) -> MeasuredLog:
+) -> JudgedLog:
     """A log with its true SOC, from a start that is stated or that the log shows.
 
     Parameters
@@ -183,7 +170,7 @@ def measured_log(
     counted = reference_soc(log, soc0, capacity)
     if counted is None:
         counted = counted_soc(log, soc0, replace(model, capacity_Ah=capacity))
-    return MeasuredLog(log, counted, capacity)
+    return JudgedLog(log, counted, capacity)
 
 
 def counted_soc(log: CellLog, soc0: float, cell: CellModel) -> FloatArray:
@@ -191,15 +178,3 @@ def counted_soc(log: CellLog, soc0: float, cell: CellModel) -> FloatArray:
     used = np.where(log.current_A > 0.0, 1.0, cell.charge_efficiency) * log.current_A
     moved_As = np.cumsum(used * np.diff(log.time_s, prepend=log.time_s[0]))
     return np.asarray(soc0 - moved_As / (3600.0 * cell.capacity_Ah))
-
-
-def _offsets_alone(sensor: Sensor) -> Sensor:
-    """Without noise: a measured log has its own."""
-    return replace(sensor, current_noise_A=0.0, voltage_noise_V=0.0)
-
-
-def _temperature_C(log: CellLog) -> float:
-    measured = log.temperature_C
-    if measured is None or not np.any(np.isfinite(measured)):
-        return 25.0
-    return float(np.nanmedian(measured))

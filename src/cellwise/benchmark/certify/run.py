@@ -18,11 +18,11 @@ from cellwise.benchmark.certify.lives import (
     SETTLED_S,
     Fleet,
     Life,
-    MeasuredLog,
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
 from cellwise.benchmark.certify.virtual_cells import START_STD, Sensor, usual_sensor
 from cellwise.benchmark.kept_rows import KeptRows, key_of
+from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.files import made_folder
@@ -46,7 +46,7 @@ def certify(
     seed: int = 1,
     limits: Limits | None = None,
     physics: int | None = None,
-    measured: Sequence[MeasuredLog] = (),
+    measured: Sequence[JudgedLog] = (),
     scheduler: str = LOCAL,
     folder: str | Path | None = None,
     keep_logs: int = 0,
@@ -63,7 +63,7 @@ def certify(
     limits : Limits or None       what it is judged against; None: no verdict
     physics : int or None         cells of porous electrodes beside, at most 20 h each; None: one
                                   for twenty of the model, none where PyBaMM is not installed
-    measured : sequence of MeasuredLog     of this cell: each is run as it is and with each fault
+    measured : sequence of JudgedLog     of this cell: each is run as it is and with each fault
     scheduler : str               where it runs: as for `run_fleet`
     folder : path or None         finished cells are kept there, and a run of the same settings goes
                                   on where it stopped
@@ -93,7 +93,7 @@ def certify(
         "hours": hours,
         "physics_hours": min(hours, PHYSICS_HOURS),
         "pybamm": version("pybamm") if fleet.physics else None,
-        "measured": [[one.log.name, float(one.soc[0]), one.capacity_Ah] for one in measured],
+        "measured": [[one.log.name, one.soc0, one.reference_Ah] for one in measured],
         "seed": seed,
         "sensor": asdict(used),
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields
@@ -31,9 +30,6 @@ from cellwise.report.page.markup import (
     Markup,
     bullets,
     clock_of,
-    details,
-    escape,
-    finite,
     lead_of,
     linked_among,
     paragraph,
@@ -106,17 +102,14 @@ def model_kind(identification: Identification) -> str:
 
 
 def provenance_content(identification: Identification) -> Markup:
-    """How the tables came about, the effects, what the model may be off by, its own record."""
+    """How the tables came about, the effects, what the model may be off by."""
     model = identification.model
-    found = table(
+    return table(
         ("of the model", "value"),
         [*_effect_rows(model), *_error_rows(model)],
         caption=f"{_how(identification)} Voltage errors are from logs left out of the fit.",
         text_columns=(0, 1),
     )
-    record = json.dumps(finite(model.provenance), indent=2, ensure_ascii=False, allow_nan=False)
-    full = Markup(f"<pre>{escape(record)}</pre>")
-    return Markup(found + details("The model's own record", full))
 
 
 def _how(identification: Identification) -> str:

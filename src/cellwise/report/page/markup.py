@@ -38,7 +38,7 @@ class PageLimits(NamedTuple):
     candidates: int = 6  # causes that were tried, of a diagnosis
     pulse_logs: int = 6
     pulses: int = 300  # rows of the table of those not healthy
-    runs: int = 2000  # rows of a benchmark's table
+    cells: int = 2000  # rows of a fleet's table
     samples: int = 3_000_000  # in the plots of every sample
 
 
