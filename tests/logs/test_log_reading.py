@@ -97,6 +97,17 @@ def test_parquet_of_other_number_types(tmp_path):
     assert any("without a time" in notice for notice in log.notices)
 
 
+def test_parquet_of_dates_where_a_time_belongs_and_where_none_does(tmp_path):
+    dates = pa.array((np.arange(3) + 1_700_000_000).astype("datetime64[s]"))
+    plain = pa.array([1.0, 2.0, 3.0])
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"time_s": dates, "current_A": plain, "voltage_V": plain}), path)
+    np.testing.assert_array_equal(read_log(path).time_s, [0, 1, 2])
+    pq.write_table(pa.table({"time_s": plain, "current_A": dates, "voltage_V": plain}), path)
+    with pytest.raises(InputError, match="'current_A'"):
+        read_log(path)
+
+
 def test_columns_in_any_order_and_extra_ones(tmp_path):
     columns = {"comment": CHANNELS["time_s"], **dict(reversed(CHANNELS.items()))}
     log = read_log(write_csv(tmp_path / "log.csv", columns))

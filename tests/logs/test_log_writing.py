@@ -12,7 +12,6 @@ import scipy.io
 
 from cellwise.cli import main
 from cellwise.data import load_dataset
-from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs import CellLog, read_log, write_log
 from cellwise.logs.writing import write_columns
@@ -106,24 +105,6 @@ def test_a_failing_writer_leaves_what_was_there(tmp_path):
     assert os.listdir(tmp_path) == ["out.csv"]
 
 
-def test_places_that_cannot_be_written_to(tmp_path):
-    with pytest.raises(InputError, match="no folder"):
-        write_atomically(tmp_path / "nowhere" / "x.csv", "")
-    with pytest.raises(InputError, match="a folder at"):
-        write_atomically(tmp_path, "")
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_refused_not_a_traceback(tmp_path):
-    def fills(path: Path) -> None:
-        with open("/dev/full", "wb") as file:
-            file.write(bytes(100_000))
-
-    with pytest.raises(InputError, match="cannot be written"):
-        write_atomically(tmp_path / "x", fills)
-    assert os.listdir(tmp_path) == []
-
-
 def test_a_link_keeps_pointing_where_it_points(tmp_path):
     real = tmp_path / "real.csv"
     real.write_text("old")
@@ -153,19 +134,11 @@ COLUMNS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "read"),
-    [
-        ("out.csv", pd.read_csv),
-        ("out.csv.gz", pd.read_csv),
-        ("out.parquet", pd.read_parquet),
-        ("OUT.CSV", pd.read_csv),
-    ],
-)
-def test_columns_come_back_to_the_last_digit(tmp_path, name, read):
+@pytest.mark.parametrize("name", ["out.csv", "out.csv.gz", "out.parquet", "OUT.CSV"])
+def test_columns_come_back_to_the_last_digit(tmp_path, name):
     path = write_columns(COLUMNS, tmp_path / name)
     assert path == tmp_path / name
-    found = read(path)
+    found = pd.read_parquet(path) if name.endswith("parquet") else pd.read_csv(path)
     assert list(found.columns) == list(COLUMNS)
     for key, values in COLUMNS.items():
         np.testing.assert_array_equal(found[key].to_numpy(dtype=float), values.astype(float))

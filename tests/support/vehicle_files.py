@@ -72,11 +72,10 @@ def write_ulog(
 FORMAT_SIZE = {"Q": "Q", "f": "f", "B": "B", "I": "I", "h": "h", "H": "H", "c": "h", "b": "b"}
 
 
-def dataflash_format(kind: int, name: str, code: str, columns: str) -> bytes:
-    length = 3 + struct.calcsize("<" + "".join(FORMAT_SIZE[x] for x in code))
-    return b"\xa3\x95\x80" + struct.pack(
-        "<BB4s16s64s", kind, length, name.encode(), code.encode(), columns.encode()
-    )
+def dataflash_format(kind: int, name: str, code: str, columns: str, length: int = 0) -> bytes:
+    length = length or 3 + struct.calcsize("<" + "".join(FORMAT_SIZE[x] for x in code))
+    said = kind, length, name.encode(), code.encode(), columns.encode()
+    return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", *said)
 
 
 def dataflash_message(kind: int, code: str, *values: float) -> bytes:
@@ -84,40 +83,36 @@ def dataflash_message(kind: int, code: str, *values: float) -> bytes:
     return b"\xa3\x95" + bytes([kind]) + packed
 
 
+CHANNELS = ("time_s", "voltage_V", "current_A", "ampere_hours", "temperature_C")
+# Of each form: names of its messages, their columns and types, their values in a row of CHANNELS.
+DATAFLASH = {
+    "instances": (
+        ("BAT",), "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,Temp", "QBfffff",
+        lambda k, t, v, i, q, warm: (round(1e6 * (t + 5)), k, v, v, i, 1e3 * q, warm),
+    ),
+    "two messages": (
+        ("BAT", "BAT2"), "TimeUS,Volt,Curr,CurrTot,Temp", "Qffff",
+        lambda k, t, v, i, q, warm: (round(1e6 * (t + 5)), v, i, 1e3 * q, warm),
+    ),
+    "old": (
+        ("CURR",), "TimeMS,Throttle,Volt,Curr,Vcc,CurrTot,Volt2", "IhhhHfh",
+        lambda k, t, v, i, q, warm: (
+            round(1e3 * (t + 5)), 0, round(100 * v), round(100 * i), 5000, 1e3 * q, 0
+        ),
+    ),
+}  # fmt: skip
+
+
 def write_dataflash(path: Path, batteries: Sequence[dict[str, np.ndarray]], form: str) -> Path:
     """``BAT`` with instances, ``BAT`` and ``BAT2``, or the old ``CURR`` in hundredths."""
-    fmt = b"\xa3\x95\x80" + struct.pack(
-        "<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"
-    )
-    parts = [fmt]
-    if form == "instances":
-        code = "QBfffff"
-        names = "TimeUS,Inst,Volt,VoltR,Curr,CurrTot,Temp"
-        parts.append(dataflash_format(150, "BAT", code, names))
-    elif form == "two messages":
-        code = "Qffff"
-        for kind, name in ((150, "BAT"), (151, "BAT2")):
-            parts.append(dataflash_format(kind, name, code, "TimeUS,Volt,Curr,CurrTot,Temp"))
-    else:
-        code = "IhhhHfh"
-        parts.append(
-            dataflash_format(150, "CURR", code, "TimeMS,Throttle,Volt,Curr,Vcc,CurrTot,Volt2")
-        )
+    messages, columns, code, values = DATAFLASH[form]
+    parts = [dataflash_format(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
+    parts += [dataflash_format(150 + k, n, code, columns) for k, n in enumerate(messages)]
     events = []
     for k, c in enumerate(batteries):
-        for t, i, v, q, temp in zip(
-            *(c[n] for n in ("time_s", "current_A", "voltage_V", "ampere_hours", "temperature_C")),
-            strict=True,
-        ):
-            if form == "instances":
-                values = (round(1e6 * (t + 5)), k, v, v, i, 1e3 * q, temp)
-                events.append((t, dataflash_message(150, code, *values)))
-            elif form == "two messages":
-                values = (round(1e6 * (t + 5)), v, i, 1e3 * q, temp)
-                events.append((t, dataflash_message(150 + k, code, *values)))
-            else:
-                values = (round(1e3 * (t + 5)), 0, round(100 * v), round(100 * i), 5000, 1e3 * q, 0)
-                events.append((t, dataflash_message(150, code, *values)))
+        kind = 150 + min(k, len(messages) - 1)
+        for row in zip(*(c[name] for name in CHANNELS), strict=True):
+            events.append((row[0], dataflash_message(kind, code, *values(k, *row))))
     parts += [message for _, message in sorted(events, key=lambda event: event[0])]
     path.write_bytes(b"".join(parts))
     return path
@@ -134,28 +129,22 @@ def can_messages(c: dict[str, np.ndarray], start_s: float = 1_700_000_000.0):
     import cantools
 
     database = cantools.database.load_string(DBC)
-    pack, thermal = (
-        database.get_message_by_name("BMS_Pack"),
-        database.get_message_by_name("BMS_Thermal"),
-    )
-    for k, t in enumerate(c["time_s"]):
-        data = pack.encode(
-            {"PackCurrent": c["current_A"][k], "PackVoltage": c["voltage_V"][k], "Alive": k % 16},
-            strict=False,
+
+    def frame(at_s: float, identifier: int, data: bytes) -> can.Message:
+        return can.Message(
+            timestamp=start_s + at_s, arbitration_id=identifier, data=data, is_extended_id=False
         )
-        yield can.Message(
-            timestamp=start_s + t, arbitration_id=256, data=data, is_extended_id=False
-        )
+
+    def said(at_s: float, name: str, **signals: float) -> can.Message:
+        message = database.get_message_by_name(name)
+        return frame(at_s, message.frame_id, message.encode(signals, strict=False))
+
+    rows = zip(*(c[n] for n in ("time_s", "current_A", "voltage_V", "temperature_C")), strict=True)
+    for k, (t, i, v, warm) in enumerate(rows):
+        yield said(t, "BMS_Pack", PackCurrent=i, PackVoltage=v, Alive=k % 16)
         if k % 10 == 0:
-            data = thermal.encode(
-                {"BatteryTemp": c["temperature_C"][k], "MaxCurrentAllowed": 200.0}
-            )
-            yield can.Message(
-                timestamp=start_s + t + 1e-3, arbitration_id=512, data=data, is_extended_id=False
-            )
-        yield can.Message(
-            timestamp=start_s + t + 2e-3, arbitration_id=0x7DF, data=[k % 256], is_extended_id=False
-        )
+            yield said(t + 1e-3, "BMS_Thermal", BatteryTemp=warm, MaxCurrentAllowed=200.0)
+        yield frame(t + 2e-3, 0x7DF, bytes([k % 256]))
 
 
 def write_can(path: Path, c: dict[str, np.ndarray], kind: str) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import tempfile
@@ -101,46 +100,30 @@ def import_dataset(
     return Imported(target, tuple(entries), tuple(left_out))
 
 
-def _files(place: Path, room: Path) -> Iterator[tuple[str, Path]]:
+def _files(place: Path, room: Path, prefix: str = "") -> Iterator[tuple[str, Path]]:
     """Name below the source and place of every file; archives are unpacked into ``room``."""
     if place.is_file() and zipfile.is_zipfile(place):
-        yield from _unpacked(place, "", room)
-        return
+        inner = Path(tempfile.mkdtemp(dir=room))
+        try:
+            with zipfile.ZipFile(place) as packed:
+                packed.extractall(inner)  # names that lead elsewhere stay within
+        except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
+            raise InputError(
+                f"a damaged archive '{place.name}' ({error})", "a whole one", "Download it again."
+            ) from None
+        place = inner
     if not place.is_dir():
         raise InputError(
             f"no folder or zip archive '{place}'", "what was downloaded", "Check the path."
         )
     for path in sorted(place.rglob("*")):
-        shown = path.relative_to(place).as_posix()
-        if not path.is_file() or any(p.startswith(".") for p in Path(shown).parts):
+        shown, suffix = path.relative_to(place), path.suffix.casefold()
+        if not path.is_file() or any(p.startswith((".", "__MACOSX")) for p in shown.parts):
             continue
-        if path.suffix.casefold() == ".zip" and zipfile.is_zipfile(path):
-            yield from _unpacked(path, shown + "/", room)
-        elif path.suffix.casefold() not in OTHER_FILES:
-            yield shown, path
-
-
-def _unpacked(archive: Path, prefix: str, room: Path) -> Iterator[tuple[str, Path]]:
-    """Files of an archive, each unpacked under a name of our own: theirs may lead anywhere."""
-    try:
-        with zipfile.ZipFile(archive) as packed:
-            members = sorted(m for m in packed.namelist() if not m.endswith("/"))
-            for member in members:
-                inner = Path(member)
-                hidden = any(p.startswith((".", "__MACOSX")) for p in inner.parts)
-                if hidden or inner.suffix.casefold() in OTHER_FILES:
-                    continue
-                mark = hashlib.sha256(f"{archive}/{member}".encode()).hexdigest()[:16]
-                path = room / f"{mark}{inner.suffix}"
-                path.write_bytes(packed.read(member))
-                if inner.suffix.casefold() == ".zip" and zipfile.is_zipfile(path):
-                    yield from _unpacked(path, f"{prefix}{member}/", room)
-                else:
-                    yield f"{prefix}{member}", path
-    except (zipfile.BadZipFile, OSError, RuntimeError, NotImplementedError) as error:
-        raise InputError(
-            f"a damaged archive '{archive.name}' ({error})", "a whole one", "Download it again."
-        ) from None
+        if suffix == ".zip" and zipfile.is_zipfile(path):
+            yield from _files(path, room, f"{prefix}{shown.as_posix()}/")
+        elif suffix not in OTHER_FILES:
+            yield prefix + shown.as_posix(), path
 
 
 def _write(

@@ -446,19 +446,6 @@ def test_the_decimal_sign_can_be_stated(tmp_path):
         read_log(path, decimal="x")
 
 
-def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(LAYOUTS["arbin"].text().replace("Current(A)", "Curent(A)"))
-    with pytest.raises(InputError) as caught:
-        read_log(path)
-    assert "missing: Current(A)" in caught.value.found
-    assert "'Data_Point'" in caught.value.found
-    assert "'Curent(A)'" in caught.value.action
-    assert "`channels={'current_A': 'Curent(A)'" in caught.value.action
-    log = read_log(path, channels={"current_A": "Curent(A)"})
-    np.testing.assert_array_equal(log.current_A, I)
-
-
 def test_a_column_that_the_format_does_not_know_is_reported_with_the_nearest(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(LAYOUTS["arbin"].text().replace("Aux_Temperature_1(C)", "Aux_Temperatur_1(C)"))

@@ -1,11 +1,65 @@
-"""Files as the instruments wrote them, against their tidy conversions by other hands."""
+"""Files as instruments store them: by their layouts, by tidy conversions by other hands."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellwise.logs import inspect_log, read_log
+from cellwise.logs import FORMATS, inspect_log, read_log, reading
+from cellwise.logs.files.columns import OWN, Channel, Unit
+from cellwise.logs.files.csv_text import read_csv
+from cellwise.logs.files.format import Format
+from log_files import pulse_channels, write_csv
+from tester_files import (
+    digatron_columns,
+    write_mat5,
+    write_mat73,
+    write_mpr,
+    write_nda,
+    write_ndax,
+)
+
+for library in ("galvani", "fastnda", "h5py"):
+    pytest.importorskip(library)
+
+TRUTH = pulse_channels()
+WRITERS = {
+    "nda": (write_nda, "neware-nda"),
+    "ndax": (write_ndax, "neware-nda"),
+    "mpr": (write_mpr, "biologic-mpr"),
+    "mat 5": (write_mat5, "digatron-mat"),
+    "mat 7.3": (write_mat73, "digatron-mat"),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_binary_file_is_read_as_the_truth(name, tmp_path):
+    write, wanted = WRITERS[name]
+    log = read_log(write(tmp_path / "log.dat", TRUTH))  # the name tells nothing
+    assert log.format == wanted
+    np.testing.assert_allclose(log.time_s, TRUTH["time_s"], atol=1e-3)
+    np.testing.assert_allclose(log.current_A, TRUTH["current_A"], atol=1e-4)
+    np.testing.assert_allclose(log.voltage_V, TRUTH["voltage_V"], atol=1e-4)  # 0.1 mV, float32
+    charge = log.charge_Ah - log.charge_Ah[0]
+    np.testing.assert_allclose(charge, TRUTH["ampere_hours"], atol=2e-6)
+    assert not any("LOOKS WRONG" in n or "does not know" in n for n in log.notices), log.notices
+
+
+def test_a_galvanostatic_biologic_file_has_its_current_from_the_charge(tmp_path):
+    log = read_log(write_mpr(tmp_path / "log.mpr", TRUTH, current=False))
+    np.testing.assert_allclose(log.current_A, TRUTH["current_A"], atol=1e-6)
+    assert any("taken from the counter" in notice for notice in log.notices)
+
+
+def test_columns_of_a_matlab_file_can_be_stated(tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "other.mat"
+    c = digatron_columns(TRUTH)
+    savemat(path, {"run": {"Zeit": c["Time"], "Strom": c["Current"], "Spannung": c["Voltage"]}})
+    told = {"time_s": "Zeit", "current_A": "Strom", "voltage_V": "Spannung"}
+    np.testing.assert_allclose(read_log(path, channels=told).current_A, TRUTH["current_A"])
+
 
 # Native file to its tidy twin; both were converted independently of this package.
 TWINS = {
@@ -58,3 +112,36 @@ def test_the_ulog_of_pyulog_has_two_batteries(real_data):
     assert 3.8 < first.voltage_V.mean() < 4.0
     assert 4.1 < second.voltage_V.mean() < 4.2
     assert first.temperature_C is None
+
+
+# A format is one record: how its content tells it, its columns, its sign.
+CYCLER = Format(
+    name="cycler",
+    matches=lambda source: source.head.startswith(b"Zeit/ms"),
+    channels=(
+        Channel("time_s", {"Zeit/ms": Unit(1e-3)}, required=True),
+        Channel("current_A", {"I/mA": Unit(1e-3)}, required=True),
+        Channel("voltage_V", {"U/V": OWN}, required=True),
+        Channel("charge_Ah", {"Q/Ah": OWN}),
+    ),
+    read=read_csv,
+    sign="charge-positive",
+)
+
+
+def test_a_new_format_is_read_with_its_units_and_its_sign_unless_overridden(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "FORMATS", (CYCLER, *FORMATS))
+    path = write_csv(
+        tmp_path / "export.csv",
+        {"Zeit/ms": 1000 * TRUTH["time_s"], "U/V": TRUTH["voltage_V"],
+         "I/mA": -1000 * TRUTH["current_A"], "Q/Ah": -TRUTH["ampere_hours"]},
+    )  # fmt: skip
+    log = read_log(path)
+    assert log.format == "cycler"
+    np.testing.assert_allclose(log.time_s, TRUTH["time_s"], rtol=1e-15)
+    np.testing.assert_allclose(log.current_A, TRUTH["current_A"], rtol=1e-15)
+    np.testing.assert_array_equal(log.charge_Ah, TRUTH["ampere_hours"])
+    assert not any("LOOKS WRONG" in notice for notice in log.notices)
+    other = read_log(path, sign="discharge-positive")
+    np.testing.assert_array_equal(other.current_A, -log.current_A)
+    assert any("`sign='charge-positive'`" in notice for notice in other.notices)

@@ -43,6 +43,7 @@ MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA"
 MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_DIGIT = re.compile(r"[0-9]")
 _DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
@@ -86,8 +87,8 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
             "a line with the names time_s, current_A, voltage_V and rows of numbers",
             "Put a line with the column names at the top, or check the export that wrote it.",
         )
-    first = at + 1
-    while names and first < min(len(lines), at + 2 + MOST_UNIT_ROWS) and not _digits(texts[first]):
+    first, last = at + 1, min(len(lines), at + 2 + MOST_UNIT_ROWS)
+    while names and first < last and not _DIGIT.search(texts[first]):
         first += 1
     delimiter = _delimiter(line)
     rows = csv.reader(texts[first : first + LOOKED_AT], delimiter=delimiter)
@@ -179,10 +180,6 @@ def _as_wide(header: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[str
 
 def _delimiter(line: str) -> str:
     return max(DELIMITERS, key=line.count)
-
-
-def _digits(line: str) -> bool:
-    return any(character in "0123456789" for character in line)
 
 
 def _head_lines(head: bytes) -> list[bytes]:

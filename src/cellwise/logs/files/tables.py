@@ -183,7 +183,7 @@ def column_values(values: Any, column: Column, where: str) -> FloatArray:
         if unit.kind != "number" and _is_text(found.type):
             read = _labels if unit.kind == "label" else _clock_seconds
             return unit.convert(read(found, column, where))
-        if pa.types.is_temporal(found.type):
+        if column.field == "time_s" and pa.types.is_temporal(found.type):
             return unit.convert(_from_first(found))
         parts = [to_numpy(chunk) for chunk in found.cast(pa.float64()).chunks]
     except (pa.ArrowException, TypeError, ValueError) as error:
