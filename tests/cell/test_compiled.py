@@ -8,11 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from cellwise.cell.compiled import inline, is_compiled, kernel
-from cellwise.cell.equations import rc_step
+from cellwise.cell.compiled import is_compiled, kernel
 
 PROGRAM = """
 import numpy as np, cellwise as cw
@@ -23,24 +21,6 @@ log = cw.CellLog(time_s=np.arange(9.0), current_A=np.ones(9), voltage_V=np.full(
 cw.simulate(model, log, soc0=0.5)
 cw.simulate(model, log, soc0=0.5)
 """
-
-
-def test_an_inlined_function_can_be_called_from_python():
-    assert rc_step(0.01, 2.0, 0.03, 5.0, 1.0) == pytest.approx(
-        np.exp(-0.2) * 0.01 + 0.03 * (1 - np.exp(-0.2)) * 2.0
-    )
-
-
-def test_an_inlined_function_is_part_of_a_kernel():
-    @inline
-    def twice(x):
-        return 2.0 * x
-
-    @kernel
-    def four_times(x):
-        return twice(twice(x))
-
-    assert four_times(1.5) == 6.0
 
 
 @pytest.mark.slow

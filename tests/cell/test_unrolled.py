@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import textwrap
 
 import pytest
 
 from cellwise.cell.description import BRANCHES, CELL, SOC, V3, H, triangle
-from cellwise.cell.unrolled import THERE, unrolled, write_out
+from cellwise.cell.unrolled import THERE, write_out
 
 SCOPE = {"BRANCHES": BRANCHES, "CELL": CELL, "SOC": SOC, "V3": V3, "H": H, "triangle": triangle}
 
@@ -70,19 +69,3 @@ def test_a_sentence_stands_under_the_options_of_its_states_once():
         "if SLOW:\n    if x.soc > ZERO:\n        x.p33 = c3\n        if HYSTERESIS:\n"
         "            x.p3h = c3",
     ]
-
-
-@unrolled
-def branches_of(x):
-    """Their sum."""
-    return sum(x.state[i] for i in BRANCHES)
-
-
-def test_a_function_keeps_its_name_its_words_and_its_line():
-    class Cell:
-        v1_V, v2_V, v3_V = 0.1, 0.2, 0.4
-
-    assert branches_of(Cell) == pytest.approx(0.7)
-    assert (branches_of.__name__, branches_of.__doc__) == ("branches_of", "Their sum.")
-    lines = inspect.getsource(inspect.getmodule(branches_of)).split("\n")
-    assert lines[branches_of.__code__.co_firstlineno - 1].startswith("def branches_of")

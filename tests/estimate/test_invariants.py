@@ -51,29 +51,23 @@ def test_a_record_says_which_value_is_neutral(name):
 
 
 @estimators(FLOAT64)
-def test_over_a_gap_heat_only_decays(name):
-    """Nobody knows what flowed, so nothing heats: exp(-gap / thermal_s) of it is left."""
-    model = curved_cell(effects=WARM)
+@pytest.mark.parametrize(
+    ("field", "effects", "tau_s"),
+    [
+        ("heat_K", WARM, ACTIVE["self_heating"].thermal_s),
+        ("slow_A", (ACTIVE["surface_soc"],), ACTIVE["surface_soc"].tau_s),
+    ],
+)
+def test_over_a_gap_heat_and_surface_only_decay(name, field, effects, tau_s):
+    """Nobody knows what flowed, so nothing heats and no current is followed: e-folds are left."""
     pause = 1.0 if name == "lockstep" else 300.0  # the lockstep has one time step
     rows = Rows.of([0.0, *[5.0] * 120]).interval(100, pause, gap=True)
-    heat = follow(name, model, rows, 0.8).heat_K
-    assert heat[99] > 0.1
-    left = np.exp(-pause / ACTIVE["self_heating"].thermal_s)
-    assert heat[100] == pytest.approx(left * heat[99], rel=1e-12)
-    assert heat[101] > heat[100]
-
-
-@estimators(FLOAT64)
-def test_over_a_gap_the_surface_comes_back_to_the_mean(name):
-    """Nobody knows what flowed: exp(-gap / tau_s) of the followed current is left."""
-    model = curved_cell(effects=(ACTIVE["surface_soc"],))
-    pause = 1.0 if name == "lockstep" else 300.0  # the lockstep has one time step
-    rows = Rows.of([0.0, *[5.0] * 120]).interval(100, pause, gap=True)
-    slow = follow(name, model, rows, 0.8).slow_A
-    tau_s = ACTIVE["surface_soc"].tau_s
-    assert slow[99] == pytest.approx(-5.0 * np.expm1(-99.0 / tau_s), rel=1e-12)
-    assert slow[100] == pytest.approx(np.exp(-pause / tau_s) * slow[99], rel=1e-12)
-    assert slow[101] > slow[100]
+    value = getattr(follow(name, curved_cell(effects=effects), rows, 0.8), field)
+    assert value[99] > 0.1
+    assert value[100] == pytest.approx(np.exp(-pause / tau_s) * value[99], rel=1e-12)
+    assert value[101] > value[100]
+    if field == "slow_A":
+        assert value[99] == pytest.approx(-5.0 * np.expm1(-99.0 / tau_s), rel=1e-12)
 
 
 def ekf_beside(name, model, rows, soc0, soc0_std=0.01, noise=None):

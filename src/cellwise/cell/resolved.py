@@ -7,14 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.effects import (
-    IN_TABLES,
-    Effect,
-    beside_common_activation,
-    is_neutral,
-)
+from cellwise.cell.effects import IN_TABLES, Effect, beside_common_activation, is_neutral
 from cellwise.cell.equations import look_up
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.point_kernels import COLUMN_SOURCES
 from cellwise.typing import FloatArray
 
@@ -48,14 +43,10 @@ def over_temperature(model: CellModel, temperature_C: FloatArray) -> CellModel:
         tables: dict[str, Any] = {s.partition(".")[2]: over(c) for s, c in sources.items()}
         return replace(effect, **tables)
 
+    rows_of: dict[str, Any] = {name: over(name) for name in TABLES}
     return replace(
         model,
-        ocv_V=over("ocv_V"),
-        r0_ohm=over("r0_ohm"),
-        r1_ohm=over("r1_ohm"),
-        tau1_s=over("tau1_s"),
-        r2_ohm=over("r2_ohm"),
-        tau2_s=over("tau2_s"),
+        **rows_of,
         temperature_C=np.asarray(temperature_C, dtype=np.float64),
         effects=tuple(
             resolved(e) for e in model.effects if not isinstance(e, IN_TABLES) and not is_neutral(e)

@@ -10,17 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.pack.differences import (
-    NAMED,
-    OFFSET,
-    SIZE,
-    SOC,
-    OcvSlope,
-    PackDay,
-    Regressors,
-    regressors,
-    usual_spread,
-)
+from cellwise.pack import differences as by
+from cellwise.pack.differences import SIZE, OcvSlope, PackDay, Regressors, regressors, usual_spread
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -155,7 +146,7 @@ def pack_evidence(
     matrix, vector = _block_sums(rows, weight, drawn, ok, starts)
     block_V = _block_noise(matrix, vector, x)
     own = np.zeros(SIZE)
-    own[OFFSET] = block_V**2  # each block has an offset of its own
+    own[by.OFFSET] = block_V**2  # each block has an offset of its own
     matrix, vector = _integrated(matrix, vector, own)
     starts = _starts(log[used][starts])
     balance = 0.0
@@ -231,8 +222,10 @@ def _block_sums(
 
 def _block_noise(matrix: FloatArray, vector: FloatArray, x: FloatArray) -> float:
     """Standard deviation of what stays for a block [V], of all cells and blocks."""
-    total = matrix[:, :, OFFSET, OFFSET]
-    left = vector[:, :, OFFSET] - np.einsum("bci,ci->bc", _of_cells(matrix[:, :, OFFSET], x), x)
+    total = matrix[:, :, by.OFFSET, by.OFFSET]
+    left = vector[:, :, by.OFFSET] - np.einsum(
+        "bci,ci->bc", _of_cells(matrix[:, :, by.OFFSET], x), x
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(total > 0.0, left / total, np.nan)
     mean = mean[np.isfinite(mean)]
@@ -267,8 +260,8 @@ def _without_balancing(
     for _ in range(USUAL.passes):
         a, b = _integrated(matrix, vector, _balanced(size))
         x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
-        pull = vector[:, :, SOC] - np.einsum("lci,ci->lc", _of_cells(matrix[:, :, SOC], x), x)
-        variance = 1.0 / (matrix[:, :, SOC, SOC] + size**-2.0)
+        pull = vector[:, :, by.SOC] - np.einsum("lci,ci->lc", _of_cells(matrix[:, :, by.SOC], x), x)
+        variance = 1.0 / (matrix[:, :, by.SOC, by.SOC] + size**-2.0)
         moved = variance * pull
         seen = float(np.median(np.broadcast_to(variance, moved.shape)))
         found = float(robust_std(moved.ravel())) ** 2 + min(seen, size**2)
@@ -279,8 +272,8 @@ def _without_balancing(
 def _balanced(size: float) -> FloatArray:
     """Variances of what balancing by a size moves, (SIZE,)."""
     own = np.zeros(SIZE)
-    own[SOC] = size**2
-    own[NAMED:] = (USUAL.slope_V * size) ** 2
+    own[by.SOC] = size**2
+    own[by.NAMED :] = (USUAL.slope_V * size) ** 2
     return own
 
 

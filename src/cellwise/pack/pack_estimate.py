@@ -11,21 +11,8 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import far_off_text, in_order, outside_notices, withheld
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.pack.differences import (
-    CAPACITY,
-    LAG,
-    LEAD,
-    OFFSET,
-    REFERENCE_SOC,
-    RESISTANCE,
-    SELF_DISCHARGE,
-    SIZE,
-    SOC,
-    OcvSlope,
-    PackDay,
-    pack_days,
-    periods,
-)
+from cellwise.pack import differences as by
+from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
 from cellwise.pack.evidence import PackEvidence, period_evidence
 from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
 from cellwise.pack.suspicion import (
@@ -42,7 +29,7 @@ from cellwise.pack.suspicion import (
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
-BALANCED = [SOC, SELF_DISCHARGE]
+BALANCED = [by.SOC, by.SELF_DISCHARGE]
 POINTS = 101  # of the mean of the OCV between full and empty
 
 
@@ -344,14 +331,14 @@ def _at_end(
     if period.balancing_soc == 0.0:  # of that log alone
         return deltas
     own = period_evidence(model, [last])
-    column = own.matrix[:, SOC, :]
-    v = 1.0 / (column[:, SOC] + period.balancing_soc**-2.0)
+    column = own.matrix[:, by.SOC, :]
+    v = 1.0 / (column[:, by.SOC] + period.balancing_soc**-2.0)
     mean = deltas.mean.copy()
-    mean[:, SOC] += v * (own.vector[:, SOC] - np.einsum("ci,ci->c", column, deltas.mean))
+    mean[:, by.SOC] += v * (own.vector[:, by.SOC] - np.einsum("ci,ci->c", column, deltas.mean))
     shifted = np.tile(np.eye(SIZE), (v.size, 1, 1))
-    shifted[:, SOC, :] -= v[:, None] * column
+    shifted[:, by.SOC, :] -= v[:, None] * column
     covariance = shifted @ deltas.covariance @ np.swapaxes(shifted, 1, 2)
-    covariance[:, SOC, SOC] += v
+    covariance[:, by.SOC, by.SOC] += v
     return replace(deltas, mean=mean, covariance=covariance)
 
 
@@ -371,9 +358,9 @@ def _cells(
             row[k] = factor
         return x @ row, np.sqrt(np.einsum("i,cij,j->c", row, deltas.covariance, row))
 
-    soc, soc_std = seen((SOC, 1.0), (CAPACITY, REFERENCE_SOC - z))
-    capacity, capacity_std = seen((CAPACITY, model.capacity_Ah))
-    resistance, resistance_std = seen((RESISTANCE, 1.0))
+    soc, soc_std = seen((by.SOC, 1.0), (by.CAPACITY, by.REFERENCE_SOC - z))
+    capacity, capacity_std = seen((by.CAPACITY, model.capacity_Ah))
+    resistance, resistance_std = seen((by.RESISTANCE, 1.0))
     return CellsEstimate(
         np.where(there, np.clip(z + soc, 0.0, 1.0), np.nan),
         np.hypot(z_std, soc_std),
@@ -381,8 +368,8 @@ def _cells(
         np.hypot(model.capacity_std_Ah, capacity_std),
         np.where(there, 1.0 + resistance, np.nan),
         resistance_std,
-        *seen((OFFSET, 1.0)),
-        *seen((LAG, 1.0), (LEAD, 1.0)),
+        *seen((by.OFFSET, 1.0)),
+        *seen((by.LAG, 1.0), (by.LEAD, 1.0)),
         evidence.rmse_V,
     )
 

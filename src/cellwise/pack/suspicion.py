@@ -15,17 +15,8 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from cellwise.cell.model import CellModel
-from cellwise.pack.differences import (
-    CAPACITY,
-    LAG,
-    LEAD,
-    OFFSET,
-    RESISTANCE,
-    SELF_DISCHARGE,
-    SIZE,
-    SOC,
-    usual_spread,
-)
+from cellwise.pack import differences as by
+from cellwise.pack.differences import SIZE, usual_spread
 from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
 from cellwise.pack.pack_state import CellDeltas, Drift, posterior
 from cellwise.typing import FloatArray
@@ -99,23 +90,25 @@ class CellCause(NamedTuple):
 # A cell may only lose capacity, gain resistance and lose charge of its own.
 CAUSES = (
     CellCause(
-        "capacity", (CAPACITY, SOC), CAPACITY, "capacity_Ah", 0.003, ("capacity", "%", 100.0, 1), -1
+        "capacity", (by.CAPACITY, by.SOC), by.CAPACITY, "capacity_Ah", 0.003,
+        ("capacity", "%", 100.0, 1), -1,
     ),
     CellCause(
-        "resistance_scale", (RESISTANCE,), RESISTANCE, "scale", 0.010,
+        "resistance_scale", (by.RESISTANCE,), by.RESISTANCE, "scale", 0.010,
         ("resistance", "%", 100.0, 1), 1,
     ),
-    CellCause("initial_soc", (SOC,), SOC, "soc0", 0.002, ("SOC", "points", 100.0, 2)),
+    CellCause("initial_soc", (by.SOC,), by.SOC, "soc0", 0.002, ("SOC", "points", 100.0, 2)),
     CellCause(
-        "self_discharge", (SELF_DISCHARGE, SOC), SELF_DISCHARGE, "leak_A", 2e-5,
+        "self_discharge", (by.SELF_DISCHARGE, by.SOC), by.SELF_DISCHARGE, "leak_A", 2e-5,
         ("loses", "mA", 1e3, 2), 1,
     ),
     CellCause(
-        "voltage_offset", (OFFSET,), OFFSET, "offset_V", 0.0005,
+        "voltage_offset", (by.OFFSET,), by.OFFSET, "offset_V", 0.0005,
         ("its voltage reads", "mV", 1e3, 1), sensor=True,
     ),
     CellCause(
-        "time_skew", (LAG, LEAD), LAG, "skew_s", 0.05, ("polled late by", "s", 1.0, 2), sensor=True
+        "time_skew", (by.LAG, by.LEAD), by.LAG, "skew_s", 0.05,
+        ("polled late by", "s", 1.0, 2), sensor=True,
     ),
 )  # fmt: skip
 LEAK = next(c for c in CAUSES if c.name == "self_discharge")
@@ -228,7 +221,7 @@ def _along(
     covariance = np.linalg.inv(inner)
     shift = np.einsum("cij,cj->ci", covariance, right)
     gain = 0.5 * np.einsum("ci,ci->c", right, shift)
-    sums = np.ones(2) if one.shown == LAG else np.eye(len(moves))[moves.index(one.shown)]
+    sums = np.ones(2) if one.shown == by.LAG else np.eye(len(moves))[moves.index(one.shown)]
     size = shift @ sums
     if one.sign:
         gain = np.where(one.sign * size > 0.0, gain, 0.0)
@@ -317,11 +310,11 @@ def drift_of(spread: FloatArray, evidence: PackEvidence) -> Drift | None:
     if evidence.days <= 0.0:
         return None
     start = CellDeltas.unknown(evidence.rows.size, spread)
-    start.covariance[:, SELF_DISCHARGE, SELF_DISCHARGE] = DRIFTING.balancing_per_day**2
+    start.covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE] = DRIFTING.balancing_per_day**2
     mean, covariance = posterior(start.mean, start.covariance, evidence)
-    per_day = mean[:, SELF_DISCHARGE] - np.median(mean[:, SELF_DISCHARGE])
-    own = covariance[:, SELF_DISCHARGE, SELF_DISCHARGE]
-    least = usual_spread().cells[SELF_DISCHARGE] ** 2
+    per_day = mean[:, by.SELF_DISCHARGE] - np.median(mean[:, by.SELF_DISCHARGE])
+    own = covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE]
+    least = usual_spread().cells[by.SELF_DISCHARGE] ** 2
     return Drift(per_day, np.sqrt(np.maximum(own, float(robust_std(per_day)) ** 2) + least))
 
 
