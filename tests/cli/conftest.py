@@ -32,11 +32,8 @@ def identified(tmp_path_factory) -> Identified:
     path = tmp_path_factory.mktemp("identified") / "nmc.json"
     tests = ["--hppc", "hppc", "--ocv", "ocv_c20", "--capacity", "cap_c5", "--drive", "drive_c"]
     places = [w if w.startswith("--") else str(NMC / f"{w}.parquet") for w in tests]
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main(["identify", *places, "--nominal-ah", "5", "-o", str(path), "--json"])
-    assert code == 0, err.getvalue()
-    return Identified(one_object(out.getvalue()), path, err.getvalue())
+    found, said = printed("identify", *places, "--nominal-ah", "5", "-o", str(path))
+    return Identified(found, path, said)
 
 
 @pytest.fixture(scope="session")
@@ -49,18 +46,19 @@ def drive() -> str:
     return str(NMC / "drive_b.parquet")
 
 
-@pytest.fixture
-def run_json(capsys) -> Callable[..., dict[str, Any]]:
-    """Run a command with ``--json`` that must succeed: its one object."""
+def printed(*arguments: object) -> tuple[dict[str, Any], str]:
+    """Run a command with ``--json`` that must succeed: its one object, and standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([*map(str, arguments), "--json"])
+    assert code == 0, err.getvalue()
+    return one_object(out.getvalue()), err.getvalue()
 
-    def run(*arguments: str) -> dict[str, Any]:
-        capsys.readouterr()
-        code = main([*arguments, "--json"])
-        captured = capsys.readouterr()
-        assert code == 0, captured.err
-        return one_object(captured.out)
 
-    return run
+@pytest.fixture(scope="session")
+def run_json() -> Callable[..., dict[str, Any]]:
+    """The one object of a command that must succeed."""
+    return lambda *arguments: printed(*arguments)[0]
 
 
 @pytest.fixture

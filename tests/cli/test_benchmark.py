@@ -90,23 +90,3 @@ def test_the_list(capsys):
     told = json.loads(capsys.readouterr().out)
     names = {s["name"] for s in told["suites"]}
     assert names == {"embedded", "leo", "flight", "panasonic", "a123", "public-1"}
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (["nothing.toml"], "no suite"),
-        (["panasonic"], "CELLWISE_DATA"),
-        (["embedded", "--processes", "0"], "--processes 0"),
-        (["embedded", "--data", "nowhere"], "no folder"),
-        (["embedded", "--estimator", "kalman"], "estimator 'kalman'"),
-        (["embedded", "--estimator", "mine.py:Filter"], "no file 'mine.py'"),
-    ],
-)
-def test_refusals_are_one_message(more, said, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("CELLWISE_DATA", raising=False)
-    assert main(["benchmark", *more]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert len(error.strip().splitlines()) == 1

@@ -40,40 +40,6 @@ def test_data_list_for_people(capsys):
         assert name in text
 
 
-@pytest.fixture
-def generator(monkeypatch):
-    """PyBaMM and the generator replaced: what is asked of them, and what they answer."""
-    asked = []
-
-    class Fake:
-        @staticmethod
-        def generate(out_dir, only, progress):
-            asked.append((out_dir, only))
-            if only and "unknown" in only:
-                raise KeyError("no test or cell 'unknown'")
-            progress("nmc_hppc", 1, 1)
-            path = out_dir / "hppc.parquet"
-            path.write_text("rows")
-            return [path]
-
-    names = {"pybamm": Fake, "generator.generate": Fake}
-    monkeypatch.setattr("cellwise.data.import_module", lambda name: names[name])
-    return asked
-
-
-def test_data_generate(run_json, generator, tmp_path):
-    out = tmp_path / "new"
-    found = run_json("data", "generate", "-o", str(out), "--only", "nmc_hppc", "--only", "lfp")
-    assert found["written"] == [str(out / "hppc.parquet")]
-    assert generator == [(out, ["nmc_hppc", "lfp"])]
-
-
-def test_data_generate_refuses_an_unknown_name(refused, generator, tmp_path):
-    message = refused("data", "generate", "-o", str(tmp_path / "out"), "--only", "unknown")
-    assert "unknown" in message
-    assert "cellwise data list" in message
-
-
 def test_data_generate_without_pybamm_says_how_to_get_it(refused, monkeypatch, tmp_path):
     def missing(name):
         raise ImportError(name)
@@ -81,12 +47,6 @@ def test_data_generate_without_pybamm_says_how_to_get_it(refused, monkeypatch, t
     monkeypatch.setattr("cellwise.data.import_module", missing)
     assert "cellwise[generate]" in refused("data", "generate", "-o", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists(), "nothing half made"
-
-
-@pytest.mark.parametrize("name", ["file", "file/inside"])
-def test_data_generate_into_no_folder(refused, generator, tmp_path, name):
-    (tmp_path / "file").write_text("here")
-    refused("data", "generate", "-o", str(tmp_path / name))
 
 
 def test_an_unknown_data_set_lists_those_there_are():

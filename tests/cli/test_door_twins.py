@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cli import main
 from cellwise.logs import read_log, write_log
+from streams import json_lines
 
 pytestmark = pytest.mark.slow
 
@@ -22,17 +22,12 @@ PANASONIC = "panasonic_18650pf"
 
 
 @pytest.fixture(scope="module")
-def identify(tmp_path_factory):
+def identify(tmp_path_factory, run_json):
     """Identify by command; what it printed, and its model."""
 
     def run(*arguments):
         model = str(tmp_path_factory.mktemp("model") / "model.json")
-        out = model.replace("model.json", "printed.json")
-        with pytest.MonkeyPatch.context() as patch, open(out, "w") as printed:
-            patch.setattr("sys.stdout", printed)
-            assert main(["identify", *map(str, arguments), "-o", model, "--json"]) == 0
-        with open(out) as printed:
-            return json.load(printed), model
+        return run_json("identify", *arguments, "-o", model), model
 
     return run
 
@@ -256,10 +251,9 @@ def test_a_measured_drive_as_a_stream_begins_as_the_log_does(
     for k, first in enumerate((0, loaded)):
         part = replace(log.part(first, first + 4000), charge_Ah=None, soc0=None)
         whole = str(write_log(part, tmp_path / f"{k}.parquet"))
-        stream = tmp_path / f"{k}.jsonl"
-        stream.write_text("".join(json.dumps(row) + "\n" for row in rows_of(part)))
+        stream = json_lines(part, tmp_path / f"{k}.jsonl")
         given = ("--model", panasonic[1])
-        found = run_json("live", *given, "--source", f"json:{stream}")
+        found = run_json("live", *given, "--source", stream)
         replayed = run_json("replay", *given, whole)
         simulated = run_json("simulate", *given, whole)["soc0"]
         start, end = found["soc0"], (found["soc"], found["soc_std"])
@@ -268,10 +262,3 @@ def test_a_measured_drive_as_a_stream_begins_as_the_log_does(
             both = np.hypot(start["std"], other["std"])
             assert abs(start["value"] - other["value"]) < 2.0 * both
         assert abs(end[0] - replayed["soc_final"]) < 2.0 * end[1]
-
-
-def rows_of(log):
-    """As a sensor sends them."""
-    names = ("time_s", "current_A", "voltage_V", "temperature_C")
-    columns = (getattr(log, name).tolist() for name in names)
-    return (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +11,7 @@ from cellwise.cell.plausibility.notice import FAR_OFF, times_stated
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs.writing import write_columns
+from streams import json_lines
 
 OTHER = ("--model", "lfp-26650", "--capacity-ah", "5")
 
@@ -79,11 +80,8 @@ def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, r
 
 def test_nothing_is_foreseen_of_a_stream_that_is_far_off(model, tmp_path, run_json, capsys):
     log = load_dataset("nmc_drive_b").part(0, 1500)
-    rows = zip(log.time_s.tolist(), log.current_A.tolist(), log.voltage_V.tolist(), strict=True)
-    names = ("time_s", "current_A", "voltage_V")
-    stream = tmp_path / "stream.jsonl"
-    stream.write_text("".join(json.dumps(dict(zip(names, r, strict=True))) + "\n" for r in rows))
-    source = ("--source", f"json:{stream}")
+    log = replace(log, temperature_C=None)
+    source = ("--source", json_lines(log, tmp_path / "stream.jsonl"))
     power = ("--power",)
     found = run_json("live", *OTHER, *source, *power)
     assert "FAR OFF" in found["far_off"]

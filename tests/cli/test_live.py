@@ -17,30 +17,22 @@ from rich.console import Console
 
 from cellwise.cell.model_file import read_model
 from cellwise.cli import main
-from cellwise.logs import read_log
+from cellwise.logs import read_log, write_log
+from streams import json_lines
 
 SEEN_S = 30.0
 
 
 @pytest.fixture(scope="module")
-def lines(drive):
-    log = read_log(drive)
-    return [
-        json.dumps({"time_s": t, "current_A": i, "voltage_V": v, "temperature_C": 25.0}) + "\n"
-        for t, i, v in zip(
-            log.time_s[:1500].tolist(),
-            log.current_A[:1500].tolist(),
-            log.voltage_V[:1500].tolist(),
-            strict=True,
-        )
-    ]
-
-
-@pytest.fixture
-def stream_file(tmp_path, lines):
-    place = tmp_path / "stream.jsonl"
-    place.write_text("".join(lines))
+def stream_file(drive, tmp_path_factory):
+    place = tmp_path_factory.mktemp("stream") / "stream.jsonl"
+    json_lines(read_log(drive).part(0, 1500), place)
     return place
+
+
+@pytest.fixture(scope="module")
+def lines(stream_file):
+    return stream_file.read_text().splitlines(keepends=True)
 
 
 def started(*arguments):
@@ -118,12 +110,13 @@ def test_a_killed_program_goes_on_from_what_it_last_kept(model, lines, tmp_path,
     assert found["samples"] == 1000
 
 
-def test_one_object_at_the_end_with_json(model, stream_file, run_json, tmp_path):
+def test_one_object_at_the_end_with_json(model, drive, stream_file, run_json, tmp_path):
     out = tmp_path / "out.jsonl"
     found = run_json(
         "live", "--model", model, "--source", f"json:{stream_file}", "-o", str(out), "--every", "60"
     )
-    whole = run_json("replay", "--model", model, _as_log(stream_file, tmp_path), "--soc0",
+    same = write_log(read_log(drive).part(0, 1500), tmp_path / "same.csv")
+    whole = run_json("replay", "--model", model, same, "--soc0",
                      repr(found["soc0"]["value"]), "--soc0-std",
                      repr(found["soc0"]["std"]))  # fmt: skip
     assert found["samples"] == 1500
@@ -134,16 +127,6 @@ def test_one_object_at_the_end_with_json(model, stream_file, run_json, tmp_path)
     assert rows[1]["time_s"] - rows[0]["time_s"] == pytest.approx(60.0, abs=2.0)
     run_json("live", "--model", model, "--source", f"json:{stream_file}", "-o", str(out))
     assert len(out.read_text().splitlines()) == len(rows) + 1500  # added, never overwritten
-
-
-def _as_log(stream_file, tmp_path):
-    rows = [json.loads(line) for line in stream_file.read_text().splitlines()]
-    names = ("time_s", "current_A", "voltage_V", "temperature_C")
-    place = tmp_path / "same.csv"
-    place.write_text(
-        ",".join(names) + "\n" + "".join(",".join(repr(r[n]) for n in names) + "\n" for r in rows)
-    )
-    return str(place)
 
 
 def test_a_bus_with_soc_back(model, lines, tmp_path, run_json):
@@ -211,27 +194,6 @@ def test_the_view_shows_what_a_person_asks_for(model, stream_file):
     assert f"{100 * counts.last.info.soc:.2f} %" in text
     for word in ("current", "voltage", "remaining", "latency", "1,500 samples", "nothing for 5 s"):
         assert word in text
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        ("--source", "telepathy"),
-        ("--source", "stdin", "--estimator", "coulomb"),
-        ("--source", "stdin", "--soc0", "80"),
-        ("--source", "stdin", "--send", "A.B"),
-        ("--source", "stdin", "--every", "-1"),
-        ("--source", "can:virtual:x"),
-        ("--source", "json:nowhere"),
-        ("--source", "stdin", "--series", "auto"),
-        ("--source", "stdin", "--state", "nowhere/state.json"),
-        ("--source", "stdin", "-o", "nowhere/out.jsonl"),
-        ("--source", "stdin", "--cutoff-v", "12"),
-    ],
-    ids=lambda more: " ".join(more),
-)
-def test_what_cannot_be_followed_is_refused(model, refused, more):
-    assert refused("live", "--model", model, *more).startswith("cellwise live: ")
 
 
 @pytest.mark.parametrize("content", ["", "\n\n", "garbage\n" * 20, '{"voltage_V": 3.7}\n' * 9])

@@ -8,13 +8,11 @@ from html import unescape
 import numpy as np
 import pytest
 
-from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import simulate
 from cellwise.logs import read_log, write_log
-from cellwise.logs.cell_log import CellLog
+from diagnosis_cases import odd_sensor
 from example_cells import curved_cell
 
-ROWS, DT_S, START = 2500, 2.0, 0.9
+START = 0.9
 OFFSET_A = 0.1
 
 
@@ -25,30 +23,12 @@ def text_of(page, tag):
     return plain.replace("\N{NO-BREAK SPACE}", " ")
 
 
-@pytest.fixture(scope="module")
-def odd_sensor(tmp_path_factory):
-    """A model, and two drives: the sensor adds a constant that the tester's counter has not."""
-    folder, cell = tmp_path_factory.mktemp("odd"), curved_cell()
-    write_model(cell, folder / "cell.json")
-    for k, name in enumerate(("drive", "held")):
-        rng = np.random.default_rng(k)
-        true = np.repeat(rng.uniform(-1.0, 3.0, ROWS // 20), 20)
-        log = CellLog(np.arange(ROWS) * DT_S, true, np.full(ROWS, 3.7))
-        voltage = simulate(cell, log, START).voltage_V + rng.normal(0.0, 1e-3, ROWS)
-        counter = np.cumsum(true * log.interval_s) / 3600.0
-        read = CellLog(log.time_s, true + OFFSET_A, voltage, charge_Ah=counter)
-        write_log(read, folder / f"{name}.csv")
-    return folder, cell
-
-
 @pytest.mark.usefixtures("drawn")
-def test_an_extension_that_makes_soc_worse_is_not_to_be_adopted(
-    odd_sensor, run_json, capsys, tmp_path
-):
+def test_an_extension_that_makes_soc_worse_is_not_to_be_adopted(run_json, capsys, tmp_path):
     """An OCV that is moved explains the voltages of an odd sensor, and loses its SOC."""
     from cellwise.cli import main
 
-    folder, cell = odd_sensor
+    folder, cell = odd_sensor(tmp_path, OFFSET_A, counted=True), curved_cell()
     page, new = tmp_path / "page.html", tmp_path / "new.json"
     command = ("diagnose", "--model", str(folder / "cell.json"), str(folder / "drive.csv"),
                "--holdout", str(folder / "held.csv"), "--soc0", str(START), "--cause", "ocv_shift",

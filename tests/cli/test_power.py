@@ -10,6 +10,7 @@ import pytest
 
 from cellwise.cli import main
 from cellwise.logs import read_log, write_log
+from streams import json_lines
 
 MODEL = ("--model", "nmc-18650", "--capacity-ah", "5")
 NAMES = [
@@ -26,10 +27,7 @@ def part(drive, tmp_path_factory):
     log = read_log(drive).part(0, 600)
     folder = tmp_path_factory.mktemp("part")
     write_log(log, folder / "part.csv")
-    names = ("time_s", "current_A", "voltage_V", "temperature_C")
-    rows = zip(*(getattr(log, name).tolist() for name in names), strict=True)
-    lines = (json.dumps(dict(zip(names, row, strict=True))) + "\n" for row in rows)
-    (folder / "part.jsonl").write_text("".join(lines))
+    json_lines(log, folder / "part.jsonl")
     return folder
 
 
@@ -91,27 +89,3 @@ def test_live_says_the_same_as_replay(part, run_json, tmp_path):
     assert len(with_power) == len([row for row in said if "remaining_s" in row])
     by_time = np.searchsorted(rows["time_s"], with_power[20]["time_s"])
     assert with_power[20][NAMES[4]] == pytest.approx(rows[NAMES[4]][by_time], rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (("--horizons", "10"), "Add --power"),
-        (("--voltage-limits", "2.8", "4.2"), "Add --power"),
-        (("--power", "--horizons", "ten"), "separated by commas"),
-        (("--power", "--horizons", "0"), "times above zero"),
-        (("--power", "--horizons", "10,-2"), "times above zero"),
-        (("--power", "--voltage-limits", "4.2", "2.8"), "lower one below the upper one"),
-        (("--power", "--current-limits", "5", "-5"), "without a sign"),
-        (("--power", "--soc-limits", "10", "90"), "Divide by 100"),
-        (("--power", "--voltage-limits", "9", "12"), "not of the pack"),
-    ],
-)
-@pytest.mark.parametrize("command", ["replay", "live"])
-def test_refusals(command, options, says, part, capsys):
-    log = str(part / "part.csv")
-    source = (log,) if command == "replay" else ("--source", f"json:{part / 'part.jsonl'}")
-    assert main([command, *MODEL, *source, *options]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert "Traceback" not in error

@@ -13,6 +13,7 @@ from cellwise.cli import main
 from cellwise.estimate.status import OUTSIDE
 from cellwise.logs import read_log, write_log
 from cellwise.logs.cell_log import CellLog
+from streams import json_lines
 
 SAID = "leaves what the model's data covered"
 ROWS = 1200
@@ -61,11 +62,7 @@ def test_what_is_stated_of_a_log_counts_too(model, logs, tmp_path, run_json):
 
 def test_a_stream_says_so_once(model, logs, tmp_path, capsys):
     place, out = tmp_path / "stream.jsonl", tmp_path / "out.jsonl"
-    names = ("time_s", "current_A", "voltage_V", "temperature_C")
-    columns = (np.asarray(getattr(logs[1], name)).tolist() for name in names)
-    rows = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
-    place.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    source = f"json:{place}"
+    source = json_lines(logs[1], place)
     assert main(["live", "--model", model, "--source", source, "-o", str(out), "--json"]) == 0
     said = capsys.readouterr()
     assert said.err.count("temperature -12.0 degC (the model's data:") == 1

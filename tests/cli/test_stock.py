@@ -34,18 +34,6 @@ def test_little_known_is_said_by_the_deviation(run_json, flight, tmp_path):
     assert np.median(std) > 0.02
 
 
-@pytest.mark.parametrize("command", ["simulate", "replay", "diagnose"])
-def test_an_unknown_name_is_one_error_with_the_names(refused, flight, command):
-    said = refused(command, "--model", "nmc-21700", flight)
-    assert all(name in said for name in stock_names())
-
-
-@pytest.mark.parametrize("capacity", ["0", "-1", "nan"])
-def test_a_capacity_that_no_cell_has_is_refused(refused, flight, capacity):
-    said = refused("replay", "--model", "nmc-18650", f"--capacity-ah={capacity}", flight)
-    assert "above zero" in said
-
-
 def test_identify_with_a_prior_marks_what_is_the_priors(run_json, flight, tmp_path):
     out = tmp_path / "model.json"
     found = run_json("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nmc-18650",
@@ -55,12 +43,6 @@ def test_identify_with_a_prior_marks_what_is_the_priors(run_json, flight, tmp_pa
     model = read_model(out)
     assert model.provenance["prior"]["seen"] == found["prior"]["seen"]
     assert model.ocv_V.min() > 2.4
-
-
-def test_an_unknown_prior_is_refused(refused, flight, tmp_path):
-    said = refused("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nickel",
-                   "-o", str(tmp_path / "model.json"))  # fmt: skip
-    assert "nca-18650" in said
 
 
 def test_data_list_shows_them(run_json):

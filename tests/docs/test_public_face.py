@@ -7,8 +7,6 @@ import sys
 
 import pytest
 
-import cellwise
-
 SCRIPT = """
 import sys, types
 from importlib import import_module
@@ -42,9 +40,3 @@ def test_a_public_name_is_never_a_module(order, before):
         [sys.executable, "-c", SCRIPT, order, *before], capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == []
-
-
-def test_names_of_the_face_are_sorted_and_documented():
-    assert cellwise.__all__ == sorted(cellwise.__all__, key=lambda n: (n[0].islower(), n))
-    for name in cellwise.__all__:
-        assert getattr(cellwise, name).__doc__, name

@@ -1,4 +1,4 @@
-"""A diagnosis with every record filled, for its page."""
+"""A diagnosis with every record filled, for its page; drives that an odd sensor logged."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.logs import write_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -97,3 +99,24 @@ def diagnosis(*names, **changes):
         runs=runs_of(logs, held, any(CAUSES[n].kind == "measurement" for n in names)),
     )
     return replace(record, **changes)
+
+
+ODD_ROWS = 2500
+
+
+def odd_sensor(folder, offset_A, *, counted=False):
+    """A model and two drives in a folder: the current sensor adds a constant.
+
+    ``counted``: beside it the tester's counter, which has no such error.
+    """
+    cell = curved_cell()
+    write_model(cell, folder / "cell.json")
+    for k, name in enumerate(("drive", "held")):
+        rng = np.random.default_rng(k)
+        true = np.repeat(rng.uniform(-1.0, 3.0, ODD_ROWS // 20), 20)
+        log = CellLog(np.arange(ODD_ROWS) * 2.0, true, np.full(ODD_ROWS, 3.7))
+        voltage = simulate(cell, log, 0.9).voltage_V + rng.normal(0.0, 1e-3, ODD_ROWS)
+        charge = np.cumsum(true * log.interval_s) / 3600.0 if counted else None
+        read = CellLog(log.time_s, true + offset_A, voltage, charge_Ah=charge)
+        write_log(read, folder / f"{name}.csv")
+    return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -60,3 +61,12 @@ def samples(log):
         t = log.temperature_C
         warm = math.nan if t is None else float(t[k])
         yield Sample(float(log.time_s[k]), float(log.current_A[k]), float(log.voltage_V[k]), warm)
+
+
+def json_lines(log, place):
+    """A log as a sensor sends it, a line of JSON for each sample; the source to name."""
+    names = [n for n in ("time_s", "current_A", "voltage_V", "temperature_C")
+             if getattr(log, n) is not None]  # fmt: skip
+    rows = zip(*(np.asarray(getattr(log, n)).tolist() for n in names), strict=True)
+    place.write_text("".join(json.dumps(dict(zip(names, r, strict=True))) + "\n" for r in rows))
+    return f"json:{place}"

@@ -85,11 +85,6 @@ def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):
     assert "Remaining time and energy" in page.read_text(encoding="utf-8")
 
 
-def test_a_cutoff_of_the_pack_is_refused(flight, model, refused):
-    message = refused("replay", "--model", model, flight, *PACK, "--cutoff-v", "14")
-    assert "not of the pack" in message
-
-
 def test_a_can_log_with_its_database(tmp_path, run_json):
     log = write_can(tmp_path / "drive.blf", pulse_channels(600), "blf")
     dbc = write_dbc(tmp_path / "bms.dbc")
@@ -107,12 +102,6 @@ def test_columns_are_stated_on_the_command_line(tmp_path, run_json):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--series", "four"), "--series four"),
-        (("--series", "0"), "series = 0"),
-        (("--parallel", "2.5"), "--parallel"),
-        (("--instance", "first"), "--instance"),
-        (("--channel", "current_A"), "NAME=COLUMN"),
-        (("--channel", "current_A=Strom"), "no column 'Strom'"),
         (("--dbc", "nowhere.dbc"), "no DBC file"),
         (("--instance", "3"), "no battery 3"),
     ],

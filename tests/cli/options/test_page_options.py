@@ -51,27 +51,3 @@ def test_an_export_has_its_page_and_its_pictures(identified, drive, tmp_path, ca
     assert "No cross compiler" in text
     assert 'class="trace"' in text
     assert "RMSE [points]" in text
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["replay", "--model", "m.json", "log.csv"],
-        ["identify", "--hppc", "log.csv", "-o", "m.json"],
-        ["diagnose", "--model", "m.json", "log.csv"],
-        ["export", "--model", "m.json", "--dt", "1", "-o", "out"],
-        ["capacity-study"],
-        ["benchmark"],
-        ["demo"],
-    ],
-    ids=lambda command: command[0],
-)
-def test_every_command_with_a_page_refuses_alike(command, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("")
-    assert main([*command, "--figure-format", "svg"]) == 2
-    assert "--figures" in capsys.readouterr().err
-    assert main([*command, "--figures", "file"]) == 2
-    error = capsys.readouterr().err
-    assert "a file at 'file'" in error
-    assert len(error.strip().splitlines()) == 1

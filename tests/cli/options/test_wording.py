@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import ast
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -118,15 +119,23 @@ def parsers(parser):
                 yield from parsers(inner)
 
 
-def test_the_help_of_every_command_says_what_it_does_and_what_its_files_are():
+def test_the_help_of_every_command_says_what_it_does_and_ends_with_examples_that_it_takes():
     found = list(parsers(build_parser()))
     assert len(found) > 20
     for parser in found:
+        said = parser.format_help()
         assert parser.description.endswith("."), parser.prog
-        assert "--debug" in parser.format_help(), parser.prog
+        assert "--debug" in said, parser.prog
+        inner = any(isinstance(part, argparse._SubParsersAction) for part in parser._actions)
         for part in parser._actions:
             named = not part.option_strings and not isinstance(part, argparse._SubParsersAction)
             assert part.help or not named, (parser.prog, part.dest)
+        examples = said.split("examples:\n")[1].splitlines() if not inner else []
+        assert len(examples) == (0 if inner else 2), parser.prog
+        for line in examples:
+            words = shlex.split(line.partition(" < ")[0])
+            assert words[0] == "cellwise"
+            assert build_parser().parse_args(words[1:]).command == parser.prog.split()[1]
 
 
 @pytest.mark.parametrize("before", [True, False])

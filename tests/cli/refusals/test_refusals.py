@@ -80,56 +80,6 @@ def test_a_model_of_another_version_says_both_versions(refused, bad_model, drive
     assert "schema_version 1" in message
 
 
-@pytest.mark.parametrize("value", ["-0.01", "1.01", "100", "nan", "inf", "half", ""])
-@pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_a_start_soc_that_is_none(refused, model, drive, command, value):
-    assert "0 to 1" in refused(command, "--model", model, drive, f"--soc0={value}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--estimator", "oracle"], "coulomb, ekf, ukf, adaptive"),
-        (["--dt", "0"], "step"),
-        (["--dt", "-1"], "step"),
-        (["--dt", "nan"], "step"),
-        (["--dt", "1e9"], "step"),
-        (["--dt", "1e-9"], "step"),
-        (["--dt", "soon"], "--dt"),
-        (["--soc0-std", "-0.1"], "0.1"),
-        (["--reference-capacity-ah", "0"], "reference capacity"),
-        (["--reference-capacity-ah", "nan"], "reference capacity"),
-        (["--reference-soc0", "1.5", "--reference-capacity-ah", "5"], "--reference-soc0"),
-        (["-o", "rows.xlsx"], "rows.xlsx"),
-    ],
-)
-def test_replay_arguments(refused, model, drive, arguments, says, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert says in refused("replay", "--model", model, drive, *arguments)
-    assert written(tmp_path) == set()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ([], "--hppc LOG or --drive LOG"),
-        (["--hppc", HPPC, "--nominal-ah", "-5"], "nominal"),
-        (["--hppc", HPPC, "--nominal-ah", "0.005"], "nominal"),
-        (["--hppc", HPPC, "--capacity-choice", "all of it"], "hppc-total"),
-        (["--hppc", HPPC, "--capacity-choice", "rate:C/0"], "rate"),
-        (["--hppc", HPPC, "--temperature-c", "298"], "298 degC"),
-        (["--hppc", f"{HPPC}@warm"], "LOG@TEMPERATURE"),
-        (["--hppc", "nowhere.csv"], "nowhere.csv"),
-        (["--hppc", HPPC, "--method", "guess"], "--method"),
-        (["--hppc", HPPC, "--branches", "7"], "--branches"),
-        (["--drive", HPPC, "--no-refine", "--nominal-ah", "5"], "--no-refine"),
-    ],
-)
-def test_identify_arguments(refused, tmp_path, arguments, says):
-    assert says in refused("identify", *arguments, "-o", str(tmp_path / "m.json"))
-    assert written(tmp_path) == set()
-
-
 @pytest.mark.slow
 def test_a_log_that_never_rests_gives_no_model_of_its_own_and_that_is_said_first(
     run_json, tmp_path
@@ -234,15 +184,6 @@ def test_a_bug_is_called_a_bug(capsys, model, drive, monkeypatch):
 def test_debug_shows_where_it_was_refused(arguments):
     with pytest.raises(InputError):
         main([*arguments, "--debug"])
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [[], ["conjure"], ["inspect"], ["convert", "a.csv"], ["identify"], ["simulate", "a.csv"],
-     ["data"], ["data", "steal"], ["inspect", "a.csv", "--sign", "upside-down"]],
-)  # fmt: skip
-def test_arguments_that_are_missing_or_unknown(refused, arguments):
-    assert "error:" in refused(*arguments)
 
 
 def test_missing_values_in_the_middle_are_no_bad_input(run_json, model, drive, tmp_path):

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise import load_dataset, read_model, replay, simulate, write_log
+from cellwise import InputError, load_dataset, read_model, replay, simulate, write_log
+from cellwise.diagnose import diagnose
 
 LARGE_V = 0.2
 
@@ -102,3 +103,9 @@ def test_a_filter_that_uses_no_voltage_says_so(model):
     lost = replace(log, voltage_V=np.full(len(log), 20.0))
     assert "no voltage of" in replay(read_model(model), lost, "ekf", soc0=0.9).notices[0]
     assert not any("no voltage of" in n for n in replay(read_model(model), log, "coulomb").notices)
+
+
+@pytest.mark.parametrize("logs", ["x", ["x"], [None]])
+def test_a_diagnosis_of_what_is_no_log_says_so(model, logs):
+    with pytest.raises(InputError, match="log"):
+        diagnose(read_model(model), logs)

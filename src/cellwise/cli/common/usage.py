@@ -58,7 +58,7 @@ def add_commands(parser: argparse.ArgumentParser) -> None:
             action,
             help=about,
             description=f"{about[:1].upper()}{about[1:]}.",
-            epilog=_guide(items),
+            epilog=_guide(items) if items.strip() else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         # An action's own default would hide what stands before it.
