@@ -19,7 +19,7 @@ from cellwise.fleet.store import read_prepared
 from cellwise.history.life import life_of
 from cellwise.history.window_fit import changed_model
 from cellwise.logs import CellLog, read_log, write_log
-from cellwise.logs.packs.pack_log import read_pack
+from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import read_rows, write_columns
 from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack

@@ -13,7 +13,7 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs import CellLog
-from cellwise.logs.packs.pack_log import read_pack
+from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.differences import RESISTANCE, MeanCell, OcvSlope, mean_cell, regressors
 from cellwise.pack.pack_estimate import estimate_pack

@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
-from cellwise.logs.packs.pack_log import read_pack
+from cellwise.logs.reading import read_pack
 from cellwise.pack.differences import MeanCell, OcvSlope, mean_cell, regressors
 from cellwise.pack.pack_estimate import estimate_pack
 from measured_models import identified_leaf

@@ -35,7 +35,7 @@ import numpy as np
 from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.history.life import Life, life_of
-from cellwise.logs.packs.pack_log import read_pack
+from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state

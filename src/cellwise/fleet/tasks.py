@@ -22,7 +22,8 @@ from cellwise.fleet.store import BY_LOG, DIAGNOSE, HISTORY, PACK, REPLAY, failur
 from cellwise.history.life import life_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
-from cellwise.logs.packs.pack_log import PackLog, read_pack
+from cellwise.logs.packs.pack_log import PackLog
+from cellwise.logs.reading import read_pack
 from cellwise.logs.stated import Stated, in_order
 from cellwise.pack.pack_estimate import estimate_pack
 

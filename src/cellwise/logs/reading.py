@@ -14,14 +14,16 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
+from cellwise.logs.files.columns import Channel
 from cellwise.logs.files.format import Format, damaged, detect_format
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -34,7 +36,7 @@ from cellwise.logs.files.source import (
 )
 from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import to_cell
-from cellwise.logs.packs.pack_log import columns_of_table, pack_of
+from cellwise.logs.packs.pack_log import PackLog, columns_of_table, pack_columns, pack_of
 from cellwise.logs.stated import Stated, plain_name
 
 AS_MEAN_CELL = "read as their mean cell"  # marks the notice
@@ -105,7 +107,9 @@ def read_log(
     columns = columns_of_table(source, known)
     cells = sum(c.kind == "cell" for c in columns)
     if cells and series in (1, FROM_FILE, cells):
-        pack = pack_of(source, known, columns, sign=sign, name=named, check_sign=check_sign)
+        pack = pack_of(
+            source, known, columns, read_channels, sign=sign, name=named, check_sign=check_sign
+        )
         warm = sum(c.kind == "temperature" for c in columns)
         what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
         said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
@@ -113,6 +117,44 @@ def read_log(
     raw = complete(read_channels(source, known), known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     return stated.applied(assemble(raw, known, source.path, named, sign, check_sign=check_sign))
+
+
+def read_pack(
+    path: str | Path | Stated,
+    *,
+    sign: str = "auto",
+    parallel: int = 1,
+    channels: Mapping[str, str] | None = None,
+    instance: int | None = None,
+    name: str | None = None,
+) -> PackLog:
+    """Read a log with a voltage for each cell.
+
+    The tidy form is ``time_s, current_A, cell_01_V, cell_02_V, ...`` (or ``cell_01_mV``), with
+    ``voltage_V`` (of the pack), ``temperature_C`` or ``temperature_1_C``, ... and
+    ``cell_01_balancing``, ... where they were recorded. Columns ``CP1``, ... of LeafSpy and the
+    cells of a PX4 ULog are known too.
+
+    Parameters
+    ----------
+    path : str, Path or Stated      a string may state temperature and initial SOC behind an @
+    sign : str                      ``auto``, ``charge-positive`` or ``discharge-positive``
+    parallel : int                  cells in parallel that the model is not for: divides the current
+    channels : mapping              which column is which, as of `read_log`
+    instance : int                  which battery of a file that holds several
+
+    Raises
+    ------
+    InputError        no cell voltages, or whatever `read_log` refuses
+    """
+    stated = Stated.of(path)
+    options = ReadOptions(parallel=parallel, channels=dict(channels or {}), instance=instance)
+    source = open_source(stated.path, None, options)
+    known = detect_format(source, FORMATS)
+    columns = pack_columns(source, known)
+    name = source.path.name.split(".")[0] if name is None else name
+    pack = pack_of(source, known, columns, read_channels, sign=sign, name=name)
+    return replace(pack, mean=stated.applied(pack.mean))
 
 
 GRACE_S = 5.0  # of processor time, beyond what the asking side waits
@@ -147,7 +189,8 @@ def read_channels(source: LogSource, known: Format) -> RawLog:
     out: IO[bytes] = process.stdout  # type: ignore[assignment]
     try:
         with suppress(BrokenPipeError):
-            _send((os.getcwd(), source.path, source.options, known.name, limits), into)
+            asked = source.path, source.options, known.name, known.channels, limits
+            _send((os.getcwd(), *asked), into)
         while isinstance(answer := pickle.load(out), tuple):
             source.report(*answer)
     except BaseException as error:
@@ -204,9 +247,15 @@ def serve() -> None:
 
 
 def _answer(
-    out: IO[bytes], folder: str, path: Path, options: ReadOptions, name: str, limits: Limits
+    out: IO[bytes],
+    folder: str,
+    path: Path,
+    options: ReadOptions,
+    name: str,
+    channels: Sequence[Channel],
+    limits: Limits,
 ) -> RawLog | InputError:
-    known = next(known for known in FORMATS if known.name == name)
+    known = replace(next(one for one in FORMATS if one.name == name), channels=channels)
     try:
         with suppress(OSError):
             os.chdir(folder)

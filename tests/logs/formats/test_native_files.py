@@ -9,6 +9,7 @@ from cellwise.logs import FORMATS, inspect_log, read_log, reading
 from cellwise.logs.files.columns import OWN, Channel, Unit
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
+from cellwise.logs.reading import read_pack
 from log_files import pulse_channels, write_csv
 from tester_files import (
     digatron_columns,
@@ -112,6 +113,7 @@ def test_the_ulog_of_pyulog_has_two_batteries(real_data):
     assert 3.8 < first.voltage_V.mean() < 4.0
     assert 4.1 < second.voltage_V.mean() < 4.2
     assert first.temperature_C is None
+    assert read_pack(path).cells == 6  # the first one's, by a process of its own
 
 
 # A format is one record: how its content tells it, its columns, its sign.

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.logs.packs.pack_log import PackLog, read_pack
+from cellwise.logs.packs.pack_log import PackLog
+from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 
 ROWS = 400

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -15,10 +14,9 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_text import csv_layout
-from cellwise.logs.files.format import Format, detect_format
-from cellwise.logs.files.source import LogSource, ReadOptions, open_source
+from cellwise.logs.files.format import Format, Reader
+from cellwise.logs.files.source import LogSource
 from cellwise.logs.files.tables import is_parquet, parquet_names
-from cellwise.logs.formats import FORMATS
 from cellwise.logs.packs.cells import (
     CellColumn,
     CellFlag,
@@ -29,7 +27,6 @@ from cellwise.logs.packs.cells import (
     mean_voltage_V,
     to_cell,
 )
-from cellwise.logs.stated import Stated
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -168,45 +165,18 @@ TABLES = ("tidy-parquet", "tidy-csv", "leafspy-csv")  # formats with a column fo
 FIELDS = tuple(channel.field for channel in TIDY_CHANNELS)
 
 
-def read_pack(
-    path: str | Path | Stated,
-    *,
-    sign: str = "auto",
-    parallel: int = 1,
-    channels: Mapping[str, str] | None = None,
-    instance: int | None = None,
-    name: str | None = None,
-) -> PackLog:
-    """Read a log with a voltage for each cell.
-
-    The tidy form is ``time_s, current_A, cell_01_V, cell_02_V, ...`` (or ``cell_01_mV``), with
-    ``voltage_V`` (of the pack), ``temperature_C`` or ``temperature_1_C``, ... and
-    ``cell_01_balancing``, ... where they were recorded. Columns ``CP1``, ... of LeafSpy and the
-    cells of a PX4 ULog are known too.
-
-    Parameters
-    ----------
-    path : str, Path or Stated      a string may state temperature and initial SOC behind an @
-    sign : str                      ``auto``, ``charge-positive`` or ``discharge-positive``
-    parallel : int                  cells in parallel that the model is not for: divides the current
-    channels : mapping              which column is which, as of `read_log`
-    instance : int                  which battery of a file that holds several
+def pack_columns(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
+    """The pack's columns of a file.
 
     Raises
     ------
-    InputError        no cell voltages, or whatever `read_log` refuses
+    InputError        no voltages of several cells, two columns for one
     """
-    stated = Stated.of(path)
-    options = ReadOptions(parallel=parallel, channels=dict(channels or {}), instance=instance)
-    source = open_source(stated.path, None, options)
-    known = detect_format(source, FORMATS)
     names = _names(source, known)
     columns = cell_columns(names, source.where)
     if sum(c.kind == "cell" for c in columns) < 2:
         raise _no_pack(source, f"columns are {listed(names)}")
-    name = source.path.name.split(".")[0] if name is None else name
-    pack = pack_of(source, known, columns, sign=sign, name=name)
-    return replace(pack, mean=stated.applied(pack.mean))
+    return columns
 
 
 def columns_of_table(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
@@ -221,12 +191,13 @@ def pack_of(
     source: LogSource,
     known: Format,
     columns: Sequence[CellColumn],
+    read: Reader,
     *,
     sign: str,
     name: str,
     check_sign: bool = True,
 ) -> PackLog:
-    """The pack of a file that has been looked at.
+    """The pack of a file that has been looked at, by a reader of its channels.
 
     Raises
     ------
@@ -236,7 +207,7 @@ def pack_of(
     # The pack's own voltage is not required.
     own = tuple(replace(c, required=c.required and c.field != "voltage_V") for c in known.channels)
     wide = replace(known, channels=(*own, *(c.channel for c in columns)))
-    raw = complete(known.read(source, wide), known.sign, source.where)
+    raw = complete(read(source, wide), known.sign, source.where)
     found = raw.channels
 
     def of_kind(kind: str) -> list[CellColumn]:
