@@ -184,25 +184,13 @@ SHAPE_WIDTH = round(float(SHAPES[1] - SHAPES[0]), 6)
 SIZE = NAMED + SHAPES.size
 REFERENCE_SOC = 0.5
 
-
-class Spread(NamedTuple):
-    """Usual size of each difference: between cells of a new log, and its change in thirty days."""
-
-    cells: FloatArray
-    month: FloatArray
-
-
-def usual_spread() -> Spread:
-    """Standard deviations before a pack's own data say better, shape (SIZE,) each.
-
-    Cells of one batch: capacity 1 %, resistance 3 % (Rumpf et al., J. Energy Storage 14 (2017)
-    224, and the cells of the stock models' sources); cell monitors: 1 to 2 mV, polled within
-    tenths of a second; SOC as balancing leaves it, 0.5 %.
-    """
-    cells = np.array([0.005, 0.010, 0.030, 0.0015, 0.10, 0.10, 2e-5])
-    month = np.array([0.002, 0.001, 0.002, 0.0003, 0.005, 0.005, 1e-5])
-    shape = np.full(SHAPES.size, 0.001)
-    return Spread(np.concatenate((cells, shape)), np.concatenate((month, 0.2 * shape)))
+# Usual size of each difference before a pack's own data say better, shape (SIZE,): between cells of
+# a new log, and its change in thirty days. Cells of one batch: capacity 1 %, resistance 3 % (Rumpf
+# et al., J. Energy Storage 14 (2017) 224, and the cells of the stock models' sources); cell
+# monitors: 1 to 2 mV, polled within tenths of a second; SOC as balancing leaves it, 0.5 %.
+_SHAPE = np.full(SHAPES.size, 0.001)
+CELLS = np.concatenate(([0.005, 0.010, 0.030, 0.0015, 0.10, 0.10, 2e-5], _SHAPE))
+MONTH = np.concatenate(([0.002, 0.001, 0.002, 0.0003, 0.005, 0.005, 1e-5], 0.2 * _SHAPE))
 
 
 class Regressors(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.pack import differences as by
-from cellwise.pack.differences import SIZE, OcvSlope, PackDay, Regressors, regressors, usual_spread
+from cellwise.pack.differences import SIZE, OcvSlope, PackDay, Regressors, regressors
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -130,7 +130,7 @@ def pack_evidence(
     d, ok = difference_V[used], known[used]
     ok &= np.isfinite(d)
     d[~ok] = 0.0
-    prior = np.diag(usual_spread().cells ** -2.0)
+    prior = np.diag(by.CELLS**-2.0)
     weight = 1.0 / (USUAL.row_V**2 + (USUAL.change_share * change) ** 2)
     x = _ridge(rows, weight, d, ok, prior)
     noise, share = _row_noise(d - rows @ x.T, ok, change)

@@ -13,7 +13,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.estimate.saved_state import read_saved
 from cellwise.files import write_atomically
-from cellwise.pack.differences import SELF_DISCHARGE, SIZE, usual_spread
+from cellwise.pack.differences import CELLS, MONTH, SELF_DISCHARGE, SIZE
 from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
 from cellwise.typing import FloatArray
 
@@ -38,14 +38,14 @@ class CellDeltas:
     @classmethod
     def unknown(cls, cells: int, spread: FloatArray | None = None) -> CellDeltas:
         """Cells of which only their usual spread is known."""
-        usual = usual_spread().cells if spread is None else spread
+        usual = CELLS if spread is None else spread
         wide = np.broadcast_to(np.diag(usual**2), (cells, SIZE, SIZE))
         return cls(np.zeros((cells, SIZE)), np.array(wide), usual)
 
     def later(self, days: float) -> CellDeltas:
         """The same ``days`` after the first log: cells drift apart."""
         passed = max(days - self.days, 0.0)
-        drift = np.diag(usual_spread().month ** 2) * passed / 30.0
+        drift = np.diag(MONTH**2) * passed / 30.0
         mean, covariance = self.mean.copy(), self.covariance + drift
         # What a cell lost during one period balancing may return in the next.
         mean[:, SELF_DISCHARGE] = 0.0
@@ -76,7 +76,7 @@ def spread_between(evidence: PackEvidence) -> FloatArray:
 
     Few cells leave the usual spread as it is.
     """
-    usual = usual_spread().cells
+    usual = CELLS
     same = CellDeltas.unknown(evidence.rows.size, np.zeros(SIZE))
     return np.sqrt(_moved(same, evidence, usual**2, (USUAL.least_share * usual) ** 2))
 
@@ -87,7 +87,7 @@ def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
     In a pack that was balanced meanwhile all cells' SOC have moved, and no one of them is odd for
     it.
     """
-    return _moved(past, evidence, usual_spread().month ** 2, np.zeros(SIZE))
+    return _moved(past, evidence, MONTH**2, np.zeros(SIZE))
 
 
 def _moved(

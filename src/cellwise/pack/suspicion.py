@@ -16,7 +16,7 @@ from scipy.special import chdtrc, chdtri
 
 from cellwise.cell.model import CellModel
 from cellwise.pack import differences as by
-from cellwise.pack.differences import SIZE, usual_spread
+from cellwise.pack.differences import SIZE
 from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
 from cellwise.pack.pack_state import CellDeltas, Drift, posterior
 from cellwise.typing import FloatArray
@@ -314,7 +314,7 @@ def drift_of(spread: FloatArray, evidence: PackEvidence) -> Drift | None:
     mean, covariance = posterior(start.mean, start.covariance, evidence)
     per_day = mean[:, by.SELF_DISCHARGE] - np.median(mean[:, by.SELF_DISCHARGE])
     own = covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE]
-    least = usual_spread().cells[by.SELF_DISCHARGE] ** 2
+    least = by.CELLS[by.SELF_DISCHARGE] ** 2
     return Drift(per_day, np.sqrt(np.maximum(own, float(robust_std(per_day)) ** 2) + least))
 
 
