@@ -22,6 +22,7 @@ from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
 
 
 class FilterOutput(NamedTuple):
@@ -67,29 +68,36 @@ class Adapted:
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Hand a whole log to the filter, sample by sample."""
-        n = len(log)
-        outputs = np.full((4, n), np.nan)
-        current = np.array(log.interval_current_A)
-        current[log.gap_rows] = np.nan
-        temperature = known_temperature_C(self._model, log)
+        outputs = np.full((4, len(log)), np.nan)
         self.filter.start(soc0, soc0_std)
-        for k, row in enumerate(
-            zip(
-                current.tolist(),
-                log.voltage_V.tolist(),
-                temperature.tolist(),
-                log.interval_s.tolist(),
-                strict=True,
-            )
-        ):
+        for k, row in enumerate(samples(self._model, log).T.tolist()):
             answer = self.filter.step(*row)
             parts = answer if isinstance(answer, tuple) else (answer,)
             outputs[: len(parts), k] = parts
-        soc, std, voltage, voltage_std = outputs
-        innovation = log.voltage_V - voltage
-        missing = np.full(n, np.nan)
-        status = np.zeros(n, dtype=np.int32)
-        return Trace(log.time_s, soc, std, voltage, innovation, voltage_std**2, missing, status)
+        return trace_of(log, *outputs)
+
+
+def samples(model: CellModel, log: CellLog) -> FloatArray:
+    """Current, voltage, temperature, interval of every row, shape (4, n), as `step` takes them."""
+    current = np.array(log.interval_current_A)
+    current[log.gap_rows] = np.nan
+    temperature = known_temperature_C(model, log)
+    return np.vstack((current, log.voltage_V, temperature, log.interval_s))
+
+
+def trace_of(
+    log: CellLog,
+    soc: FloatArray,
+    std: FloatArray,
+    voltage: FloatArray,
+    voltage_std: FloatArray | None = None,
+) -> Trace:
+    """What somebody's filter answered, as ours answer."""
+    missing = np.full(len(log), np.nan)
+    variance = missing if voltage_std is None else voltage_std**2
+    status = np.zeros(len(log), dtype=np.int32)
+    left = log.voltage_V - voltage
+    return Trace(log.time_s, soc, std, voltage, left, variance, missing, status)
 
 
 def is_adapter(name: str) -> bool:

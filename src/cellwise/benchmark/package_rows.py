@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.benchmark.adapter import samples, trace_of
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.trace import Trace
@@ -241,12 +242,9 @@ class RowEstimator:
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Hand a log's rows to the process, which steps through them one by one."""
-        current = np.array(log.interval_current_A)
-        current[log.gap_rows] = np.nan
         with tempfile.TemporaryDirectory() as folder:
             rows, answer = Path(folder) / "rows.npz", Path(folder) / "answer.npy"
-            temperature = known_temperature_C(self._model, log)
-            np.savez(rows, data=np.vstack((current, log.voltage_V, temperature, log.interval_s)))
+            np.savez(rows, data=samples(self._model, log))
             found = self._process.ask(
                 do="run",
                 rows=str(rows),
@@ -260,10 +258,7 @@ class RowEstimator:
         self.ns_per_step = float(found["ns_per_step"])
         self.process_MB = float(found["process_MB"])
         self.state_bytes = int(found["state_bytes"])
-        missing = np.full(len(log), np.nan)
-        status = np.zeros(len(log), dtype=np.int32)
-        left = log.voltage_V - voltage
-        return Trace(log.time_s, soc, std, voltage, left, missing, missing, status)
+        return trace_of(log, soc, std, voltage)
 
 
 _failed: dict[Path, str] = {}

@@ -12,7 +12,13 @@ import numpy as np
 from cellwise.benchmark.faults import NONE
 from cellwise.benchmark.leaderboard import Part
 from cellwise.benchmark.package_rows import NotRun
-from cellwise.benchmark.standings import Table, by_estimator, standings, suite_tables
+from cellwise.benchmark.standings import (
+    Standing,
+    Table,
+    by_estimator,
+    standings,
+    suite_tables,
+)
 from cellwise.benchmark.suite import Suite
 from cellwise.errors import InputError
 from cellwise.report.page import style
@@ -187,11 +193,15 @@ def problems(rows: Rows) -> Markup:
     "standings", "Settled RMSE over hard runs (dot), and the largest settled error of any (bar)."
 )
 def standings_picture(part: Part) -> style.Figure:
-    """Every estimator that was judged on hard runs."""
-    found = [s for s in part.found if s.hard is not None and s.worst is not None]
+    """Every estimator that has a rank."""
+    found = _pictured(part)
     hard, worst = ([100.0 * getattr(s, k) for s in found] for k in ("hard", "worst"))
     text = f"Hard runs: {min(hard):.2f} to {max(hard):.2f} points RMS"
     return style.dots_on_bars([s.estimator for s in found], hard, worst, text, "SOC error [points]")
+
+
+def _pictured(part: Part) -> list[Standing]:
+    return [s for s in part.found if None not in (s.rank, s.hard, s.worst)]
 
 
 def standings_sections(parts: Sequence[Part], not_run: Sequence[NotRun] = ()) -> list[Section]:
@@ -200,7 +210,7 @@ def standings_sections(parts: Sequence[Part], not_run: Sequence[NotRun] = ()) ->
     left = Markup(paragraph("Not run:") + said) if said else EMPTY
     sections = []
     for k, part in enumerate(parts):
-        pictures = [standings_picture(part)] if any(s.hard for s in part.found) else []
+        pictures = [standings_picture(part)] if _pictured(part) else []
         tables = (
             table(one.head, one.rows, caption=text, text_columns=one.text)
             for one, text in zip(part.tables, TABLES, strict=True)

@@ -62,7 +62,7 @@ from cellwise.benchmark.certify import (
     read_export,
     read_sensor,
 )
-from cellwise.benchmark.certify.page import GROUP_COLUMNS, certificate_page, groups_of
+from cellwise.benchmark.certify.certificate import GROUP_COLUMNS, certificate_page, groups_of
 from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
 from cellwise.benchmark.page import division_table, divisions, standings_page
 from cellwise.benchmark.run_suite import BenchmarkResult, run_suite

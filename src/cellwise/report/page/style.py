@@ -163,7 +163,8 @@ def dots_on_bars(
     figure, axes = new_axes(0.9 + 0.24 * len(names))
     axes.barh(names[::-1], bars[::-1], color=BLUE, alpha=0.35)
     axes.plot(dots[::-1], names[::-1], "o", color=INK, markersize=4)
-    finding(axes, text)
+    # Long names leave the axes half of the picture's width.
+    axes.set_title("\n".join(wrapped(text, 72.0 * 0.42 * SMALL_IN)))
     labels(axes, label)
     return figure
 
