@@ -57,9 +57,6 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
     if layout.hysteresis:
         theta[layout.m : layout.m + layout.block] = 0.02 + 0.01 * rng.standard_normal(layout.block)
         theta[layout.gamma] = np.log(60.0)
-    theta[layout.warm : layout.activation] = 0.01 * rng.standard_normal(
-        layout.activation - layout.warm
-    )
     theta[layout.activation] = 2.3
     theta[layout.asinh] = 1.7
     theta[layout.own :] = 0.5 * rng.standard_normal(layout.size - layout.own)
@@ -89,8 +86,6 @@ def blocks(layout: Layout) -> dict[str, slice]:
     if layout.hysteresis:
         found["m"] = slice(layout.m, layout.m + layout.block)
         found["gamma"] = slice(layout.gamma, layout.gamma + 1)
-    if layout.temperatures > 1:
-        found["warm"] = slice(layout.warm, layout.activation)
     found["activation"] = slice(layout.activation, layout.activation + 1)
     found["skew"] = slice(layout.skew, layout.skew + 1)
     found["asinh"] = slice(layout.asinh, layout.asinh + 1)

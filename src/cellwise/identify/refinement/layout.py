@@ -107,12 +107,11 @@ class Layout(NamedTuple):
 
     The OCV's correction (knots_ocv, from 0); ``r0``: ln R0, then ln R and ln tau of each branch
     (temperatures x knots each); ``m`` (temperatures x knots) and ``gamma`` (a logarithm) where
-    there is a hysteresis; ``warm``: with several temperatures how far the OCV of each is from the
-    common one (temperatures x knots_ocv); one number each: ``activation`` [K / 1000], ``skew``
-    [s / 10], ``asinh`` [10 / V]; ``own``: the activation that each table of logarithms has beside
-    the common one [K / 1000]; ``sample``: ln of the capacity that each of some logs has over the
-    common one (samples); ``start``: by how much SOC each of some logs begins elsewhere than was
-    taken, ``past``: what its unseen past left in the slow states [V] (starts each).
+    there is a hysteresis; one number each: ``activation`` [K / 1000], ``skew`` [s / 10], ``asinh``
+    [10 / V]; ``own``: the activation that each table of logarithms has beside the common one
+    [K / 1000]; ``sample``: ln of the capacity that each of some logs has over the common one
+    (samples); ``start``: by how much SOC each of some logs begins elsewhere than was taken,
+    ``past``: what its unseen past left in the slow states [V] (starts each).
     """
 
     knots_ocv: int
@@ -126,7 +125,6 @@ class Layout(NamedTuple):
     r0: int
     m: int
     gamma: int
-    warm: int
     activation: int
     skew: int
     asinh: int
@@ -154,17 +152,11 @@ class Layout(NamedTuple):
         return layout_of(settings, count, self.starts)
 
     def part(self, first: int, count: int) -> IndexArray:
-        """Places of the parameters of some neighbouring temperatures, in the order of their layout.
-
-        One temperature has no OCV differences.
-        """
+        """Places of the parameters of some neighbouring temperatures, in their layout's order."""
         rows = np.arange(first * self.knots, (first + count) * self.knots)
         found = [np.arange(self.r0), *(at + rows for at in self.tables())]
         if self.hysteresis:
             found += [self.m + rows, np.array([self.gamma])]
-        if count > 1:
-            n = self.knots_ocv
-            found.append(self.warm + np.arange(first * n, (first + count) * n))
         return np.concatenate([*found, np.arange(self.activation, self.size)])
 
 
@@ -173,14 +165,13 @@ def layout_of(settings: RefineSettings, temperatures: int = 1, starts: int = 0) 
     knots_ocv, knots = spline_count(OCV_KNOTS), spline_count(TABLE_KNOTS)
     block = temperatures * knots
     m = knots_ocv + block * (1 + 2 * settings.branches)
-    warm = m + (block + 1 if settings.hysteresis else 0)
-    activation = warm + (temperatures * knots_ocv if temperatures > 1 else 0)
+    activation = m + (block + 1 if settings.hysteresis else 0)
     own = activation + 3
     sample = own + 1 + 2 * settings.branches
     start = sample + settings.samples
     return Layout(
         knots_ocv, knots, settings.branches, settings.hysteresis, temperatures,
-        settings.samples, starts, block, r0=knots_ocv, m=m, gamma=m + block, warm=warm,
+        settings.samples, starts, block, r0=knots_ocv, m=m, gamma=m + block,
         activation=activation, skew=activation + 1, asinh=activation + 2, own=own,
         sample=sample, start=start, past=start + starts, size=start + 2 * starts,
     )  # fmt: skip
@@ -228,7 +219,7 @@ def limits(
         within(at, at + lay.block, *np.log(sizes))
     if lay.hysteresis:
         within(lay.m, lay.gamma, 0.0, 0.5)
-        within(lay.gamma, lay.warm, *np.log(GAMMA_LIMITS))
+        within(lay.gamma, lay.activation, *np.log(GAMMA_LIMITS))
     within(lay.activation, lay.skew, -2.0, 15.0)
     within(lay.skew, lay.asinh, 0.0, np.inf)
     if settings.charge_transfer:

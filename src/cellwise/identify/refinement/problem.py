@@ -35,8 +35,6 @@ from cellwise.typing import FloatArray
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 LEAST_SIGMA_V = 2e-4
 LEAST_PAST_V = 0.01  # what a past that nobody saw may have left in any case
-# OCV between temperatures: what the entropy of intercalation leaves room for.
-ENTROPY_V_PER_K = 4e-4
 
 
 class _Normal(NamedTuple):
@@ -154,9 +152,8 @@ class Problem:
         """Quadratic penalty of smoothness over SOC and temperature."""
         lay, s = self.layout, self.settings
         matrix = np.zeros((lay.size, lay.size))
-        n, every = lay.knots_ocv, np.eye(lay.temperatures)
-        along = np.kron(every, curvature_penalty(TABLE_KNOTS))
-        ocv = s.ocv_smooth * curvature_penalty(OCV_KNOTS)
+        n = lay.knots_ocv
+        along = np.kron(np.eye(lay.temperatures), curvature_penalty(TABLE_KNOTS))
         # Over 1/T per step of 15 K at room temperature.
         bend = second_differences(inverse_K(self.grid_C, self.reference_C))
         bend *= abs(float(inverse_K(25.0, 10.0)))
@@ -164,15 +161,9 @@ class Problem:
         for at in lay.tables():
             part = slice(at, at + lay.block)
             matrix[part, part] = sigma**2 * (s.smooth * along + s.straight * across)
-        matrix[:n, :n] = ocv + s.ocv_size * np.eye(n)
+        matrix[:n, :n] = s.ocv_smooth * curvature_penalty(OCV_KNOTS) + s.ocv_size * np.eye(n)
         if lay.hysteresis:
             matrix[lay.m : lay.gamma, lay.m : lay.gamma] = s.ocv_smooth * along
-        if lay.temperatures > 1:
-            away_K = np.maximum(np.abs(self.grid_C - self.reference_C), 1.0)
-            held = (sigma / (ENTROPY_V_PER_K * away_K)) ** 2 / n
-            held[np.argmin(away_K)] = 1.0
-            part = slice(lay.warm, lay.activation)
-            matrix[part, part] = np.kron(every, ocv) + np.kron(np.diag(held), np.eye(n))
         return matrix
 
     def prior(self, sigma: float) -> FloatArray:

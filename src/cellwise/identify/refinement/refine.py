@@ -99,15 +99,8 @@ class RefineResult:
         here = float(inverse_K(temperature_C, self.reference_C))
         way = float(np.clip((here - x[low]) / (x[low + 1] - x[low]), -BEYOND, 1.0 + BEYOND))
 
-        def of(values: FloatArray, number: int, *, differences: bool) -> FloatArray:
-            part = values[lay.part(number, 1)]
-            if differences:
-                own = lay.warm + number * lay.knots_ocv
-                part[: lay.knots_ocv] += values[own : own + lay.knots_ocv]
-            return part
-
-        cold, warm = (of(self.theta, low + k, differences=True) for k in (0, 1))
-        stds = (of(self.theta_std, low + k, differences=False) for k in (0, 1))
+        places = [lay.part(low + k, 1) for k in (0, 1)]
+        cold, warm = (self.theta[part] for part in places)
         nearest = low + round(min(max(way, 0.0), 1.0))
         seen = [
             k
@@ -118,7 +111,7 @@ class RefineResult:
             self,
             layout=lay.of_temperatures(1),
             theta=cold + way * (warm - cold),
-            theta_std=np.maximum(*stds),
+            theta_std=np.maximum(*(self.theta_std[part] for part in places)),
             rmse_V=tuple(self.rmse_V[k] for k in seen),
             residual_V=tuple(self.residual_V[k] for k in seen),
             logs=tuple(self.logs[k] for k in seen),

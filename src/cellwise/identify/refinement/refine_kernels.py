@@ -167,9 +167,6 @@ def voltage_and_jacobian(
         ocv = base_ocv_V[k]
         of = log.ocv.first[k]
         ocv += _value(theta, of, log.ocv.values, k, 0.0, 0)
-        if lay.temperatures > 1:
-            at = lay.warm + log.row[k] * lay.knots_ocv + of
-            ocv += _value(theta, at, log.ocv.values, k, share, lay.knots_ocv)
         m = 0.0
         if hysteresis:
             m = _value(theta, lay.m + f, log.tables.values, k, share, knots)
@@ -185,13 +182,7 @@ def voltage_and_jacobian(
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
-                by_ocv = log.ocv.values[k, q]
-                row[of + q] = by_ocv
-                if lay.temperatures > 1:
-                    at = lay.warm + log.row[k] * lay.knots_ocv + of + q
-                    row[at] = (1.0 - share) * by_ocv
-                    if share != 0.0:
-                        row[at + lay.knots_ocv] = share * by_ocv
+                row[of + q] = log.ocv.values[k, q]
                 by_r0 = -log.tables.values[k, q] * seen * r0
                 by_m = log.tables.values[k, q] * h
                 row[lay.r0 + f + q] = (1.0 - share) * by_r0
