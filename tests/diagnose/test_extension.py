@@ -11,8 +11,8 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
 from estimator_cases import ACTIVE
@@ -23,6 +23,7 @@ SOC0 = 0.8
 AWAY = {
     "ln_capacity": 0.04, "ln_scale": 0.1, "ln_r0": -0.05, "ln_r1": 0.15, "ln_tau2": 0.1,
     "activation_K": 300.0, "rate_h": 0.02, "ln_charge_scale": 0.1, "leak_A": 0.01,
+    "asinh_per_V": 15.0,
 }  # fmt: skip
 CASES = {**{name: (effect,) for name, effect in ACTIVE.items()}, "all": tuple(ACTIVE.values())}
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.residual import residual_analysis
-from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.logs import write_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell

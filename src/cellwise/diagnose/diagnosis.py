@@ -11,19 +11,18 @@ import numpy as np
 from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
-from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.diagnose.applied import (
     Applied,
-    LogRun,
-    Step,
-    UsedLog,
+    Gain,
     applied,
     apply,
+    correct_log,
+    extended_validity,
+    gain_between,
     plain_runs,
     soc_gain,
-    step_between,
+    with_error_at,
     with_own_starts,
-    with_use,
 )
 from cellwise.diagnose.causes.catalogue import UNSEEN_TEMPERATURE
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -37,21 +36,13 @@ from cellwise.diagnose.checks import (
     too_little,
     unseen_temperature_C,
 )
-from cellwise.diagnose.extension import (
-    correct_log,
-    extended_validity,
-    parameters_of,
-    value_of,
-    with_error_at,
-)
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit, Prior
 from cellwise.diagnose.fit.priors import GOOD
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import LONGER_LOG, Limits, limits, next_test
 from cellwise.diagnose.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.residual import residual_analysis
-from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.diagnose.sensor_faults import with_faults, without_faults
 from cellwise.diagnose.sets import (
     Accepted,
@@ -119,59 +110,38 @@ def diagnose(
             )
     chosen = causes_of(causes)
     cleaned, stated, faults = without_faults(groups, stated_starts(groups, soc0))
+    used, held, good = _starts(model, cleaned, stated)
     logs, holdout, _ = cleaned
+    runs = plain_runs(model, used, held)
     both = model, groups[0] + groups[1], logs + holdout
-    missing = too_little(model, logs)
-    starts = _starts(model, cleaned, stated)
-    used = with_use([*starts[0], *starts[1]], len(logs))
-    if missing:
-        said = _undetermined(model, logs, holdout, used, missing)
-        return with_faults(said, faults, *both)
-    evidence = gather(model, starts[0], starts[1], _slowest_s(model))
+    # What is said where no cause can be judged; else what is found takes its place.
+    open_ = Diagnosis(
+        "undetermined", (), (), residual_analysis(model, logs[0], runs[0].before.soc0), LONGER_LOG,
+        (), model, None, logs, holdout, logs, tuple(s.to_dict() for _, s in used + held), runs=runs,
+    )  # fmt: skip
+    if missing := too_little(model, logs):
+        return with_faults(replace(open_, reasons=(missing,)), faults, *both)
+    evidence = gather(model, used, held)
     unseen_C = unseen_temperature_C(model, evidence)
     coordinates = Coordinates(model, unseen_C=unseen_C)
     if unseen_C is not None:
         chosen = [UNSEEN_TEMPERATURE if c.name == UNSEEN_TEMPERATURE.name else c for c in chosen]
     chosen = [c for c in chosen if all(coordinates.possible(n) for n in c.coordinates)]
+    if evidence.rest.zero:
+        chosen = [c for c in chosen if c.name != "current_offset"]
     fits = CauseFits.of(evidence, coordinates, seed)
-    if starts[2]:
-        fits.calibrate(CauseFits.of(gather(model, starts[2], whole=True), coordinates, seed))
+    if good:
+        fits.calibrate(CauseFits.of(gather(model, good, whole=True), coordinates, seed))
     base, scale = fits.base()
     if other := another_cell(model, evidence, base):
         why = f"this looks like another cell: {other}"
-        said = _undetermined(model, logs, holdout, used, why)
-        return with_faults(said, faults, *both)
-    if evidence.rest.zero:
-        chosen = [c for c in chosen if c.name != "current_offset"]
+        return with_faults(replace(open_, reasons=(why,)), faults, *both)
     asked = RARE.one_cause + NAMING.nats  # what a single cause needs to be named
     shown = limits(fits, chosen, base, scale, asked)
     sets = Explanations(fits, Rarity(unseen_C is not None, fits.same_age), progress)
     sets.search(chosen, base, scale)
-    found = _diagnosis(logs, holdout, used, fits, decide(sets), shown, reference_capacity_Ah)
+    found = _judged(open_, fits, decide(sets), shown, reference_capacity_Ah)
     return with_faults(found, faults, *both)
-
-
-def _undetermined(
-    model: CellModel,
-    logs: tuple[CellLog, ...],
-    holdout: tuple[CellLog, ...],
-    used: Sequence[UsedLog],
-    why: str,
-) -> Diagnosis:
-    """No verdict, and what is missing for one."""
-    runs = plain_runs(model, used)
-    error = residual_analysis(model, logs[0], runs[0].before.soc0)
-    return Diagnosis(
-        "undetermined", (), (), error, LONGER_LOG, (why,), model, None, logs, holdout, logs,
-        tuple(start.to_dict() for _, start, _ in used), runs=runs,
-    )  # fmt: skip
-
-
-def _slowest_s(model: CellModel) -> float:
-    """The slowest memory of the model [s]."""
-    table, _, _ = model.parameters()
-    columns = [TAU2, TAU3] if np.any(table[..., R3]) else [TAU2]
-    return max(float(np.median(table[..., c])) for c in columns)
 
 
 def _starts(
@@ -190,68 +160,56 @@ def _starts(
     return [[(log, start_of(log, next(said))) for log in group] for group in groups]
 
 
-def _diagnosis(
-    logs: tuple[CellLog, ...],
-    holdout: tuple[CellLog, ...],
-    used: Sequence[UsedLog],
-    fits: CauseFits,
-    outcome: Outcome,
-    shown: Limits,
-    reference_Ah: float | None,
+def _judged(
+    plain: Diagnosis, fits: CauseFits, outcome: Outcome, shown: Limits, reference_Ah: float | None
 ) -> Diagnosis:
-    evidence, model = fits.evidence, fits.coordinates.model
-    known = applied(fits, outcome, used)
+    """What was decided, applied to the logs."""
+    evidence, model, logs, runs = fits.evidence, plain.model, plain.logs, plain.runs
+    known = applied(fits, outcome, runs)
     chosen = () if known is None else known.causes
     refused = [c.name for c in outcome.causes if c not in chosen]
     outcome = replace(outcome, accepted=tuple(a for a in outcome.accepted if a.cause in chosen))
-    runs = plain_runs(model, used) if known is None else known.runs
-    beyond = [c for c in claim_checks(model, runs, evidence) if c.beyond]
-    causes: tuple[FoundCause, ...] = ()
-    corrected, extended, gain, no_gain = logs, None, None, ""
-    if known is not None:
-        causes = _found_causes(fits, outcome, used, known)
-        corrected = tuple(correct_log(g, known.of_log, k) for k, g in enumerate(logs))
-        seen = [r.explained.soc0 for r in runs[: len(logs)]]
-        validity = extended_validity(known.model, corrected, seen)
-        extended = _with_own_error(replace(known.model, validity=validity), runs, fits)
-        runs = with_own_starts(extended, runs, used)
-        gain, no_gain = soc_gain(known, model, extended, reference_Ah)
-    open_between = outcome.open_between
-    if causes:
-        verdict = causes[0].name
-    elif open_between:
-        verdict = "undetermined"
-    else:
-        verdict = "unexplained" if beyond else "none"
-    reasons = [c.text() for c in beyond if not causes]
-    if refused:
-        names = " and ".join(refused)
-        reasons.append(f"{names} fit, but leave held-out rows no better simulated")
-    reasons += outcome.reasons
-    if open_between:
-        names = " or ".join(" with ".join(e.names) for e in open_between[:3])
-        reasons.append(f"{names}: these logs do not separate them")
-    return Diagnosis(
-        verdict,
-        causes,
-        tuple(_tried(e, fits, outcome.none, used) for e in outcome.first),
-        residual_analysis(model, logs[0], runs[0].before.soc0),
-        "" if verdict == "none" else next_test(outcome, model, evidence),
-        tuple(reasons),
-        model,
-        extended,
-        logs,
-        holdout,
-        corrected,
-        tuple(start.to_dict() for _, start, _ in used),
-        gain,
-        {"scale": outcome.scale},
-        runs,
-        no_gain,
-        shown.sizes,
-        tuple(w for w in outcome.weighed if w.probability >= NAMING.shown),
-        shown.inseparable,
+    said = replace(
+        plain,
+        candidates=tuple(_tried(e, fits, outcome.none, runs) for e in outcome.first),
+        noise={"scale": outcome.scale},
+        limits=shown.sizes,
+        inseparable=shown.inseparable,
+        competing=tuple(w for w in outcome.weighed if w.probability >= NAMING.shown),
+        next_test=next_test(outcome, model, evidence),
     )
+    reasons = list(outcome.reasons)
+    if refused:
+        reasons.insert(
+            0, f"{' and '.join(refused)} fit, but leave held-out rows no better simulated"
+        )
+    if known is not None:
+        corrected = tuple(correct_log(g, known.of_log, k) for k, g in enumerate(logs))
+        seen = [r.explained.soc0 for r in known.runs[: len(logs)]]
+        validity = extended_validity(known.model, corrected, seen)
+        extended = _with_own_error(replace(known.model, validity=validity), known.runs, fits)
+        gain, no_gain = soc_gain(known, model, extended, reference_Ah)
+        causes = _found_causes(fits, outcome, runs, known)
+        return replace(
+            said,
+            verdict=causes[0].name,
+            causes=causes,
+            reasons=tuple(reasons),
+            extended_model=extended,
+            corrected=corrected,
+            soc_gain=gain,
+            no_soc_gain=no_gain,
+            runs=with_own_starts(extended, known.runs, evidence),
+        )
+    beyond = [c.text() for c in claim_checks(model, runs, evidence) if c.beyond]
+    verdict = "unexplained" if beyond else "none"
+    if outcome.open_between:
+        verdict = "undetermined"
+        names = " or ".join(" with ".join(e.names) for e in outcome.open_between[:3])
+        reasons.append(f"{names}: these logs do not separate them")
+    if verdict == "none":
+        said = replace(said, next_test="")
+    return replace(said, verdict=verdict, reasons=(*beyond, *reasons))
 
 
 def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> CellModel:
@@ -265,63 +223,59 @@ def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> 
 
 
 def _found_causes(
-    fits: CauseFits, outcome: Outcome, used: Sequence[UsedLog], known: Applied
+    fits: CauseFits, outcome: Outcome, runs: Sequence[LogRun], known: Applied
 ) -> tuple[FoundCause, ...]:
     """Every cause with what it gains on top of those before it, as `simulate` would show it."""
-    before = [r.before for r in known.runs]
-    prior = fits.widened_for(known.causes, known.fit.coordinates)
-    found = []
+    logs, final = fits.evidence.logs, known.fit
+    prior = fits.widened_for(known.causes, final.coordinates)
+    before, found = [r.before for r in runs], []
     for k, accepted in enumerate(outcome.accepted, 1):
-        part = known
+        part, cause = known, accepted.cause
         if k < len(known.causes):
-            near = fits.fit_causes(known.causes[:k], known.fit, outcome.scale)
-            part = apply(fits, known.causes[:k], near, used)
+            near = fits.fit_causes(known.causes[:k], final, outcome.scale)
+            part = apply(fits, known.causes[:k], near, runs)
         after = [r.explained for r in part.runs]
-        step = step_between(fits.evidence, before, after, fits.seed)
-        start, cause = fits.evidence.logs[0].start.soc, accepted.cause
-        one = _found(accepted, step, known.fit, prior, start)
-        log = None if cause.log is None else fits.evidence.logs[cause.log].log.name
-        probability = probability_of(cause.name, outcome.weighed)
-        found.append(replace(one, probability=probability, log=log))
-        before = after
+        gain = gain_between(fits.evidence, before, after, fits.seed)
+        before, soc0 = after, logs[0].start.soc
+        points = {p.name: (p, final.z.get(p.key, 0.0), final.std(p.key)) for p in cause.parameters}
+        intervals = {
+            name: sorted(p.value(x + way * 1.96 * std, final.coordinates, soc0) for way in (-1, 1))
+            for name, (p, x, std) in points.items()
+        }
+        found.append(
+            FoundCause(
+                name=cause.name,
+                kind=cause.kind,
+                meaning=cause.meaning,
+                parameters=cause.values(final.coordinates, final.z, soc0),
+                ci95={name: (low, high) for name, (low, high) in intervals.items()},
+                **gain._asdict(),
+                evidence=_evidence(accepted, gain),
+                confusable_with=cause.confused_with,
+                probability=probability_of(cause.name, outcome.weighed),
+                prior_only=tuple(
+                    name
+                    for name, (p, _, std) in points.items()
+                    if std > NAMING.narrower * prior.std[p.key]
+                ),
+                log=None if cause.log is None else logs[cause.log].log.name,
+            )
+        )
     return tuple(found)
 
 
-def _found(accepted: Accepted, step: Step, final: Fit, prior: Prior, soc0: float) -> FoundCause:
-    cause = accepted.cause
-    intervals, usual = {}, []
-    for p in cause.parameters:
-        x, std = final.z.get(p.key, 0.0), final.std(p.key)
-        if std > NAMING.narrower * prior.std[p.key]:
-            usual.append(p.name)
-        ends = sorted(value_of(p, x + k * std, final.coordinates, soc0) for k in (-1.96, 1.96))
-        intervals[p.name] = (ends[0], ends[1])
-    return FoundCause(
-        cause.name,
-        cause.kind,
-        cause.meaning,
-        parameters_of(cause, final.coordinates, final.z, soc0),
-        intervals,
-        step.train_before_V,
-        step.train_after_V,
-        step.held_before_V,
-        step.held_after_V,
-        step.gain,
-        (step.low, step.high),
-        _evidence(accepted, step),
-        cause.confused_with,
-        prior_only=tuple(usual),
-    )
-
-
-def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
+def _evidence(accepted: Accepted, gain: Gain) -> tuple[str, ...]:
     """Why a cause was accepted."""
-    least = f"{100 * step.low:.0f}" if step.low >= 0.0 else f"{-100 * step.low:.0f} % more"
-    needed = "" if step.held_after_V <= step.held_before_V else "; needed by the others"
+    before_V, after_V, (low, high) = (
+        gain.holdout_rmse_before_V,
+        gain.holdout_rmse_after_V,
+        gain.gain_ci95,
+    )
+    least = f"{100 * low:.0f}" if low >= 0.0 else f"{-100 * low:.0f} % more"
+    needed = "" if after_V <= before_V else "; needed by the others"
     return (
-        f"held-out RMSE goes from {1e3 * step.held_before_V:.1f} to "
-        f"{1e3 * step.held_after_V:.1f} mV ({least} to {100 * step.high:.0f} % less{needed}, "
-        "95 % interval over blocks of time)",
+        f"held-out RMSE goes from {1e3 * before_V:.1f} to {1e3 * after_V:.1f} mV "
+        f"({least} to {100 * high:.0f} % less{needed}, 95 % interval over blocks of time)",
         f"e^{accepted.score:.0f} times as probable as the best explanation without it"
         + (f" ({' with '.join(accepted.instead)})" if accepted.instead else ""),
         accepted.cause.signature,
@@ -329,10 +283,10 @@ def _evidence(accepted: Accepted, step: Step) -> tuple[str, ...]:
 
 
 def _tried(
-    candidate: Explanation, fits: CauseFits, none: Explanation, used: Sequence[UsedLog]
+    candidate: Explanation, fits: CauseFits, none: Explanation, runs: Sequence[LogRun]
 ) -> TriedCause:
     """A single cause as a user would apply it: its error is what `simulate` shows with it."""
     (c,), f = candidate.causes, candidate.fit
-    values = parameters_of(c, f.coordinates, f.z, fits.evidence.logs[0].start.soc)
-    error = apply(fits, (c,), f, used).step.held_after_V
-    return TriedCause(c.name, error, values, candidate.found.total - none.found.total)
+    values = c.values(f.coordinates, f.z, fits.evidence.logs[0].start.soc)
+    error_V = apply(fits, (c,), f, runs).gain.holdout_rmse_after_V
+    return TriedCause(c.name, error_V, values, candidate.found.total - none.found.total)

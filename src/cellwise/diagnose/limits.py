@@ -24,7 +24,6 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate_rows, start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.extension import value_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.least_squares import Fit, shear
 from cellwise.diagnose.fit.priors import GOOD, start_readings
@@ -149,7 +148,7 @@ def _sizes(
         change[place] = size
         if size > GOOD.ends * wide[place]:
             continue  # no fault is as large: the logs show none of it
-        ends = [value_of(p, x, fits.coordinates, start) for x in (0.0, size, -size)]
+        ends = [p.value(x, fits.coordinates, start) for x in (0.0, size, -size)]
         # A change that no cell can have is none that they show.
         sizes = [abs(e - ends[0]) for e in ends[1:] if p.bounds[0] <= e <= p.bounds[1]]
         if sizes:

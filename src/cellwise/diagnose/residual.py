@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,49 +68,47 @@ def residual_analysis(
     InputError        soc0 outside 0..1
     """
     run = simulate(model, log, soc0, h0)
-    error = run.error_V
-    known = np.isfinite(error)
-    current = log.interval_current_A
-    flow = np.nan_to_num(log.known_current_A()) * log.interval_s / 3600.0
-    moved = np.cumsum(np.abs(flow))
-    elapsed = log.time_s - log.time_s[0]
+    error_V, elapsed_s = run.error_V, log.time_s - log.time_s[0]
+    known = np.isfinite(error_V)
+    e = error_V[known]
     one_C = model.capacity_Ah
-    e, seconds = error[known], elapsed[known]
+    moved_Ah = np.cumsum(np.abs(np.nan_to_num(log.known_current_A()) * log.interval_s)) / 3600.0
+    warm = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
+    rates = (*(-x for x in reversed(GROUPS.rates_C)), *GROUPS.rates_C)
+    divided: dict[str, tuple[FloatArray, Sequence[float | None]]] = {
+        "by_soc": (run.soc, [k / GROUPS.parts for k in range(GROUPS.parts + 1)]),
+        "by_current_C": (log.interval_current_A / one_C, (None, *rates, None)),
+        "by_edge_s": (_since_edge_s(log, GROUPS.edge_C * one_C), (0.0, *GROUPS.since_s, None)),
+        "by_temperature_C": (warm, _steps(warm)),
+        "by_time_s": (elapsed_s, _parts(elapsed_s)),
+        "by_charge_Ah": (moved_Ah, _parts(moved_Ah)),
+    }
     return {
         "rows": int(known.sum()),
         "rmse_V": _root(float(np.mean(e * e))) if e.size else None,
         "mean_V": float(np.mean(e)) if e.size else None,
-        "by_soc": groups(error, run.soc, [*np.arange(1, GROUPS.parts) / GROUPS.parts], 0.0, 1.0),
-        "by_current_C": _by_current(error, current / one_C),
-        "by_edge_s": groups(error, since_edge_s(log, GROUPS.edge_C * one_C), GROUPS.since_s, 0.0),
-        "by_temperature_C": _by_temperature(error, log.temperature_C),
-        "by_time_s": groups(error, elapsed, *_parts(elapsed)),
-        "by_charge_Ah": groups(error, moved, *_parts(moved)),
-        **periods(e, seconds),
-        "noise": noise_floor(error),
+        **{name: _groups(error_V, *by) for name, by in divided.items()},
+        **_periods(e, elapsed_s[known]),
+        "noise": _noise_floor(error_V),
     }
 
 
-def groups(
-    error_V: FloatArray,
-    by: FloatArray,
-    edges: tuple[float, ...] | list[float],
-    first: float | None = None,
-    last: float | None = None,
+def _groups(
+    error_V: FloatArray, by: FloatArray, ends: Sequence[float | None]
 ) -> list[dict[str, Any]]:
-    """The error by what lies between edges: rows, RMSE, mean, share of the squared error.
+    """The error by what lies between ends: rows, RMSE, mean, share of the squared error.
 
-    A value at an edge belongs to the group above it. Groups without a row are left out; ``first``
-    and ``last`` are only stated, not enforced: what lies beyond belongs to the outer groups.
+    A value at an end belongs to the group above it. Groups without a row are left out; what lies
+    beyond the outer ends belongs to the outer groups.
     """
     use = np.isfinite(error_V) & np.isfinite(by)
-    e = error_V[use]
-    place = np.searchsorted(np.asarray(edges, dtype=np.float64), by[use], side="right")
-    count = np.bincount(place, minlength=len(edges) + 1)
-    total = np.bincount(place, e, len(edges) + 1)
-    square = np.bincount(place, e * e, len(edges) + 1)
-    whole = float(square.sum())
-    bounds = [first, *(float(x) for x in edges), last]
+    e, inner = error_V[use], np.asarray(ends[1:-1], dtype=np.float64)
+    place = np.searchsorted(inner, by[use], side="right")
+    count, total, square = (
+        np.bincount(place, w, len(ends) - 1) for w in (np.ones(e.size), e, e * e)
+    )
+    whole = max(float(square.sum()), 1e-300)
+    bounds = [None if x is None else float(x) for x in ends]
     return [
         {
             "from": bounds[k],
@@ -117,14 +116,13 @@ def groups(
             "rows": int(count[k]),
             "rmse_V": _root(square[k] / count[k]),
             "mean_V": float(total[k] / count[k]),
-            "share": float(square[k]) / whole if whole > 0.0 else 0.0,
+            "share": float(square[k]) / whole,
         }
-        for k in range(len(edges) + 1)
-        if count[k]
+        for k in np.flatnonzero(count)
     ]
 
 
-def since_edge_s(log: CellLog, step_A: float) -> FloatArray:
+def _since_edge_s(log: CellLog, step_A: float) -> FloatArray:
     """Time since the current last stepped by more than ``step_A`` [s], shape (n,).
 
     A row's current flowed in the interval that ends there, so a step shows in the row whose
@@ -138,7 +136,24 @@ def since_edge_s(log: CellLog, step_A: float) -> FloatArray:
     return np.asarray(log.time_s - start[at])
 
 
-def periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
+def _steps(temperature_C: FloatArray) -> Sequence[float | None]:
+    """Even steps over all temperatures."""
+    if not np.isfinite(temperature_C).any():
+        return None, None
+    low, high = float(np.nanmin(temperature_C)), float(np.nanmax(temperature_C))
+    wide = math.ceil((high - low) / GROUPS.step_K / GROUPS.most_temperatures)
+    step = GROUPS.step_K * max(1, wide)
+    first = math.floor(low / step)
+    last = max(math.ceil(high / step), first + 1)
+    return [step * k for k in range(first, last + 1)]
+
+
+def _parts(x: FloatArray) -> list[float | None]:
+    """Ends of ten even parts of what rises; of one where it stays."""
+    return [float(v) for v in np.linspace(x[0], x[-1], GROUPS.parts + 1 if x[-1] > x[0] else 2)]
+
+
+def _periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
     """Mean square by how fast the error moves: variance between means over nested blocks of time.
 
     The law of total variance, block within block: the parts and the squared mean add up to the
@@ -146,73 +161,36 @@ def periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
     """
     if not error_V.size:
         return {"constant": None, "by_period_s": []}
-    whole = float(np.mean(error_V * error_V))
-    scale = whole if whole > 0.0 else 1.0
-    inner = error_V
-    result = []
-    edges = (None, *(2.0 * w for w in GROUPS.means_s), None)
-    for k, width in enumerate((*GROUPS.means_s, np.inf)):
-        outer = _block_means(error_V, seconds, width)
+    whole = max(float(np.mean(error_V * error_V)), 1e-300)
+    mean = float(np.mean(error_V))
+    inner, parts = error_V, []
+    ends = (None, *(2.0 * w for w in GROUPS.means_s), None)
+    for k, width_s in enumerate((*GROUPS.means_s, math.inf)):
+        outer = np.full_like(error_V, mean)
+        if width_s < math.inf:
+            # Tiny: a stamp of 0.1 x 10 must not fall below the block that it begins.
+            block = np.unique(np.floor(seconds / width_s + 1e-9), return_inverse=True)[1]
+            outer = (np.bincount(block, error_V) / np.bincount(block))[block]
         square = float(np.mean((inner - outer) ** 2))
-        result.append(
-            {"from": edges[k], "to": edges[k + 1], "rms_V": _root(square), "share": square / scale}
+        parts.append(
+            {"from": ends[k], "to": ends[k + 1], "rms_V": _root(square), "share": square / whole}
         )
         inner = outer
-    mean = float(np.mean(error_V))
-    return {"constant": {"mean_V": mean, "share": mean * mean / scale}, "by_period_s": result}
+    return {"constant": {"mean_V": mean, "share": mean * mean / whole}, "by_period_s": parts}
 
 
-def noise_floor(error_V: FloatArray) -> dict[str, float | None]:
+def _noise_floor(error_V: FloatArray) -> dict[str, float | None]:
     """Standard deviation of what is new in every row, from successive differences [V]."""
     jump = np.abs(np.diff(error_V))
     jump = jump[np.isfinite(jump)]
-    e = error_V[np.isfinite(error_V)]
     if not jump.size:
         return {"floor_V": None, "share": None}
     for share in (0.5, 0.9):  # where most rows repeat the last (a coarse digit) by the others
-        white = math.sqrt(2.0) * float(ndtri(0.5 + 0.5 * share))
-        floor = float(np.quantile(jump, share)) / white
+        floor = float(np.quantile(jump, share)) / (math.sqrt(2.0) * float(ndtri(0.5 + 0.5 * share)))
         if floor > 0.0:
             break
-    whole = float(np.mean(e * e))
+    whole = float(np.nanmean(error_V**2))
     return {"floor_V": floor, "share": min(floor * floor / whole, 1.0) if whole > 0.0 else 1.0}
-
-
-def _block_means(error_V: FloatArray, seconds: FloatArray, width_s: float) -> FloatArray:
-    """Of every row the mean over its block of time, shape as the error's."""
-    if np.isinf(width_s):
-        return np.full_like(error_V, np.mean(error_V))
-    # Tiny: a stamp of 0.1 x 10 must not fall below the block that it begins.
-    block = np.floor(seconds / width_s + 1e-9).astype(np.int64)
-    new = np.diff(block, prepend=block[0]) != 0
-    place = np.cumsum(new)
-    means = np.bincount(place, error_V) / np.bincount(place)
-    return np.asarray(means[place])
-
-
-def _by_current(error_V: FloatArray, rate_C: FloatArray) -> list[dict[str, Any]]:
-    return groups(error_V, rate_C, [*(-x for x in reversed(GROUPS.rates_C)), *GROUPS.rates_C])
-
-
-def _by_temperature(error_V: FloatArray, temperature_C: FloatArray | None) -> list[dict[str, Any]]:
-    if temperature_C is None or not np.isfinite(temperature_C).any():
-        return []
-    low, high = float(np.nanmin(temperature_C)), float(np.nanmax(temperature_C))
-    step = GROUPS.step_K * max(
-        1.0, np.ceil((high - low) / GROUPS.step_K / GROUPS.most_temperatures)
-    )
-    edges = np.arange(np.floor(low / step) + 1, np.ceil(high / step)) * step
-    first = float(np.floor(low / step) * step)
-    last = float(max(np.ceil(high / step), np.floor(low / step) + 1) * step)
-    return groups(error_V, temperature_C, [float(x) for x in edges], first, last)
-
-
-def _parts(x: FloatArray) -> tuple[list[float], float, float]:
-    """Edges of ten even parts, and the ends."""
-    low, high = float(x[0]), float(x[-1])
-    if high <= low:
-        return [], low, high
-    return [float(v) for v in np.linspace(low, high, GROUPS.parts + 1)[1:-1]], low, high
 
 
 def _root(square: float) -> float:

@@ -2,16 +2,65 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.diagnose.applied import LogRun, judged_runs
+from cellwise.cell.simulate import Simulation
 from cellwise.diagnose.odds import Weighed
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Line, Panel, Plottable, Summarised
+
+
+@dataclass(frozen=True, eq=False)
+class LogRun:
+    """One log with the model as it was and as it is now, from the same start.
+
+    ``corrected`` is the corrected log from the estimated start with the model as it is now, where a
+    cause corrects the log or its start instead of the model; else None. ``own_start``: with the
+    model as it is now from the start that this model finds itself, where nobody states one and it
+    is another than the old model's: what `simulate` shows of the new model by itself.
+    """
+
+    log: CellLog
+    used: Literal["fit", "holdout"]
+    before: Simulation
+    after: Simulation
+    corrected: Simulation | None = None
+    own_start: Simulation | None = None
+
+    @property
+    def explained(self) -> Simulation:
+        """With all causes known: of the log, or of its start, too."""
+        return self.after if self.corrected is None else self.corrected
+
+    @property
+    def gain(self) -> float:
+        """1 - after / before of the RMSE, all causes known."""
+        before_V = self.before.metrics.rmse_V
+        return 1.0 - self.explained.metrics.rmse_V / before_V if before_V > 0.0 else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        known = {
+            "log": self.log.name,
+            "used": self.used,
+            "soc0": self.before.soc0,
+            "rmse_before_V": self.before.metrics.rmse_V,
+            "rmse_after_V": self.after.metrics.rmse_V,
+        }
+        for key, one in (("corrected", self.corrected), ("own_start", self.own_start)):
+            if one is not None:
+                known |= {f"rmse_{key}_V": one.metrics.rmse_V, f"soc0_{key}": one.soc0}
+        return known
+
+
+def judged_runs(runs: Sequence[LogRun]) -> tuple[LogRun, ...]:
+    """The logs that were held out; where none was, the first."""
+    return tuple(r for r in runs if r.used == "holdout") or tuple(runs[:1])
 
 
 @dataclass(frozen=True)

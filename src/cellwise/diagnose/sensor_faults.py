@@ -156,11 +156,9 @@ def with_faults(
         return said
     pairs = list(zip(raw, left, strict=True))
     bad = [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
-    before, after = (
-        float(np.sqrt(np.mean([_rmse_V(model, log) ** 2 for log in logs])))
-        for logs in zip(*bad, strict=True)
-    )
-    gain = 1.0 - after / before if before > 0.0 else 0.0
+    errors_V = np.array([[_rmse_V(model, log) for log in pair] for pair in bad])
+    before_V, after_V = (float(v) for v in np.sqrt(np.mean(errors_V**2, axis=0)))
+    gain = 1.0 - after_V / before_V if before_V > 0.0 else 0.0
     largest = max(faults, key=lambda f: f.rows)
     values = {
         "rows": float(sum(f.rows for f in faults)),
@@ -168,21 +166,11 @@ def with_faults(
         "duration_s": largest.duration_s,
     }
     one = FoundCause(
-        SENSOR_FAULT.name,
-        SENSOR_FAULT.kind,
-        SENSOR_FAULT.meaning,
-        values,
-        {name: (value, value) for name, value in values.items()},
-        before,
-        after,
-        before,
-        after,
-        gain,
-        (gain, gain),
-        tuple(f.text() for f in faults),
-        SENSOR_FAULT.confused_with,
+        SENSOR_FAULT.name, SENSOR_FAULT.kind, SENSOR_FAULT.meaning, values,
+        {name: (value, value) for name, value in values.items()}, before_V, after_V, before_V,
+        after_V, gain, (gain, gain), tuple(f.text() for f in faults), SENSOR_FAULT.confused_with,
         1.0,
-    )
+    )  # fmt: skip
     return replace(said, verdict=one.name, causes=(one, *said.causes))
 
 

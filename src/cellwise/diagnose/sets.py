@@ -72,13 +72,12 @@ class Explanation:
 
 @dataclass(eq=False)
 class Explanations:
-    """All sets that were tried in one diagnosis; ``refused`` says which causes fit no bounds."""
+    """All sets that were tried in one diagnosis."""
 
     fits: CauseFits
     rarity: Rarity
     progress: Progress | None = None
     tried: dict[frozenset[str], Explanation] = field(default_factory=dict)
-    refused: dict[str, str] = field(default_factory=dict)
 
     @property
     def none(self) -> Explanation:
@@ -145,11 +144,8 @@ class Explanations:
     def _added(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation | None:
         """A set with one more cause, all of it fitted; None where the cause stays away."""
         forms = forms_of(cause, start.fit.coordinates, self.fits.evidence.alone)
-        ends = [self._with_form(start, form, frozen) for form in forms]
-        physical = [e for e in ends if not unphysical(e)]
-        if not physical and not start.causes:
-            self.refused[cause.name] = unphysical(ends[0])
-        return max(physical, key=lambda e: e.found.total, default=None)
+        ends = (self._with_form(start, form, frozen) for form in forms)
+        return max(filter(physical, ends), key=lambda e: e.found.total, default=None)
 
     def _with_form(self, start: Explanation, cause: Cause, frozen: Frozen) -> Explanation:
         """A set with one form of one more cause, all of it fitted, from its best beginning."""
@@ -194,18 +190,14 @@ class Explanations:
         return Explanation(causes, found, scale, prior, likely)
 
 
-def unphysical(one: Explanation) -> str:
-    """Whether what switches an effect on has stayed off, or a value stands at its bound."""
-    z = one.fit.z
-    for cause in one.causes:
-        switch = cause.parameters[0]
-        if cause.shape is not None and z.get(switch.coordinate, 0.0) == 0.0:
-            return f"{cause.name} fits best with {switch.name} at zero"
-        for p in cause.parameters:
-            ends = (one.prior.low.get(p.coordinate), one.prior.high.get(p.coordinate))
-            if p.coordinate in z and z[p.coordinate] in ends:
-                return f"{cause.name} would need {p.name} outside its physical bounds"
-    return ""
+def physical(one: Explanation) -> bool:
+    """Whether what switches each effect on has moved, and no value stands at its bound."""
+    z, low, high = one.fit.z, one.prior.low, one.prior.high
+    return not any(
+        (c.shape is not None and z.get(c.parameters[0].coordinate, 0.0) == 0.0)
+        or any(z[n] in (low.get(n), high.get(n)) for n in c.coordinates if n in z)
+        for c in one.causes
+    )
 
 
 def could_explain(
@@ -365,4 +357,4 @@ def _reasons(sets: Explanations, first: Sequence[Explanation]) -> tuple[str, ...
     ]
     if first:
         found.append(f"{first[0].names[0]}, the likeliest, explains no more than chance would")
-    return (*found[: NAMING.reasons], *list(sets.refused.values())[: NAMING.reasons])
+    return tuple(found[: NAMING.reasons])

@@ -14,7 +14,6 @@ from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.extension import extend_model, parameters_of
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import limits
@@ -48,20 +47,6 @@ def drive(rows, interval_s, largest_C, seed=2):
 def measured(cell, log, seed=3):
     noise = 3e-4 * np.random.default_rng(seed).standard_normal(len(log))
     return replace(log, voltage_V=simulate(cell, log, 0.9).voltage_V + noise)
-
-
-def test_the_extended_model_has_the_law_and_says_what_the_fit_found():
-    coordinates = Coordinates(CELL)
-    point = {"ln_r1": np.log(2.0), "asinh_per_V": 15.0}
-    new = extend_model(coordinates, point, {})
-    assert new.effect(ChargeTransfer).asinh_per_V == 15.0
-    np.testing.assert_allclose(new.r1_ohm, 2.0 * CELL.r1_ohm)
-    values = parameters_of(CAUSES["charge_transfer"], coordinates, point, 0.9)
-    assert values == {"exchange_scale": pytest.approx(0.5), "asinh_per_V": 15.0}
-    log = measured(CELL, drive(600, 1.0, 2.0))
-    evidence = gather(CELL, [(log, initial_soc(CELL, log, 0.9, 0.002))])
-    voltage, _ = evidence.simulate(coordinates, point)
-    np.testing.assert_allclose(simulate(new, log, 0.9).voltage_V, voltage, atol=1e-12)
 
 
 @pytest.mark.slow

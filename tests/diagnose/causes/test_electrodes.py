@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import NEGATIVE, POSITIVE, Electrodes, electrodes_of
-from cellwise.diagnose.extension import extend_model
 from example_cells import linear_cell
 
 SOC = np.linspace(0.0, 1.0, 101)
@@ -31,28 +31,6 @@ def test_the_half_cells_of_an_ocv_are_found_again():
 
 def test_an_ocv_of_no_published_half_cells_has_none():
     assert electrodes_of(SOC, 1.2 + 0.9 * SOC) is None
-
-
-@pytest.mark.parametrize("losses", [(0.1, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.1)])
-def test_full_and_empty_keep_their_voltages_and_lithium_is_conserved(losses):
-    """The aged window, worked out here from the aged OCV alone: its ends and its lithium."""
-    lithium, negative, positive = losses
-    change, share = CELL.aged(SOC, *losses)
-    assert change[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-6)
-    q_n, q_p = (
-        q * (1.0 - lost) for q, lost in zip(CELL.capacities, (negative, positive), strict=True)
-    )
-    left = CELL.lithium * (1.0 - lithium)
-    x = np.linspace(0.0, min(1.0, left / q_n), 200_001)
-    y = (left - q_n * x) / q_p
-    inside = (y >= 0.0) & (y <= 1.0)
-    x, y = x[inside], y[inside]
-    full_cell = POSITIVE["NMC 811"][0](y) - NEGATIVE["graphite with SiOx"][0](x)
-    empty_V, full_V = CELL.ocv(np.array([0.0, 1.0]))
-    ends = np.interp([empty_V, full_V], full_cell, x)
-    assert share == pytest.approx(q_n * (ends[1] - ends[0]), abs=1e-4)
-    aged = np.interp(ends[0] + SOC * (ends[1] - ends[0]), x, full_cell)
-    assert CELL.ocv(SOC) + change == pytest.approx(aged, abs=1e-4)
 
 
 @pytest.mark.parametrize(

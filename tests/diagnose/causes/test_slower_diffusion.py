@@ -11,9 +11,9 @@ from cellwise import simulate
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.catalogue import CAUSES, forms_of
 from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.extension import extend_model, parameters_of
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load
@@ -37,7 +37,7 @@ def test_both_slow_branches_grow_and_nothing_else():
     assert np.asarray(slow.tau3_s) == pytest.approx(LONGER * TAU3_S)
     assert changed.r0_ohm == pytest.approx(MODEL.r0_ohm)
     assert changed.r1_ohm == pytest.approx(MODEL.r1_ohm)
-    said = parameters_of(forms_of(SLOW, coordinates)[1], coordinates, SLOWER, SOC0)
+    said = forms_of(SLOW, coordinates)[1].values(coordinates, SLOWER, SOC0)
     assert said == pytest.approx({"r3_ohm": GROWN * R3_OHM, "tau3_s": LONGER * TAU3_S})
 
 

@@ -14,13 +14,13 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.applied import extend_model, with_error_at
 from cellwise.diagnose.causes.coordinates import (
     UNSEEN_OCV_NAMES,
     UNSEEN_R_NAMES,
     Coordinates,
 )
 from cellwise.diagnose.checks import unseen_temperature_C
-from cellwise.diagnose.extension import extend_model, with_error_at
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.odds import AGE
 from cellwise.logs.cell_log import CellLog

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.applied import plain_runs, with_use
+from cellwise.diagnose.applied import plain_runs
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.checks import claim_checks
@@ -88,11 +88,11 @@ def test_what_a_log_cannot_tell_apart_is_one_group():
 def test_an_error_within_the_claim_is_not_beyond_it():
     log, start = started(1500)
     evidence = gather(CELL, [(log, start)])
-    (good,) = claim_checks(CELL, plain_runs(CELL, with_use([(log, start)], 1)), evidence)
+    (good,) = claim_checks(CELL, plain_runs(CELL, [(log, start)]), evidence)
     assert not good.beyond
     claim = float(np.mean(CELL.error.at(CELL.soc)))
     bad_log = replace(log, voltage_V=log.voltage_V + 8.0 * claim)
-    (bad,) = claim_checks(CELL, plain_runs(CELL, with_use([(bad_log, start)], 1)), evidence)
+    (bad,) = claim_checks(CELL, plain_runs(CELL, [(bad_log, start)]), evidence)
     assert bad.beyond
     assert f"{1e3 * bad.rmse_V:.1f} mV" in bad.text()
 

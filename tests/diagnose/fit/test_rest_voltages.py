@@ -10,9 +10,9 @@ import pytest
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
+from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes
-from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.rests import rest_reading, rest_voltages
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog

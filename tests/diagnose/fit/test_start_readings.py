@@ -11,8 +11,8 @@ from cellwise import simulate
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
+from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
-from cellwise.diagnose.extension import extend_model
 from cellwise.diagnose.fit.least_squares import Prior
 from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import gather

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.odds import Weighed
+from cellwise.diagnose.result import LogRun
 from cellwise.report.diagnosis.page import (
     cause_content,
     diagnose_page,
@@ -106,6 +106,9 @@ def test_none_and_undetermined_are_said():
     open_verdict = replace(none, verdict="undetermined", competing=rivals)
     assert "may be current offset, current gain or none" in diagnosis_finding(open_verdict)
     assert "current offset 60.0" in unsure_lines(open_verdict)[0]
+    unsure = replace(none, competing=(Weighed((), 0.675), Weighed(("voltage_offset",), 0.18)))
+    said = unsure_lines(unsure)[0].replace("\N{NO-BREAK SPACE}", " ")
+    assert said == "Possible are none of the causes tried 67.5 % and voltage offset 18.0 %."
     quiet = replace(open_verdict, competing=(), reasons=("the log is too short",))
     assert "the log is too short" in diagnosis_finding(quiet)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,6 +14,7 @@ from cellwise.diagnose.causes.coordinates import (
 )
 
 Kind = Literal["measurement", "start", "cell"]
+Values = dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class Parameter:
     def key(self) -> str:
         """Name of its coordinate in a point: of the first log where every log has its own."""
         return "soc0:0" if self.coordinate == "soc0" else self.coordinate
+
+    def value(self, x: float, coordinates: Coordinates, soc0: float) -> float:
+        """What people see at ``x`` in its coordinate; ``soc0``: the first log's stated start."""
+        start = self.coordinate == "soc0"
+        return soc0 + x if start else coordinates.value_of(self.coordinate, x)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,10 @@ class Cause:
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates that are estimated for it."""
         return tuple(p.coordinate for p in self.parameters)
+
+    def values(self, coordinates: Coordinates, z: Mapping[str, float], soc0: float) -> Values:
+        """Its parameters at a point as people see them."""
+        return {p.name: p.value(z.get(p.key, 0.0), coordinates, soc0) for p in self.parameters}
 
     @property
     def log(self) -> int | None:

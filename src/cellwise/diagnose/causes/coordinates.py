@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
+from cellwise.cell.effects import RateDependence
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import (
@@ -83,6 +83,7 @@ UNSEEN_NAMES = (*UNSEEN_R_NAMES, *UNSEEN_OCV_NAMES)
 BRANCH_NAMES = ("r0_K", "tau_K")
 # Where each enters: the current, the table or the scalars of the cell.
 CURRENT_NAMES = ("offset_A", "ln_gain", "skew_s")
+MEASURED_NAMES = (*CURRENT_NAMES, "offset_V")
 
 
 class KernelInputs(NamedTuple):
@@ -126,63 +127,56 @@ class Coordinates:
             row = 0 if self.unseen_C < grid[0] else grid.size
             table = np.insert(table, row, table[min(row, grid.size - 1)], axis=0)
             grid = np.insert(grid, row, self.unseen_C)
-        object.__setattr__(self, "row", row)
-        slow = self.model.effect(SlowDiffusion)
-        object.__setattr__(self, "has_slow", bool(np.any(slow.r3_ohm)))
-        object.__setattr__(self, "has_hysteresis", bool(np.any(self.model.effect(Hysteresis).m_V)))
-        object.__setattr__(self, "table", table)
-        object.__setattr__(self, "_grid", grid)
-        object.__setattr__(self, "_scalars", scalars)
-        object.__setattr__(self, "r_typical_ohm", float(np.median(table[..., R0])))
-        object.__setattr__(self, "hats", _hats(table.shape[1], KNOTS.ocv))
-        object.__setattr__(self, "r_hats", _hats(table.shape[1], KNOTS.r))
+        vars(self).update(
+            table=table,
+            grid_C=grid,
+            row=row,
+            _scalars=scalars,
+            has_slow=bool(np.any(table[..., R3])),
+            has_hysteresis=bool(np.any(table[..., M])),
+            r_typical_ohm=float(np.median(table[..., R0])),
+            hats=_hats(table.shape[1], KNOTS.ocv),
+            r_hats=_hats(table.shape[1], KNOTS.r),
+        )
 
+    table: FloatArray = field(init=False)
+    grid_C: FloatArray = field(init=False)
+    row: int = field(init=False)
+    _scalars: CellScalars = field(init=False)
     has_slow: bool = field(init=False)
     has_hysteresis: bool = field(init=False)
     r_typical_ohm: float = field(init=False)
-    table: FloatArray = field(init=False)
-    _grid: FloatArray = field(init=False)
-    _scalars: CellScalars = field(init=False)
     hats: FloatArray = field(init=False)
     r_hats: FloatArray = field(init=False)
-    row: int = field(init=False)
-
-    @property
-    def grid_C(self) -> FloatArray:
-        """Temperatures of the tables."""
-        return self._grid
 
     @property
     def unseen_from_C(self) -> float:
         """The temperature of the model that is nearest to the unseen one."""
-        return float(self._grid[1 if self.row == 0 else self.row - 1])
+        return float(self.grid_C[1 if self.row == 0 else self.row - 1])
 
     @property
     def unseen_per_K(self) -> float:
         """1/T at the unseen temperature over that of the nearest one of the model [1/K]."""
-        unseen_K = self._grid[self.row] + ZERO_CELSIUS_K
+        unseen_K = self.grid_C[self.row] + ZERO_CELSIUS_K
         return float(1.0 / unseen_K - 1.0 / (self.unseen_from_C + ZERO_CELSIUS_K))
 
     @property
     def tau3_s(self) -> float:
         """Time constant of the slow branch where ``ln_tau3`` is zero [s]."""
-        if self.has_slow:
-            return float(np.median(self.table[..., TAU3]))
-        return self.shapes.get("ln_tau3", STARTS.tau3_s)
+        own_s = float(np.median(self.table[..., TAU3]))
+        return own_s if self.has_slow else self.shapes.get("ln_tau3", STARTS.tau3_s)
 
     @property
     def gamma(self) -> float:
         """Hysteresis rate where ``ln_gamma`` is zero."""
-        if self.has_hysteresis:
-            return self._scalars.hysteresis_rate
-        return self.shapes.get("ln_gamma", STARTS.gamma)
+        own = self._scalars.hysteresis_rate
+        return own if self.has_hysteresis else self.shapes.get("ln_gamma", STARTS.gamma)
 
     @property
     def thermal_s(self) -> float:
         """Thermal time constant where ``ln_thermal_s`` is zero [s]."""
-        if self._scalars.heating_K_per_W != 0.0:
-            return self._scalars.heating_s
-        return self.shapes.get("ln_thermal_s", STARTS.heating_s)
+        own_s, heats = self._scalars.heating_s, self._scalars.heating_K_per_W != 0.0
+        return own_s if heats else self.shapes.get("ln_thermal_s", STARTS.heating_s)
 
     @cached_property
     def electrodes(self) -> Electrodes | None:
@@ -337,7 +331,7 @@ class Coordinates:
         )
         return KernelInputs(
             t,
-            self._grid,
+            self.grid_C,
             scalars,
             at("offset_V"),
             at("offset_A"),

@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
-from cellwise.diagnose.causes.coordinates import Coordinates
-from cellwise.diagnose.extension import MEASURED_NAMES
+from cellwise.diagnose.causes.coordinates import MEASURED_NAMES, Coordinates
 from cellwise.diagnose.fit.least_squares import NOTHING_KNOWN, Fit, Frozen, Prior, complete, fit
 from cellwise.diagnose.fit.noise import STATED, KnownScale, Objective, stated_objective
 from cellwise.diagnose.fit.priors import calibrated, ln_size, tolerances, widened_for
@@ -154,15 +153,44 @@ class CauseFits:
     ) -> Prediction:
         """How likely all rows are with the causes estimated, and what the logs read at rest.
 
-        ``near`` are the derivatives that the fit was made with: those by causes and starts are
-        taken again.
+        To second order about the fit. With A and b the normal matrix and gradient of the rows, W
+        the prior's precision at a share of the tolerances and d the way from its mean:
+        ln p = T - d' W d / 2 + g' x / 2 - (ln det(A + W) - ln det W) / 2, (A + W) x = g = b - W d.
+        The causes' coordinates keep their width; those at their bounds stay there. ``near`` are the
+        derivatives that the fit was made with: those by causes and starts are taken again.
         """
-        kept = kept_coordinates(causes)
-        jacobian = near.jacobian_near(found, self.evidence, [*kept, *self.evidence.starts()])
-        objective = self.stated.times(scale)
-        found_so = predict(objective, found, jacobian, prior, self.known, scale, kept)
-        more = self.at_rest(found) + ln_size(found.z, kept, prior)
-        return found_so._replace(total=found_so.total + more)
+        evidence, free, objective = (
+            self.evidence,
+            kept_coordinates(causes),
+            self.stated.times(scale),
+        )
+        jacobian = near.jacobian_near(found, evidence, [*free, *evidence.starts()])
+        rows, residual = evidence.known, evidence.voltage_V - found.voltage_V
+        normal, gradient = objective.normal(found.voltage_V, jacobian)
+        squares = float(np.sum(objective.squares(residual)[rows]))
+        plain = float(np.sum(objective.terms(residual)[rows])) + 0.5 * squares
+        count = float(np.sum(objective.errors[rows]))
+        x, away = np.array([found.z[n] for n in prior.names]), prior.away(found.z)
+        low, high = prior.box()
+        inside = (x > low) & (x < high)
+        scalable = np.array([n not in free and ":" not in n for n in prior.names])
+        precision = prior.precision()
+        weights = [
+            precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in OVER.shares)
+        ]
+        totals: list[float] = []
+        best = -math.inf, 1.0, jacobian[:, 0]
+        for times in _times(scale):
+            r, ln_scale = times**-2.0, self.known.ln_density(times * scale)
+            here = plain - 0.5 * r * squares - count * math.log(times) + ln_scale
+            for weight in weights:
+                value, step = _density(here, r * normal, r * gradient, weight, away, inside)
+                totals.append(value)
+                if value > best[0]:
+                    best = value, times, jacobian @ step
+        total = float(np.logaddexp.reduce(totals)) + math.log(OVER.scale_step / len(OVER.shares))
+        total += self.at_rest(found) + ln_size(found.z, free, prior)
+        return Prediction(total, objective.times(best[1]).terms(residual - best[2]))
 
     def at_rest(self, found: Fit) -> float:
         """Ln likelihood of what voltage and current sensor read at rest."""
@@ -178,56 +206,6 @@ class CauseFits:
         of_cell = [n for n in self.prior.linked if n not in (*MEASURED_NAMES, "ln_capacity")]
         baseline = {n: self.prior.mean[n] for n in of_cell}
         return baseline | {n: v for n, v in found.z.items() if n in keep}
-
-
-def predict(
-    objective: Objective,
-    found: Fit,
-    jacobian: FloatArray,
-    prior: Prior,
-    known: KnownScale,
-    scale: float,
-    free: set[str],
-) -> Prediction:
-    """Density of all rows to second order about the fit.
-
-    With A and b the normal matrix and gradient of the rows, W the prior's precision at a share of
-    the tolerances and d the way from its mean: ln p = T - d' W d / 2 + g' x / 2
-    - (ln det(A + W) - ln det W) / 2, (A + W) x = g = b - W d. The coordinates in ``free`` keep
-    their width; those at their bounds stay there.
-
-    Parameters
-    ----------
-    objective, scale : what the fit was judged by, and the scale of its noise
-    jacobian : (rows, names) derivatives at the fit
-    known : what is known of that scale
-    """
-    rows, residual = objective.evidence.known, objective.evidence.voltage_V - found.voltage_V
-    normal, gradient = objective.normal(found.voltage_V, jacobian)
-    squares = float(np.sum(objective.squares(residual)[rows]))
-    plain = float(np.sum(objective.terms(residual)[rows])) + 0.5 * squares
-    count = float(np.sum(objective.errors[rows]))
-    x = np.array([found.z[n] for n in prior.names])
-    low, high = prior.box()
-    inside = (x > low) & (x < high)
-    scalable = np.array([n not in free and ":" not in n for n in prior.names])
-    precision = prior.precision()
-    weights = [
-        precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in OVER.shares)
-    ]
-    totals: list[float] = []
-    best = -math.inf, 1.0, jacobian[:, 0]
-    for times in _times(scale):
-        r = times**-2.0
-        here = plain - 0.5 * r * squares - count * math.log(times) + known.ln_density(times * scale)
-        for weight in weights:
-            away = prior.away(found.z)
-            value, step = _density(here, r * normal, r * gradient, weight, away, inside)
-            totals.append(value)
-            if value > best[0]:
-                best = value, times, jacobian @ step
-    total = float(np.logaddexp.reduce(totals)) + math.log(OVER.scale_step / len(OVER.shares))
-    return Prediction(total, objective.times(best[1]).terms(residual - best[2]))
 
 
 def _times(scale: float) -> FloatArray:

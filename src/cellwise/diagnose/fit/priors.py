@@ -124,14 +124,16 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         first = log.start.beginning or log.start
         std[name] = max(first.std, GOOD.soc0_std)
         mean[name] = first.soc - log.start.soc
-    return bounded(Prior(std, mean, {}, {}), std)
+    return _bounded(Prior(std, mean, {}, {}))
 
 
-def bounded(prior: Prior, names: Iterable[str]) -> Prior:
+def _bounded(prior: Prior) -> Prior:
     """Tolerances are bounded: they end at some standard deviations."""
-    low = {n: prior.mean.get(n, 0.0) - GOOD.ends * prior.std[n] for n in names}
-    high = {n: prior.mean.get(n, 0.0) + GOOD.ends * prior.std[n] for n in names}
-    return prior.widened({}, {}, low, high)
+    low, high = (
+        {n: prior.mean.get(n, 0.0) + way * GOOD.ends * s for n, s in prior.std.items()}
+        for way in (-1.0, 1.0)
+    )
+    return replace(prior, low=low, high=high)
 
 
 def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: Evidence) -> Prior:
@@ -192,10 +194,9 @@ def calibrated(prior: Prior, found: Fit) -> Prior:
     drift = GOOD.still_open * np.array([prior.std[n] for n in names])
     deviation = np.sqrt(np.diag(covariance) + drift**2)
     np.fill_diagonal(covariance, 0.0)
-    std = {**prior.std, **dict(zip(names, (float(v) for v in deviation), strict=True))}
-    mean = {n: found.z[n] for n in names}
-    wider = bounded(prior.widened(std, mean, {}, {}), std)
-    return replace(wider, linked=tuple(names), cross=covariance)
+    std = dict(zip(names, (float(v) for v in deviation), strict=True))
+    moved = prior.widened(std, {n: found.z[n] for n in names}, {}, {})
+    return replace(_bounded(moved), linked=tuple(names), cross=covariance)
 
 
 def starts_to_try(

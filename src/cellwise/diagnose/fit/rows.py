@@ -12,6 +12,7 @@ import numpy as np
 from cellwise.cell.equations import empty_state
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
+from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.cell.simulate import known_temperature_C, simulate_rows, start_hysteresis
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
@@ -87,7 +88,6 @@ class Evidence:
     """All logs of a diagnosis; arrays run over the scored rows of one log after the other."""
 
     logs: tuple[LogRows, ...]
-    dt_s: FloatArray
     voltage_V: FloatArray
     known: BoolArray
     role: IntArray
@@ -211,7 +211,6 @@ def gather(
     model: CellModel,
     logs: Sequence[tuple[CellLog, InitialSoc]],
     holdout: Sequence[tuple[CellLog, InitialSoc]] = (),
-    slowest_s: float = 0.0,
     whole: bool = False,
 ) -> Evidence:
     """Make logs ready: rows thinned evenly, fitted and held-out rows marked.
@@ -220,14 +219,31 @@ def gather(
     fitted, and each held-out log is scored after its first part, which determines its initial SOC.
     ``whole`` fits every row: nothing is held out.
     """
-    every = [*((g, s, False) for g, s in logs), *((g, s, True) for g, s in holdout)]
-    total = sum(len(g) for g, _, _ in every)
-    stride = max(1, -(-total // SPLIT.most_rows))
-    made = []
-    offset = 0
-    for log, start, held in every:
-        rows = _rows(model, log, start, stride, held, whole or bool(holdout), slowest_s, offset)
-        offset = int(rows.block.max()) + 1
+    stride = max(1, -(-sum(len(g) for g, _ in (*logs, *holdout)) // SPLIT.most_rows))
+    table, _, _ = model.parameters()
+    slow = [TAU2, TAU3] if np.any(table[..., R3]) else [TAU2]
+    slowest_s = float(np.max(np.median(table[..., slow], axis=(0, 1))))
+    made: list[LogRows] = []
+    for k, (log, start) in enumerate((*logs, *holdout)):
+        clock = log.time_s[::stride]
+        span = max(float(clock[-1] - clock[0]), 1e-9)
+        part = (clock - clock[0]) / span
+        tenth = np.minimum((part * len(SPLIT.pattern)).astype(np.int64), len(SPLIT.pattern) - 1)
+        if k >= len(logs):
+            role = np.where(part < SPLIT.start_part, START, HELD)
+        elif whole or holdout:
+            role = np.full(clock.size, FITTED)
+        else:
+            role = np.where(np.array(list(SPLIT.pattern))[tenth] == "F", FITTED, HELD)
+        # Blocks for the bootstrap: as long as the slowest memory, but enough of them to draw from.
+        length = min(max(slowest_s, span / 60.0), span / SPLIT.least_blocks)
+        block = (part * span / length).astype(np.int64)
+        block += int(made[-1].block.max()) + 1 if made else 0
+        warm, current = known_temperature_C(model, log), log.known_current_A()
+        rows = LogRows(
+            log, start, log.interval_s, current, warm, stride, role.astype(np.int32),
+            block.astype(np.int32), clock,
+        )  # fmt: skip
         made.append(rows)
     return _evidence(tuple(made), rest_reading([g.log for g in made], model.capacity_Ah))
 
@@ -237,46 +253,9 @@ def _evidence(logs: tuple[LogRows, ...], rest: RestReading = NO_READING) -> Evid
     voltage = np.concatenate([g.voltage_V for g in logs])
     return Evidence(
         logs,
-        np.concatenate([np.diff(g.clock_s, prepend=np.nan) for g in logs]),
         voltage,
         np.isfinite(voltage),
         np.concatenate([g.role for g in logs]),
         np.concatenate([g.block for g in logs]),
         rest,
-    )
-
-
-def _rows(
-    model: CellModel,
-    log: CellLog,
-    start: InitialSoc,
-    stride: int,
-    held: bool,
-    others: bool,
-    slowest_s: float,
-    offset: int,
-) -> LogRows:
-    clock = log.time_s[::stride]
-    span = max(float(clock[-1] - clock[0]), 1e-9)
-    part = (clock - clock[0]) / span
-    tenth = np.minimum((part * len(SPLIT.pattern)).astype(np.int64), len(SPLIT.pattern) - 1)
-    if held:
-        role = np.where(part < SPLIT.start_part, START, HELD)
-    elif others:
-        role = np.full(clock.size, FITTED)
-    else:
-        role = np.where(np.array(list(SPLIT.pattern))[tenth] == "F", FITTED, HELD)
-    # Blocks for the bootstrap: as long as the slowest memory, but enough of them to draw from.
-    length = min(max(slowest_s, span / 60.0), span / SPLIT.least_blocks)
-    block = offset + (part * span / length).astype(np.int64)
-    return LogRows(
-        log,
-        start,
-        log.interval_s,
-        log.known_current_A(),
-        known_temperature_C(model, log),
-        stride,
-        role.astype(np.int32),
-        block.astype(np.int32),
-        clock,
     )

@@ -8,15 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
-from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.logs.cell_log import CellLog
-from cellwise.report.diagnosis.pictures import (
-    before_after_plot,
-    by_soc_picture,
-    residual_section,
-)
+from cellwise.report.diagnosis.pictures import before_after_plot, residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
     cause_name,
@@ -94,16 +89,12 @@ def diagnose_page(
 def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Section, ...]:
     """The parts of the page."""
     explained = bool(diagnosis.causes)
-    shown = list(enumerate(runs[: MOST.diagnosed], start=1))
-    plots = tuple(before_after_plot(r, explained, f"before-after-{k}") for k, r in shown)
-    by_soc = tuple(
-        by_soc_picture(r, explained)._replace(
-            key=f"by-soc-{k}", caption="" if k > 1 else "RMSE by tenth of SOC."
-        )
-        for k, r in shown
+    plots = tuple(
+        before_after_plot(run, explained, f"before-after-{k}")
+        for k, run in enumerate(runs[: MOST.diagnosed], start=1)
     )
     title = "Before and after" if explained else "Measured and simulated"
-    first: Blocks = (*plots[:1], runs_table(runs, explained), *by_soc)
+    first: Blocks = (*plots[:1], runs_table(runs, explained))
     sections = [Section("before-after", title, first)]
     if explained:
         contents = tuple(cause_content(c, diagnosis) for c in diagnosis.causes)

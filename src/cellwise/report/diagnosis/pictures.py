@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.diagnose.applied import LogRun
+from cellwise.diagnose.result import LogRun
 from cellwise.report.diagnosis.statements import change, corrected_mV, named_log
 from cellwise.report.page import style
 from cellwise.report.page.markup import paragraph
@@ -35,28 +35,6 @@ def before_after_plot(run: LogRun, explained: bool, key: str) -> Plot:
     name = "after, log corrected" if corrected_mV(run) else "after"
     models = [before, (name, after.voltage_V + moved, after.error_V)]
     return simulation_plot(key, title, run.log, models, caption=BEFORE_AFTER_CAPTION)
-
-
-@pictured("by-soc")
-def by_soc_picture(run: LogRun, explained: bool) -> style.Figure:
-    """RMSE by tenth of SOC, before and after side by side."""
-    figure, axes = style.new_axes(2.3)
-    pairs = [(run.before, style.MODEL, -2.1, "before")]
-    pairs += [(run.explained, style.FILTER, 2.1, "after")] if explained else []
-    for simulation, colour, shift, name in pairs:
-        bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
-        centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])
-        sizes = [1e3 * b.metrics.rmse_V for b in bands]
-        wide = 4.2 if explained else 8.4
-        axes.bar(centre + shift * explained, sizes, wide, color=colour, label=name)
-    bands = [b for b in run.before.bands if np.isfinite(b.metrics.rmse_V)]
-    if bands:
-        worst = max(bands, key=lambda b: b.metrics.rmse_V)
-        where = f"{100 * worst.soc_low:.0f}–{100 * worst.soc_high:.0f} % SOC"
-        title = f"{named_log(run)}, worst at {where}: {millivolt(worst.metrics.rmse_V)}"
-        style.finding(axes, title)
-    style.soc_axis(axes, "RMSE [mV]")
-    return figure
 
 
 Group = Mapping[str, Any]

@@ -6,10 +6,9 @@ import math
 import re
 from collections.abc import Callable, Mapping
 
-from cellwise.diagnose.applied import LogRun
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.odds import Weighed
-from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun
 from cellwise.report.page.numerals import (
     ampere_hours,
     duration,
@@ -111,7 +110,7 @@ def unsure_lines(diagnosis: Diagnosis) -> list[str]:
         if c.probability <= CERTAIN
     ]
     lines += [f"Probability of {listed(sure)}."] if sure else []
-    if diagnosis.verdict == "undetermined" and diagnosis.competing:
+    if not diagnosis.causes and len(diagnosis.competing) > 1:
         parts = (f"{explanation(w)} {probability(w.probability)}" for w in diagnosis.competing[:3])
         lines.append(f"Possible are {listed(list(parts))}.")
     named = {c.name for c in diagnosis.causes}
