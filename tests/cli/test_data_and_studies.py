@@ -79,11 +79,6 @@ def test_demo(capsys, tmp_path):
     assert json.loads((out / "nmc.json").read_text())["schema_version"] == 1
 
 
-def test_demo_where_no_folder_can_be_made(refused, tmp_path):
-    (tmp_path / "file").write_text("here")
-    refused("demo", "-o", str(tmp_path / "file"))
-
-
 def test_the_installed_program():
     program = Path(sys.executable).with_name("cellwise")
     if not program.exists():

@@ -119,25 +119,6 @@ def test_a_folder_without_a_log_and_a_log_to_be_overwritten_are_refused(month, t
     )
 
 
-def test_one_log_has_one_start_wherever_it_is_asked(tmp_path, run_json):
-    """A flight under load from full, its own model, little known of what the flight did not see."""
-    truth = stock_model("lipo-pouch")
-    time = np.arange(0.0, 400.0, 0.5)
-    current = truth.capacity_Ah * np.where(time < 60.0, 0.1, 2.0 + np.sin(time / 7.0))
-    blank = CellLog(time, current, np.full(time.size, 4.0))
-    log = str(write_log(replace(blank, voltage_V=simulate(truth, blank, 1.0).voltage_V),
-                        tmp_path / "flight.parquet"))  # fmt: skip
-    model = str(tmp_path / "flight.json")
-    ah = ("--nominal-ah", f"{truth.capacity_Ah:g}")
-    run_json("identify", "--drive", log, "--prior", "lipo-pouch", *ah, "-o", model)
-    simulated = run_json("simulate", "--model", model, log)
-    full = run_json("simulate", "--model", model, log, "--soc0", "1")
-    replayed = run_json("replay", "--model", model, log)
-    assert simulated["rmse_V"] < 1.5 * full["rmse_V"] + 0.002
-    assert simulated["soc0"]["value"] > 0.95
-    assert replayed["soc0"]["value"] > 0.95
-
-
 def test_a_first_row_without_current_is_no_rest(tmp_path, run_json):
     """A car that stands at a light has come from a load: nothing in one row says it has rested."""
     model = stock_model(STOCK)

@@ -20,22 +20,12 @@ from cellwise.history.life import life_of
 from cellwise.history.window_fit import changed_model
 from cellwise.logs import CellLog, read_log, write_log
 from cellwise.logs.reading import read_pack
-from cellwise.logs.writing import read_rows, write_columns
+from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack
+from fleet_logs import rows_in
 
 FRESH = stock_model("nca-18650")
-
-
-def rows_in(out):
-    """Every row of the parts, by folder."""
-    found = {}
-    for part in sorted(out.glob("part-*.parquet")):
-        columns = read_rows(part)
-        for k, name in enumerate(columns["log"]):
-            assert name not in found
-            found[name] = {column: values[k] for column, values in columns.items()}
-    return found
 
 
 def discharge(share):

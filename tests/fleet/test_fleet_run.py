@@ -7,26 +7,15 @@ import shutil
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
 from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.fleet import DiagnoseTask, ReplayTask, engine, run_fleet
-from cellwise.logs import read_log
-from cellwise.logs.writing import read_rows
-
-
-def rows_in(out):
-    """Every row of the parts, by log."""
-    found = {}
-    for part in sorted(out.glob("part-*.parquet")):
-        columns = read_rows(part)
-        for k, log in enumerate(columns["log"]):
-            assert log not in found, f"{log} has two rows"
-            found[log] = {name: values[k] for name, values in columns.items()}
-    return found
+from cellwise.logs import read_log, write_log
+from fleet_logs import drive, rows_in
 
 
 @pytest.mark.parametrize("scheduler", ["local", pytest.param("processes", marks=pytest.mark.slow)])
@@ -267,11 +256,6 @@ def test_hostile_files_are_rows_that_say_which_limit(model, folder, tmp_path, mo
 
 @pytest.mark.slow
 def test_a_diagnosis_of_every_log(model, tmp_path):
-    from dataclasses import replace
-
-    from cellwise.logs import write_log
-    from fleet_logs import drive
-
     place = tmp_path / "logs"
     place.mkdir()
     good = drive(1, 0.9, rows=3000)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.cell.simulate import simulate
+from cellwise.fleet.store import all_rows
 from cellwise.logs import CellLog
 from example_cells import curved_cell
 
@@ -23,3 +24,13 @@ def drive(seed, soc0, rows=ROWS):
     log = CellLog(np.arange(float(rows)), load, np.full(rows, 3.7), np.full(rows, 25.0), drawn)
     voltage = simulate(model, log, soc0).voltage_V + rng.normal(0.0, 1e-3, rows)
     return replace(log, voltage_V=voltage)
+
+
+def rows_in(out):
+    """Every row of the parts of a fleet's result, by log; none has two."""
+    columns = all_rows(out)
+    assert len(set(columns["log"])) == len(columns["log"])
+    return {
+        log: {name: values[k] for name, values in columns.items()}
+        for k, log in enumerate(columns["log"])
+    }

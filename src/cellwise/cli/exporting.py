@@ -48,6 +48,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_costs
 from cellwise.export.package import Export, write_package
 from cellwise.logs import CellLog
+from cellwise.report.export_page import ACCURACY_COLUMNS, cost_rows, export_page
 
 # Options that name what is written beside the folder, each by the module of its name.
 FORMATS = {name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can")}
@@ -192,8 +193,6 @@ def write_pages(
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as pages:
         if pages is not None:
-            from cellwise.report.export_page import export_page
-
             mine = export.tables.options.points
             run = next((run for run in runs if run.points == mine), None)
             export_page(report, pages.page, run, figures=pages.figures)
@@ -241,33 +240,10 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
     title = f"{folder}: {len(report['files'])} files for a step of {report['dt_s']:g} s"
     printing.table(title, ("what", "value"), list(rows.items()))
     if report["targets"]:
-        printing.record_table(
-            "Cost on the target (instructions, not cycles; counted in QEMU)",
-            report["targets"],
-            ("core", lambda c: c["core"]),
-            ("code", lambda c: f"{c['text_bytes']:,} B"),
-            ("static RAM", lambda c: f"{c['ram_bytes']} B"),
-            ("stack", lambda c: f"{c['stack_bytes']} B"),
-            ("instructions a step", lambda c: _counted(c["instructions_mean"])),
-            ("most on the log", lambda c: _counted(c["instructions_most"])),
-            ("worst case", lambda c: _counted(c["instructions_stress"])),
-            ("SOC re-initialised", lambda c: _counted(c["instructions_anew"])),
-            *((f"{cells} cells, mean", lambda c: _counted(c["pack_instructions_mean"])),
-              ("most", lambda c: _counted(c["pack_instructions_most"])))[: 2 * bool(cells)],
-        )  # fmt: skip
+        about = "Cost on the target (instructions, not cycles; counted in QEMU)"
+        printing.table(about, *cost_rows(report["targets"]))
     else:
         printing.say("no cross compiler: code size, stack and instructions are not known")
     if report["accuracy"]:
-        printing.record_table(
-            "SOC against the float64 EKF on the log, in points of SOC",
-            report["accuracy"],
-            ("SOC points", lambda a: str(a["points"])),
-            ("tables", lambda a: f"{a['flash_bytes']:,} B"),
-            ("RMSE", lambda a: f"{100 * a['soc_rmse']:.4f}"),
-            ("max", lambda a: f"{100 * a['soc_max']:.4f}"),
-        )
-
-
-def _counted(instructions: float | None) -> str:
-    """Instructions of a step; those of one that re-initialises SOC may not be known."""
-    return "-" if instructions is None else f"{instructions:,.0f}"
+        about = "SOC against the float64 EKF on the log"
+        printing.record_table(about, report["accuracy"], *ACCURACY_COLUMNS)

@@ -95,8 +95,8 @@ def print_pack(found: PackEstimate) -> None:
         rows,
         ("cell", lambda row: row["name"]),
         ("SOC %", lambda row: f"{percent(row['soc'], 1)} +- {percent(2 * row['soc_std'], 1)}"),
-        ("capacity Ah", lambda row: _with_band(row["capacity_Ah"], row["capacity_std_Ah"], 2)),
-        ("resistance", lambda row: _with_band(row["resistance_scale"], row["resistance_std"])),
+        ("capacity Ah", lambda row: printing.band(row["capacity_Ah"], row["capacity_std_Ah"], 2)),
+        ("resistance", lambda row: printing.band(row["resistance_scale"], row["resistance_std"])),
         ("left mV", lambda row: printing.millivolt(row["voltage_rmse_V"])),
     )
     for cause in data["causes"]:
@@ -131,9 +131,9 @@ def print_life(found: Life) -> None:
         f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
         zip(data["logs"], found.trend.share, found.trend.std, strict=True),
         ("log", lambda o: o[0]["log"]),
-        ("capacity Ah", lambda o: _with_band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
-        ("resistance", lambda o: _with_band(o[0]["resistance_scale"], o[0]["resistance_std"])),
-        ("trend %", lambda o: _with_band(100 * float(o[1]), 100 * float(o[2]), 1)),
+        ("capacity Ah", lambda o: printing.band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
+        ("resistance", lambda o: printing.band(o[0]["resistance_scale"], o[0]["resistance_std"])),
+        ("trend %", lambda o: printing.band(100 * float(o[1]), 100 * float(o[2]), 1)),
         ("by", lambda o: o[0]["how"]),
     )
     trend, use = data["trend"], data["trend"]["use"]
@@ -147,7 +147,3 @@ def print_life(found: Life) -> None:
     printing.say(f"next reference test: {trend['next_reference']}")
     notices = (*data["notices"], *(n for o in data["logs"] for n in o["notices"]))
     printing.say_notices(n for n in notices if n not in found.far_off)
-
-
-def _with_band(value: float, std: float, digits: int = 3) -> str:
-    return "-" if value != value else f"{value:.{digits}f} +- {2 * std:.{digits}f}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.common import log_options, printing
+from cellwise.cli.common.printing import band
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
@@ -120,10 +121,6 @@ def rows_of(run: Run) -> dict[str, Any]:
     return columns if run.power is None else columns | run.power.columns()
 
 
-def _band(value: float, std: float, digits: int = 3) -> str:
-    return f"{value:.{digits}f} +- {2 * std:.{digits}f}"
-
-
 def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
     """Replays for people: the figures, and what is ahead of the last one's end."""
     first: tuple[str, ...] = ()
@@ -138,8 +135,11 @@ def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
             [run.found for run in runs],
             ("log", lambda found: found.log.name),
             ("hours", lambda found: f"{found.log.duration_s / 3600.0:.2f}"),
-            ("initial SOC", lambda found: _band(found.start.soc, found.start.std)),
-            ("final SOC", lambda found: _band(found.trace.soc[-1], found.trace.soc_std[-1])),
+            ("initial SOC", lambda found: band(found.start.soc, found.start.std)),
+            (
+                "final SOC",
+                lambda found: band(found.trace.soc[-1], found.trace.soc_std[-1]),
+            ),
             ("one step ahead mV", lambda found: printing.millivolt(found.voltage_rmse_V)),
             ("SOC RMSE %", lambda found: printing.percent(found.to_dict()["soc_rmse"])),
         )
@@ -157,11 +157,11 @@ def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) ->
     data = found.to_dict() if run is None else run.figures()
     start, settled, percent = found.start, data["settled"], printing.percent
     how = start.how if sure or start.how != "given" else "given; --soc0-std states how sure"
-    rows = {"initial SOC": f"{_band(start.soc, start.std, 4)} ({how})"}
+    rows = {"initial SOC": f"{band(start.soc, start.std, 4)} ({how})"}
     began = None if run is None else run.began
     if began is not None and began.beginning is not None:  # the whole log says more
-        rows["began at, seen afterwards"] = f"{_band(began.soc, began.std, 4)} ({began.how})"
-    rows["final SOC"] = _band(data["soc_final"], data["soc_final_std"], 4)
+        rows["began at, seen afterwards"] = f"{band(began.soc, began.std, 4)} ({began.how})"
+    rows["final SOC"] = band(data["soc_final"], data["soc_final_std"], 4)
     rows["voltage RMSE, one step ahead"] = f"{printing.millivolt(data['voltage_rmse_V'])} mV"
     if found.nis is not None and found.model is not None:
         each = zip(found.nis, found.model.error.scales_s, strict=True)
@@ -180,7 +180,7 @@ def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) ->
     values: dict[str, Any] = data.get("parameters") or {}
     for name, (label, unit) in UNITS.items() if values else ():
         one = values[name]
-        rows[label] = f"{_band(one['value'], one['std'], 4)} {unit}".rstrip()
+        rows[label] = f"{band(one['value'], one['std'], 4)} {unit}".rstrip()
         if one["held"] is not None:
             rows[label] += f" (held: {one['held']})"
         elif one["probability"] is not None:

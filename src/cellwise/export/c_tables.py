@@ -123,11 +123,8 @@ def initialiser(value: Any) -> str:
 
 def comment(text: str) -> str:
     """Text that can neither end a comment nor begin one, join lines or be a trigraph."""
-    return _plain(filled(text, {"*/": "* /", "/*": "/ *", "\\": "/", "??": "? ?"}))
-
-
-def _plain(characters: Iterable[str]) -> str:
-    return "".join(ch if ch.isprintable() and ord(ch) < 127 else "?" for ch in characters)
+    plain = filled(text, {"*/": "* /", "/*": "/ *", "\\": "/", "??": "? ?"})
+    return "".join(ch if ch.isprintable() and ord(ch) < 127 else "?" for ch in plain)
 
 
 def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:

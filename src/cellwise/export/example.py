@@ -41,16 +41,6 @@ LOADS = ((20, 0.0), (60, 1.0), (40, 0.0), (50, -0.5), (30, 0.0))
 # A plan from the vector's end on: seconds, and power as a multiple of what a C rate gives at 3.7 V.
 PLAN = ((300.0, 1.0), (60.0, 0.0), (600.0, 0.5), (120.0, -0.3))
 
-PARKING = """\
-Keep on counting the sequence by the clock: one step with the new number takes the time off into
-  account, at a cost within the worst case of `cellwise_export.json`. The branches decay; the SOC's
-  variance grows by the square of $gap_soc however long it was, since nobody knows what flowed; more
-  than 2^20 steps count as 2^20. Where nothing can have flowed call `cellwise_init` with the stored
-  `soc` and its variance instead: it forgets the branches and adds nothing."""
-PARKING_LEAN = """\
-The lean build leaves the branches where they are over a gap: after minutes off or more call
-  `cellwise_init` with the stored `soc` and its variance, which costs less than a step."""
-
 BUILD = (
     "    cc -std=c99 -O2 -ffp-contract=off example.c cellwise_ekf.c cellwise_store.c cell_table.c "
     "-o example\n    ./example | diff - expected_output.txt"
@@ -134,9 +124,12 @@ def expected_text(outputs: NDArray[Any]) -> str:
 def readme(description: Mapping[str, Any]) -> str:
     """README.md of the folder."""
     options = [k for k, v in description["options"].items() if v]
-    text = (firmware_folder() / "EXPORT.md").read_text(encoding="utf-8")
+    wide = description["options"].get("wide")
+    text, parking = (
+        (firmware_folder() / name).read_text(encoding="utf-8")
+        for name in ("EXPORT.md", "parking.md" if wide else "parking_lean.md")
+    )
     noise, (shortest_s, longest_s) = description["noise"], description["dt_limits_s"]
-    parking = PARKING if description["options"].get("wide") else PARKING_LEAN
     return Template(text).substitute(
         model=comment(str(description["model"])) or "unnamed",
         sha256=description["model_sha256"],
@@ -145,7 +138,7 @@ def readme(description: Mapping[str, Any]) -> str:
         model_bytes=f"{description['model_bytes']:,}",
         state_bytes=description["state_bytes"],
         build=BUILD,
-        parking=Template(parking).substitute(gap_soc=f"{noise['gap_soc']:g}"),
+        parking=Template(parking.strip()).substitute(gap_soc=f"{noise['gap_soc']:g}"),
         current_A=f"{noise['current_A']:.3g}",
         voltage_V=f"{noise['voltage_V']:.3g}",
         branch_share=f"{100.0 * noise['branch_share']:.3g}",

@@ -24,7 +24,15 @@ COSTS = {
     "instructions_most": "most on the log",
     "instructions_stress": "under every fault",
     "instructions_anew": "SOC re-initialised",
+    "pack_instructions_mean": "a step of the pack",
+    "pack_instructions_most": "most of the pack",
 }
+ACCURACY_COLUMNS = (
+    ("SOC points", lambda a: str(a["points"])),
+    ("tables [B]", lambda a: counted(a["flash_bytes"])),
+    ("RMSE [points]", lambda a: f"{100 * a['soc_rmse']:.4f}"),
+    ("largest [points]", lambda a: f"{100 * a['soc_max']:.4f}"),
+)
 
 
 def export_page(
@@ -85,25 +93,30 @@ def export_page(
     return write_page(path, f"{text}.", about, sections, report, lead=tiles(facts), figures=figures)
 
 
-def _costs(targets: Sequence[Row]) -> Markup:
-    """All costs of every core, a column each."""
+def cost_rows(targets: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """All costs of every core, a column each: head and rows."""
 
     def shown(value: float | None) -> str:
         return "" if value is None else counted(round(value))
 
-    rows = [(name, *(shown(c.get(key)) for c in targets)) for key, name in COSTS.items()]
+    rows = [
+        (name, *(shown(c.get(key)) for c in targets))
+        for key, name in COSTS.items()
+        if any(key in c for c in targets)
+    ]
+    return ("", *(c["core"] for c in targets)), rows
+
+
+def _costs(targets: Sequence[Row]) -> Markup:
     caption = "Instructions of one step over samples of a drive in an emulator: not cycles."
-    return table(("", *(c["core"] for c in targets)), rows, caption=caption)
+    return table(*cost_rows(targets), caption=caption)
 
 
 def _lost(rows: Sequence[Row], exported: int | None) -> Markup:
     """SOC lost by number of points, what was exported marked."""
     return record_table(
         rows,
-        ("SOC points", lambda a: a["points"]),
-        ("tables [B]", lambda a: counted(a["flash_bytes"])),
-        ("RMSE [points]", lambda a: f"{100 * a['soc_rmse']:.4f}"),
-        ("largest [points]", lambda a: f"{100 * a['soc_max']:.4f}"),
+        *ACCURACY_COLUMNS,
         caption="SOC of the exported filter minus that of the float64 EKF on the same samples.",
         marked=exported,
     )

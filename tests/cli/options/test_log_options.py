@@ -12,8 +12,7 @@ from cellwise.cli.command_line import build_parser
 from cellwise.data import datasets_folder, load_dataset
 from cellwise.logs import read_log, write_log
 from cellwise.logs import reading as isolated
-from log_files import pulse_channels
-from vehicle_files import write_can, write_dbc, write_ulog
+from vehicle_files import write_ulog
 
 pytest.importorskip("pyulog")
 pytest.importorskip("cantools")
@@ -85,12 +84,6 @@ def test_a_replay_says_what_is_left(flight, model, run_json, tmp_path):
     assert "Remaining time and energy" in page.read_text(encoding="utf-8")
 
 
-def test_a_can_log_with_its_database(tmp_path, run_json):
-    log = write_can(tmp_path / "drive.blf", pulse_channels(600), "blf")
-    dbc = write_dbc(tmp_path / "bms.dbc")
-    assert run_json("inspect", str(log), "--dbc", str(dbc))["format"] == "can-log"
-
-
 def test_columns_are_stated_on_the_command_line(tmp_path, run_json):
     path = tmp_path / "rig.csv"
     path.write_text("t,Strom,Klemme\n0,1500,3.9\n1,1500,3.8\n")
@@ -123,13 +116,6 @@ def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch, tmp_pa
     message = refused("inspect", flight)
     assert "pyulog is not installed" in message
     assert "pip install 'cellwise[importers]'" in message
-
-
-def test_an_empty_file_is_refused_whatever_it_is_called(refused, tmp_path):
-    for name in ("a.ulg", "a.bin", "a.mat", "a.mf4", "a.blf", "a.nda", "a.mpr", "a.csv"):
-        path = tmp_path / name
-        path.write_bytes(b"")
-        assert "the empty file" in refused("inspect", str(path))
 
 
 def test_an_embedded_data_set_is_read_by_its_name_and_a_file_of_that_name_first(

@@ -73,13 +73,6 @@ def test_a_bad_model_is_refused(refused, bad_model, drive):
     refused("replay", "--model", bad_model, drive)
 
 
-@pytest.mark.parametrize("bad_model", ["version"], indirect=True)
-def test_a_model_of_another_version_says_both_versions(refused, bad_model, drive):
-    message = refused("simulate", "--model", bad_model, drive)
-    assert "schema_version 2" in message
-    assert "schema_version 1" in message
-
-
 @pytest.mark.slow
 def test_a_log_that_never_rests_gives_no_model_of_its_own_and_that_is_said_first(
     run_json, tmp_path

@@ -116,6 +116,8 @@ fleet replay --model MODEL LOGS -o out
   --series x | --series x
 fleet diagnose --model MODEL LOGS -o out
   --cause gremlins | gremlins
+demo
+  -o FILE | FILE
 benchmark
   nothing.toml | no suite
   panasonic | CELLWISE_DATA

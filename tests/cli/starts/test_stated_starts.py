@@ -23,34 +23,35 @@ def middle(tmp_path):
     return str(write_log(begun, tmp_path / "middle.parquet"))
 
 
-def test_simulate_begins_where_it_is_stated(run_json, model, middle):
-    found = run_json("simulate", "--model", model, f"{middle}@soc0=0.6")
-    assert found["soc0"]["value"] == 0.6
-    assert found["soc0"]["how"] == "stated"
-    same = run_json("simulate", "--model", model, middle, "--soc0", "0.6")
-    assert found["rmse_V"] == same["rmse_V"]
+CAUSE = ("--cause", "initial_soc")
+JUDGED = ("--reference-capacity-ah", "5")
+SAME = {
+    "simulate": ((), (), ("rmse_V",)),
+    "replay": (JUDGED, (*JUDGED, "--reference-soc0", "0.6"), ("soc_rmse",)),
+    "diagnose": ((*CAUSE, "--soc0", "0.1"), CAUSE, ("anatomy", "candidates")),
+}  # options beside a stated start, the same beside --soc0, what is alike
 
 
-def test_replay_has_its_reference_from_there(run_json, model, middle):
-    common = ("--model", model, "--estimator", "ekf", "--reference-capacity-ah", "5")
-    found = run_json("replay", f"{middle}@soc0=0.6", *common)
-    same = run_json("replay", middle, *common, "--soc0", "0.6", "--reference-soc0", "0.6",
-                    "--soc0-std", str(found["soc0"]["std"]))  # fmt: skip
-    assert found["soc0"]["how"] == "stated"
-    assert found["soc_rmse"] == same["soc_rmse"]
+@pytest.mark.parametrize("command", SAME)
+def test_a_command_begins_where_it_is_stated(run_json, model, middle, command):
+    beside, otherwise, alike = SAME[command]
+    found = run_json(command, "--model", model, f"{middle}@soc0=0.6", *beside)
+    std = ()
+    if command != "diagnose":
+        assert (found["soc0"]["value"], found["soc0"]["how"]) == (0.6, "stated")
+        std = ("--soc0-std", str(found["soc0"]["std"])) if command == "replay" else ()
+    same = run_json(command, "--model", model, middle, "--soc0", "0.6", *std, *otherwise)
+    assert {key: found[key] for key in alike} == {key: same[key] for key in alike}
 
 
-@pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_a_contradiction_is_refused(refused, model, middle, command):
-    said = refused(command, "--model", model, f"{middle}@soc0=0.6", "--soc0", "0.7")
-    assert "--soc0 0.7" in said
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [("simulate", "--soc0"), ("replay", "--soc0"), ("replay", "--reference-soc0")],
+)
+def test_a_contradiction_is_refused(refused, model, middle, command, option):
+    said = refused(command, "--model", model, f"{middle}@soc0=0.6", option, "0.7")
+    assert f"{option} 0.7" in said
     assert "0.6" in said
-
-
-def test_a_reference_that_contradicts_is_refused(refused, model, middle):
-    said = refused("replay", "--model", model, f"{middle}@soc0=0.6",
-                   "--reference-soc0", "1")  # fmt: skip
-    assert "--reference-soc0 1" in said
 
 
 def test_inspect_and_convert_understand_it(run_json, middle, tmp_path):
@@ -59,14 +60,6 @@ def test_inspect_and_convert_understand_it(run_json, middle, tmp_path):
     out = tmp_path / "out.csv"
     found = run_json("convert", f"{middle}@soc0=0.6", "-o", str(out))
     assert any("soc0=0.6" in n for n in found["notices"])
-
-
-def test_diagnose_takes_it_before_soc0(run_json, model, middle):
-    common = ("diagnose", "--model", model, "--cause", "initial_soc")
-    found = run_json(*common, f"{middle}@soc0=0.6", "--soc0", "0.1")
-    same = run_json(*common, middle, "--soc0", "0.6")
-    assert found["anatomy"] == same["anatomy"]
-    assert found["candidates"] == same["candidates"]
 
 
 def test_live_begins_there(run_json, model, middle, tmp_path):

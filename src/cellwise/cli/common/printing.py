@@ -124,6 +124,11 @@ def millivolt(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{1e3 * value:.1f}"
 
 
+def band(value: float, std: float, digits: int = 3) -> str:
+    """A value and two deviations, for a table."""
+    return "-" if value != value else f"{value:.{digits}f} +- {2 * std:.{digits}f}"
+
+
 def percent(value: float | None, digits: int = 2) -> str:
     """A fraction in per cent, for a table."""
     return "-" if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
