@@ -1,0 +1,181 @@
+"""What each file of a folder is: which test, of how large a cell, read with which options."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
+from cellwise.errors import InputError, MachineError
+from cellwise.identify.test_kind import kind_of
+from cellwise.logs import CellLog, read_log
+from cellwise.logs.checks.sign import CONTRADICTED
+from cellwise.logs.reading import AS_MEAN_CELL
+from cellwise.logs.stated import SUFFIXES, in_order
+
+FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
+DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
+CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
+MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused
+# A temperature in a name: _p25, _n10, -10degC.
+NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
+OTHER_SIGN = re.compile(CONTRADICTED + r".*`sign='([a-z-]+)'`", re.DOTALL)  # in a notice
+TESTS = ("hppc", "ocv", "capacity")
+
+
+class _End(NamedTuple):
+    """The last per cent of a low-rate test, its dither too: of a whole discharge, and its rates."""
+
+    moved: float = 0.05
+    rates: tuple[float, float] = (0.01, 0.5)
+
+
+END = _End()
+
+
+@dataclass(frozen=True)
+class FoundFile:
+    """A file and what it is taken for.
+
+    ``kind``: hppc, ocv, capacity, charge, drive, rest; end (of a low-rate test); pack (a voltage
+    for each cell), flight; unread (refused, ``why`` says for what), other (no log by its name).
+    ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
+    ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
+    that only the name states; ``other_sign`` what the current's sign would have to mean where the
+    voltage contradicts it.
+    """
+
+    path: Path
+    kind: str
+    why: str
+    series: int = 1
+    moved_Ah: float = 0.0
+    whole_Ah: float = 0.0
+    current_A: float = 0.0
+    largest_A: float = 0.0
+    highest_V: float = 0.0
+    usual_C: float | None = None
+    named_C: float | None = None
+    other_sign: str = ""
+
+    @property
+    def stated(self) -> str:
+        """The path as a command takes it, with the temperature that only its name states."""
+        return str(self.path) if self.named_C is None else f"{self.path}@{self.named_C:g}"
+
+
+def look_at(
+    folder: Path, arguments: argparse.Namespace, follow: Callable[..., None]
+) -> list[FoundFile]:
+    """Every file of a folder, in the order of time; those of folders in it are left alone.
+
+    Raises
+    ------
+    InputError        no such folder
+    """
+    if not folder.is_dir():
+        raise InputError(f"no folder '{folder}'", "a folder with logs", "Check the path.")
+    places = [p for p in folder.iterdir() if p.is_file() and p.name[0] not in "._"]
+    places.sort(key=in_order)
+    databases = [p for p in places if p.suffix.lower() in DATABASES]
+    dbc = databases[0] if len(databases) == 1 else None
+
+    def read_as(sign: str) -> list[FoundFile]:
+        found = []
+        for k, place in enumerate(places):
+            follow(f"reading {place.name}", k, len(places))
+            found.append(_look_at_one(place, sign, arguments.nominal_ah, dbc))
+        return found
+
+    found = read_as(arguments.sign)
+    others = {one.other_sign for one in found if one.other_sign}
+    if arguments.sign == "auto" and len(others) == 1:
+        again = read_as(sign := others.pop())
+        if not any(one.other_sign for one in again):
+            arguments.sign, said = sign, f"; {sign}, by its voltage"
+            found = [
+                replace(now, why=now.why + said) if before.other_sign else now
+                for before, now in zip(found, again, strict=True)
+            ]
+    found = [_with_a_wrong_sign(one) if one.other_sign else one for one in found]
+    return [_end_of_test(one, found) for one in found]
+
+
+def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
+    """Of no use beside files whose sign is another's."""
+    why = f"the sign of the current looks wrong: read it by itself, with --sign {one.other_sign}"
+    return replace(one, kind="unread", why=why)
+
+
+def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
+    """A slow test that moves hardly anything beside a whole discharge in the folder."""
+    low, high = END.rates
+    steady = [f for f in files if f.kind in ("ocv", "capacity", "charge")]
+    whole = (f.whole_Ah for f in steady if f.series == one.series)
+    size = max((w for w in whole if low * w < one.largest_A < high * w), default=0.0)
+    if one.kind not in (*TESTS, "drive") or one.moved_Ah >= END.moved * size:
+        return one
+    share = one.moved_Ah / size
+    return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
+
+
+def _look_at_one(place: Path, sign: str, nominal_Ah: float | None, dbc: Path | None) -> FoundFile:
+    if not place.name.lower().endswith(SUFFIXES):
+        return FoundFile(place, "other", "no log by its name")
+    try:
+        dbc = dbc if place.suffix.lower() in CAN_LOGS else None
+        log = read_log(place, sign=sign, dbc=dbc)
+    except MachineError:
+        raise
+    except InputError as error:
+        lacks = MISSING_COLUMNS.search(error.found)
+        if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
+            return FoundFile(place, "unread", f"a table without {lacks[1]}: no log")
+        return FoundFile(place, "unread", f"{error.found}. {error.action}")
+    series = 1
+    if log.typical_voltage_V > ONE_CELL.largest_V:
+        series = cells_in_series(log, ONE_CELL.full_V)
+    return _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
+
+
+def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile:
+    """What a log of one cell, of so many in series, is."""
+    test = kind_of(log, nominal_Ah)
+    kind: str = "flight" if log.format in FLIGHTS else test.kind
+    why = test.why if series == 1 else f"{series} cells in series; {test.why}"
+    moved_Ah = float(np.ptp(log.counted_charge_Ah()))
+    mean = next((n for n in log.notices if AS_MEAN_CELL in n), None)
+    if mean is not None:  # what a test is called by its load says nothing of a day on the road
+        hours = log.duration_s / 3600.0
+        kind = "pack"
+        why = f"{mean.partition(',')[0]}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
+    return FoundFile(
+        place,
+        kind,
+        why,
+        series,
+        moved_Ah,
+        test.charge_Ah,
+        test.current_A,
+        largest_A=float(np.nanmax(np.abs(log.current_A))),
+        highest_V=float(np.nanmax(log.voltage_V)),
+        usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
+        named_C=_named_C(log),
+        other_sign=next((m[1] for n in log.notices if (m := OTHER_SIGN.search(n))), ""),
+    )
+
+
+def _named_C(log: CellLog) -> float | None:
+    """The temperature that the name states, of a log that measured none."""
+    said = None if log.temperature_C is not None else NAMED_C.search(log.name)
+    if said is None:
+        return None
+    if said[1]:
+        return float(said[2]) * (-1.0 if said[1].lower() == "n" else 1.0)
+    return float(said[4]) * (-1.0 if said[3].endswith("-") else 1.0)
