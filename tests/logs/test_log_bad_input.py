@@ -87,7 +87,7 @@ def test_truncated_gzip_of_many_blocks(tmp_path):
 
 # A column's name, and the one of the tidy form that it is most likely.
 NEAREST = {
-    "Zeit": "time_s", "Time of run": "time_s", "curent_A": "current_A", "Strom": "current_A",
+    "Time of run": "time_s", "curent_A": "current_A", "Strom": "current_A",
     "Pack current / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
 }  # fmt: skip
 

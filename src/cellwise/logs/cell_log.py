@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellwise.arguments import check_kind
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import NamedColumns
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.plotting import Line, Panel, Plottable, Tabular
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cellwise.cli import main
@@ -52,6 +53,21 @@ def test_word_and_unit_are_enough_and_the_voltage_gives_the_sign(tmp_path, capsy
     np.testing.assert_array_equal(log.temperature_C, PULSES["temperature_C"])
 
 
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_time_of_dates_needs_no_unit(tmp_path, suffix):
+    frame = pd.DataFrame(
+        {
+            "Timestamp": pd.to_datetime("2024-05-01 10:00")
+            + pd.to_timedelta(PULSES["time_s"], "s"),
+            "Current (A)": PULSES["current_A"],
+            "Voltage (V)": PULSES["voltage_V"],
+        }
+    )
+    path = tmp_path / f"rig.{suffix}"
+    frame.to_csv(path, index=False) if suffix == "csv" else frame.to_parquet(path)
+    np.testing.assert_allclose(read_log(path).time_s, PULSES["time_s"], atol=1e-6)
+
+
 def test_a_stated_sign_stands(tmp_path):
     path = written(tmp_path, *NAMED["German"])
     log = read_log(path, sign="charge-positive")
@@ -69,6 +85,7 @@ def test_a_sign_that_nobody_says_is_said(tmp_path):
     "header",
     [
         "Time;Current;Voltage",  # no unit
+        "Time;Current [A];Voltage [V]",  # of the time, and no dates
         "Time [s];Current [V];Voltage [V]",  # that of another quantity
         "Time [s];Current [A];Strom [A];Voltage [V]",  # two to choose from
         "Time [s];Fan current [A];Voltage [V]",  # of something else, perhaps

@@ -22,11 +22,11 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import grave, units
 from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
-from cellwise.logs.files.columns import TIDY_CHANNELS, NamedColumns
+from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, SignConvention
 from cellwise.logs.files.source import RawLog
 from cellwise.logs.files.tables import table_channels
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
 
 class StateRule(NamedTuple):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Literal, Protocol
+from typing import Literal
 
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -14,15 +14,7 @@ from cellwise.typing import FloatArray
 KELVIN_OFFSET = -273.15
 
 
-class NamedColumns(Protocol):
-    """Columns by their names: a pandas, polars or arrow frame, a mapping of arrays."""
-
-    def __getitem__(self, name: str, /) -> object:
-        """The column of that name."""
-        ...
-
-
-CellKind = Literal["number", "clock", "label"]
+CellKind = Literal["number", "clock", "date", "label"]
 
 
 @dataclass(frozen=True)
@@ -30,8 +22,8 @@ class Unit:
     """Conversion to the channel's own unit: ``value * factor + offset``.
 
     ``kind`` says how the cells are written: as numbers, as a clock (``1d 02:03:04.5``) or a date
-    (both in seconds), or as labels, of which ``labels`` gives the value (a label that is not among
-    them: missing).
+    (both in seconds), as dates alone, or as labels, of which ``labels`` gives the value (a label
+    that is not among them: missing).
     """
 
     factor: float = 1.0
@@ -48,6 +40,7 @@ class Unit:
 
 OWN = Unit()
 CLOCK = Unit(kind="clock")
+DATE = Unit(kind="date")
 # By how column maps write them; a minus: a counter that runs the other way.
 UNITS = {
     "": OWN,
@@ -274,13 +267,20 @@ def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
 
 
 def _by_words(channel: Channel, names: Sequence[str]) -> Column | None:
-    """The one column whose name is a word for the quantity with its unit: 'Strom [mA]'."""
-    places = [k for k, name in enumerate(names) if unit_of(name) and is_word(channel.field, name)]
-    if len(places) != 1 or channel.field == "charge_Ah":  # nor does a counter's name say its sign
+    """The one column whose name is a word for the quantity with its unit: 'Strom [mA]'.
+
+    Dates need no unit. A counter's name does not say its sign.
+    """
+    field = channel.field
+    words = [k for k, name in enumerate(names) if is_word(field, name)]
+    places = [k for k in words if unit_of(names[k])]
+    dates = field == "time_s" and not places
+    places = words if dates else places
+    if len(places) != 1 or field == "charge_Ah":
         return None
     name = names[places[0]]
-    unit = channel.names.get(_tidy_of(channel, name))
-    return None if unit is None else Column(channel.field, places[0], name, unit, by_words=True)
+    unit = DATE if dates else channel.names.get(_tidy_of(channel, name))
+    return None if unit is None else Column(field, places[0], name, unit, by_words=True)
 
 
 def folded(name: str) -> str:
@@ -326,7 +326,7 @@ WORDS = {
     "time_s": (
         *("time", "t", "timestamp", "seconds", "elapsed", "test time", "datum", "uhrzeit", "zeit"),
         *("testzeit", "laufzeit", "versuchszeit", "zeitstempel", "datetime"),
-        *("elapsed time", "temps", "tiempo", "tempo"),
+        *("elapsed time", "temps", "tiempo", "tempo", "date time", "date/time", "horodatage"),
     ),
     "current_A": (
         *("current", "curr", "i", "amps", "ampere", "strom", "ibat", "batteriestrom"),

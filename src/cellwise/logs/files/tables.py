@@ -16,7 +16,6 @@ from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
     Channel,
     Column,
-    NamedColumns,
     Unit,
     choose_columns,
     folded,
@@ -24,7 +23,7 @@ from cellwise.logs.files.columns import (
 )
 from cellwise.logs.files.format import Format, library_at_work
 from cellwise.logs.files.source import Limits, LogSource, RawLog
-from cellwise.typing import BoolArray, FloatArray, IntArray
+from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
 if TYPE_CHECKING:
     import pyarrow
@@ -162,6 +161,14 @@ def _no_numbers(column: Column, where: str, found: str) -> InputError:
     )
 
 
+def _no_dates(column: Column, where: str) -> InputError:
+    return InputError(
+        f"no dates in column '{column.name}' of {where}, whose name states no unit",
+        "a unit of the time",
+        f"Say which: `channels={{'time_s': '{column.name}'}}`, or time_ms, time_min, time_h.",
+    )
+
+
 def column_values(values: Any, column: Column, where: str) -> FloatArray:
     """A column in its channel's own unit; times that are dates or durations in seconds.
 
@@ -175,7 +182,7 @@ def column_values(values: Any, column: Column, where: str) -> FloatArray:
     try:
         if not isinstance(values, pa.ChunkedArray):
             array = np.asarray(values).ravel()
-            if array.dtype.kind in "biuf":
+            if array.dtype.kind in "biuf" and unit.kind != "date":
                 return unit.convert(np.asarray(array, dtype=np.float64))
             if array.dtype.kind in "mM":
                 array = array.astype(f"{array.dtype.kind}8[us]")
@@ -185,6 +192,8 @@ def column_values(values: Any, column: Column, where: str) -> FloatArray:
             return unit.convert(read(found, column, where))
         if column.field == "time_s" and pa.types.is_temporal(found.type):
             return unit.convert(_from_first(found))
+        if unit.kind == "date":
+            raise _no_dates(column, where)
         parts = [to_numpy(chunk) for chunk in found.cast(pa.float64()).chunks]
     except (pa.ArrowException, TypeError, ValueError) as error:
         if isinstance(error, InputError):
@@ -198,7 +207,7 @@ def arrow_type(unit: Unit) -> pyarrow.DataType:
     """The type as which a column of this unit is read from text."""
     import pyarrow as pa
 
-    if unit.kind == "clock":
+    if unit.kind in ("clock", "date"):
         return pa.string()
     if unit.kind == "label":
         return pa.dictionary(pa.int32(), pa.string())
@@ -233,6 +242,8 @@ def _clock_seconds(found: pyarrow.ChunkedArray, column: Column, where: str) -> F
     texts = found.cast(pa.string()).combine_chunks()
     first = next((cell.as_py() for cell in texts if cell.is_valid), "")
     dates = ":" in first and sum(first.count(mark) for mark in _DATE_MARKS) >= 2
+    if column.unit.kind == "date" and first and not dates:
+        raise _no_dates(column, where)
     parts = pc.extract_regex(texts, pattern=_DATE if dates else _CLOCK)
 
     def numbers(part: str) -> FloatArray:
