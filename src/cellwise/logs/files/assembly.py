@@ -310,7 +310,8 @@ def _signed_by_voltage(log: CellLog) -> tuple[CellLog, list[str]]:
         return log, [f"{said}; positive is charge, by the voltage, and was inverted"]
     if verdict == "verified":
         return log, [f"{said}; positive is discharge, by the voltage"]
-    return log, [f"{said}, nor does the voltage: positive was read as discharge; `sign=` states it"]
+    other = "positive was read as discharge; else `sign='charge-positive'`"
+    return log, [f"{said}, nor does the voltage: {other}"]
 
 
 def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:
