@@ -46,7 +46,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.noise import Noise
 from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_costs
-from cellwise.export.package import Export, write_package
+from cellwise.export.package import Export, check_folder, write_package
 from cellwise.logs import CellLog
 from cellwise.report.export_page import ACCURACY_COLUMNS, cost_rows, export_page
 
@@ -120,6 +120,8 @@ def check(arguments: argparse.Namespace) -> None:
     for name in OF_FOLDER:
         if said[name] and not arguments.output:
             raise InputError(f"--{name} without -o", "a folder of C sources", "Add -o DIR.")
+    if arguments.output:
+        check_folder(Path(arguments.output))
     if arguments.what and not arguments.fmu:
         raise InputError("--what without --fmu", "an FMU to write", "Add --fmu OUT.fmu.")
     for name in (name for name in FORMATS if said[name]):

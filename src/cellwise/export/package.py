@@ -77,6 +77,13 @@ class Export:
                 f"2 to {MOST_CELLS} in series",
                 "Leave `cells` out for one cell.",
             )
+        milliseconds = 1000.0 * (self.dt_s or 0.0)  # foxBMS's glue counts them
+        if self.layout == "foxbms" and abs(milliseconds - round(milliseconds)) > 1e-6:
+            raise InputError(
+                f"a time step of {self.dt_s:g} s for foxBMS",
+                "whole milliseconds",
+                "Give `dt_s=0.1`, say.",
+            )
         if self.prefix:
             prefixed({}, self.prefix)
 
@@ -141,12 +148,12 @@ def model_text(model: CellModel) -> str:
     return json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
 
 
-def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> list[str]:
-    """Write every file into ``folder``, which is made where it does not exist; their names.
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that could not be made.
 
     Raises
     ------
-    InputError        a file stands in the folder's place, or it cannot be written to
+    InputError        a file stands in its place, or the folder around it is not there
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"a file at '{folder}'", "a folder", "Give another name with -o.")
@@ -154,6 +161,16 @@ def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> li
         raise InputError(
             f"no folder '{folder.resolve().parent}'", "an existing folder", "Create it first."
         )
+
+
+def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> list[str]:
+    """Write every file into ``folder``, which is made where it does not exist; their names.
+
+    Raises
+    ------
+    InputError        as of `check_folder`, or it cannot be written to
+    """
+    check_folder(folder)
     files = export.files(report)
     try:
         with tempfile.TemporaryDirectory(dir=folder.resolve().parent, prefix=".export-") as name:
@@ -179,17 +196,8 @@ def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> d
     files : names and texts      of the flat package, before any prefix
     layout : str                 a folder of ``firmware_ref/layouts``
     name : str                   of the library
-
-    Raises
-    ------
-    InputError        a time step that is not a whole number of milliseconds, which the foxBMS glue
-                      counts in
     """
     milliseconds = round(1000.0 * dt_s)
-    if layout == "foxbms" and abs(milliseconds - 1000.0 * dt_s) > 1e-6:
-        raise InputError(
-            f"a time step of {dt_s:g} s for foxBMS", "whole milliseconds", "Give `dt_s=0.1`, say."
-        )
     folder = firmware_folder() / "layouts"
     wanted = tomllib.loads((folder / "layouts.toml").read_text(encoding="utf-8"))[layout]
     marks = {"@UPPER@": name.upper(), "@DT_MS@": str(milliseconds), "@NAME@": name}

@@ -139,6 +139,7 @@ def test_each_source_keeps_the_limits(folder, embedded_drive):
     assert "measured" in found.beyond[0]
 
 
+@pytest.mark.slow
 def test_kept_logs_replay_to_the_same_error(folder, tmp_path, capsys):
     place = tmp_path / "c"
     asked = ["--cells", "2", "--hours", "4", "--physics", "0", "-o", str(place), "--json"]
