@@ -48,7 +48,7 @@ class SlowDiffusion(Effect):
     ``r3_ohm`` [ohm] and ``tau3_s`` [s] are numbers, or tables of shape (temperatures, soc points).
     """
 
-    r3_ohm: FloatArray | float = field(default=0.0, metadata=between(0.0, 100.0, off=True))
+    r3_ohm: FloatArray | float = field(default=0.0, metadata=between(0.0, 1e6, off=True))
     tau3_s: FloatArray | float = field(default=1000.0, metadata=between(1.0, 1e6))
 
 

@@ -12,7 +12,7 @@ from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.ocv.ocv_lowrate import LIMITS as LOW_RATE
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.sign import NEEDED
+from cellwise.logs.checks.sign import is_at_rest
 
 Kind = Literal["hppc", "ocv", "capacity", "charge", "drive", "rest"]
 
@@ -55,7 +55,7 @@ def kind_of(log: CellLog, capacity_Ah: float | None = None) -> TestKind:
     TestKind
     """
     current = log.known_current_A()
-    if float(np.max(np.abs(current))) < NEEDED.current_A:
+    if is_at_rest(current, log.voltage_V):
         return TestKind("rest", "no current")
     phases = find_phases(log)
     moved = float(np.ptp(log.counted_charge_Ah()))

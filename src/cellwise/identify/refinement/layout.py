@@ -19,7 +19,7 @@ SKEW_UNIT_S = 0.1
 ASINH_UNIT_PER_V = 10.0
 LEAST_RATIO = 2.0  # between neighbouring time constants, at every knot
 TAU_LIMITS_S = (0.05, 30_000.0)
-R_LIMITS_OHM = (1e-7, 10.0)
+LEAST_OHM = 1e-7
 LARGEST_DROP_V = 10.0  # of one resistance at 1C: where nothing was measured it may run up
 GAMMA_LIMITS = (0.5, 5000.0)
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
@@ -213,9 +213,9 @@ def limits(
     def within(first: int, stop: int, least: float, most: float) -> None:
         low[first:stop], high[first:stop] = least, most
 
-    largest_ohm = min(R_LIMITS_OHM[1], LARGEST_DROP_V * 3600.0 / charge_As)
+    largest_ohm = LARGEST_DROP_V * 3600.0 / charge_As
     for k, at in enumerate(lay.tables()):
-        sizes = TAU_LIMITS_S if k and k % 2 == 0 else (R_LIMITS_OHM[0], largest_ohm)
+        sizes = TAU_LIMITS_S if k and k % 2 == 0 else (LEAST_OHM, largest_ohm)
         within(at, at + lay.block, *np.log(sizes))
     if lay.hysteresis:
         within(lay.m, lay.gamma, 0.0, 0.5)

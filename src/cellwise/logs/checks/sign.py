@@ -22,16 +22,22 @@ class Evidence(NamedTuple):
     """What a log must show before it says anything of its sign.
 
     ``variance_ratio`` is an F statistic: white noise reaches 20 less than once in a thousand
-    windows. ``score`` is the lead of one sign over the other, weighed over all windows. Below
+    windows. ``score`` is the lead of one sign over the other, weighed over all windows; one of
+    less than ``lead`` in each of them is none. Below
     ``current_A`` a current is a sensor's zero, below ``voltage_V`` a voltage has not moved. A
+    small cell's current is less, but holds its levels, with steps of less than ``flicker`` of its
+    range from row to row (root mean square), while the voltage moves by ``small_cell_V``. A
     current within ``steps`` of its usual steps is steady; a voltage under load does ``late_drift``
     of its way in the second half of the log.
     """
 
     variance_ratio: float = 20.0
     score: float = 0.5
+    lead: float = 0.05
     current_A: float = 0.02
     voltage_V: float = 0.005
+    flicker: float = 0.15
+    small_cell_V: float = 0.2
     steps: float = 10.0
     late_drift: float = 0.3
 
@@ -43,7 +49,8 @@ class Contrast(NamedTuple):
     """How much of the voltage's movement a passive cell explains under either sign.
 
     ``window_s`` is 0 for the whole log's levels; ``discharge`` and ``charge`` are shares of the sum
-    of squares, 0..1, with positive current read as discharge or as charge.
+    of squares, 0..1, with positive current read as discharge or as charge; ``others`` is their
+    difference without the pair that moves most.
     """
 
     window_s: float
@@ -51,14 +58,20 @@ class Contrast(NamedTuple):
     causes: int
     discharge: float
     charge: float
+    others: float = 0.0
 
     @property
     def lead(self) -> float:
-        """Lead of discharge-positive over charge-positive, -1..1; 0 where noise would do."""
+        """Lead of discharge-positive over charge-positive, -1..1; 0 where noise would do.
+
+        One pair that all others speak against is no evidence: it is where a tester held the voltage
+        at the end of a plateau.
+        """
         best = max(self.discharge, self.charge)
         freedom = max(self.pairs - 1 - self.causes, 0)
         ratio = best / max(1.0 - best, 1e-9) * freedom
-        return self.discharge - self.charge if ratio >= NEEDED.variance_ratio else 0.0
+        lead = self.discharge - self.charge
+        return lead if ratio >= NEEDED.variance_ratio and lead * self.others >= 0.0 else 0.0
 
     def text(self) -> str:
         """The contrast as text."""
@@ -124,7 +137,7 @@ def verify_sign(log: CellLog) -> SignCheck:
         return SignCheck("undetermined", (none,))
     score = sum(c.lead * abs(c.lead) for c in votes) / sum(c.lead**2 for c in votes)
     verdict: Verdict = "undetermined"
-    if abs(score) >= NEEDED.score:
+    if abs(score) >= NEEDED.score and max(abs(c.lead) for c in votes) >= NEEDED.lead:
         verdict = "verified" if score > 0 else "contradicted"
     return SignCheck(verdict, tuple(c.text() for c in votes), float(score))
 
@@ -187,6 +200,16 @@ def _contrast(window: float, causes: FloatArray, changes: FloatArray) -> Contras
     Least squares with weights >= 0 are those of the causes that get one, so of all choices of
     causes whose plain weights are >= 0 the best: no library for three causes.
     """
+    kept = np.arange(changes.size) != (np.argmax(np.abs(changes)) if changes.size else 0)
+    discharge, charge = _shares(causes, changes)
+    others = _shares(causes[kept], changes[kept])
+    return Contrast(
+        window, changes.size, causes.shape[1], discharge, charge, others[0] - others[1]
+    )
+
+
+def _shares(causes: FloatArray, changes: FloatArray) -> tuple[float, float]:
+    """What each sign explains of the changes' sum of squares."""
     total = float(changes @ changes)
     shares = [0.0, 0.0]
     if total > 0.0:
@@ -201,16 +224,24 @@ def _contrast(window: float, causes: FloatArray, changes: FloatArray) -> Contras
                 for k, sign in enumerate((-1, 1)):
                     if np.all(sign * weights >= 0.0):
                         shares[k] = max(shares[k], share)
-    return Contrast(window, changes.size, causes.shape[1], *shares)
+    return shares[0], shares[1]
+
+
+def is_at_rest(current_A: FloatArray, voltage_V: FloatArray) -> bool:
+    """Whether a current is no more than a sensor's zero."""
+    if float(np.nanmax(np.abs(current_A), initial=0.0)) >= NEEDED.current_A:
+        return False
+    flicker = float(np.sqrt(np.nanmean(np.diff(current_A) ** 2))) if current_A.size > 1 else 0.0
+    holds = flicker <= NEEDED.flicker * float(np.ptp(current_A)) and bool(np.any(current_A))
+    return not (holds and float(np.nanmax(voltage_V) - np.nanmin(voltage_V)) > NEEDED.small_cell_V)
 
 
 def _nothing_to_see(time: FloatArray, current: FloatArray, voltage: FloatArray) -> str:
     """Reason why a log cannot show the sign; empty where it may."""
     if time.size < 4 or time[-1] <= time[0]:
         return "too few rows with both voltage and current"
-    largest = float(np.max(np.abs(current)))
-    if largest < NEEDED.current_A:
-        return f"at rest: the current stays within {1000 * largest:.1f} mA"
+    if is_at_rest(current, voltage):
+        return f"at rest: the current stays within {1000 * np.max(np.abs(current)):.3g} mA"
     move = float(np.ptp(voltage))
     if move < NEEDED.voltage_V:
         return f"the voltage moves by {1000 * move:.1f} mV only"
