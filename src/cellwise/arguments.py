@@ -56,6 +56,22 @@ def numbers(name: str, values: object) -> FloatArray:
     raise InputError(f"{name} = {shown(values)}", "numbers, nan where one is missing", "Correct.")
 
 
+SOC_BEYOND = 0.02  # a counter ends no further beyond empty or full
+
+
+def held_soc(soc: float) -> float:
+    """A SOC, 0..1: one that a counter puts up to 0.02 beyond empty or full is empty or full."""
+    return min(max(soc, 0.0), 1.0) if -SOC_BEYOND <= soc <= 1.0 + SOC_BEYOND else soc
+
+
+def beyond(soc: float) -> str:
+    """Says that a SOC was held."""
+    return (
+        f"a SOC of {soc:g} was taken as {held_soc(soc):g}: up to {SOC_BEYOND:g} beyond 0 to 1 is a "
+        "counter's error"
+    )
+
+
 def shown(value: object) -> str:
     """A value as a message shows it: None, a short text, a number, else its type."""
     if value is None or isinstance(value, (bool, int, float)):

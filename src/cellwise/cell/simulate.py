@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.arguments import number
+from cellwise.arguments import held_soc, number
 from cellwise.cell.compiled import announce, rows
 from cellwise.cell.equations import (
     CellState,
@@ -168,7 +168,7 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     """Simulate a log from a known initial SOC; the public one also finds it."""
     check_is_model(model)
     check_is_log(log)
-    check_soc0(soc0)
+    soc0 = check_soc0(soc0)
     tables = model.parameters()
     voltage = np.empty(len(log))
     soc = np.empty(len(log))
@@ -190,9 +190,9 @@ def start_hysteresis(soc0: float) -> float:
     return 1.0 if soc0 > UPPER_HALF else -1.0
 
 
-def check_soc0(soc0: float) -> None:
-    """Refuse an initial SOC outside 0..1."""
-    soc0 = number("soc0", soc0, "a fraction from 0 to 1", "Give 0.5, say.")
+def check_soc0(soc0: float) -> float:
+    """An initial SOC, 0..1; one that is further beyond than a counter's error is refused."""
+    soc0 = held_soc(number("soc0", soc0, "a fraction from 0 to 1", "Give 0.5, say."))
     if not (np.isfinite(soc0) and 0.0 <= soc0 <= 1.0):
         hint = " Per cent? Divide by 100." if 1.0 < soc0 <= 100.0 else ""
         raise InputError(
@@ -200,6 +200,7 @@ def check_soc0(soc0: float) -> None:
             "a fraction from 0 to 1",
             f"Give 0.5, say; left out it is found from the log.{hint}",
         )
+    return soc0
 
 
 def check_soc0_std(soc0_std: float) -> None:

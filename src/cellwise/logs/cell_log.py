@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cellwise.arguments import check_kind
+from cellwise.arguments import held_soc
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.plotting import Line, Panel, Plottable, Tabular
@@ -86,6 +87,8 @@ class CellLog(Plottable, Tabular):
                 "'interval_end' or 'interval_start'",
                 "Say which interval the current of a row belongs to.",
             )
+        if self.soc0 is not None:
+            object.__setattr__(self, "soc0", held_soc(self.soc0))
         if self.soc0 is not None and not 0.0 <= self.soc0 <= 1.0:
             raise InputError(
                 f"soc0 = {self.soc0:g} of {where}",

@@ -13,6 +13,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from cellwise.arguments import beyond, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 
@@ -43,7 +44,7 @@ class Stated:
 
     def __post_init__(self) -> None:
         check_temperature(self.temperature_C)
-        if self.soc0 is not None and not 0.0 <= self.soc0 <= 1.0:
+        if self.soc0 is not None and not 0.0 <= held_soc(self.soc0) <= 1.0:
             hint = " Per cent? Divide by 100." if 1.0 < self.soc0 <= 100.0 else ""
             raise InputError(
                 f"a stated initial SOC of {self.soc0:g} ('{self.path}')",
@@ -103,7 +104,10 @@ class Stated:
     def applied(self, log: CellLog) -> CellLog:
         """The log with what is stated: a measured temperature stays, an initial SOC is believed."""
         if self.soc0 is not None:
-            log = replace(log, soc0=self.soc0)
+            held = held_soc(self.soc0)
+            log = replace(log, soc0=held)
+            if held != self.soc0:
+                log = log.with_notices((*log.notices, beyond(self.soc0)))
         if self.temperature_C is None:
             return log
         measured = log.temperature_C

@@ -107,8 +107,7 @@ def initial_soc(
                       relaxation and a flat OCV: on a plateau it is large
     """
     if given is not None:
-        check_soc0(given)
-        return InitialSoc(float(given), given_std, "given")
+        return InitialSoc(check_soc0(given), given_std, "given")
     if log.soc0 is not None:
         return InitialSoc(log.soc0, STATED_STD, "stated")
     current = log.known_current_A()

@@ -192,7 +192,7 @@ def run_protocol(
     ------
     InputError        no steps, no step that lasts, soc0 outside 0..1, dt_s not positive
     """
-    check_soc0(soc0)
+    soc0 = check_soc0(soc0)
     if not (np.isfinite(dt_s) and dt_s > 0 and np.isfinite(temperature_C)):
         raise InputError(
             f"dt_s = {dt_s}, temperature_C = {temperature_C}",

@@ -9,6 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellwise.arguments import beyond
+from cellwise.cli.common import printing
 from cellwise.errors import InputError
 from cellwise.files import file_place
 
@@ -101,8 +103,10 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     except ValueError:
         expected = "auto or a fraction from 0 to 1"
         raise InputError(f"--soc0 {arguments.soc0}", expected, "Correct it.") from None
-    check_soc0(soc0)
-    return soc0
+    held = check_soc0(soc0)
+    if held != soc0:
+        printing.warn(f"--soc0: {beyond(soc0)}")
+    return held
 
 
 def start_of(stated: float | None, asked: float | None, option: str = "--soc0") -> float | None:

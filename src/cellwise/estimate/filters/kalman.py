@@ -60,7 +60,7 @@ class FilterOfModel:
         ------
         InputError        soc0 outside 0..1, soc0_std not above zero
         """
-        check_soc0(soc0)
+        soc0 = check_soc0(soc0)
         check_soc0_std(soc0_std)
         table = self._tables.table
         return EkfStart(

@@ -239,7 +239,7 @@ def numba_stepper(tables: FixedStepTables) -> Stepper:
 
 def start_state(stepper: Stepper, soc0: float, soc0_std: float) -> NDArray[Any]:
     """A state record at rest; see :meth:`FixedStep.init`."""
-    check_soc0(soc0)
+    soc0 = check_soc0(soc0)
     check_soc0_std(soc0_std)
     state = stepper.state()
     stepper.begin(state, float(soc0), min(max(float(soc0_std) ** 2, 1e-11), MOST_VARIANCE))
