@@ -68,7 +68,7 @@ def run_pack(arguments: argparse.Namespace) -> None:
 
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
-    percent, data = printing.percent, found.to_dict()
+    percent, amount, data = printing.percent, printing.amount, found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
     first = data["notices"][:1] if found.far_off else []
     printing.say_notices(first)
@@ -78,9 +78,10 @@ def print_pack(found: PackEstimate) -> None:
         [
             ("SOC, lowest / mean / highest",
              " / ".join(f"{percent(soc[k], 1)} %" for k in ("min", "mean", "max"))),
-            ("usable as the cells are", f"{data['usable_Ah']:.2f} Ah, {data['usable_Wh']:.0f} Wh"),
-            ("left until the first cell is empty", f"{data['left_Ah']:.2f} Ah"),
-            ("balancing would bring", f"{data['balancing_gain_Ah']:.2f} Ah"),
+            ("usable as the cells are",
+             f"{amount(data['usable_Ah'], 'Ah')} ({amount(data['usable_Wh'], 'Wh', 0)})"),
+            ("left until the first cell is empty", amount(data["left_Ah"], "Ah")),
+            ("balancing would bring", amount(data["balancing_gain_Ah"], "Ah")),
             ("least SOC", weakest["by_soc"]),
             ("least capacity", weakest["by_capacity"]),
             ("most resistance", weakest["by_resistance"]),

@@ -169,7 +169,7 @@ class ObjectReader:
         known = bool(self.readings.cells)
         for name, value in found.items():
             cell = known_column(name) if self.readings.cells else None
-            if cell is not None and cell.kind == "cell":
+            if cell is not None and cell.kind == "cell" and cell.number > 0:
                 field: str | int = cell.number - 1
                 unit = cell.unit
             elif name in self.names:

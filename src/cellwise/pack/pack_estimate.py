@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import far_off_text, in_order, outside_notices, withheld
+from cellwise.logs.checks.grave import is_grave
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
@@ -105,10 +106,13 @@ class PackEstimate:
 
     @property
     def far_off(self) -> str | None:
-        """What is said first where most of the rows are of logs that are far off the model."""
+        """What is said first where most rows are of logs that are wrong or far off the model."""
         means = [day.mean for day in self.days]
-        each = ((m, m.log.voltage_V - m.voltage_V) for m in means)
-        texts = [far_off_text(self.model, m.log, error, m.soc) for m, error in each]
+        graves = (next((n for n in m.log.notices if is_grave(n)), None) for m in means)
+        texts = [
+            g or far_off_text(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
+            for g, m in zip(graves, means, strict=True)
+        ]
         rows = sum(len(m.log) for m, text in zip(means, texts, strict=True) if text)
         off = 2 * rows > sum(len(m.log) for m in means)
         return next((text for text in texts if text), None) if off else None
@@ -184,7 +188,7 @@ class PackEstimate:
             texts.insert(0, "no stretch between pauses is long enough to be estimated")
         said = (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(texts))))
         text = self.withheld or self.far_off
-        return said if text is None else (text, *said)
+        return said if text is None else (text, *(s for s in said if not text.startswith(s)))
 
     @property
     def _drift(self) -> tuple[str, ...]:

@@ -201,6 +201,8 @@ def suspicions(past: CellDeltas, evidence: PackEvidence, *, changed: bool) -> li
         shifts.append(shift)
         stds.append(std * np.sqrt(scale))
     gains, sizes, widths = (np.stack(x, axis=1) for x in (ratios, shifts, stds))
+    if evidence.days == 0.0:  # within hours a capacity or a SOC does the same
+        gains[:, CAUSES.index(LEAK)] = 0.0
     allowed = ALARM.false_alarms / (there.size * len(CAUSES))
     tails = chdtrc([len(c.moves) for c in CAUSES], 2.0 * np.maximum(gains, 0.0))
     found = [
@@ -208,7 +210,7 @@ def suspicions(past: CellDeltas, evidence: PackEvidence, *, changed: bool) -> li
         for k in np.flatnonzero(np.min(tails, axis=1) < allowed)
     ]
     # From day to day balancing moves a cell as self-discharge does: several periods decide.
-    return [one for one in found if evidence.days == 0.0 or one.cause is not LEAK]
+    return [one for one in found if one.cause is not LEAK]
 
 
 def _along(

@@ -177,13 +177,14 @@ def far_off_notices(text: str | None) -> list[Notice]:
 def ends_forecasts(far_off: str | None, log: CellLog) -> str | None:
     """Why nothing is foreseen from a log: a channel is not what it is taken for, or far off."""
     grave = next((n for n in log.notices if is_grave(n)), None)
-    if grave is not None:
-        return f"{grave}; {WITHHELD}"
-    return None if far_off is None else withheld(far_off)
+    text = grave or far_off
+    return None if text is None else withheld(text)
 
 
 def withheld(far_off: str) -> str:
     """What is far off, and what is therefore not said."""
+    if is_grave(far_off):
+        return f"{far_off}; {WITHHELD}"
     return f"{far_off} {WITHHELD[0].upper()}{WITHHELD[1:]}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -12,31 +12,44 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit
+from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
 from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
 from cellwise.typing import BoolArray, FloatArray
 
 Kind = Literal["cell", "balancing", "temperature"]
 
-# Pattern of a column's name, what it holds, its unit, and what its number counts from.
-_PATTERNS: tuple[tuple[re.Pattern[str], Kind, Unit, int], ...] = (
-    (re.compile(r"cell_?(\d+)_?V", re.IGNORECASE), "cell", OWN, 1),
-    (re.compile(r"cell_?(\d+)_?mV", re.IGNORECASE), "cell", UNITS["mV"], 1),
-    (re.compile(r"CP(\d+)"), "cell", UNITS["mV"], 1),  # LeafSpy
-    (re.compile(r"voltage_cell_v\[(\d+)\]"), "cell", OWN, 0),  # PX4
-    (re.compile(r"cell_?(\d+)_balancing", re.IGNORECASE), "balancing", OWN, 1),
-    (re.compile(r"temperature_?(\d+)_?C", re.IGNORECASE), "temperature", OWN, 1),
+# `Cell 1 (V)`, `cell_voltage_1`, `cellVoltage1`, `cell 1 mv`, `voltageCell1`, `Zelle 01 [V]`: a
+# word for a cell, perhaps one for its voltage, before or behind it, its number, and a unit.
+_CELL = r"(?:cells?|zellen?|celda|cellule|cella|cel|电芯|单体|セル)"
+_VOLTAGE = r"(?:voltages?|volts?|spannung|tension|tensión|tensione|tensão|电压|電圧|[vu])"
+_OWNER = r"(?:bms|pack|batt?|battery|batterie|module)"
+_NAME = (
+    rf"(?:{_OWNER}-)?(?:{_VOLTAGE}-)?{_CELL}-(?:{_VOLTAGE}-)?(?:n[or]-)?(?P<n>\d+)"
+    rf"(?:-{_VOLTAGE})??-(?P<unit>m?v)?-"
+).replace("-", r"[\s_.,:#/()\[\]-]*")
+# Pattern of a column's name, what it holds, its unit (None: as the name says), and what its number
+# counts from.
+_PATTERNS: tuple[tuple[re.Pattern[str], Kind, Unit | None, int], ...] = (
+    (re.compile(r"CP(?P<n>\d+)"), "cell", UNITS["mV"], 1),  # LeafSpy
+    (re.compile(r"voltage_cell_v\[(?P<n>\d+)\]"), "cell", OWN, 0),  # PX4
+    (re.compile(_NAME, re.IGNORECASE), "cell", None, 1),
+    (re.compile(r"cell_?(?P<n>\d+)_balancing", re.IGNORECASE), "balancing", OWN, 1),
+    (re.compile(r"temperature_?(?P<n>\d+)_?C", re.IGNORECASE), "temperature", OWN, 1),
 )
 
 
 @dataclass(frozen=True)
 class CellColumn:
-    """One column: its name in the file, what it holds, its number from 1, its unit."""
+    """One column: its name in the file, what it holds, its number from 1, its unit.
+
+    ``stated``: the name states the unit.
+    """
 
     name: str
     kind: Kind
     number: int
     unit: Unit
+    stated: bool = True
 
     @property
     def field(self) -> str:
@@ -49,14 +62,30 @@ class CellColumn:
         return Channel(self.field, {self.name: self.unit})
 
 
-def cell_columns(header: Sequence[str], where: str) -> tuple[CellColumn, ...]:
+def cell_columns(
+    header: Sequence[str], where: str, chosen: Mapping[str, str] | None = None
+) -> tuple[CellColumn, ...]:
     """The columns of a pack among a file's, cells in the order of their numbers.
+
+    ``chosen``: what the user stated, a cell's tidy name to the name in the file.
 
     Raises
     ------
-    InputError        two columns for one cell
+    InputError        two columns for one cell; a stated name that the file has not
     """
-    found = [c for name in header if (c := known_column(name.strip())) is not None]
+    names = [name.strip() for name in header]
+    found = []
+    for tidy, name in (chosen or {}).items():
+        if (c := known_column(tidy)) is not None:
+            if name not in names:
+                raise no_such_name(name, names, where)
+            found.append(replace(c, name=name))
+    if not found:
+        found = [c for name in names if (c := known_column(name)) is not None]
+    # Numbers of a program that counts from 0.
+    first = min((c.number for c in found if c.kind == "cell"), default=1)
+    if first == 0:
+        found = [replace(c, number=c.number + 1) if c.kind == "cell" else c for c in found]
     found.sort(key=lambda c: (c.kind, c.number))
     for a, b in pairwise(found):
         if a.field == b.field:
@@ -72,7 +101,9 @@ def known_column(name: str) -> CellColumn | None:
     """What a column of this name holds of a pack; None: nothing."""
     for pattern, kind, unit, first in _PATTERNS:
         if match := pattern.fullmatch(name):
-            return CellColumn(name, kind, int(match[1]) + 1 - first, unit)
+            said = "v" if unit is not None else (match["unit"] or "")
+            own = unit or (UNITS["mV"] if said.casefold() == "mv" else OWN)
+            return CellColumn(name, kind, int(match["n"]) + 1 - first, own, bool(said))
     return None
 
 

@@ -18,11 +18,13 @@ from cellwise.logs.files.format import Format, Reader
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.packs.cells import (
+    BELIEVED,
     CellColumn,
     CellFlag,
     cell_columns,
     cell_name,
     checked_cells,
+    known_column,
     mean_of_known,
     mean_voltage_V,
     to_cell,
@@ -173,7 +175,7 @@ def pack_columns(source: LogSource, known: Format) -> tuple[CellColumn, ...]:
     InputError        no voltages of several cells, two columns for one
     """
     names = _names(source, known)
-    columns = cell_columns(names, source.where)
+    columns = cell_columns(names, source.where, source.options.channels)
     if sum(c.kind == "cell" for c in columns) < 2:
         raise _no_pack(source, f"columns are {listed(names)}")
     return columns
@@ -183,7 +185,7 @@ def columns_of_table(source: LogSource, known: Format) -> tuple[CellColumn, ...]
     """The pack's columns of a table that holds a voltage for each of several cells; else none."""
     if known.name not in TABLES:
         return ()
-    columns = cell_columns(_names(source, known), source.where)
+    columns = cell_columns(_names(source, known), source.where, source.options.channels)
     return columns if sum(c.kind == "cell" for c in columns) > 1 else ()
 
 
@@ -207,6 +209,8 @@ def pack_of(
     # The pack's own voltage is not required.
     own = tuple(replace(c, required=c.required and c.field != "voltage_V") for c in known.channels)
     wide = replace(known, channels=(*own, *(c.channel for c in columns)))
+    chosen = {n: c for n, c in source.options.channels.items() if known_column(n) is None}
+    source = replace(source, options=replace(source.options, channels=chosen))
     raw = complete(read(source, wide), known.sign, source.where)
     found = raw.channels
 
@@ -220,6 +224,10 @@ def pack_of(
         raise _no_pack(source, f"cells with a voltage are {len(cells)}")
     names = tuple(cell_name(c.number, cells[-1].number) for c in cells)
     volts = np.stack([found[c.field] for c in cells], axis=1)
+    unsaid = [k for k, c in enumerate(cells) if not c.stated]
+    if unsaid and np.nanmedian(np.abs(volts[:, unsaid])) > BELIEVED.millivolts:
+        volts[:, unsaid] /= 1e3
+        raw = raw.noted(["the cells' voltages, whose names state no unit, are in millivolts"])
     balancing = None
     if bypasses := {c.number: found[c.field] > 0.0 for c in of_kind("balancing")}:
         never = np.zeros(len(volts), dtype=np.bool_)
@@ -251,5 +259,6 @@ def _no_pack(source: LogSource, found: str) -> InputError:
     return InputError(
         f"no pack in {source.where}, whose {found}",
         "at least two columns cell_01_V, cell_02_V, ... (or cell_01_mV, ...)",
-        "Name the cells' columns so; a log of one cell goes to `cellwise replay`.",
+        "Name the cells' columns so, or say which they are (`channels={'cell_01_V': 'COLUMN'}`, one "
+        "for each); a log of one cell goes to `cellwise replay`.",
     )
