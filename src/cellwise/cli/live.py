@@ -5,8 +5,8 @@ cellwise live: a stream of samples to SOC, as they come
     $ live --model cell.json --source stdin < samples.csv
     $ live --model cell.json --source can:can0 --dbc pack.dbc --state soc.state
 <scaled model>
-    --source FROM!  stdin (JSON lines), json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for stdin),
-        mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins
+    --source FROM!  stdin (JSON lines or CSV), json:FILE, csv:FILE, can:INTERFACE:CHANNEL,
+        ulog:FILE (- for stdin), mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins
     --follow  wait for more at a file's end
     --estimator E=ekf  ekf or ukf
 <start>
@@ -103,6 +103,7 @@ def run_live(arguments: argparse.Namespace) -> None:
             look = stack.enter_context(live_panel(source.name, followed))
         elif not (arguments.output or arguments.json):
             takers.append(LineWriter(sys.stdout, followed, arguments.every))
+        takers.append(warned_once(lambda _: getattr(source, "note", None)))
         if not viewed:  # the panel shows both
             takers.append(warned_once(followed.outside))
             takers.append(warned_once(lambda _: followed.far_off))
@@ -151,7 +152,7 @@ def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -
         outlook,
         None if power is None else PowerFollower(power),
         None if how is None else Displayed(how),
-        None if arguments.anyway else FarOffStream(model),
+        None if arguments.anyway else FarOffStream(model, arguments.sign),
     )
 
 

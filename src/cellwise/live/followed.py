@@ -35,7 +35,8 @@ class Followed:
         sample, info, state = update.sample, update.info, self.live.state
         if self.far is not None:
             known_C = self.live.known_temperature_C(sample)
-            self.far.look(update.dt_s, info.innovation_V, info.soc, info.voltage_V, known_C)
+            seen = update.dt_s, sample.current_A, info.innovation_V, info.soc, info.voltage_V
+            self.far.look(*seen, known_C)
         warm = self._temperature_C(update)
         if self.displayed is not None:
             self.since_expected_s += update.dt_s

@@ -8,14 +8,15 @@ import select
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, NamedTuple, Protocol
 
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.options import MOST_CELLS
-from cellwise.logs.files.columns import TIDY_NAMES, Unit, tidy_name
+from cellwise.logs.files.columns import TIDY_NAMES, Unit, listed, tidy_name
 from cellwise.logs.files.source import ReadOptions
-from cellwise.logs.packs.cells import known_column
+from cellwise.logs.packs.cells import CellColumn, known_column
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
@@ -142,6 +143,28 @@ class Readings:
         return value if time_s - at_s <= self._held_s.get(str(field), HELD_S) else math.nan
 
 
+# Names of a time without a unit: seconds, or by its size thousandths of one since 1970, and dates.
+STAMPS = ("time", "timestamp", "ts", "t", "datetime", "date_time", "date", "zeit", "zeitstempel")
+_SINCE_1970 = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+def stamp_s(value: object) -> float:
+    """Seconds of a time without a unit: a number, by its size, or a date (since 1970, UTC).
+
+    Raises
+    ------
+    ValueError, OverflowError        it is none
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError("no time")
+    try:
+        number = float(value)
+    except ValueError:
+        date = datetime.fromisoformat(str(value).strip())
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    return number * next((unit for least, unit in _SINCE_1970 if abs(number) >= least), 1.0)
+
+
 class ObjectReader:
     """JSON objects with tidy names, which give the unit, to samples.
 
@@ -153,10 +176,28 @@ class ObjectReader:
 
     def __init__(self, readings: Readings, channels: Mapping[str, str]) -> None:
         self.readings = readings
+        self.note: str | None = None
         self.names: dict[str, tuple[str, Unit]] = {
             name: known for name, known in TIDY_NAMES.items() if known[0] in FIELDS
         }
         self.names |= {name: tidy_name(tidy, FIELDS) for tidy, name in channels.items()}
+
+    def knows(self, name: str) -> bool:
+        """Whether a value of this name is used."""
+        return name in self.names or name.casefold() in STAMPS or self._cell(name) is not None
+
+    def _cell(self, name: str) -> CellColumn | None:
+        cell = known_column(name) if self.readings.cells else None
+        return cell if cell is not None and cell.kind == "cell" and cell.number > 0 else None
+
+    def _noted(self, found: Mapping[str, Any], stamp: str | None) -> None:
+        """Say once by what the time is taken, where no name gives its unit."""
+        said = f"the time was taken from '{stamp}', whose name states no unit"
+        if stamp is None:
+            unused = [name for name in found if not self.knows(str(name))]
+            said = "no time_s in the samples: that of their arrival was taken"
+            said += f" (not used: {listed(unused)})" if unused else ""
+        self.note = said
 
     def read(self, found: Any, arrived_s: float) -> Sample | Stray:
         """A sample; a value that is missing or null is NaN, a missing time is that of arrival."""
@@ -167,9 +208,18 @@ class ObjectReader:
             "time_s": arrived_s, **dict.fromkeys(CELL_FIELDS, math.nan)
         }  # fmt: skip
         known = bool(self.readings.cells)
+        if not any(self.names.get(name, ("",))[0] == "time_s" for name in found):
+            stamp = next((name for name in found if str(name).casefold() in STAMPS), None)
+            if self.note is None:
+                self._noted(found, stamp)
+            if stamp is not None and found[stamp] is not None:
+                try:
+                    values["time_s"] = stamp_s(found[stamp])
+                except (ValueError, OverflowError):
+                    return Stray(f"{stamp} is no time")
         for name, value in found.items():
-            cell = known_column(name) if self.readings.cells else None
-            if cell is not None and cell.kind == "cell" and cell.number > 0:
+            cell = self._cell(name)
+            if cell is not None:
                 field: str | int = cell.number - 1
                 unit = cell.unit
             elif name in self.names:

@@ -5,21 +5,23 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
 from cellwise.errors import InputError
 from cellwise.live.live_filter import Update
 from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample, Source, Stray
-from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.source import NOTHING_SAID, ReadOptions, decoded
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
-WAYS = "stdin, json:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK, "
+WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK, "
 WAYS += "mqtt://HOST/TOPIC, ble:DEVICE"
 
 # By the word before the colon: the module and the class of a stream.
 STREAMS = {
     "json": ("source", "JsonLines"),
+    "csv": ("source", "JsonLines"),
     "can": ("can_stream", "CanStream"),
     "ulog": ("ulog_stream", "UlogStream"),
     "mavlink": ("mavlink", "MavlinkStream"),
@@ -41,8 +43,8 @@ def open_source(
 
     Parameters
     ----------
-    name : str              ``stdin``, ``json:FILE``, ``can:INTERFACE:CHANNEL``, ``ulog:FILE``,
-                            ``mavlink:LINK``, ``mqtt://HOST/TOPIC``, ``ble:DEVICE``; a FILE
+    name : str              ``stdin``, ``json:FILE``, ``csv:FILE``, ``can:INTERFACE:CHANNEL``,
+                            ``ulog:FILE``, ``mavlink:LINK``, ``mqtt://HOST/TOPIC``, ``ble:DEVICE``; a FILE
                             of ``-`` is standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
@@ -69,7 +71,7 @@ def open_source(
         )
     module, made = STREAMS[kind]
     place: str | Pieces = name if kind.startswith("mqtt") else rest
-    if kind in ("json", "ulog"):
+    if kind in ("json", "csv", "ulog"):
         place = Pieces(rest, follow=follow)
     stream: Source = getattr(import_module(f"cellwise.live.{module}"), made)(
         place, options, sign, cells
@@ -78,12 +80,22 @@ def open_source(
 
 
 class JsonLines:
-    """``{"time_s": 12.5, "current_A": 1.2, "voltage_V": 3.91, "temperature_C": 25}`` per line."""
+    """``{"time_s": 12.5, "current_A": 1.2, "voltage_V": 3.91, "temperature_C": 25}`` per line.
+
+    Or rows of a table below a header of the same names, between commas, semicolons or tabs.
+    """
 
     def __init__(self, pieces: Pieces, options: ReadOptions, sign: str, cells: int = 0) -> None:
-        self.name = f"JSON lines from {pieces.name}"
+        self.name = f"lines from {pieces.name}"
         self._pieces = pieces
         self._reader = ObjectReader(Readings(options, sign, cells), options.channels)
+        self._header: list[str] = []
+        self._delimiter = ""
+
+    @property
+    def note(self) -> str | None:
+        """What is to be said of the samples' time."""
+        return self._reader.note
 
     def __iter__(self) -> Iterator[Sample | Stray | None]:
         kept = b""
@@ -95,23 +107,45 @@ class JsonLines:
             arrived_s = time.time()
             for line in lines:
                 if line.strip():
-                    yield self._read(line, arrived_s)
+                    yield from self._read(line, arrived_s)
             if len(kept) > LONGEST_LINE:
                 kept = b""
                 yield Stray("a line without an end")
         if kept.strip():
-            yield self._read(kept, time.time())
+            yield from self._read(kept, time.time())
 
     def close(self) -> None:
         """Close what was opened."""
         self._pieces.close()
 
-    def _read(self, line: bytes, arrived_s: float) -> Sample | Stray:
+    def _read(self, line: bytes, arrived_s: float) -> Iterator[Sample | Stray]:
+        """The sample of a line; none of a header."""
         try:
-            found = json.loads(line)
+            if not line.lstrip().startswith(b"{") and (found := self._row(line)) is not None:
+                yield from (self._reader.read(one, arrived_s) for one in found)
+                return
+            yield self._reader.read(json.loads(line), arrived_s)
         except (ValueError, RecursionError):
-            return Stray("not JSON")
-        return self._reader.read(found, arrived_s)
+            yield Stray("neither JSON nor a row below a header of names")
+
+    def _row(self, line: bytes) -> list[dict[str, Any]] | None:
+        """A row of a table as an object, none of its header; None: no part of one."""
+        text = decoded(line).lstrip("\ufeff")
+        delimiter = self._delimiter or max(";\t,", key=text.count)
+        cells = [cell.strip().strip('"') for cell in text.split(delimiter)]
+        if sum(map(self._reader.knows, cells)) > 1:
+            self._header, self._delimiter = cells, delimiter
+            return []
+        if not self._header or len(cells) != len(self._header):
+            return None
+        return [dict(zip(self._header, map(_value, cells), strict=True))]
+
+
+def _value(cell: str) -> float | str | None:
+    """A number, with a decimal point or comma; None of an empty cell, else the text."""
+    with suppress(ValueError):
+        return float(cell.replace(",", ".")) if cell else None
+    return cell
 
 
 EVERY_S = 1.0

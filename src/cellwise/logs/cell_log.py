@@ -11,8 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellwise.arguments import check_kind
-from cellwise.arguments import held_soc
+from cellwise.arguments import check_kind, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.plotting import Line, Panel, Plottable, Tabular

@@ -19,6 +19,7 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.grave import is_grave
+from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.typing import FloatArray
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
@@ -58,13 +59,15 @@ class FarOff(NamedTuple):
 
     Half of its rows (of many, about so many ``rows``) are beyond so many of the model's own
     standard ``deviations``: of a model that is right, half are within 0.7. Of a stream so many
-    ``looks`` count, one a second; before ``fewest`` a start that is off says nothing.
+    ``looks`` count, one a second; before ``fewest`` a start that is off says nothing; its sign is
+    asked at every of so many ``sign_looks``.
     """
 
     deviations: float = 3.0
     rows: int = 4000
     looks: int = 3600
     fewest: int = 30
+    sign_looks: int = 60
 
 
 class Order(NamedTuple):
@@ -134,39 +137,67 @@ def far_off_text(
     return _said(_name(log), times, typical_V)
 
 
-def _said(what: str, times: float, typical_V: float) -> str | None:
+def _said(what: str, times: float, typical_V: float, causes: str = OTHER) -> str | None:
     little = typical_V < SHOWN.no_model_V  # else half as many deviations are enough
     most = FAR_OFF.deviations if little else 0.5 * FAR_OFF.deviations
     if times <= most or not math.isfinite(times):
         return None
     return (
         f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
-        f"{times:.3g} times what the model states of itself: {OTHER} than the model's?"
+        f"{times:.3g} times what the model states of itself: {causes} than the model's?"
     )
 
 
 class FarOffStream:
-    """The same of a stream: of its last hour, by one look a second."""
+    """The same of a stream: of its last hour, by one look a second.
 
-    def __init__(self, model: CellModel) -> None:
+    ``sign``: what its current was read as, which is compared with what the voltage does.
+    """
+
+    def __init__(self, model: CellModel, sign: str = "auto") -> None:
         self._model = model
+        self._other = "discharge-positive" if sign == "charge-positive" else "charge-positive"
+        self._causes = f"the sign of the current (`sign='{self._other}'`), {OTHER}"
+        self._passed_s, self._looks = 0.0, 0
+        self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_OFF.looks)
+        self._contradicted = False
         self._since_s = math.inf
         self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_OFF.looks)
         self.text: str | None = None
 
     def look(
-        self, dt_s: float, error_V: float, soc: float, voltage_V: float, temperature_C: float
+        self,
+        dt_s: float,
+        current_A: float,
+        error_V: float,
+        soc: float,
+        voltage_V: float,
+        temperature_C: float,
     ) -> None:
         """One sample: measured minus predicted, where the model is; then ``text`` is true of it."""
         self._since_s += dt_s
+        self._passed_s += dt_s
         if self._since_s < 1.0 or not math.isfinite(error_V):
             return
         self._since_s = 0.0
+        self._measured.append((self._passed_s, current_A, voltage_V + error_V))
+        self._check_sign()
         warm = temperature_C if math.isfinite(temperature_C) else None
         stated_V = max(float(_stated_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
         if len(self._seen) >= FAR_OFF.fewest:
-            self.text = _said("the stream", *np.median(self._seen, axis=0).tolist())
+            times, typical_V = np.median(self._seen, axis=0).tolist()
+            said = _said("the stream", times, typical_V, self._causes)
+            self.text = contradiction(self._other) if self._contradicted else said
+
+    def _check_sign(self) -> None:
+        """Ask what the sign of the last hour is, once a minute."""
+        self._looks += 1
+        if self._looks % FAR_OFF.sign_looks == 0 and any(
+            np.isfinite(i) for _, i, _ in self._measured
+        ):
+            log = CellLog(*np.array(self._measured).T)
+            self._contradicted = verify_sign(log).verdict == "contradicted"
 
 
 def far_off_notices(text: str | None) -> list[Notice]:

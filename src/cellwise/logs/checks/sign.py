@@ -203,9 +203,7 @@ def _contrast(window: float, causes: FloatArray, changes: FloatArray) -> Contras
     kept = np.arange(changes.size) != (np.argmax(np.abs(changes)) if changes.size else 0)
     discharge, charge = _shares(causes, changes)
     others = _shares(causes[kept], changes[kept])
-    return Contrast(
-        window, changes.size, causes.shape[1], discharge, charge, others[0] - others[1]
-    )
+    return Contrast(window, changes.size, causes.shape[1], discharge, charge, others[0] - others[1])
 
 
 def _shares(causes: FloatArray, changes: FloatArray) -> tuple[float, float]:
