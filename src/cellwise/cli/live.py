@@ -6,7 +6,8 @@ cellwise live: a stream of samples to SOC, as they come
     $ live --model cell.json --source can:can0 --dbc pack.dbc --state soc.state
 <scaled model>
     --source FROM!  stdin (JSON lines or CSV), json:FILE, csv:FILE, can:INTERFACE:CHANNEL,
-        ulog:FILE (- for stdin), mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1 says how it begins
+        ulog:FILE (- for stdin), mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE; json:FILE@soc0=1
+        says how it begins
     --follow  wait for more at a file's end
     --estimator E=ekf  ekf or ukf
 <start>

@@ -15,8 +15,8 @@ from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample,
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions, decoded
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
-WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), mavlink:LINK, "
-WAYS += "mqtt://HOST/TOPIC, ble:DEVICE"
+WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), "
+WAYS += "mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE"
 
 # By the word before the colon: the module and the class of a stream.
 STREAMS = {
@@ -44,8 +44,8 @@ def open_source(
     Parameters
     ----------
     name : str              ``stdin``, ``json:FILE``, ``csv:FILE``, ``can:INTERFACE:CHANNEL``,
-                            ``ulog:FILE``, ``mavlink:LINK``, ``mqtt://HOST/TOPIC``, ``ble:DEVICE``; a FILE
-                            of ``-`` is standard input
+                            ``ulog:FILE``, ``mavlink:LINK``, ``mqtt://HOST/TOPIC``,
+                            ``ble:DEVICE``; a FILE of ``-`` is standard input
     options : ReadOptions   pack, channels, instance, database
     sign : str              ``charge-positive`` turns the current round
     follow : bool           wait for more at a file's end

@@ -193,10 +193,11 @@ class FarOffStream:
     def _check_sign(self) -> None:
         """Ask what the sign of the last hour is, once a minute."""
         self._looks += 1
-        if self._looks % FAR_OFF.sign_looks == 0 and any(
-            np.isfinite(i) for _, i, _ in self._measured
-        ):
-            log = CellLog(*np.array(self._measured).T)
+        if self._looks % FAR_OFF.sign_looks:
+            return
+        time_s, current_A, voltage_V = np.array(self._measured).T
+        if np.isfinite(current_A).any():
+            log = CellLog(time_s, current_A, voltage_V)
             self._contradicted = verify_sign(log).verdict == "contradicted"
 
 

@@ -259,6 +259,6 @@ def _no_pack(source: LogSource, found: str) -> InputError:
     return InputError(
         f"no pack in {source.where}, whose {found}",
         "at least two columns cell_01_V, cell_02_V, ... (or cell_01_mV, ...)",
-        "Name the cells' columns so, or say which they are (`channels={'cell_01_V': 'COLUMN'}`, one "
-        "for each); a log of one cell goes to `cellwise replay`.",
+        "Name the cells' columns so, or say which they are (`channels={'cell_01_V': 'COLUMN'}`, "
+        "one for each); a log of one cell goes to `cellwise replay`.",
     )
