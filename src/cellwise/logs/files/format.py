@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from typing import Any, Literal
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CurrentMeaning
-from cellwise.logs.files.columns import Channel
+from cellwise.logs.files.columns import Channel, folded
 from cellwise.logs.files.source import LogSource, RawLog
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
@@ -74,6 +76,7 @@ def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
     ------
     InputError        none does, or the format has no use for what the user stated
     """
+    _check_text_is_no_spectrum(source)
     for known in formats:
         if known.matches(source):
             _check_options(source, known)
@@ -87,6 +90,56 @@ def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
         "a log in one of the formats: " + ", ".join(known.name for known in formats),
         action,
     )
+
+
+# Names, folded, of what an impedance spectrum has in each row: a frequency, and an impedance.
+_FREQUENCY = re.compile(r"(?:f|fr[eé][qc]\w*|频率|周波数)\W*(?:hz\W*)?")
+_IMPEDANCE = re.compile(
+    r"\W*(?:(?:re|im|real|imag|phase|abs|mod)\w*\W*z(?![a-z]).*|\|z\|.*|.*impedan.*"
+    r"|z\W*(?:re|im|mod|mag|ph|prime|[\"'′″`]).*)"
+)
+FREQUENCIES = 20  # rows that are looked at
+
+
+def check_no_spectrum(
+    names: Sequence[str], values: Callable[[int], Iterable[Any]], where: str
+) -> None:
+    """Refuse a table whose rows are frequencies; the ``values`` of a column by its place.
+
+    A log over time that holds one frequency, or none in most rows, is a log.
+
+    Raises
+    ------
+    InputError        an impedance spectrum
+    """
+    places = [k for k, name in enumerate(names) if _FREQUENCY.fullmatch(folded(name))]
+    of = next((name for name in names if _IMPEDANCE.fullmatch(folded(name))), None)
+    if not places or of is None:
+        return
+    found = set()
+    for value in islice(values(places[0]), FREQUENCIES):
+        with suppress(TypeError, ValueError):
+            found.add(float(value.replace(",", ".") if isinstance(value, str) else value))
+    if len(found - {0.0}) > 2:
+        raise InputError(
+            f"an impedance spectrum in {where} (columns '{names[places[0]]}' and '{of}'), no log "
+            "over time",
+            "time, current and voltage of a cell",
+            "Give the log of a test or of a drive; no command reads spectra.",
+        )
+
+
+def _check_text_is_no_spectrum(source: LogSource) -> None:
+    lines = source.first_lines
+    for k, line in enumerate(lines):
+        if "z" in (small := line.casefold()) and "f" in small:
+            delimiter = next((mark for mark in "\t;," if mark in line), None)
+            rows = [text.split(delimiter) for text in lines[k:]]
+            check_no_spectrum(
+                [cell.strip() for cell in rows[0]],
+                lambda at, rows=rows[1:]: (row[at] for row in rows if len(row) > at),  # type: ignore[misc]
+                source.where,
+            )
 
 
 def _check_options(source: LogSource, known: Format) -> None:

@@ -21,7 +21,12 @@ from cellwise.logs.files.columns import (
     folded,
     says_its_sign,
 )
-from cellwise.logs.files.format import Format, library_at_work
+from cellwise.logs.files.format import (
+    FREQUENCIES,
+    Format,
+    check_no_spectrum,
+    library_at_work,
+)
 from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
@@ -76,6 +81,8 @@ def channels_of(
     InputError              a required channel is missing or holds no numbers; no rows
     """
     where, chosen = source.where, source.options.channels
+    names = [str(name) for name in arrays]
+    check_no_spectrum(names, lambda k: np.ravel(arrays[names[k]])[:FREQUENCIES], where)
     raw = table_channels(arrays, known.channels, where, known=known.known, chosen=chosen)
     sizes = {field: values.size for field, values in raw.channels.items()}
     if set(sizes.values()) == {0}:
