@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class InputError(ValueError):
     """An input was refused: what was found, what was expected, what to do.
@@ -23,7 +25,7 @@ class InputError(ValueError):
         self.action = action
         super().__init__(f"found {found}; expected {expected}. {action}")
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+    def __reduce__(self) -> tuple[type[InputError], tuple[Any, ...]]:
         """What another process needs to raise it again."""
         return type(self), (self.found, self.expected, self.action)
 

@@ -24,7 +24,7 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import Channel
-from cellwise.logs.files.format import Format, damaged, detect_format
+from cellwise.logs.files.format import Format, damaged, detect_format, one_battery
 from cellwise.logs.files.source import (
     FROM_FILE,
     Limits,
@@ -96,7 +96,7 @@ def read_log(
         series=series,
         parallel=parallel,
         channels=dict(channels or {}),
-        instance=instance,
+        instance=stated.instance if instance is None else instance,
         dbc=None if dbc is None else Path(dbc),
         partial=partial,
         decimal=decimal,
@@ -104,6 +104,8 @@ def read_log(
     source = open_source(stated.path, progress, options)
     known = detect_format(source, FORMATS)
     named = plain_name(source.path) if name is None else name
+    if stated.instance is not None and name is None:
+        named += f"@{stated.instance}"
     columns = columns_of_table(source, known)
     cells = sum(c.kind == "cell" for c in columns)
     if cells and series in (1, FROM_FILE, cells):
@@ -114,7 +116,8 @@ def read_log(
         what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
         said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
         return stated.applied(pack.mean.with_notices((*pack.notices, said)))
-    raw = complete(read_channels(source, known), known.sign, source.where)
+    raw = one_battery(read_channels(source, known), source, known)
+    raw = complete(raw, known.sign, source.where)
     raw = to_cell(raw, options, source.where)
     return stated.applied(assemble(raw, known, source.path, named, sign, check_sign=check_sign))
 
@@ -148,6 +151,7 @@ def read_pack(
     InputError        no cell voltages, or whatever `read_log` refuses
     """
     stated = Stated.of(path)
+    instance = stated.instance if instance is None else instance
     options = ReadOptions(parallel=parallel, channels=dict(channels or {}), instance=instance)
     source = open_source(stated.path, None, options)
     known = detect_format(source, FORMATS)

@@ -17,7 +17,7 @@ from cellwise.arguments import beyond, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 
-KEYS = ("temperature_C", "soc0")
+KEYS = ("temperature_C", "soc0", "instance")
 FORM = "LOG@TEMPERATURE or LOG@temperature_C=-20,soc0=1"
 _DAY = re.compile(r"(?<!\d)((?:19|20)\d\d)[-_]?([01]\d)[-_]?([0-3]\d)(?!\d)")
 OTHER_TEMPERATURE_K = 10.0  # sensors, chambers and the way between them differ by less
@@ -32,6 +32,7 @@ class Stated:
     path : str                      of the log
     temperature_C : float or None   of the cell where the log measured none [degC]
     soc0 : float or None            true SOC at the first row, 0..1: it is believed
+    instance : int or None          which of several logs or batteries in the file, from 0
 
     Raises
     ------
@@ -41,6 +42,7 @@ class Stated:
     path: str
     temperature_C: float | None = None
     soc0: float | None = None
+    instance: int | None = None
 
     def __post_init__(self) -> None:
         check_temperature(self.temperature_C)
@@ -87,7 +89,8 @@ class Stated:
                     FORM,
                     "Write e.g. hppc.csv@-10, or correct the file's name.",
                 ) from None
-        return cls(path, **values)
+        nth = values.pop("instance", None)
+        return cls(path, instance=None if nth is None else int(nth), **values)
 
     @classmethod
     def of(cls, path: str | Path | Stated) -> Stated:
@@ -99,7 +102,7 @@ class Stated:
     @property
     def says_nothing(self) -> bool:
         """Nothing is stated."""
-        return self.temperature_C is None and self.soc0 is None
+        return self.temperature_C is None and self.soc0 is None and self.instance is None
 
     def applied(self, log: CellLog) -> CellLog:
         """The log with what is stated: a measured temperature stays, an initial SOC is believed."""

@@ -14,6 +14,7 @@ from cellwise.cli.common import printing
 from cellwise.data import datasets_folder, list_datasets
 from cellwise.errors import InputError, MachineError
 from cellwise.logs import CellLog, Stated, read_log
+from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
@@ -88,7 +89,7 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
             unread, before = [], len(found)
             for one in place.logs:
                 try:
-                    found.append((read_one(one), one))
+                    found += _all_of(one, read_one)
                 except MachineError:
                     raise
                 except InputError as error:
@@ -107,6 +108,17 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
             for name, refusal in unread:
                 printing.warn(f"left out of '{path}': '{Path(name).name}', {refusal.found}")
     return found
+
+
+def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:
+    """The log of a file, or all of them where it holds several."""
+    try:
+        return [(read_one(one), one)]
+    except SeveralLogsError as several:
+        if not several.numbers:
+            raise
+        each = [replace(one, instance=k) for k in several.numbers]
+    return [(read_one(nth), nth) for nth in each]
 
 
 def test_logs(arguments: argparse.Namespace) -> TestLogs:

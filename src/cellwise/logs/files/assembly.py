@@ -223,7 +223,7 @@ def assemble(
         )
     where = f"'{path or name}'" if path or name else "the table"
     of_tester = known is not None and not known.name.startswith("tidy")
-    own_sign = "discharge-positive" if known is None else known.sign
+    own_sign = known.sign if known is not None and raw.signed else "discharge-positive"
     channels = dict(raw.channels)
     notices = list(raw.notices)
     grave.check_time_moves(channels["time_s"], where)

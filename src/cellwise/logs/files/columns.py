@@ -52,6 +52,7 @@ UNITS = {
     "F": Unit(5.0 / 9.0, -160.0 / 9.0),
     "As": Unit(1.0 / 3600.0),
     "clock": CLOCK,
+    "nth": Unit(kind="label", labels={str(k): float(k) for k in range(32)}),
     "-Ah": Unit(-1.0),
     "-mAh": Unit(-1e-3),
 }
@@ -114,6 +115,7 @@ _TIDY = {
         "ampere_seconds => As",
     ),
     "step": ("step",),
+    "instance": ("instance => nth", "Inst => nth", "battery_id => nth", "battery_instance => nth"),
 }
 TIDY_CHANNELS = tuple(Channel(f, named_units(n), f in REQUIRED) for f, n in _TIDY.items())
 # The tidy form's names, each with its field and unit, and the usual one of each field.

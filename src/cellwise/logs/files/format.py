@@ -6,14 +6,16 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import islice
 from typing import Any, Literal
 
+import numpy as np
+
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CurrentMeaning
-from cellwise.logs.files.columns import Channel, folded
+from cellwise.logs.files.columns import MOST_LISTED, Channel, folded
 from cellwise.logs.files.source import LogSource, RawLog
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
@@ -184,6 +186,68 @@ def chosen_battery(
     chosen = next(iter(live or batteries)) if stated is None else stated
     said = f"{len(batteries)} batteries ({named}); read number {chosen}; `instance=K` reads another"
     return chosen, [said] if len(batteries) > 1 else []
+
+
+def one_battery(raw: RawLog, source: LogSource, known: Format) -> RawLog:
+    """Of a table with rows of several batteries in turn, those of one.
+
+    Raises
+    ------
+    InputError        no battery of the number that the user stated
+    """
+    channels = dict(raw.channels)
+    of = channels.pop("instance", None)
+    if of is None:
+        if any(c.field == "instance" for c in known.channels):
+            chosen_battery({0: ""}, [0], source)
+        return raw
+    volts = channels.get("voltage_V", of)
+    each = {int(k): np.abs(volts[of == k]) for k in np.unique(of[np.isfinite(of)])}
+    named = {k: f"{np.nanmedian(v):.1f} V" for k, v in each.items() if np.isfinite(v).any()}
+    if len(named) < 2 and source.options.instance is None:
+        return replace(raw, channels=channels)
+    noted = [n for n in raw.notices if not n.endswith("converted to instance")]
+    live = [k for k in named if np.nanmedian(each[k]) > 0.0]
+    chosen, notices = chosen_battery(named or {0: ""}, live, source)
+    rows = {field: values[of == chosen] for field, values in channels.items()}
+    return replace(raw, channels=rows if named else channels, notices=(*notices, *noted))
+
+
+class SeveralLogsError(InputError):
+    """A file of several logs of which none was chosen; ``numbers`` are those of all of them."""
+
+    def __init__(
+        self, found: str, expected: str, action: str, numbers: tuple[int, ...] = ()
+    ) -> None:
+        super().__init__(found, expected, action)
+        self.numbers = numbers
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[Any, ...]]:
+        """What another process needs to raise it again."""
+        return type(self), (self.found, self.expected, self.action, self.numbers)
+
+
+def chosen_log(logs: Sequence[str], source: LogSource) -> int:
+    """Which log of a file that holds several is read; ``logs`` are how they are called.
+
+    Raises
+    ------
+    SeveralLogsError       the user chose none of them
+    """
+    stated = source.options.instance
+    if len(logs) == 1 and stated is None:
+        return 0
+    if stated is not None and stated < len(logs):
+        return stated
+    shown = "; ".join(f"{k}: {name}" for k, name in enumerate(logs[:MOST_LISTED]))
+    shown += f"; and {len(logs) - MOST_LISTED} more" if len(logs) > MOST_LISTED else ""
+    raise SeveralLogsError(
+        f"{len(logs)} logs in {source.where} ({shown})",
+        "one of them" if stated is None else f"a number up to {len(logs) - 1}",
+        "Choose one with `instance=K` (of one file: LOG@instance=K); `cellwise history` and "
+        "`cellwise identify` take all of them.",
+        () if stated is not None else tuple(range(len(logs))),
+    )
 
 
 def damaged(source: LogSource, kind: str, reason: object) -> InputError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
@@ -25,6 +27,15 @@ def _is_bdf_parquet(source: LogSource) -> bool:
     return parquet_has(source, marks("bdf-csv"))
 
 
+TABLE = Format(
+    "tidy-csv",
+    lambda source: source.is_text,
+    TIDY_CHANNELS,
+    read_csv,
+    "discharge-positive",
+    instances=True,
+)
+
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
     PX4_ULOG,
@@ -37,9 +48,9 @@ FORMATS: tuple[Format, ...] = (
     ARBIN_EXCEL,
     CAN_LOG,
     mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
-    Format("tidy-parquet", is_parquet, TIDY_CHANNELS, read_parquet, "discharge-positive"),
+    replace(TABLE, name="tidy-parquet", matches=is_parquet, read=read_parquet),
     BASYTEC_TEXT,
     NEWARE_LEVELS,
     *map(mapped, marked_tables()),
-    Format("tidy-csv", lambda s: s.is_text, TIDY_CHANNELS, read_csv, "discharge-positive"),
+    TABLE,
 )

@@ -18,6 +18,7 @@ PLACE = Path(__file__).with_name("column_maps.toml")
 FIELDS = (
     *("time_s", "step_time_s", "current_A", "voltage_V", "working_V", "counter_V"),
     *("temperature_C", "charge_Ah", "charged_Ah", "discharged_Ah", "moved_Ah", "step", "direction"),
+    "instance",
 )
 _STATES = {"charge": -1.0, "discharge": 1.0, "rest": 0.0}
 

@@ -10,6 +10,8 @@ import csv
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,8 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import folded
 from cellwise.logs.files.csv_text import has_names, header_cells, read_csv
-from cellwise.logs.files.format import Format, library_at_work, need
-from cellwise.logs.files.source import Limits, LogSource, RawLog, decoded
+from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
+from cellwise.logs.files.source import NOTHING_SAID, Limits, LogSource, RawLog, decoded
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 
@@ -218,11 +220,15 @@ def _read_matlab(source: LogSource, known: Format) -> RawLog:
     if source.head.startswith(_MATLAB_7):
         h5py = need("h5py", "a MATLAB 7.3 file")
 
-        def level(group: Any) -> dict[str, Any]:
-            return {
-                name: level(item) if isinstance(item, h5py.Group) else item[()]
-                for name, item in group.items()
-            }
+        def level(item: Any) -> Any:
+            if isinstance(item, h5py.Group):
+                return {name: level(item[name]) for name in item if name[0] != "#"}
+            if h5py.check_ref_dtype(item.dtype) is not None:  # cells, or structures in an array
+                inner = [level(item.file[ref]) for ref in np.ravel(item[()])]
+                return inner if len(inner) > 1 else inner[0]
+            if item.attrs.get("MATLAB_class") == b"char":
+                return "".join(map(chr, np.ravel(item[()], order="F")))
+            return item[()]
 
         with library_at_work(source, "MATLAB 7.3 file"), h5py.File(source.path, "r") as file:
             content = level(file)
@@ -241,24 +247,64 @@ def _read_matlab(source: LogSource, known: Format) -> RawLog:
         )
     names = {name for c in known.channels for name in c.names}
     names |= set(source.options.channels.values())
-    best = max(tables, key=lambda table: (len(names.intersection(table)), len(table)))
-    return channels_of(best, source, known)
+    logs = [one for one in tables if _is_log(one[1], source, known)]
+    if not logs:
+        logs = [max(tables, key=lambda one: (len(names.intersection(one[1])), len(one[1])))]
+    sizes = (max(map(np.size, columns.values())) for _, columns in logs)
+    called = [f"{name or 'top level'}, {n} rows" for (name, _), n in zip(logs, sizes, strict=True)]
+    _, columns = logs[chosen_log(called, source)]
+    raw = channels_of(columns, source, known)
+    # Whoever fills a structure by hand decides what its current's sign means.
+    return raw if any(name in columns for name in _SIGNED) else replace(raw, signed=False)
 
 
-def _structures(level: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Every structure's columns, from the top down."""
-    columns = {
-        name: np.asarray(value).ravel()
-        for name, value in level.items()
-        if not name.startswith(("__", "#"))
-        and not isinstance(value, Mapping)
-        and np.size(value) > 1
-    }
-    if columns:
-        yield columns
-    for value in level.values():
-        if isinstance(value, Mapping):
-            yield from _structures(value)
+_SIGNED = ("Battery_Temp_degC", "TimeStamp", "Ah", "Current_measured")
+
+
+def _is_log(columns: Mapping[str, Any], source: LogSource, known: Format) -> bool:
+    """A structure has time, current and voltage of one length."""
+    try:
+        with suppress(InputError):
+            channels_of(columns, replace(source, options=NOTHING_SAID), known)
+            return True
+        channels_of(columns, source, known)
+    except InputError:
+        return False
+    return True
+
+
+def _structures(level: Any, name: str = "", said: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every structure's columns and what it is called, from the top down, arrays in order."""
+    if isinstance(level, Mapping):
+        inner = {n: v for n, v in level.items() if not n.startswith(("__", "#"))}
+        columns = {n: np.asarray(v).ravel() for n, v in inner.items() if _is_column(v)}
+        said = next((f", {v}" for v in map(inner.get, ("type", "name")) if _is_word(v)), said)
+        if columns:
+            yield f"{name}{said}", columns
+        # An array of cells for each quantity is an array of structures.
+        sides = {n: v for n, v in inner.items() if _is_array(v) and all(map(_is_column, v))}
+        if len({len(v) for v in sides.values()}) == 1 and len(sides) > 1:
+            rows = [dict(zip(sides, row, strict=True)) for row in zip(*sides.values(), strict=True)]
+            yield from _structures(rows, name, said)
+        for key, value in inner.items():
+            if key not in sides:
+                yield from _structures(value, f"{name}.{key}" if name else key, said)
+    elif _is_array(level):
+        for k, value in enumerate(level):
+            yield from _structures(value, f"{name}({k + 1})", said)
+
+
+def _is_array(value: Any) -> bool:
+    """An array of structures or of cells, as their library gives it."""
+    return isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object)
+
+
+def _is_column(value: Any) -> bool:
+    return isinstance(value, (np.ndarray, list)) and not _is_array(value) and np.size(value) > 1
+
+
+def _is_word(value: Any) -> bool:
+    return isinstance(value, str) and bool(value.strip())
 
 
 DIGATRON_MAT = mapped(
@@ -266,6 +312,7 @@ DIGATRON_MAT = mapped(
     matches=lambda source: source.head.startswith((_MATLAB_5, _MATLAB_7)),
     read=_read_matlab,
     isolated=True,
+    instances=True,
 )
 
 

@@ -14,7 +14,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.csv_text import csv_layout
-from cellwise.logs.files.format import Format, Reader
+from cellwise.logs.files.format import Format, Reader, one_battery
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.packs.cells import (
@@ -211,7 +211,7 @@ def pack_of(
     wide = replace(known, channels=(*own, *(c.channel for c in columns)))
     chosen = {n: c for n, c in source.options.channels.items() if known_column(n) is None}
     source = replace(source, options=replace(source.options, channels=chosen))
-    raw = complete(read(source, wide), known.sign, source.where)
+    raw = complete(one_battery(read(source, wide), source, wide), known.sign, source.where)
     found = raw.channels
 
     def of_kind(kind: str) -> list[CellColumn]:
