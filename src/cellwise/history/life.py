@@ -12,7 +12,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
-from cellwise.history.stretches import Compared, Stretch, compare, longest_stretch
+from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles, longest_stretch
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.history.window_fit import PER_KELVIN, WindowFit, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
@@ -285,7 +285,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     found: list[LogOfLife] = []
     references: list[tuple[Stretch, LogOfLife | None]] = []
     far_off: list[str] = []
-    for log in logs:
+    for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = fit_window(model, log) if one is None or not found else None
         if fit is not None and fit.far_off and not anyway:

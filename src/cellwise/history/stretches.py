@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.gaps import run_edges
+from cellwise.logs.gaps import runs_of
 from cellwise.typing import FloatArray
 
 
@@ -113,10 +114,17 @@ class Compared:
     counted: bool
 
 
-def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
-    """The longest stretch of constant current, a discharge before a charge; None: none to use."""
+class _Rows(NamedTuple):
+    """Rows at one current, and the stretch that they are."""
+
+    first: int
+    stop: int
+    stretch: Stretch
+
+
+def _usable(log: CellLog, capacity_Ah: float) -> list[_Rows]:
+    """The stretches of constant current, discharges before charges; none to use: none."""
     current, interval = log.known_current_A(), log.interval_s
-    best: Stretch | None = None
     for sign in (1.0, -1.0):
         loaded = (sign * current > USABLE.rate_C * capacity_Ah) & np.isfinite(log.voltage_V)
         if np.count_nonzero(loaded) < USABLE.rows:
@@ -124,20 +132,44 @@ def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
         usual = float(np.median(current[loaded]))
         inside = loaded & (np.abs(current - usual) < SAME.constant * abs(usual))
         inside &= ~log.gap_rows
-        if not inside.any():
-            continue
-        first, last = max(zip(*run_edges(inside), strict=True), key=lambda run: run[1] - run[0])
-        a, b = int(first), int(last) + 1
-        charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
-        long = log.time_s[b - 1] - log.time_s[a] >= USABLE.length_s
-        much = charge[-1] - charge[0] >= 0.5 * AGEING.length * capacity_Ah
-        if b - a < USABLE.rows or not long or not much:
-            continue
-        warm = None if log.temperature_C is None else float(log.temperature_C[a])
-        warm = None if warm is None or not np.isfinite(warm) else warm
-        best = _thinned(charge, log.voltage_V[a:b], usual, warm)
-        break
-    return best
+        found = []
+        for first, last in runs_of(inside):
+            a, b = first, last + 1
+            charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
+            long = log.time_s[b - 1] - log.time_s[a] >= USABLE.length_s
+            much = charge[-1] - charge[0] >= 0.5 * AGEING.length * capacity_Ah
+            if b - a < USABLE.rows or not long or not much:
+                continue
+            warm = None if log.temperature_C is None else float(log.temperature_C[a])
+            warm = None if warm is None or not np.isfinite(warm) else warm
+            found.append(_Rows(a, b, _thinned(charge, log.voltage_V[a:b], usual, warm)))
+        if found:
+            return found
+    return []
+
+
+def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
+    """The longest stretch of constant current, a discharge before a charge; None: none to use."""
+    found = _usable(log, capacity_Ah)
+    return max(found, key=lambda one: one.stop - one.first).stretch if found else None
+
+
+def cut_at_cycles(log: CellLog, capacity_Ah: float) -> tuple[CellLog, ...]:
+    """Of a log of several complete half cycles at one current, one for each; else the log."""
+    found = _usable(log, capacity_Ah)
+    if len(found) < 2:
+        return (log,)
+    most = max(found, key=lambda one: one.stop - one.first).stretch
+    stops = [one.stop for one in found if one.stretch.as_complete_as(most)]
+    if len(stops) < 2:
+        return (log,)
+    stops[-1] = len(log)
+    parts = [
+        replace(log.part(first, stop), name=f"{log.name}, cycle {k + 1}", notices=())
+        for k, (first, stop) in enumerate(pairwise((0, *stops)))
+    ]
+    said = f"'{log.name}' holds {len(stops)} complete half cycles, each followed by itself"
+    return (replace(parts[0], notices=(*log.notices, said)), *parts[1:])
 
 
 def compare(one: Stretch, reference: Stretch) -> Compared:
