@@ -148,7 +148,10 @@ def cut_at_pauses(log: CellLog) -> tuple[CellLog, ...]:
         return (log,)
     found: list[CellLog] = []
     for first, stop in pairwise((0, *rows, len(log))):
-        if np.count_nonzero(np.isfinite(log.voltage_V[first:stop])) < UNCOUNTED.voltages:
+        measured = np.isfinite(log.voltage_V[first:stop])
+        if np.count_nonzero(measured) < UNCOUNTED.voltages or not np.any(
+            np.isfinite(log.current_A[first:stop])
+        ):
             continue
         part = log.part(first, stop)
         name = f"{log.name}, {log.time_s[first]:.0f} s" if first else log.name

@@ -160,9 +160,10 @@ def _from_whole_log(
     by_rest: Callable[[FloatArray], FloatArray] | None = None,
 ) -> InitialSoc:
     # After a pause that nobody counted another start may hold.
-    log = log.part(0, min((len(log), LOOKED.rows, *uncounted_pauses(log))))
-    if np.count_nonzero(np.isfinite(log.voltage_V)) < 2:
+    rows = min((len(log), LOOKED.rows, *uncounted_pauses(log)))
+    if np.count_nonzero(np.isfinite(log.voltage_V[:rows])) < 2:
         return beginning
+    log = log.part(0, rows)
     if by_rest is not None and beginning.std <= LOOKED.sure:
         ends = np.array([beginning.soc, 0.0, 1.0])
         if np.argmax(ln_likelihood_of_starts(model, log, past, by_rest, ends)) == 0:

@@ -35,16 +35,26 @@ class Stretch(NamedTuple):
 def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretch, ...]:
     """A log cut at the pauses that nobody counted: a car may have been charged meanwhile.
 
+    What is too short to say where it begins stays with what lies before; a first row that stands
+    alone with what lies behind, which says where the log begins.
+
     Parameters
     ----------
     start : InitialSoc      of the log's first row
     """
     found = [Stretch(0, len(log), start)]
     for row, stop in pairwise((*uncounted_pauses(log), len(log))):
-        if np.count_nonzero(np.isfinite(log.voltage_V[row:stop])) >= FEWEST_VOLTAGES:
-            part = log.part(row, stop)
-            found[-1] = found[-1]._replace(stop=row)
-            found.append(Stretch(row, len(log), initial_soc(model, part, whole_log=True)))
+        measured = np.isfinite(log.voltage_V[row:stop])
+        if np.count_nonzero(measured) < FEWEST_VOLTAGES or np.isnan(log.current_A[row:stop]).all():
+            continue
+        begun = initial_soc(model, log.part(row, stop), whole_log=True)
+        before = found[-1]._replace(stop=row)
+        alone = row - before.first < 2 or not np.isfinite(log.voltage_V[before.first : row]).any()
+        found[-1:] = (
+            [Stretch(before.first, len(log), begun)]
+            if alone
+            else [before, Stretch(row, len(log), begun)]
+        )
     return tuple(found)
 
 
