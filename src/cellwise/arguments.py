@@ -56,11 +56,11 @@ def numbers(name: str, values: object) -> FloatArray:
     raise InputError(f"{name} = {shown(values)}", "numbers, nan where one is missing", "Correct.")
 
 
-SOC_BEYOND = 0.02  # a counter ends no further beyond empty or full
+SOC_BEYOND = 0.005  # a counter ends no further beyond empty or full
 
 
 def held_soc(soc: float) -> float:
-    """A SOC, 0..1: one that a counter puts up to 0.02 beyond empty or full is empty or full."""
+    """A SOC, 0..1: one that a counter puts up to 0.005 beyond empty or full is empty or full."""
     return min(max(soc, 0.0), 1.0) if -SOC_BEYOND <= soc <= 1.0 + SOC_BEYOND else soc
 
 

@@ -79,18 +79,20 @@ def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellL
             "Leave out -o, or name one log; `cellwise fleet replay` writes a row for each.",
         )
     logs = log_options.read_all([arguments.log], arguments)
-    for log in logs:
+
+    def checked(log: CellLog) -> CellLog:
         check_cells_in_series(model, log)
-    return logs
+        return log
+
+    return tuple(log_options.each_that_serves(logs, checked))
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
     """Simulate a log and print the error."""
     options.check_places(arguments.output)
     model = options.read_model(arguments)
-    logs = read_logs_of(model, arguments)
-    printed = []
-    for log in logs:
+
+    def simulated(log: CellLog) -> dict[str, Any]:
         asked = options.start_of(log.soc0, options.soc0_of(arguments))
         start = initial_soc(model, log, asked, whole_log=True)
         simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
@@ -100,11 +102,13 @@ def run_simulate(arguments: argparse.Namespace) -> None:
         if arguments.output:
             write_columns(found.columns(), Path(arguments.output))
         data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
-        printed.append({"log": log.name, **data, "notices": list(found.notices)})
         if not arguments.json:
             print_simulation(found, start)
+        return {"log": log.name, **data, "notices": list(found.notices)}
+
+    printed = log_options.each_that_serves(read_logs_of(model, arguments), simulated)
     if arguments.json:
-        printing.print_json(printed[0] if len(logs) == 1 else {"logs": printed})
+        printing.print_json(printed[0] if len(printed) == 1 else {"logs": printed})
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
@@ -120,11 +124,14 @@ def run_replay(arguments: argparse.Namespace) -> None:
     plans = forecast_options.plans_of(arguments)
     whole = read_logs_of(model, arguments)
     logs = [(one, k == 0) for log in whole for k, one in enumerate(cut_at_pauses(log))]
-    runs: list[Run] = []
     with printing.working(arguments.estimator) as follow:
-        for log, begins in logs:
-            follow(f"{arguments.estimator} over {len(log):,} samples", len(runs), len(logs))
-            runs.append(run_of(model, log, plans, power, arguments, begins=begins))
+
+        def replayed(one: tuple[CellLog, bool]) -> Run:
+            name = f"{arguments.estimator} over {len(one[0]):,} samples"
+            follow(name, logs.index(one), len(logs))
+            return run_of(model, one[0], plans, power, arguments, begins=one[1])
+
+        runs = log_options.each_that_serves(logs, replayed)
     if arguments.output:
         write_rows(arguments, runs)
     with page_options.page_places(arguments) as pages:

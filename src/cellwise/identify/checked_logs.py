@@ -65,6 +65,7 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     InputError        no usable log; a log whose current has the wrong sign; a pack beside or
                       instead of a cell; a nominal capacity that is none
     """
+    tests, left_out = _without_wrong_drives(tests)
     logs, nominal = tests.logs(), settings.nominal_Ah
     if not logs:
         raise InputError("no test", "at least one", "Give `hppc=LOG` or `drive=LOG`.")
@@ -73,15 +74,7 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
             f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
         )
     for log in logs:
-        found = verify_sign(log)
-        if found.verdict == "contradicted":
-            raise InputError(
-                f"log '{log.name}' whose voltage rises with its discharge current "
-                f"({'; '.join(found.evidence[:2])})",
-                "positive current on discharge",
-                "Give `sign='charge-positive'`, or swap the sign in the file.",
-            )
-        check_one_cell(log)
+        _check_log(log)
     _check_voltages(logs)
     default = REFERENCE_C if settings.temperature_C is None else settings.temperature_C
     contradictions = []
@@ -99,7 +92,34 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
         for n in log.notices
     ]
     low_rate = tuple(low_rate_tests(tests.ocv, default))
-    return CheckedLogs(tests, low_rate, default, tuple(contradictions), tuple(read))
+    return CheckedLogs(tests, low_rate, default, tuple(contradictions), (*left_out, *read))
+
+
+def _check_log(log: CellLog) -> None:
+    """Refuse a wrong sign, and a pack."""
+    found = verify_sign(log)
+    if found.verdict == "contradicted":
+        raise InputError(
+            f"log '{log.name}' whose voltage rises with its discharge current "
+            f"({'; '.join(found.evidence[:2])})",
+            "positive current on discharge",
+            "Give `sign='charge-positive'`, or swap the sign in the file.",
+        )
+    check_one_cell(log)
+
+
+def _without_wrong_drives(tests: TestLogs) -> tuple[TestLogs, tuple[str, ...]]:
+    """The tests without drives that are refused, where half of the drives or more are right."""
+    wrong = {}
+    for log, _ in tests.drive:
+        try:
+            _check_log(log)
+        except InputError as error:
+            wrong[id(log)] = f"left out: {error.found}"
+    if 2 * len(wrong) > len(tests.drive) - 1:
+        return tests, ()
+    kept = tuple(one for one in tests.drive if id(one[0]) not in wrong)
+    return replace(tests, drive=kept), tuple(wrong.values())
 
 
 def _check_voltages(logs: tuple[CellLog, ...]) -> None:

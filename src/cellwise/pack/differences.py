@@ -13,8 +13,9 @@ bar-delta filtering; the columns for polling and offset are ours).
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from typing import NamedTuple
 
@@ -124,26 +125,47 @@ def pack_days(
 
     Raises
     ------
-    InputError        no log; other cells in one log than in another; days that run backwards
+    InputError        no log; other cells in half of the logs or more than in the others; none that
+                      can be estimated; days that run backwards
+
+    Notes
+    -----
+    What cannot serve is left out, and a notice of the first log says so.
     """
     if not logs:
         raise InputError("no log", "at least one log with cell voltages", "Name it.")
-    expected = logs[0].names if names is None else names
-    before = "the saved state" if names is not None else f"'{logs[0].name}'"
+    of_most, count = Counter(log.names for log in logs).most_common(1)[0]
+    expected = names or (of_most if 2 * count > len(logs) else logs[0].names)
+    before = next((f"'{log.name}'" for log in logs if log.names == expected), "the saved state")
+    days, refused = [], []
     for log in logs:
-        if log.names != expected:
-            absent = [n for n in expected if n not in log.names][:3]
-            added = [n for n in log.names if n not in expected][:3]
-            raise InputError(
-                f"{log.cells} cells in '{log.name}' and {len(expected)} in {before}"
-                + (f", without {', '.join(absent)}" if absent else "")
-                + (f", with {', '.join(added)}" if added else ""),
-                "the same cells in every log of a pack",
-                "Estimate logs with other cells by themselves, or repair the columns.",
-            )
-    days = [PackDay(log, mean_cell(model, log.mean), day_of_name(log.name)) for log in logs]
+        try:
+            _check_cells(log, expected, before)
+            days.append(PackDay(log, mean_cell(model, log.mean), day_of_name(log.name)))
+        except InputError as error:
+            refused.append(error)
+    if refused and 2 * len(refused) > len(logs) - 1:
+        raise refused[0]
     check_order([(one.log.name, one.day) for one in days])
+    if refused:
+        said = (*days[0].log.mean.notices, *(f"left out: {error.found}" for error in refused))
+        first = replace(days[0].log, mean=days[0].log.mean.with_notices(said))
+        days[0] = replace(days[0], log=first)
     return tuple(days)
+
+
+def _check_cells(log: PackLog, expected: tuple[str, ...], before: str) -> None:
+    """Refuse a log of other cells."""
+    if log.names != expected:
+        absent = [n for n in expected if n not in log.names][:3]
+        added = [n for n in log.names if n not in expected][:3]
+        raise InputError(
+            f"{log.cells} cells in '{log.name}' and {len(expected)} in {before}"
+            + (f", without {', '.join(absent)}" if absent else "")
+            + (f", with {', '.join(added)}" if added else ""),
+            "the same cells in every log of a pack",
+            "Estimate logs with other cells by themselves, or repair the columns.",
+        )
 
 
 def periods(days: Sequence[PackDay]) -> tuple[tuple[PackDay, ...], ...]:

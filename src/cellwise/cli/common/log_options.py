@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cellwise.identify import TestLogs
 
 Log = TypeVar("Log")
+Made = TypeVar("Made")
 
 
 def read(path: str | Stated, arguments: argparse.Namespace) -> CellLog:
@@ -108,6 +109,28 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
             for name, refusal in unread:
                 printing.warn(f"left out of '{path}': '{Path(name).name}', {refusal.found}")
     return found
+
+
+def each_that_serves(logs: Sequence[Log], do: Callable[[Log], Made]) -> list[Made]:
+    """What is made of each log; one of several that is refused is left out and said.
+
+    Raises
+    ------
+    InputError        as ``do``, of the first where none serves
+    """
+    made, refused = [], []
+    for log in logs:
+        try:
+            made.append(do(log))
+        except MachineError:
+            raise
+        except InputError as error:
+            refused.append(error)
+    if refused and not made:
+        raise refused[0]
+    for error in refused:
+        printing.warn(f"left out: {error.found}")
+    return made
 
 
 def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:
