@@ -19,7 +19,7 @@ from cellwise.logs.checks.sign import CONTRADICTED
 from cellwise.logs.reading import AS_MEAN_CELL
 from cellwise.logs.stated import SUFFIXES, in_order
 
-FLIGHTS = ("px4-ulog", "ardupilot-dataflash")
+FLIGHTS = ("px4-ulog", "ardupilot-dataflash", "blackbox")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
 CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
 MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused

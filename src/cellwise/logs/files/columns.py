@@ -45,6 +45,7 @@ DATE = Unit(kind="date")
 UNITS = {
     "": OWN,
     **dict.fromkeys(("ms", "mA", "mV", "mAh"), Unit(1e-3)),
+    **dict.fromkeys(("cA", "cV"), Unit(1e-2)),
     "us": Unit(1e-6),
     "min": Unit(60.0),
     "h": Unit(3600.0),

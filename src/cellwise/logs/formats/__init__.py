@@ -9,6 +9,7 @@ from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.files.tables import is_parquet, parquet_has, read_parquet
+from cellwise.logs.formats.blackbox import BLACKBOX
 from cellwise.logs.formats.can import CAN_LOG
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
 from cellwise.logs.formats.ros_bag import ROS_BAG
@@ -40,6 +41,7 @@ TABLE = Format(
 FORMATS: tuple[Format, ...] = (
     PX4_ULOG,
     ARDUPILOT_DATAFLASH,
+    BLACKBOX,
     ROS_BAG,
     BIOLOGIC_MPR,
     NEWARE_STORED,
