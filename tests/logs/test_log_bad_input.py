@@ -64,7 +64,6 @@ CONTENTS = [
     (b"PK\x03\x04" + bytes(100), "Excel"),
     (b"\0\1\0\0Standard Jet DB" + bytes(100), "mdb-export"),
     (b"\x89HDF\r\n\x1a\n" + bytes(100), "HDF5"),
-    (TEXT.encode("utf-16"), "UTF-16"),
     (bytes(1000), "no known format"),
 ]
 
@@ -87,8 +86,8 @@ def test_truncated_gzip_of_many_blocks(tmp_path):
 
 # A column's name, and the one of the tidy form that it is most likely.
 NEAREST = {
-    "Time of run": "time_s", "curent_A": "current_A", "Strom": "current_A",
-    "Pack current / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
+    "Time of run": "time_s", "currrent_A": "current_A", "Strom": "current_A",
+    "Rig current / A": "current_A", "voltge": "voltage_V", "Ewe/V": "voltage_V",
 }  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from typing import IO, Any, Literal
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.files.assembly import assemble, complete
+from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import Channel
 from cellwise.logs.files.format import Format, damaged, detect_format, one_battery
 from cellwise.logs.files.source import (
@@ -35,8 +36,10 @@ from cellwise.logs.files.source import (
     open_source,
 )
 from cellwise.logs.formats import FORMATS
+from cellwise.logs.formats.workbook import in_workbook
 from cellwise.logs.packs.cells import to_cell
 from cellwise.logs.packs.pack_log import PackLog, columns_of_table, pack_columns, pack_of
+from cellwise.logs.proposals import tried
 from cellwise.logs.stated import Stated, plain_name
 
 AS_MEAN_CELL = "read as their mean cell"  # marks the notice
@@ -102,10 +105,22 @@ def read_log(
         decimal=decimal,
     )
     source = open_source(stated.path, progress, options)
-    known = detect_format(source, FORMATS)
     named = plain_name(source.path) if name is None else name
     if stated.instance is not None and name is None:
         named += f"@{stated.instance}"
+
+    def read(source: LogSource) -> CellLog:
+        return _log_of(source, sign, named, check_sign)
+
+    try:
+        return stated.applied(read(source))
+    except MissingColumnsError as refusal:
+        raise tried(refusal, source, read) from None
+
+
+def _log_of(source: LogSource, sign: str, named: str, check_sign: bool) -> CellLog:
+    """The log of a file that has been opened."""
+    known, series = detect_format(source, FORMATS), source.options.series
     columns = columns_of_table(source, known)
     cells = sum(c.kind == "cell" for c in columns)
     if cells and series in (1, FROM_FILE, cells):
@@ -115,11 +130,12 @@ def read_log(
         warm = sum(c.kind == "temperature" for c in columns)
         what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
         said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
-        return stated.applied(pack.mean.with_notices((*pack.notices, said)))
+        return pack.mean.with_notices((*pack.notices, said))
     raw = one_battery(read_channels(source, known), source, known)
-    raw = complete(raw, known.sign, source.where)
-    raw = to_cell(raw, options, source.where)
-    return stated.applied(assemble(raw, known, source.path, named, sign, check_sign=check_sign))
+    if raw.form:
+        known = in_workbook(next(one for one in FORMATS if one.name == raw.form))
+    raw = to_cell(complete(raw, known.sign, source.where, sign), source.options, source.where)
+    return assemble(raw, known, source.path, named, sign, check_sign=check_sign)
 
 
 def read_pack(

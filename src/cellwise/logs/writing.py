@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs.cell_log import CHANNELS, CellLog
-from cellwise.logs.files.tables import from_numpy
+from cellwise.logs.files.arrow import from_numpy
 
 if TYPE_CHECKING:
     import pyarrow

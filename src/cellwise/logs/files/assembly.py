@@ -7,13 +7,16 @@ A reader may give, beside the fields of `CellLog`, what testers write in pieces:
 ``charged_Ah``, ``discharged_Ah``    two counters that only rise, until they restart
 ``working_V``, ``counter_V``     two electrodes against a reference: the cell is their difference
 ``step_time_s``    time since the tester's step began, where there is no time of the test
+
+and what a table of no program's form may have in its place: ``state``, a direction that nobody
+vouches for; ``charging_A`` and ``discharging_A``; ``day_s``, to which ``time_s`` is the clock.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
@@ -22,10 +25,12 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import grave, units
 from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
+from cellwise.logs.checks.unsigned import emptied_too_fast, signed_by_loads
 from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.source import RawLog
+from cellwise.logs.files.source import FROM_FILE, RawLog
 from cellwise.logs.files.tables import table_channels
+from cellwise.logs.files.times import DAY_S
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
 
@@ -36,7 +41,8 @@ class StateRule(NamedTuple):
     these are negative, the current has a sign: fewer are a sensor's zero. Its meaning is the
     state's where ``agreeing`` of the rows agree, or disagree. A counter that reads less than
     ``restart`` of what it read before has restarted: more is its last digit. No more than
-    ``untimed`` of the rows may lack a time.
+    ``untimed`` of the rows may lack a time. A column that nobody vouches for must say ``stated`` of
+    the rows under load.
     """
 
     load: float = 0.01
@@ -44,13 +50,17 @@ class StateRule(NamedTuple):
     agreeing: float = 0.9
     restart: float = 0.5
     untimed: float = 0.01
+    stated: float = 0.98
 
 
 STATE = StateRule()
+BY_STATE = "the current has no sign; the tester's state gave it one"
 
 
-def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
+def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_FILE) -> RawLog:
     """A reader's channels with time, signed current and one counter.
+
+    ``stated`` is what the user says of the sign: a current that has one keeps it.
 
     Raises
     ------
@@ -58,6 +68,15 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
     """
     channels = dict(raw.channels)
     notices = list(raw.notices)
+    convention = cast("SignConvention", sign if stated == FROM_FILE else stated)
+    if (day := channels.pop("day_s", None)) is not None:
+        channels["time_s"] = day + np.mod(channels["time_s"], DAY_S)
+    charging, discharging = channels.pop("charging_A", None), channels.pop("discharging_A", None)
+    if charging is not None and discharging is not None and "current_A" not in channels:
+        out, back = (np.abs(np.nan_to_num(x)) for x in (discharging, charging))
+        difference = np.where(np.isnan(discharging) & np.isnan(charging), np.nan, out - back)
+        channels["current_A"] = difference if convention == "discharge-positive" else -difference
+        raw = replace(raw, signed=True)
     step_time = channels.pop("step_time_s", None)
     if "time_s" not in channels and step_time is not None:
         channels["time_s"] = accumulated(step_time)
@@ -70,8 +89,18 @@ def complete(raw: RawLog, sign: SignConvention, where: str) -> RawLog:
     direction = channels.pop("direction", None)
     if direction is None:
         direction = _counted_direction(channels)
+    state = channels.pop("state", None)
     if direction is not None and "current_A" in channels:
-        channels["current_A"], noted = _signed(channels["current_A"], direction, sign, where)
+        current = channels["current_A"]
+        if stated == FROM_FILE or not _has_sign(current)[0]:
+            channels["current_A"], noted = _signed(current, direction, convention, where)
+            notices += noted
+    elif state is not None and "current_A" in channels:
+        current, signed, noted = _signed_by_label(
+            channels["current_A"], state, convention, raw.signed or stated != FROM_FILE
+        )
+        channels["current_A"], direction = current, state if signed else None
+        raw = replace(raw, signed=raw.signed or signed)
         notices += noted
     moved = channels.pop("moved_Ah", None)
     charged = channels.pop("charged_Ah", None)
@@ -111,10 +140,8 @@ def _signed(
 ) -> tuple[FloatArray, list[str]]:
     """Current in the format's sign, by the tester's state where the file has none."""
     size = np.abs(current)
-    largest = float(np.nanmax(size, initial=0.0))
-    load = size > STATE.load * largest
-    negative = load & (current < 0)
-    if np.count_nonzero(negative) > STATE.signed * np.count_nonzero(load):
+    has_sign, load = _has_sign(current)
+    if has_sign:
         return _sign_by_state(current, direction, load, sign, where)
     unknown = load & np.isnan(direction)
     if unknown.any():
@@ -129,7 +156,39 @@ def _signed(
     if not np.any(positive * direction[load] < 0):
         return current, []  # charge alone, or discharge alone, in the format's sign
     at_rest = np.where(np.nan_to_num(direction) == 0.0, 1.0, np.nan_to_num(direction))
-    return positive * size * at_rest, ["the current has no sign; the tester's state gave it one"]
+    return positive * size * at_rest, [BY_STATE]
+
+
+def _has_sign(current: FloatArray) -> tuple[bool, BoolArray]:
+    """Some of the rows under load are negative, others than a sensor's zero; rows under load."""
+    size = np.abs(current)
+    load = size > STATE.load * float(np.nanmax(size, initial=0.0))
+    negative = np.count_nonzero(load & (current < 0))
+    return bool(negative > STATE.signed * np.count_nonzero(load)), load
+
+
+def _signed_by_label(
+    current: FloatArray, state: FloatArray, sign: SignConvention, has_meaning: bool
+) -> tuple[FloatArray, bool, list[str]]:
+    """A current, whether a column of states has given it its sign, and what is to be said.
+
+    Nobody vouches for such a column: it is used where it fits the current throughout.
+    """
+    has_sign, load = _has_sign(current)
+    count = np.count_nonzero(load)
+    stated = load & (np.nan_to_num(state) != 0.0)
+    positive = 1.0 if sign == "discharge-positive" else -1.0
+    if count == 0 or np.count_nonzero(stated) < STATE.stated * count:
+        return current, False, []
+    if not has_sign:
+        at_rest = np.where(np.nan_to_num(state) == 0.0, 1.0, np.nan_to_num(state))
+        return positive * np.abs(current) * at_rest, True, [BY_STATE]
+    agreeing = np.mean(np.sign(current[stated]) == positive * state[stated])
+    if has_meaning or STATE.agreeing > agreeing > 1.0 - STATE.agreeing:
+        return current, False, []
+    found = "discharge" if (agreeing > 0.5) == (positive > 0) else "charge"
+    noted = [f"positive current is {found}, as the tester's state says"]
+    return (current if agreeing > 0.5 else -current), True, noted
 
 
 def _sign_by_state(
@@ -253,9 +312,15 @@ def assemble(
     )
     log, noted = grave.without_impossible(log)
     notices += noted
-    if sign == "auto" and not raw.signed:
+    current, no_sign = signed_by_loads(log) if BY_STATE not in notices else (None, "")
+    if current is not None:
+        log = replace(log, current_A=current)
+    if no_sign:
+        notices.insert(0, no_sign)
+    elif sign == "auto" and not raw.signed:
         log, noted = _signed_by_voltage(log)
         notices += noted
+    notices += emptied_too_fast(log)
     notices += grave.grave_notices(log)
     notices += units.check_voltage(log, where)
     log, counter, noted = units.checked_counter(log, where)
@@ -272,7 +337,8 @@ def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> Cell
     """`CellLog.from_table`."""
     where = f"'{source or name}'" if source or name else "the table"
     raw = table_channels(table, TIDY_CHANNELS, where)
-    return assemble(complete(raw, "discharge-positive", where), None, source, name, sign)
+    raw = complete(raw, "discharge-positive", where, sign)
+    return assemble(raw, None, source, name, sign)
 
 
 def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:
@@ -281,7 +347,8 @@ def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list
     count = int(np.count_nonzero(missing))
     if count == 0:
         return []
-    if count > max(1.0, STATE.untimed * missing.size):
+    held = np.any([np.isfinite(x) for f, x in channels.items() if f != "time_s"], axis=0)
+    if np.count_nonzero(missing & held) > max(1.0, STATE.untimed * missing.size):
         row = int(np.flatnonzero(missing)[0])
         raise InputError(
             f"{count} of {missing.size} rows without a time in {where} (row {row + 1} first)",

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import CLOCK, Column, choose_columns, folded, says_its_sign
+from cellwise.logs.files.choice import choose_columns, says_its_sign
+from cellwise.logs.files.columns import CLOCK, Column, folded
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -23,6 +24,7 @@ from cellwise.logs.files.source import (
     decoded,
 )
 from cellwise.logs.files.tables import arrow_type, column_values
+from cellwise.logs.files.words import is_unit
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
 DELIMITERS = ",;\t|"
 MOST_UNIT_ROWS = 2
+MOST_NAME_ROWS = 3
 MOST_FOOTER_LINES = 20
 FOOTER_BYTES = 8192
 LOOKED_AT = 50  # rows below the header
@@ -40,7 +43,7 @@ _TIMES = ("time_s", "step_time_s")
 _OF_CLOCK = re.compile(r"\d:\d\d")
 # What loggers and spreadsheets write where there is no value.
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "none", "None", "NA", "N/A", "n/a"]
-MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---"]
+MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---", " -", "unavailable", "unknown"]
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _DIGIT = re.compile(r"[0-9]")
@@ -67,18 +70,22 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
 
     The header is the line with most of ``names``, which a program's own export has below whatever
     preamble, and rows of units below it are passed over. Without two of these it is the first line
-    that is not blank and no comment (``#``), or the comment above rows of numbers.
+    that is not blank and no comment (``#``), or the comment above rows of numbers; where no row of
+    numbers follows it, the lines above the first rows of numbers that have as many cells: names,
+    a row of units below them, what is named above them.
 
     Raises
     ------
     InputError        no line with column names
     """
     lines = _head_lines(source.head)
-    texts = [decoded(raw.removeprefix(b"\xef\xbb\xbf")) for raw in lines]
+    texts = [decoded(raw.removeprefix(b"\xef\xbb\xbf"), source.encoding) for raw in lines]
     at, line = _first_names(texts)
-    if (best := _most_names(texts, names)) is not None:
+    best = _most_names(texts, names)
+    above = None if best is not None or _has_rows(texts, at, line) else _above_rows(texts)
+    if best is not None:
         at, line = best, texts[best]
-    if at is None or not line:
+    if above is None and (at is None or not line):
         shown = next((text.strip() for text in texts if text.strip("# \r\n")), "")
         raise InputError(
             f"no column names in '{source.path}', which begins with '{shown[:60]}'"
@@ -87,14 +94,17 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
             "a line with the names time_s, current_A, voltage_V and rows of numbers",
             "Put a line with the column names at the top, or check the export that wrote it.",
         )
-    first, last = at + 1, min(len(lines), at + 2 + MOST_UNIT_ROWS)
-    while names and first < last and not _DIGIT.search(texts[first]):
-        first += 1
-    delimiter = _delimiter(line)
+    if above is not None:
+        delimiter, first, header = above
+    else:
+        first, last = (at or 0) + 1, min(len(lines), (at or 0) + 2 + MOST_UNIT_ROWS)
+        while best is not None and first < last and not _DIGIT.search(texts[first]):
+            first += 1
+        delimiter, header = _delimiter(line), header_cells(line)
     rows = csv.reader(texts[first : first + LOOKED_AT], delimiter=delimiter)
     cells = tuple(tuple(row) for row in rows if any(row))
     return CsvLayout(
-        _as_wide(header_cells(line), cells),
+        _as_wide(header, cells),
         delimiter,
         _decimal(cells, source.options.decimal),
         sum(len(raw) for raw in lines[:first]),
@@ -124,6 +134,60 @@ def _first_names(texts: Sequence[str]) -> tuple[int | None, str]:
     return None, ""
 
 
+def _has_rows(texts: Sequence[str], at: int | None, line: str) -> bool:
+    """The line below the names is a row of values, or there is none."""
+    below = [] if at is None else [text for text in texts[at + 1 :] if text.strip()][:1]
+    return not below or (
+        below[0].count(_delimiter(line)) > 0
+        and abs(below[0].count(_delimiter(line)) - line.count(_delimiter(line))) <= 1
+        and _values(header_cells(below[0])) > 0
+    )
+
+
+def _values(cells: Sequence[str]) -> int:
+    return sum(bool(_DIGIT_FIRST.match(cell)) for cell in cells)
+
+
+def _above_rows(texts: Sequence[str]) -> tuple[str, int, list[str]] | None:
+    """Delimiter, first of the first rows of numbers, and the names above them."""
+    table = [(_delimiter(text), header_cells(text)) for text in texts]
+    for j in range(1, len(table) - 1):
+        delimiter, cells = table[j]
+        if not all(
+            len(row) == len(cells) > 1 and _values(row) > 1 and other == delimiter
+            for other, row in table[j : j + 3]
+        ):
+            continue
+        stack: list[list[str]] = []
+        for text in reversed(texts[max(0, j - 1 - MOST_NAME_ROWS) : j]):
+            row = next(
+                csv.reader([text.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), []
+            )
+            fits = abs(len(row) - len(cells)) <= 1 and any(cell.strip() for cell in row)
+            if not fits or _values(row) > 1:
+                break
+            stack.insert(0, [*(cell.strip() for cell in row), ""][: len(cells)])
+        if stack:
+            return delimiter, j, _joined(stack)
+    return None
+
+
+def _joined(stack: Sequence[Sequence[str]]) -> list[str]:
+    """One name for each column of several lines: what stands above it, its name, its unit."""
+    rows = list(stack)
+    units = [""] * len(rows[0])
+    plain = [cell.strip("()[] ") for cell in rows[-1]]
+    known = sum(is_unit(cell) for cell in plain if cell)
+    if len(rows) > 1 and known and 2 * known >= sum(map(bool, plain)):
+        units = plain
+        rows.pop()
+    names = []
+    for k, unit in enumerate(units):
+        name = " ".join(dict.fromkeys(row[k] for row in rows if row[k]))
+        names.append(f"{name} ({unit})" if unit and name else name)
+    return names
+
+
 def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | None, str]:
     """Where lines below the data begin [byte], and the first of them; None: there are none.
 
@@ -132,12 +196,12 @@ def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | No
     """
     if source.gzipped:
         return None, ""
-    with source.path.open("rb") as file:
+    with source.raw() as file:
         file.seek(max(layout.offset, source.size - FOOTER_BYTES))
         lines = file.read().splitlines(keepends=True)
     end, first, count = source.size, "", 0
     for raw in reversed(lines):
-        text = decoded(raw)
+        text = decoded(raw, source.encoding)
         cells = next(csv.reader([text], delimiter=layout.delimiter), [])
         time = cells[place] if place < len(cells) else ""
         if _DIGIT_FIRST.match(text) or _DIGIT_FIRST.match(time):
@@ -217,12 +281,17 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
                       damaged gzip; a last line that was cut off is dropped with a notice
     """
     where, chosen = source.where, source.options.channels
-    names: list[str] = []
-    if known.known is not None or chosen:  # of a program's own export, or as stated
-        names = [*(n for c in known.channels for n in c.names), *(known.known or ())]
-    layout = csv_layout(source, (*names, *chosen.values()))
+    names = [*(n for c in known.channels for n in c.names), *(known.known or ())]
+    layout = csv_layout(source, [] if known.known is None else [*names, *chosen.values()])
+    there = {folded(name) for name in layout.header}
+    if known.known is None and not there.issuperset(map(folded, chosen.values())):
+        layout = csv_layout(source, [*names, *chosen.values()])
+
+    def look(place: int) -> list[str]:
+        return [row[place] for row in layout.cells if place < len(row)]
+
     columns, notices = choose_columns(
-        layout.header, known.channels, where, known=known.known, chosen=chosen
+        layout.header, known.channels, where, known=known.known, chosen=chosen, look=look
     )
     if layout.decimal == ",":
         notices.append("decimal commas were read as such")
@@ -230,8 +299,7 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
     for k, column in enumerate(columns):
         if column.field not in _TIMES:
             continue
-        texts = [row[column.index] for row in layout.cells if column.index < len(row)]
-        if column.unit.kind == "number" and any(map(_OF_CLOCK.search, texts)):
+        if column.unit.kind == "number" and any(map(_OF_CLOCK.search, look(column.index))):
             columns[k] = replace(column, unit=CLOCK)
             notices.append(f"column '{column.name}' holds clocks or dates and was read as such")
         if end is None:
@@ -239,7 +307,7 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
             if end is not None:
                 notices.append(f"what follows the data ('{line[:40]}') was left out")
     odd_rows: list[tuple[int, int, str]] = []
-    arrays = _read(source, layout, columns, end, odd_rows)
+    arrays = _read(source, layout, columns, end, odd_rows, notices)
     rows = next(iter(arrays.values())).size
     if odd_rows:
         notices.append(_cut_off(odd_rows, rows, layout, where))
@@ -256,6 +324,7 @@ def _read(
     columns: Sequence[Column],
     end: int | None,
     odd_rows: list[tuple[int, int, str]],
+    notices: list[str],
 ) -> dict[str, FloatArray]:
     """The columns' values by field; rows up to a byte."""
     import pyarrow as pa
@@ -263,6 +332,9 @@ def _read(
 
     names = [f"{k}" for k in range(len(layout.header))]
     types = {names[column.index]: arrow_type(column.unit) for column in columns}
+    # Only texts need another character set; a header may stand in the middle once more.
+    numbers = all(column.unit.kind == "number" for column in columns)
+    again = [name for name in layout.header if name and not _NUMBER.fullmatch(name)]
 
     def keep_odd(row: InvalidRow) -> str:
         if not row.text.strip(f"{layout.delimiter} \t"):
@@ -281,7 +353,10 @@ def _read(
             reader = pa_csv.open_csv(
                 pa.PythonFile(stream, mode="r"),
                 read_options=pa_csv.ReadOptions(
-                    column_names=names, block_size=BLOCK_BYTES, use_threads=False
+                    column_names=names,
+                    block_size=BLOCK_BYTES,
+                    use_threads=False,
+                    encoding="utf-8" if numbers else source.encoding,
                 ),
                 parse_options=pa_csv.ParseOptions(
                     delimiter=layout.delimiter, invalid_row_handler=keep_odd
@@ -289,7 +364,7 @@ def _read(
                 convert_options=pa_csv.ConvertOptions(
                     column_types=types,
                     include_columns=list(types),
-                    null_values=MISSING,
+                    null_values=[*MISSING, *again, *(f" {name}" for name in again)],
                     strings_can_be_null=True,
                     decimal_point=layout.decimal,
                 ),
@@ -309,7 +384,10 @@ def _read(
         raise damaged_gzip(source, str(error)) from None
     table = pa.Table.from_batches(batches, pa.schema(list(types.items())))
     del batches
-    return {c.field: column_values(table.column(names[c.index]), c, source.where) for c in columns}
+    told = None if any(c.field == "day_s" for c in columns) else notices
+    return {
+        c.field: column_values(table.column(names[c.index]), c, source.where, told) for c in columns
+    }
 
 
 def _refused(

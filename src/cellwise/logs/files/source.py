@@ -6,15 +6,17 @@ import gzip
 import os
 import time
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Literal, cast
 
 from cellwise.errors import InputError, MachineError
+from cellwise.logs.files.words import words_in
 from cellwise.typing import FloatArray
 
 # Called with the bytes (or columns) done and the number there are in all.
@@ -25,6 +27,8 @@ GZIP_MAGIC = b"\x1f\x8b"
 TEXT_CONTROLS = b"\t\n\r\f"
 NO_TEXT = bytes(byte for byte in range(32) if byte not in TEXT_CONTROLS)
 MOST_HEADER_LINES = 400
+CHARACTER_SETS = ("gb18030", "cp932", "big5", "cp949", "cp1251")
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 FROM_FILE: Literal["auto"] = "auto"
@@ -89,6 +93,7 @@ class LogSource:
     gzipped: bool
     progress: Progress | None = None
     options: ReadOptions = NOTHING_SAID
+    content: bytes | None = None  # in place of the file's own: a sheet of a workbook as text
 
     @property
     def where(self) -> str:
@@ -126,11 +131,38 @@ class LogSource:
         """The first lines of a text, stripped; none of another file."""
         if not self.is_text:
             return ()
-        return tuple(line.strip() for line in decoded(self.head).splitlines()[:MOST_HEADER_LINES])
+        lines = decoded(self.head, self.encoding).splitlines()[:MOST_HEADER_LINES]
+        return tuple(line.strip() for line in lines)
+
+    @cached_property
+    def encoding(self) -> str:
+        """The character set of a text: that in which its head has most of the words known.
+
+        Old programs write that of their country; without any such word it is Latin-1.
+        """
+        try:
+            self.head.decode("utf-8")
+        except UnicodeDecodeError as error:
+            if error.start < len(self.head) - 3:  # else cut within a character
+                text = self.head.splitlines()[:MOST_HEADER_LINES]
+                found = {one: words_in(_as(text, one)) for one in CHARACTER_SETS}
+                best = max(found, key=lambda one: found[one])
+                return best if found[best] else "latin-1"
+        return "utf-8"
+
+    def raw(self) -> IO[bytes]:
+        """The content as it lies there."""
+        return self.path.open("rb") if self.content is None else BytesIO(self.content)
 
     def open(self) -> IO[bytes]:
         """The content as a binary stream, decompressed."""
-        return self.content_of(self.path.open("rb"))
+        return self.content_of(self.raw())
+
+    def of_text(self, text: str, options: ReadOptions | None = None) -> LogSource:
+        """The same file with a text as its content."""
+        held = text.encode("utf-8")
+        options = self.options if options is None else options
+        return LogSource(self.path, len(held), False, self.progress, options, held)
 
     def content_of(self, file: IO[bytes]) -> IO[bytes]:
         """The content of an open file, decompressed."""
@@ -149,12 +181,14 @@ class RawLog:
     ``channels["time_s"]``, ``["current_A"]`` and ``["voltage_V"]`` are there once `complete` has
     seen it; missing values are NaN; the sign is still the format's, if it is ``signed``: else
     nobody says what it means. ``cells`` is the number of cells in series that the file states.
+    ``form`` is the format of what a container holds (a workbook's sheet).
     """
 
     channels: dict[str, FloatArray]
     notices: tuple[str, ...] = ()
     cells: int | None = None
     signed: bool = True
+    form: str = ""
 
     def noted(self, notices: Iterable[str]) -> RawLog:
         """The same with more notices."""
@@ -186,6 +220,9 @@ def open_source(
             "Check its permissions and that the disk is there.",
         ) from None
     source = LogSource(place, size, magic == GZIP_MAGIC, progress, options or NOTHING_SAID)
+    if magic in UTF_16 and size <= USUAL_BYTES and size % 2 == 0:
+        with suppress(UnicodeDecodeError):
+            source = source.of_text(place.read_bytes().decode("utf-16"))
     if not source.head:
         raise InputError(
             f"the empty file '{place}'",
@@ -195,14 +232,16 @@ def open_source(
     return source
 
 
-def decoded(text: bytes) -> str:
-    """Bytes as UTF-8, else as Latin-1, which old programs write (a degree sign, a micro sign)."""
+def decoded(text: bytes, encoding: str) -> str:
+    """Bytes as text; what is cut within a character ends before it."""
+    return text.decode(encoding, errors="ignore")
+
+
+def _as(lines: Iterable[bytes], encoding: str) -> str:
     try:
-        return text.decode("utf-8")
-    except UnicodeDecodeError as error:
-        if error.start >= len(text) - 3:  # cut within a character
-            return text.decode("utf-8", errors="ignore")
-        return text.decode("latin-1")
+        return "\n".join(line.decode(encoding) for line in lines)
+    except UnicodeDecodeError:
+        return ""
 
 
 def damaged_gzip(source: LogSource, reason: str) -> InputError:
@@ -328,7 +367,7 @@ class TimedStream:
     ) -> None:
         self._source = source
         self._limits = limits
-        self._file: IO[bytes] = source.path.open("rb")
+        self._file: IO[bytes] = source.raw()
         self._content = source.content_of(self._file)
         self.closed = False
         self._left = None if end is None else end - skipped
@@ -362,3 +401,17 @@ class TimedStream:
     def readable(self) -> bool:
         """It can be read."""
         return True
+
+
+LOOK_ROWS = 10_000  # between two looks at the limits
+
+
+def lines_of(source: LogSource, skipped: int = 0) -> Iterator[str]:
+    """The lines of a text from a byte on, within the limits of reading."""
+    limits = Limits.of(source.size)
+    with source.open() as file:
+        file.read(skipped)
+        for number, line in enumerate(file):
+            if number % LOOK_ROWS == 0:
+                limits.check(source.where, number)
+            yield decoded(line, source.encoding)

@@ -12,9 +12,9 @@ from cellwise.logs.files.tables import is_parquet, parquet_has, read_parquet
 from cellwise.logs.formats.blackbox import BLACKBOX
 from cellwise.logs.formats.can import CAN_LOG
 from cellwise.logs.formats.column_maps import mapped, marked_tables, marks
+from cellwise.logs.formats.long_table import LONG_TABLE
 from cellwise.logs.formats.ros_bag import ROS_BAG
 from cellwise.logs.formats.tester_files import (
-    ARBIN_EXCEL,
     BASYTEC_TEXT,
     BIOLOGIC_MPR,
     DIGATRON_MAT,
@@ -22,6 +22,7 @@ from cellwise.logs.formats.tester_files import (
     NEWARE_STORED,
 )
 from cellwise.logs.formats.vehicle_logs import ARDUPILOT_DATAFLASH, ASAM_MDF, PX4_ULOG
+from cellwise.logs.formats.workbook import workbook
 
 
 def _is_bdf_parquet(source: LogSource) -> bool:
@@ -37,6 +38,15 @@ TABLE = Format(
     instances=True,
 )
 
+TABLES: tuple[Format, ...] = (
+    mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
+    replace(TABLE, name="tidy-parquet", matches=is_parquet, read=read_parquet),
+    BASYTEC_TEXT,
+    NEWARE_LEVELS,
+    *map(mapped, marked_tables()),
+    LONG_TABLE,
+    TABLE,
+)
 # In this order: what a program marks as its own, then tables by their names; plain tables last.
 FORMATS: tuple[Format, ...] = (
     PX4_ULOG,
@@ -47,12 +57,7 @@ FORMATS: tuple[Format, ...] = (
     NEWARE_STORED,
     DIGATRON_MAT,
     ASAM_MDF,
-    ARBIN_EXCEL,
+    workbook(TABLES),
     CAN_LOG,
-    mapped("bdf-csv", "bdf-parquet", matches=_is_bdf_parquet, read=read_parquet),
-    replace(TABLE, name="tidy-parquet", matches=is_parquet, read=read_parquet),
-    BASYTEC_TEXT,
-    NEWARE_LEVELS,
-    *map(mapped, marked_tables()),
-    TABLE,
+    *TABLES,
 )

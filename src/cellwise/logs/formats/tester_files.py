@@ -1,7 +1,7 @@
 """Files of testers that are more than a table: texts with levels, and what their programs store.
 
 Basytec between blanks, Neware's levels; by the libraries that others keep for them also
-BioLogic ``.mpr``, Neware ``.nda`` and ``.ndax``, Digatron's MATLAB structures, Arbin's workbooks.
+BioLogic ``.mpr``, Neware ``.nda`` and ``.ndax``, Digatron's MATLAB structures.
 """
 
 from __future__ import annotations
@@ -18,25 +18,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import folded
-from cellwise.logs.files.csv_text import has_names, header_cells, read_csv
+from cellwise.logs.files.csv_text import header_cells, read_csv
 from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
-from cellwise.logs.files.source import NOTHING_SAID, Limits, LogSource, RawLog, decoded
+from cellwise.logs.files.source import NOTHING_SAID, LogSource, RawLog, lines_of
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
-
-LOOK_ROWS = 10_000  # between two looks at the limits
-
-
-def _lines(source: LogSource) -> Iterator[str]:
-    """The lines of a text, within the limits of reading."""
-    limits = Limits.of(source.size)
-    with source.open() as file:
-        for number, line in enumerate(file):
-            if number % LOOK_ROWS == 0:
-                limits.check(source.where, number)
-            yield decoded(line)
-
 
 # Basytec: lines with a tilde before the rows, cells between tabs or blanks.
 _DATE_COLUMN = "DateTime"
@@ -47,10 +33,8 @@ def _basytec_header(source: LogSource) -> str:
 
 
 def _is_basytec(source: LogSource) -> bool:
-    channels = {c.field: c.names for c in BASYTEC_TEXT.channels}
-    return has_names(source, channels["time_s"], channels["voltage_V"]) or any(
-        name in _basytec_header(source).split() for name in channels["time_s"]
-    )
+    times = {c.field: c.names for c in BASYTEC_TEXT.channels}["time_s"]
+    return any(name in _basytec_header(source).split() for name in times)
 
 
 def _read_basytec(source: LogSource, known: Format) -> RawLog:
@@ -62,7 +46,7 @@ def _read_basytec(source: LogSource, known: Format) -> RawLog:
     wide = [
         x for name in header for x in ((name, f"{name} time") if name == _DATE_COLUMN else (name,))
     ]
-    rows = (text.split() for text in _lines(source))
+    rows = (text.split() for text in lines_of(source))
     next((cells for cells in rows if cells == header), None)
     below = [cells for cells in rows if cells]
     first = next((cells for cells in below if len(cells) in (len(wide), len(header))), header)
@@ -132,7 +116,7 @@ def _level_rows(source: LogSource, width: int) -> Iterator[list[str]]:
     """Cells of the rows below the headers."""
     delimiter = max(",;\t", key=source.first_lines[2].count)
     try:
-        for number, row in enumerate(csv.reader(_lines(source), delimiter=delimiter)):
+        for number, row in enumerate(csv.reader(lines_of(source), delimiter=delimiter)):
             if number >= 3 and len(row) >= 3:
                 yield [cell.strip() for cell in row]
     except csv.Error as error:
@@ -162,8 +146,6 @@ _ZIP = b"PK\x03\x04"
 _MATLAB_5, _MATLAB_7 = b"MATLAB 5.0", b"MATLAB 7.3"
 _NEWARE = b"NEWARE"
 _NEWARE_IN_ZIP = (b".ndc", b"VersionInfo.xml", b"TestInfo.xml", b"Step.xml")
-_XLS = b"\xd0\xcf\x11\xe0"
-_INSIDE_XLSX = (b"xl/", b"[Content_Types].xml")
 
 
 def _read_mpr(source: LogSource, known: Format) -> RawLog:
@@ -313,50 +295,4 @@ DIGATRON_MAT = mapped(
     read=_read_matlab,
     isolated=True,
     instances=True,
-)
-
-
-def _is_workbook(source: LogSource) -> bool:
-    if source.head.startswith(_ZIP):
-        return any(name in source.head for name in _INSIDE_XLSX)
-    return source.head.startswith(_XLS)
-
-
-def _read_workbook(source: LogSource, known: Format) -> RawLog:
-    """The sheets with the channel's columns: a long test goes on on further ones."""
-    calamine = need("python_calamine", "an Excel workbook", "python-calamine")
-    with library_at_work(source, "Excel workbook"), source.open() as stream:
-        book = calamine.CalamineWorkbook.from_filelike(stream)
-        sheets = {name: book.get_sheet_by_name(name).to_python() for name in book.sheet_names}
-    times = {folded(name) for name in known.channels[0].names}
-    parts = [
-        rows
-        for rows in sheets.values()
-        if rows and times.intersection(folded(str(name)) for name in rows[0])
-    ]
-    if not parts:
-        names = ", ".join(list(sheets)[:8])
-        raise InputError(
-            f"no sheet with Test_Time(s) in {source.where}, which has {names or 'no sheet'}",
-            "a workbook as Arbin's software exports it",
-            "Export the sheet of the channel as CSV.",
-        )
-    header = [str(name) for name in parts[0][0]]
-    rows = [row for part in parts if [str(n) for n in part[0]] == header for row in part[1:]]
-    if not rows:
-        raise InputError(f"no rows in {source.where}", "rows of numbers", "Check the export.")
-    arrays = {
-        name: np.array([_number(row[k]) if k < len(row) else np.nan for row in rows])
-        for k, name in enumerate(header)
-        if name and any(isinstance(row[k], (int, float)) for row in rows[:50] if k < len(row))
-    }
-    return channels_of(arrays, source, known)
-
-
-def _number(cell: Any) -> float:
-    return float(cell) if isinstance(cell, (int, float)) else np.nan
-
-
-ARBIN_EXCEL = mapped(
-    "arbin-csv", "arbin-excel", matches=_is_workbook, read=_read_workbook, isolated=True
 )

@@ -6,6 +6,7 @@ name, each group on its own clock, or CAN frames that a DBC file describes.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import IO, Any
@@ -123,6 +124,7 @@ PX4_ULOG = mapped(
 
 
 _DATAFLASH = b"\xa3\x95\x80"
+_DATAFLASH_TEXT = re.compile(rb"\s*FMT,\s*128,\s*89,\s*FMT")
 # Message to the battery it is of; None: the message says it itself.
 _MESSAGES: dict[str, int | None] = {"BAT": None, "BAT2": 1, "CURR": 0, "CUR2": 1, "CURR2": 1}
 _INSTANCE = ("Inst", "Instance", "I")
@@ -133,10 +135,11 @@ _INTEGERS = "bBhHiIqQ"
 def _read_dataflash(source: LogSource, known: Format) -> RawLog:
     reader = need("pymavlink.DFReader", "an ArduPilot dataflash log")
     with library_at_work(source, "dataflash log"):
-        log = reader.DFReader_binary(str(source.path))
+        text = not source.head.startswith(_DATAFLASH)
+        log = (reader.DFReader_text if text else reader.DFReader_binary)(str(source.path))
         there = {f.name: f for f in log.formats.values()}
         wanted = [name for name in _MESSAGES if name in there]
-        whole = _is_whole(log)
+        whole = text or _is_whole(log)
         rows = _battery_rows(log, wanted, source) if whole or source.options.partial else {}
         log.close()
     if not (whole or source.options.partial):
@@ -205,7 +208,9 @@ def _columns(layout: Any, rows: list[list[float]]) -> dict[str, FloatArray]:
 
 ARDUPILOT_DATAFLASH = mapped(
     "ardupilot-dataflash",
-    matches=lambda source: source.head.startswith(_DATAFLASH),
+    matches=lambda source: (
+        source.head.startswith(_DATAFLASH) or _DATAFLASH_TEXT.match(source.head) is not None
+    ),
     read=_read_dataflash,
     instances=True,
     isolated=True,

@@ -15,15 +15,14 @@ from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
     REQUIRED,
     TIDY_NAME,
-    WORDS,
     Unit,
     folded,
     listed,
     named_units,
     no_such_name,
     tidy_name,
-    words_of,
 )
+from cellwise.logs.files.words import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
 from cellwise.typing import BoolArray, FloatArray
 
