@@ -74,6 +74,9 @@ def run_start(arguments: argparse.Namespace) -> None:
     with printing.working(f"looking at {folder}") as follow:
         files = look_at(folder, arguments, follow)
     groups = groups_of(files)
+    rows = [(f.name, f.kind, f.why) for f in files]
+    if files and not arguments.json:
+        printing.table(str(folder), ("file", "taken for", "why"), rows)
     if not groups:
         raise _nothing(folder, files)
     places = [out] if len(groups) == 1 else [out / f"cell_{k + 1}" for k in range(len(groups))]
@@ -88,8 +91,6 @@ def run_start(arguments: argparse.Namespace) -> None:
         what = f"logs in '{folder}' that do not say all that is needed"
         raise InputError(what, plans[0].missing[0], "Give it.")
     if not arguments.json:
-        rows = [(f.path.name, f.kind, f.why) for f in files]
-        printing.table(str(folder), ("file", "taken for", "why"), rows)
         for text in found["missing"]:
             printing.say(f"  missing: {text}")
         printing.say("\n  ".join(["commands (--run runs them):", *found["commands"]]))

@@ -177,7 +177,7 @@ def day_of_name(name: str) -> date | None:
 SUFFIXES = (
     *(".gz", ".csv", ".parquet", ".txt", ".bdf", ".ulg", ".bin", ".mat", ".mf4", ".mdf", ".nda"),
     *(".ndax", ".mpr", ".mpt", ".blf", ".asc", ".log", ".trc", ".res", ".xlsx", ".xls", ".mcap"),
-    *(".db3", ".bag", ".bbl", ".bfl"),
+    *(".db3", ".bag", ".bbl", ".bfl", ".tsv", ".dat", ".dta"),
 )
 
 

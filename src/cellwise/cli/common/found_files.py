@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.checks.sign import CONTRADICTED
+from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.reading import AS_MEAN_CELL
 from cellwise.logs.stated import SUFFIXES, in_order
 
@@ -27,6 +29,20 @@ MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that 
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
 OTHER_SIGN = re.compile(CONTRADICTED + r".*`sign='([a-z-]+)'`", re.DOTALL)  # in a notice
 TESTS = ("hppc", "ocv", "capacity")
+# What else lies about, by how its name ends.
+OTHERS = {
+    **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
+    ".jsonl": "samples of a stream: cellwise live --source json:FILE",
+    ".json": "a model, a state or settings",
+    **dict.fromkeys(
+        (".zip", ".7z", ".tar", ".tgz", ".rar", ".bz2", ".xz"), "an archive: unpack it"
+    ),
+    **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg"), "a picture"),
+}
+PROPOSED = re.compile(r"Name the columns with `channels=\{(.+?)\}`")
+_PAIR = re.compile(r"'(\w+)': '([^']+)'")
+MOST_IN_FILE = 12  # logs of one file that are looked at one by one
 
 
 class _End(NamedTuple):
@@ -48,7 +64,7 @@ class FoundFile:
     ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
     ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
     that only the name states; ``other_sign`` what the current's sign would have to mean where the
-    voltage contradicts it.
+    voltage contradicts it; ``instance``: which of several logs in the file.
     """
 
     path: Path
@@ -63,11 +79,19 @@ class FoundFile:
     usual_C: float | None = None
     named_C: float | None = None
     other_sign: str = ""
+    instance: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the file, and which of its logs."""
+        return self.path.name + ("" if self.instance is None else f"@instance={self.instance}")
 
     @property
     def stated(self) -> str:
         """The path as a command takes it, with the temperature that only its name states."""
-        return str(self.path) if self.named_C is None else f"{self.path}@{self.named_C:g}"
+        said = [] if self.named_C is None else [f"{self.named_C:g}"]
+        said += [] if self.instance is None else [f"instance={self.instance}"]
+        return f"{self.path}@{','.join(said)}" if said else str(self.path)
 
 
 def look_at(
@@ -90,7 +114,7 @@ def look_at(
         found = []
         for k, place in enumerate(places):
             follow(f"reading {place.name}", k, len(places))
-            found.append(_look_at_one(place, sign, arguments.nominal_ah, dbc))
+            found += _look_at_one(place, sign, arguments.nominal_ah, dbc)
         return found
 
     found = read_as(arguments.sign)
@@ -125,23 +149,50 @@ def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
     return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
 
 
-def _look_at_one(place: Path, sign: str, nominal_Ah: float | None, dbc: Path | None) -> FoundFile:
+def _look_at_one(
+    place: Path, sign: str, nominal_Ah: float | None, dbc: Path | None, nth: int | None = None
+) -> list[FoundFile]:
+    """A file; where it holds several logs, each of them."""
     if not place.name.lower().endswith(SUFFIXES):
-        return FoundFile(place, "other", "no log by its name")
+        return [FoundFile(place, "other", OTHERS.get(place.suffix.lower(), "no log by its name"))]
     try:
         dbc = dbc if place.suffix.lower() in CAN_LOGS else None
-        log = read_log(place, sign=sign, dbc=dbc)
+        log = read_log(place, sign=sign, dbc=dbc, instance=nth)
     except MachineError:
         raise
+    except SeveralLogsError as several:
+        if not 0 < len(several.numbers) <= MOST_IN_FILE:
+            why = f"{len(several.numbers)} logs: `cellwise history` takes all, FILE@instance=K one"
+            return [FoundFile(place, "several", why)]
+        each = (_look_at_one(place, sign, nominal_Ah, dbc, k) for k in several.numbers)
+        return [one for found in each for one in found]
     except InputError as error:
-        lacks = MISSING_COLUMNS.search(error.found)
-        if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
-            return FoundFile(place, "unread", f"a table without {lacks[1]}: no log")
-        return FoundFile(place, "unread", f"{error.found}. {error.action}")
+        return [FoundFile(place, "unread", _to_do(place, error), instance=nth)]
     series = 1
     if log.typical_voltage_V > ONE_CELL.largest_V:
         series = cells_in_series(log, ONE_CELL.full_V)
-    return _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
+    found = _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
+    return [replace(found, instance=nth)]
+
+
+def _to_do(place: Path, error: InputError) -> str:
+    """What a file that was refused is, and the one thing to do about it."""
+    if proposed := PROPOSED.search(error.action):
+        named = [f"--channel {shlex.quote(f'{a}={b}')}" for a, b in _PAIR.findall(proposed[1])]
+        into = place.with_name(f"{place.name.partition('.')[0]}_tidy.csv")
+        what = (
+            "cellwise",
+            "convert",
+            shlex.quote(str(place)),
+            *named,
+            "-o",
+            shlex.quote(str(into)),
+        )
+        return f"a log under other names: {' '.join(what)}"
+    lacks = MISSING_COLUMNS.search(error.found)
+    if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
+        return f"a table without {lacks[1]}: no log"
+    return f"{error.found}. {error.action}"
 
 
 def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile:
