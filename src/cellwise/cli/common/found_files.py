@@ -34,9 +34,7 @@ OTHERS = {
     **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
     ".jsonl": "samples of a stream: cellwise live --source json:FILE",
     ".json": "a model, a state or settings",
-    **dict.fromkeys(
-        (".zip", ".7z", ".tar", ".tgz", ".rar", ".bz2", ".xz"), "an archive: unpack it"
-    ),
+    **dict.fromkeys((".zip", ".7z", ".tar", ".rar", ".bz2", ".xz"), "an archive: unpack it"),
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg"), "a picture"),
 }
@@ -178,17 +176,10 @@ def _look_at_one(
 def _to_do(place: Path, error: InputError) -> str:
     """What a file that was refused is, and the one thing to do about it."""
     if proposed := PROPOSED.search(error.action):
-        named = [f"--channel {shlex.quote(f'{a}={b}')}" for a, b in _PAIR.findall(proposed[1])]
+        named = [w for a, b in _PAIR.findall(proposed[1]) for w in ("--channel", f"{a}={b}")]
         into = place.with_name(f"{place.name.partition('.')[0]}_tidy.csv")
-        what = (
-            "cellwise",
-            "convert",
-            shlex.quote(str(place)),
-            *named,
-            "-o",
-            shlex.quote(str(into)),
-        )
-        return f"a log under other names: {' '.join(what)}"
+        what = ("cellwise", "convert", str(place), *named, "-o", str(into))
+        return f"a log under other names: {shlex.join(what)}"
     lacks = MISSING_COLUMNS.search(error.found)
     if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
         return f"a table without {lacks[1]}: no log"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.csv_text import header_cells, read_csv
 from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
 from cellwise.logs.files.source import NOTHING_SAID, LogSource, RawLog, lines_of
@@ -235,7 +236,7 @@ def _read_matlab(source: LogSource, known: Format) -> RawLog:
     sizes = (max(map(np.size, columns.values())) for _, columns in logs)
     called = [f"{name or 'top level'}, {n} rows" for (name, _), n in zip(logs, sizes, strict=True)]
     _, columns = logs[chosen_log(called, source)]
-    raw = channels_of(columns, source, known)
+    raw = _log_of(columns, source, known)
     # Whoever fills a structure by hand decides what its current's sign means.
     return raw if any(name in columns for name in _SIGNED) else replace(raw, signed=False)
 
@@ -244,15 +245,22 @@ _SIGNED = ("Battery_Temp_degC", "TimeStamp", "Ah", "Current_measured")
 
 
 def _is_log(columns: Mapping[str, Any], source: LogSource, known: Format) -> bool:
-    """A structure has time, current and voltage of one length."""
-    try:
+    """A structure has time, current and voltage of one length, as stated or by its names."""
+    for options in (source.options, NOTHING_SAID):
         with suppress(InputError):
-            channels_of(columns, replace(source, options=NOTHING_SAID), known)
+            _log_of(columns, replace(source, options=options), known)
             return True
-        channels_of(columns, source, known)
+    return False
+
+
+def _log_of(columns: Mapping[str, Any], source: LogSource, known: Format) -> RawLog:
+    """Its channels, by Digatron's names, else by words for them."""
+    try:
+        return channels_of(columns, source, known)
     except InputError:
-        return False
-    return True
+        with suppress(InputError):
+            return channels_of(columns, source, replace(known, channels=TIDY_CHANNELS, known=None))
+        raise
 
 
 def _structures(level: Any, name: str = "", said: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
