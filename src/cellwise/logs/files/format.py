@@ -94,13 +94,14 @@ def detect_format(source: LogSource, formats: Sequence[Format]) -> Format:
     )
 
 
-# Names, folded, of what an impedance spectrum has in each row: a frequency, and an impedance.
+# Names, folded, of what an impedance spectrum has in each row: a frequency and an impedance.
 _FREQUENCY = re.compile(r"(?:f|fr[eé][qc]\w*|频率|周波数)\W*(?:hz\W*)?")
 _IMPEDANCE = re.compile(
     r"\W*(?:(?:re|im|real|imag|phase|abs|mod)\w*\W*z(?![a-z]).*|\|z\|.*|.*impedan.*"
-    r"|z\W*(?:re|im|mod|mag|ph|prime|[\"'′″`]).*)"
+    r"|z\W*(?:re|im|mod|mag|ph|prime|[\"'′″`]).*|-?(?:real|imag)\w*(?:\W*ohms?\W*)?)"
 )
 FREQUENCIES = 20  # rows that are looked at
+SPAN = 2.0  # of frequencies: those of a grid or of an inverter stay within
 
 
 def check_no_spectrum(
@@ -122,7 +123,8 @@ def check_no_spectrum(
     for value in islice(values(places[0]), FREQUENCIES):
         with suppress(TypeError, ValueError):
             found.add(float(value.replace(",", ".") if isinstance(value, str) else value))
-    if len(found - {0.0}) > 2:
+    found.discard(0.0)
+    if len(found) > 2 and max(found) > SPAN * min(found):
         raise InputError(
             f"an impedance spectrum in {where} (columns '{names[places[0]]}' and '{of}'), no log "
             "over time",
@@ -134,7 +136,7 @@ def check_no_spectrum(
 def _check_text_is_no_spectrum(source: LogSource) -> None:
     lines = source.first_lines
     for k, line in enumerate(lines):
-        if "z" in (small := line.casefold()) and "f" in small:
+        if "f" in (small := line.casefold()) and ("z" in small or "imag" in small):
             delimiter = next((mark for mark in "\t;," if mark in line), None)
             rows = [text.split(delimiter) for text in lines[k:]]
             check_no_spectrum(
@@ -202,7 +204,7 @@ def one_battery(raw: RawLog, source: LogSource, known: Format) -> RawLog:
             chosen_battery({0: ""}, [0], source)
         return raw
     volts = channels.get("voltage_V", of)
-    each = {int(k): np.abs(volts[of == k]) for k in np.unique(of[np.isfinite(of)])}
+    each = {int(k): np.abs(volts[of == k]) for k in np.unique(of[np.isfinite(of)]) if k % 1 == 0.0}
     named = {k: f"{np.nanmedian(v):.1f} V" for k, v in each.items() if np.isfinite(v).any()}
     if len(named) < 2 and source.options.instance is None:
         return replace(raw, channels=channels)

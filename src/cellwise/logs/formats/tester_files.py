@@ -276,6 +276,11 @@ def _structures(level: Any, name: str = "", said: str = "") -> Iterator[tuple[st
         if len({len(v) for v in sides.values()}) == 1 and len(sides) > 1:
             rows = [dict(zip(sides, row, strict=True)) for row in zip(*sides.values(), strict=True)]
             yield from _structures(rows, name, said)
+        # So is a matrix for each, of a column for each test; what they share is one column.
+        wide = {n: v for n, v in inner.items() if _is_column(v) and np.squeeze(v).ndim == 2}
+        if len({np.shape(v) for v in wide.values()}) == 1 and len(wide) > 1:
+            for k, parts in enumerate(zip(*map(np.transpose, wide.values()), strict=True)):
+                yield f"{name}({k + 1}){said}", {**columns, **dict(zip(wide, parts, strict=True))}
         for key, value in inner.items():
             if key not in sides:
                 yield from _structures(value, f"{name}.{key}" if name else key, said)

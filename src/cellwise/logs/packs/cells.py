@@ -22,9 +22,9 @@ Kind = Literal["cell", "balancing", "temperature"]
 # word for a cell, perhaps one for its voltage, before or behind it, its number, and a unit.
 _CELL = r"(?:cells?|zellen?|celda|cellule|cella|cel|电芯|单体|セル)"
 _VOLTAGE = r"(?:voltages?|volts?|spannung|tension|tensión|tensione|tensão|电压|電圧|[vu])"
-_OWNER = r"(?:bms|pack|batt?|battery|batterie|module)"
+_OWNER = r"(?:sensor|bms|pack|batt?|battery|batterie|module)"
 _NAME = (
-    rf"(?:{_OWNER}-)?(?:{_VOLTAGE}-)?{_CELL}-(?:{_VOLTAGE}-)?(?:n[or]-)?(?P<n>\d+)"
+    rf"(?:{_OWNER}-){{0,2}}(?:{_VOLTAGE}-)?{_CELL}-(?:{_VOLTAGE}-)?(?:n[or]-)?(?P<n>\d+)"
     rf"(?:-{_VOLTAGE})??-(?P<unit>m?v)?-"
 ).replace("-", r"[\s_.,:#/()\[\]-]*")
 # Pattern of a column's name, what it holds, its unit (None: as the name says), and what its number
@@ -33,6 +33,7 @@ _PATTERNS: tuple[tuple[re.Pattern[str], Kind, Unit | None, int], ...] = (
     (re.compile(r"CP(?P<n>\d+)"), "cell", UNITS["mV"], 1),  # LeafSpy
     (re.compile(r"voltage_cell_v\[(?P<n>\d+)\]"), "cell", OWN, 0),  # PX4
     (re.compile(_NAME, re.IGNORECASE), "cell", None, 1),
+    (re.compile(r"C ?(?P<n>\d+) ?[(\[](?P<unit>m?V)[)\]]"), "cell", None, 1),
     (re.compile(r"cell_?(?P<n>\d+)_balancing", re.IGNORECASE), "balancing", OWN, 1),
     (re.compile(r"temperature_?(?P<n>\d+)_?C", re.IGNORECASE), "temperature", OWN, 1),
 )
