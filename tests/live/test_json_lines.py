@@ -99,3 +99,43 @@ def test_options_that_a_stream_has_no_use_for_are_refused(tmp_path):
                     ReadOptions(channels={"current_kA": "I"})):  # fmt: skip
         with pytest.raises(InputError):
             open_source("stdin", options)
+
+
+def table_of(mark=",", decimal=".", name="time_s"):
+    rows = [f"{k}.0{mark}{0.5 * k}{mark}{4.0 - 0.01 * k:.2f}" for k in range(6)]
+    return "\n".join([mark.join((name, "current_A", "voltage_V")), *rows]).replace(".", decimal)
+
+
+@pytest.mark.parametrize(("mark", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
+def test_rows_below_a_header_are_the_same_samples(mark, decimal):
+    assert [s[:3] for s in found(table_of(mark, decimal))] == [s[:3] for s in found(LINES)]
+
+
+def test_an_empty_cell_is_missing_and_a_text_is_reported():
+    one, two = found("time_s,current_A,voltage_V\n1,,3.9\n2,high,3.9\n")
+    assert math.isnan(one.current_A)
+    assert two == Stray("current_A is no number")
+
+
+@pytest.mark.parametrize("name", ["time", "timestamp", "Timestamp"])
+@pytest.mark.parametrize(
+    "stamps",
+    [(0.0, 2.0), (1.7e9, 1.7e9 + 2.0), (1.7e12, 1.7e12 + 2e3), (1.7e18, 1.7e18 + 2e9),
+     ("2024-05-31T09:00:00Z", "2024-05-31T11:00:02+02:00"), ("2024-05-31 09:00:00",) * 1],
+)  # fmt: skip
+def test_a_stamp_without_a_unit_is_a_time_and_said(name, stamps):
+    source = JsonLines(
+        Given([json.dumps({name: t, "voltage_V": 3.9}).encode() + b"\n" for t in stamps]),
+        NOTHING_SAID,
+        "auto",
+    )
+    times = [s.time_s for s in source]
+    assert times[-1] - times[0] == 2.0 * (len(stamps) - 1)
+    assert f"'{name}'" in source.note
+
+
+def test_a_stamp_that_is_none_is_reported_and_no_stamp_is_said():
+    assert found('{"time": "soon", "voltage_V": 3.9}') == [Stray("time is no time")]
+    source = JsonLines(Given([b'{"uptime": 5, "voltage_V": 3.9}']), NOTHING_SAID, "auto")
+    assert len(list(source)) == 1
+    assert "'uptime'" in source.note

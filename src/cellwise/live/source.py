@@ -12,7 +12,7 @@ from typing import Any
 from cellwise.errors import InputError
 from cellwise.live.live_filter import Update
 from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample, Source, Stray
-from cellwise.logs.files.source import NOTHING_SAID, ReadOptions, decoded
+from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
 WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), "
@@ -130,7 +130,7 @@ class JsonLines:
 
     def _row(self, line: bytes) -> list[dict[str, Any]] | None:
         """A row of a table as an object, none of its header; None: no part of one."""
-        text = decoded(line).lstrip("\ufeff")
+        text = line.decode("utf-8", errors="replace").lstrip("\ufeff")
         delimiter = self._delimiter or max(";\t,", key=text.count)
         cells = [cell.strip().strip('"') for cell in text.split(delimiter)]
         if sum(map(self._reader.knows, cells)) > 1:

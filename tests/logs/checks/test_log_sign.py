@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.data import load_dataset
 from cellwise.logs import CellLog, read_log, verify_sign
 from log_files import pulse_channels, write_csv
 
@@ -137,3 +138,36 @@ def test_parts_of_measured_logs(real_data):
                 verdicts.append(verify_sign(log.rows(rows)).verdict)
     assert "contradicted" not in verdicts
     assert verdicts.count("verified") > 0.5 * len(verdicts)
+
+
+@pytest.mark.parametrize("name", ["lfp_cap_0p5c", "lfp_cap_1c", "lfp_cap_2c", "lfp_cap_3c"])
+def test_a_discharge_that_begins_under_load_and_ends_at_a_held_voltage(name):
+    """A plateau moves little: the one pair in which the tester holds the voltage is no evidence."""
+    log = load_dataset(name)
+    loaded = log.current_A > 0.5 * np.nanmax(log.current_A)
+    first = int(np.argmax(loaded))
+    for end in (int(np.argmin(log.voltage_V)), first + int(0.9 * np.argmin(loaded[first:]))):
+        part = replace(log.part(first, end + 1), charge_Ah=None)
+        assert verify_sign(part).verdict == "verified"
+        assert verify_sign(flipped(part)).verdict == "contradicted"
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-2, 1e-4, 1e-6])
+def test_a_small_cell_is_a_cell(size):
+    """The verdict of a test does not depend on how large its cell is."""
+    time = np.arange(0.0, 40_000.0, 30.0)
+    current = np.where((time > 1000) & (time < 30_000), 0.2, 0.0)
+    noise = np.random.default_rng(3).normal(0.0, 2e-4, time.size)
+    log = CellLog(time, size * current, cell(time, current, capacity=2.0) + noise)
+    assert verify_sign(log).verdict == "verified"
+    assert verify_sign(flipped(log)).verdict == "contradicted"
+
+
+def test_a_sensor_s_zero_on_a_cell_that_recovers_is_no_small_cell():
+    rng = np.random.default_rng(5)
+    time = np.arange(0.0, 7200.0, 1.0)
+    voltage = 2.9 + 0.35 * (1.0 - np.exp(-time / 900.0)) + rng.normal(0.0, 1e-3, time.size)
+    for current in (rng.normal(0.003, 0.003, time.size), rng.choice([0.0, 0.01], time.size)):
+        check = verify_sign(CellLog(time, current, voltage))
+        assert check.verdict == "undetermined"
+        assert check.evidence[0].startswith("at rest")

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.logs.gaps import runs_of
+from cellwise.typing import BoolArray, FloatArray
 
 Verdict = Literal["verified", "contradicted", "undetermined"]
 
@@ -22,17 +23,19 @@ class Evidence(NamedTuple):
     """What a log must show before it says anything of its sign.
 
     ``variance_ratio`` is an F statistic: white noise reaches 20 less than once in a thousand
-    windows. ``score`` is the lead of one sign over the other, weighed over all windows; one of
-    less than ``lead`` in each of them is none. Below
+    windows. ``score`` is the lead of one sign over the other, weighed over all windows; one of less
+    than ``lead`` in each of them is none. Below
     ``current_A`` a current is a sensor's zero, below ``voltage_V`` a voltage has not moved. A
     small cell's current is less, but holds its levels, with steps of less than ``flicker`` of its
     range from row to row (root mean square), while the voltage moves by ``small_cell_V``. A
     current within ``steps`` of its usual steps is steady; a voltage under load does ``late_drift``
-    of its way in the second half of the log.
+    of its way in the second half of the log. A voltage within the share ``held`` of its limit, or
+    so many ``sigmas`` of its usual steps, for more than ``held_rows``, while the current falls to
+    the share ``falls``, is held by a tester.
     """
 
     variance_ratio: float = 20.0
-    score: float = 0.5
+    score: float = 0.7
     lead: float = 0.05
     current_A: float = 0.02
     voltage_V: float = 0.005
@@ -40,6 +43,10 @@ class Evidence(NamedTuple):
     small_cell_V: float = 0.2
     steps: float = 10.0
     late_drift: float = 0.3
+    held: float = 1e-3
+    sigmas: float = 4.0
+    held_rows: int = 4
+    falls: float = 0.9
 
 
 NEEDED = Evidence()
@@ -49,8 +56,7 @@ class Contrast(NamedTuple):
     """How much of the voltage's movement a passive cell explains under either sign.
 
     ``window_s`` is 0 for the whole log's levels; ``discharge`` and ``charge`` are shares of the sum
-    of squares, 0..1, with positive current read as discharge or as charge; ``others`` is their
-    difference without the pair that moves most.
+    of squares, 0..1, with positive current read as discharge or as charge.
     """
 
     window_s: float
@@ -58,20 +64,14 @@ class Contrast(NamedTuple):
     causes: int
     discharge: float
     charge: float
-    others: float = 0.0
 
     @property
     def lead(self) -> float:
-        """Lead of discharge-positive over charge-positive, -1..1; 0 where noise would do.
-
-        One pair that all others speak against is no evidence: it is where a tester held the voltage
-        at the end of a plateau.
-        """
+        """Lead of discharge-positive over charge-positive, -1..1; 0 where noise would do."""
         best = max(self.discharge, self.charge)
         freedom = max(self.pairs - 1 - self.causes, 0)
         ratio = best / max(1.0 - best, 1e-9) * freedom
-        lead = self.discharge - self.charge
-        return lead if ratio >= NEEDED.variance_ratio and lead * self.others >= 0.0 else 0.0
+        return self.discharge - self.charge if ratio >= NEEDED.variance_ratio else 0.0
 
     def text(self) -> str:
         """The contrast as text."""
@@ -126,6 +126,7 @@ def verify_sign(log: CellLog) -> SignCheck:
     drawn = np.cumsum(log.known_current_A() * log.interval_s)
     series: tuple[FloatArray, ...] = log.time_s, log.current_A, log.voltage_V, drawn
     usable = np.isfinite(log.current_A) & np.isfinite(log.voltage_V)
+    usable &= ~_held(log.known_current_A(), log.voltage_V)
     if not usable.all():
         series = tuple(x[usable] for x in series)
     reason = _nothing_to_see(*series[:3])
@@ -153,6 +154,17 @@ def contradiction(way_out: str) -> str:
     )
 
 
+def _held(current: FloatArray, voltage: FloatArray) -> BoolArray:
+    """Rows in which a tester holds a limit of the voltage while the current dies away."""
+    held = np.zeros(voltage.size, dtype=np.bool_)
+    noise = NEEDED.sigmas * float(np.nanmedian(np.abs(np.diff(voltage))))
+    for limit in (np.fmin.reduce(voltage), np.fmax.reduce(voltage)):
+        for first, last in runs_of(np.abs(voltage - limit) <= max(NEEDED.held * abs(limit), noise)):
+            falls = abs(current[last]) < NEEDED.falls * abs(current[first])
+            held[first : last + 1] |= falls and last - first >= NEEDED.held_rows
+    return held
+
+
 def _contrasts(
     time: FloatArray, current: FloatArray, voltage: FloatArray, charge: FloatArray
 ) -> list[Contrast]:
@@ -162,20 +174,24 @@ def _contrasts(
     starts = _block_starts(time, duration / 100.0 * (1 + 1e-9))
     causes = np.column_stack([_means(current, starts), _means(charge, starts)])
     level = _means(voltage, starts)
-    found = [_contrast(0.0, causes - causes.mean(axis=0), level - level.mean())]
+    # No cell drops by more than its voltage: not by its largest current, nor by all of its charge.
+    most_A, most_V = np.max(np.abs(current)), np.max(np.abs(voltage))
+    most = most_V / np.array([most_A, max(np.ptp(charge), most_A)])
+    found = [_contrast(0.0, causes - causes.mean(axis=0), level - level.mean(), most)]
     steps = np.diff(time)
     window = max(float(np.median(steps[steps > 0])), WINDOWS_S[0])
     largest = min(max(window, WINDOWS_S[1]), duration / 6.0)
     while window <= largest:
-        found.append(_changes(time, current, voltage, charge, window))
+        causes, changes = _changes(time, current, voltage, charge, window)
+        found.append(_contrast(window, causes, changes, np.full(3, most_V / most_A)))
         window *= 10.0**0.5
     return found
 
 
 def _changes(
     time: FloatArray, current: FloatArray, voltage: FloatArray, charge: FloatArray, window: float
-) -> Contrast:
-    """Contrast of the changes from one averaging window to the next; ``charge`` in A s.
+) -> tuple[FloatArray, FloatArray]:
+    """Causes and changes from one averaging window to the next; ``charge`` in A s.
 
     A cell answers within the window (resistance), over some windows (diffusion), and for good
     (OCV).
@@ -191,23 +207,16 @@ def _changes(
     causes = np.diff(np.column_stack(columns), axis=0)
     changes = np.diff(_means(voltage, starts))
     joined = np.diff(at) <= 2.0 * window
-    return _contrast(window, causes[joined], changes[joined])
+    return causes[joined], changes[joined]
 
 
-def _contrast(window: float, causes: FloatArray, changes: FloatArray) -> Contrast:
-    """Shares of sum(changes^2) that -causes and +causes explain with weights >= 0.
+def _contrast(window: float, causes: FloatArray, changes: FloatArray, most: FloatArray) -> Contrast:
+    """Shares of sum(changes^2) that -causes and +causes explain with weights from 0 to ``most``.
 
     Least squares with weights >= 0 are those of the causes that get one, so of all choices of
-    causes whose plain weights are >= 0 the best: no library for three causes.
+    causes whose plain weights are >= 0 the best: no library for three causes. A choice with a
+    weight that no cell has is none: it is noise in a steady current.
     """
-    kept = np.arange(changes.size) != (np.argmax(np.abs(changes)) if changes.size else 0)
-    discharge, charge = _shares(causes, changes)
-    others = _shares(causes[kept], changes[kept])
-    return Contrast(window, changes.size, causes.shape[1], discharge, charge, others[0] - others[1])
-
-
-def _shares(causes: FloatArray, changes: FloatArray) -> tuple[float, float]:
-    """What each sign explains of the changes' sum of squares."""
     total = float(changes @ changes)
     shares = [0.0, 0.0]
     if total > 0.0:
@@ -218,11 +227,13 @@ def _shares(causes: FloatArray, changes: FloatArray) -> tuple[float, float]:
             for some in combinations(range(causes.shape[1]), size):
                 of = list(some)
                 weights = np.linalg.pinv(products[np.ix_(of, of)], hermitian=True) @ moments[of]
+                if np.any(np.abs(weights) > most[of] * scale[of]):
+                    continue
                 share = min(float(moments[of] @ weights) / total, 1.0)
                 for k, sign in enumerate((-1, 1)):
                     if np.all(sign * weights >= 0.0):
                         shares[k] = max(shares[k], share)
-    return shares[0], shares[1]
+    return Contrast(window, changes.size, causes.shape[1], *shares)
 
 
 def is_at_rest(current_A: FloatArray, voltage_V: FloatArray) -> bool:
