@@ -163,3 +163,14 @@ def test_a_stock_model_of_the_right_kind_is_not_far_off_in_the_cold(
     capacity = {"nca": "2.9", "nmc": "3", "lfp": "2.3", "lmo": "65"}[model[:3]]
     said = run_json("replay", "--model", model, "--capacity-ah", capacity, str(found))
     assert not any("FAR OFF" in notice for notice in said["notices"])
+
+
+def test_a_wrong_sign_of_a_stream_is_said_and_withholds(model, tmp_path, run_json):
+    log = load_dataset("nmc_drive_b").part(0, 600)
+    source = json_lines(replace(log, current_A=-log.current_A), tmp_path / "wrong.jsonl")
+    told = ("live", "--model", model, "--source", source)
+    found = run_json(*told)
+    assert "THE SIGN OF THE CURRENT LOOKS WRONG" in found["far_off"]
+    assert "--sign charge-positive" in found["far_off"]
+    assert found["median_load_remaining_s"] is None
+    assert run_json(*told, "--sign", "charge-positive")["far_off"] is None

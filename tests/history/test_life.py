@@ -222,3 +222,19 @@ def test_a_trend_stays_among_its_points():
     own, alike = np.sqrt(0.05) * std, np.sqrt(0.95) * std
     found = trend_of(way, share, Deviations(own, alike, np.zeros(8)), 0.1)
     assert np.all(found.share > 0.7)
+
+
+def test_complete_discharges_in_one_file_are_each_a_log():
+    parts = [discharge(s, seed=k) for k, s in enumerate(SHARES)]
+    ends = np.cumsum([0.0, *(p.duration_s + 3600.0 for p in parts)])
+    together = CellLog(
+        np.concatenate([p.time_s - p.time_s[0] + t for p, t in zip(parts, ends, strict=False)]),
+        np.concatenate([p.current_A for p in parts]),
+        np.concatenate([p.voltage_V for p in parts]),
+        np.full(sum(map(len, parts)), 25.0),
+        name="cycles",
+    )
+    life = life_of(FRESH, [together])
+    assert [one.log.name for one in life.logs] == [f"cycles, cycle {k}" for k in (1, 2, 3, 4)]
+    np.testing.assert_allclose([one.share for one in life.logs], SHARES, atol=0.005)
+    assert any("4 complete half cycles" in n for n in life.logs[0].log.notices)

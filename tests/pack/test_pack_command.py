@@ -93,3 +93,41 @@ def test_a_state_that_is_none_is_refused_and_stays(pack_file, tmp_path, capsys):
     assert main(arguments) == 2
     assert state.read_text() == "{}"
     assert "an earlier run" in capsys.readouterr().err
+
+
+def test_a_wrong_sign_is_said_first_and_withholds(pack_file, tmp_path, capsys):
+    columns = dict(read_rows(pack_file))
+    columns["current_A"] = [-x for x in columns["current_A"]]
+    told = ["pack", "--model", "nca-18650", str(write_columns(columns, tmp_path / "w.parquet"))]
+    assert main(told) == 0
+    said = capsys.readouterr().out
+    first = said.splitlines()[0]
+    assert "THE SIGN OF THE CURRENT LOOKS WRONG" in first
+    assert "--sign charge-positive" in first
+    assert "withheld" in first
+    assert said.count("THE SIGN OF THE CURRENT") == 1
+    assert "nan" not in said
+    assert main([*told, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["usable_Ah"] is None
+    assert found["causes"] == []
+    assert main([*told, "--sign", "charge-positive", "--json"]) == 0
+    right = json.loads(capsys.readouterr().out)
+    assert right["usable_Ah"] > 0.0
+    assert [c["cell"] for c in right["causes"]] == ["cell_05"]
+
+
+def test_one_day_that_cannot_serve_ends_nothing(tmp_path, capsys):
+    """A first row alone before a pause is part of its day; a day of other cells is left out."""
+    for day in range(1, 5):
+        _, log = emulated_pack(4, hours=0.5, seed=day)
+        columns = dict(log.columns())
+        if day == 2:
+            columns["time_s"] = np.where(np.arange(len(log)) > 0, columns["time_s"] + 4000.0, 0.0)
+        if day == 3:
+            del columns["cell_04_V"]
+        write_columns(columns, tmp_path / f"drive_2024-05-0{day}.csv")
+    assert main(["pack", "--model", "nca-18650", str(tmp_path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["log"][-2:] for one in found["logs"]] == ["01", "02", "04"]
+    assert any(n.startswith("left out: 3 cells in 'drive_2024-05-03'") for n in found["notices"])

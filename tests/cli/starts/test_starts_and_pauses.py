@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
@@ -65,3 +67,42 @@ def test_a_temperature_that_nobody_measured_is_said_as_assumed(paused, run_json,
         assert any("degC is assumed" in n for n in said), said
         said = run_json(*arguments, f"{path}@10")["notices"]
         assert not any("is assumed" in n for n in said), said
+
+
+def test_a_first_row_that_stands_alone_before_a_pause_ends_no_command(
+    model, drive, run_json, tmp_path
+):
+    log = read_log(drive).part(0, 1500)
+    columns = {n: getattr(log, n) for n in ("time_s", "current_A", "voltage_V", "temperature_C")}
+    columns["time_s"] = np.where(np.arange(1500) > 0, log.time_s + PAUSE_S, log.time_s[0])
+    path = str(write_columns(columns, tmp_path / "alone.csv"))
+    for command in ("simulate", "replay", "diagnose"):
+        assert run_json(command, "--model", model, path)
+    assert run_json("simulate", "--model", model, path)["rmse_V"] < 0.03
+
+
+def test_of_a_folder_what_cannot_serve_is_left_out_and_said(model, drive, tmp_path, capsys):
+    log = read_log(drive).part(0, 1500)
+    for k, cells in enumerate((1, 4, 1)):
+        columns = {n: getattr(log, n) for n in ("time_s", "current_A")}
+        write_columns(columns | {"voltage_V": cells * log.voltage_V}, tmp_path / f"d{k}.csv")
+    for command in ("simulate", "replay"):
+        assert main([command, "--model", model, str(tmp_path)]) == 0
+        said = capsys.readouterr()
+        assert "left out: a voltage of typically" in said.err
+        assert "'d1'" in said.err
+        assert "d2" in said.out
+
+
+@pytest.mark.parametrize(("soc0", "held"), [("-0.002", 0.0), ("1.004", 1.0)])
+def test_a_start_just_beyond_empty_or_full_is_held_there_and_said(
+    drive, tmp_path, capsys, soc0, held
+):
+    told = ["simulate", "--model", "nmc-18650", "--capacity-ah", "5", "--json"]
+    assert main([*told, drive, "--soc0", soc0]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["soc0"]["value"] == held
+    assert f"a SOC of {soc0} was taken as {held:g}" in said.err
+    assert main([*told, f"{drive}@soc0={soc0}"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert any(f"a SOC of {soc0} was taken as" in n for n in found["notices"])
