@@ -31,6 +31,7 @@ from cellwise.identify.measured_capacity import LIMITS as SIZES
 
 UNKNOWN = "X"  # stands for what has to be stated
 DRIVES = ("drive", "flight", "pack")
+MOST_SAID = 6  # files of a folder that gives nothing to do
 MISSING = {
     "hppc": "a pulse test (HPPC: 10 s pulses after rests, every 5 to 10 % of SOC): without it "
     "resistances and time constants come from drives and a prior",
@@ -74,16 +75,16 @@ def run_start(arguments: argparse.Namespace) -> None:
     with printing.working(f"looking at {folder}") as follow:
         files = look_at(folder, arguments, follow)
     groups = groups_of(files)
-    rows = [(f.name, f.kind, f.why) for f in files]
-    if files and not arguments.json:
-        printing.table(str(folder), ("file", "taken for", "why"), rows)
     if not groups:
         raise _nothing(folder, files)
     places = [out] if len(groups) == 1 else [out / f"cell_{k + 1}" for k in range(len(groups))]
     plans = [plan_of(g, arguments, place) for g, place in zip(groups, places, strict=True)]
     names = [""] if len(plans) == 1 else [f"{plan.place.name}: " for plan in plans]
     found: dict[str, Any] = {
-        "files": [{"path": str(f.path), "kind": f.kind, "why": f.why} for f in files],
+        "files": [
+            {"path": str(f.path), "kind": f.kind, "why": f.why, "instance": f.instance}
+            for f in files
+        ],
         "missing": [n + m for n, plan in zip(names, plans, strict=True) for m in plan.missing],
         "commands": [shlex.join(("cellwise", *one)) for plan in plans for one in plan.commands],
     }
@@ -91,6 +92,8 @@ def run_start(arguments: argparse.Namespace) -> None:
         what = f"logs in '{folder}' that do not say all that is needed"
         raise InputError(what, plans[0].missing[0], "Give it.")
     if not arguments.json:
+        rows = [(f.name, f.kind, f.why) for f in files]
+        printing.table(str(folder), ("file", "taken for", "why"), rows)
         for text in found["missing"]:
             printing.say(f"  missing: {text}")
         printing.say("\n  ".join(["commands (--run runs them):", *found["commands"]]))
@@ -105,10 +108,10 @@ def run_start(arguments: argparse.Namespace) -> None:
 
 def _nothing(folder: Path, files: list[FoundFile]) -> InputError:
     """Why a folder gives nothing to do."""
-    unread = next((f for f in files if f.kind == "unread"), None)
+    unread = [f for f in files if f.kind in ("unread", "several")]
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and p.name[0] not in "._")
     what = f"no battery log in the folder '{folder}' ({len(files)} file(s)"
-    what += f"; '{unread.path.name}': {unread.why.rstrip('.')})" if unread else ")"
+    what += "".join(f"; '{f.name}': {f.why.rstrip('.')}" for f in unread[:MOST_SAID]) + ")"
     hint = f"Name one of its folders: {', '.join(inside[:8])}." if inside else "Check the path."
     return InputError(what, "logs with time, current and voltage of a cell", hint)
 

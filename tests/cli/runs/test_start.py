@@ -214,3 +214,55 @@ def test_a_log_whose_sign_is_another_than_its_neighbours_is_left_out(tmp_path, r
     assert not any("--sign" in line for line in found["commands"])
     (why,) = (f["why"] for f in found["files"] if f["kind"] == "unread")
     assert "--sign charge-positive" in why
+
+
+def small_test(size):
+    """A C/10 test of a cell of so many ampere hours: a rest, a discharge, a charge."""
+    time = np.arange(0.0, 76_000.0, 60.0)
+    current = np.where((time > 1800) & (time <= 36_800), 0.1, 0.0)
+    current = size * np.where((time > 39_000) & (time <= 73_000), -0.1, current)
+    left = 1.0 - np.cumsum(current) * 60.0 / 3600.0 / size
+    voltage = 3.3 + 0.8 * left + 0.15 * np.tanh(20.0 * (left - 0.03)) - 0.05 / size * current
+    return {"time_s": time, "current_A": current, "voltage_V": voltage}
+
+
+@pytest.mark.parametrize("size", [0.5, 0.1, 0.004])
+def test_a_small_cell_s_test_is_one(tmp_path, run_json, size):
+    write_columns(small_test(size), tmp_path / "slow.csv")
+    found = run_json("start", str(tmp_path))
+    assert kinds(found) == {"slow.csv": "ocv"}
+    assert "C/9.7" in found["files"][0]["why"]
+
+
+@pytest.mark.slow
+def test_a_coin_cell_is_identified(tmp_path, run_json):
+    path = write_columns(small_test(0.004), tmp_path / "coin.csv")
+    given = ("--ocv", str(path), "--nominal-ah", "0.004", "-o", str(tmp_path / "m.json"))
+    found = run_json("identify", *given)
+    assert abs(found["capacity_Ah"] - 0.0039) < 2e-4
+
+
+def test_each_file_is_said_with_the_one_thing_to_do(tmp_path, run_json, capsys):
+    from scipy.io import savemat
+
+    time = np.arange(0.0, 3000.0, 2.0)
+    current = np.where(time % 300 < 150, 2.0, 0.1)
+    voltage = 3.9 - 0.05 * current - 1e-5 * np.cumsum(current)
+    one = {"t": time, "I": current, "V": voltage}
+    savemat(tmp_path / "two.mat", {"a": one, "b": one})
+    write_columns({"t": time, "Strom": current, "Klemme": voltage}, tmp_path / "foreign.csv")
+    rows = "".join(f"{f:.3g},0.02,-0.01\n" for f in np.geomspace(1e4, 0.1, 30))
+    (tmp_path / "eis.csv").write_text(f"Frequency (Hz),Z' (Ohm),Z'' (Ohm)\n{rows}")
+    (tmp_path / "pack.dbc").write_text('VERSION ""\n')
+    found = run_json("start", str(tmp_path))
+    said = {(Path(f["path"]).name, f["instance"]): f for f in found["files"]}
+    assert {said["two.mat", k]["kind"] for k in (0, 1)} <= {"drive", "hppc"}
+    assert any("two.mat@instance=0" in c for c in found["commands"])
+    assert "impedance spectrum" in said["eis.csv", None]["why"]
+    assert "CAN" in said["pack.dbc", None]["why"]
+    why = said["foreign.csv", None]["why"]
+    assert why.startswith("a log under other names: cellwise convert ")
+    assert main(shlex.split(why.partition("cellwise ")[2])) == 0  # what it proposes works
+    capsys.readouterr()
+    again = run_json("start", str(tmp_path))
+    assert kinds(again)["foreign_tidy.csv"] in ("drive", "hppc")
