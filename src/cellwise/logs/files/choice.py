@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
+    ANY,
     CLOCK,
     DATE,
     MOST_LISTED,
@@ -311,7 +312,7 @@ def choose_columns(
     unused = [name for k, name in enumerate(names) if k not in used and name]
     if unused and known is None:
         return columns, [*notices, f"column(s) not used: {listed(unused)}"]
-    return columns, notices + _unknown(unused, channels, known or ())
+    return columns, notices + (_unknown(unused, channels, known or ()) if known != ANY else [])
 
 
 def two_currents(columns: Sequence[Column]) -> bool:

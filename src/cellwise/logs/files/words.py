@@ -182,7 +182,8 @@ def long_table(header: Sequence[str]) -> tuple[int, int] | None:
 
 def words_in(text: str) -> int:
     """How many letters of other scripts in a text belong to known words."""
+    lower = text.casefold()
     known = {w for words in WORDS.values() for w in words} | set(_ALL["state"]["names"])
     return sum(
-        len(word) for word in known if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in text
+        len(word) for word in known if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in lower
     )

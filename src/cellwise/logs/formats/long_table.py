@@ -67,6 +67,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
         held = np.where(last >= 0, numbers[np.maximum(last, 0)], np.nan)
         found[column.field] = column.unit.convert(held)
     last_of = np.append(np.diff(times) > 0, True)  # what has changed at one stamp is one row
+    begun = np.logical_and.accumulate(np.any([np.isnan(x) for x in found.values()], axis=0))
+    last_of &= ~begun  # before each entity has its first value
     found = {"time_s": times, **found}
     notices.append("a long table: each value holds until the next of its entity")
     return RawLog(
