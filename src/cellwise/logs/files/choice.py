@@ -44,7 +44,7 @@ Look = Callable[[int], Sequence[str]]
 _NUMBERS = re.compile(r"\d+")
 _NUMBER = re.compile(r"\s*[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*")
 _STATE = Unit(kind="label")
-MOST_PROPOSED = 24
+MOST_PROPOSED = 80
 MOST_OF_A_FIELD = 5
 # A quantity without a unit, in the order of what loggers write.
 _UNSAID = {
