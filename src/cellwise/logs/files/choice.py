@@ -34,6 +34,7 @@ from cellwise.logs.files.words import (
     TOLD,
     WORDS,
     likeness,
+    name_of,
     names_states,
     of_battery,
     state_of,
@@ -150,11 +151,9 @@ class Evidence:
         for field, state in (("charging_A", -1.0), ("discharging_A", 1.0)):
             for k in self._free(taken):
                 name = self.names[k]
-                if (
-                    likeness("current_A", name) >= PART
-                    and self.numeric(k)
-                    and state_of(name) == state
-                ):
+                like, unit_said = likeness("current_A", name), unit_for("current_A", name)
+                told = like >= PART or (like >= 0 and unit_said)
+                if told and self.numeric(k) and state_of(name_of(name).phrase) == state:
                     unit = TIDY_NAMES.get(_tidy_of("current_A", name), ("", OWN))[1]
                     found.append(Column(field, k, name, unit, by_words=True))
                     break

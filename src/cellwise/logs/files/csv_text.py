@@ -167,7 +167,10 @@ def _above_rows(texts: Sequence[str]) -> tuple[str, int, list[str]] | None:
         ):
             continue
         stack: list[list[str]] = []
-        for text in reversed(texts[max(0, j - 1 - MOST_NAME_ROWS) : j]):
+        above = j
+        while above > 0 and not texts[above - 1].strip():
+            above -= 1
+        for text in reversed(texts[max(0, above - 1 - MOST_NAME_ROWS) : above]):
             row = next(
                 csv.reader([text.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), []
             )
