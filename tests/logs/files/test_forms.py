@@ -95,7 +95,9 @@ FORMS = {
         "--series 4",
     ),
     "INAV, of which a part was cut out": (
-        table("time (us),vbat,amperage", lambda t, i, v: f"{1e6 * t:.0f},{400 * v:.0f},{100 * i:.0f}"),
+        table(
+            "time (us),vbat,amperage", lambda t, i, v: f"{1e6 * t:.0f},{400 * v:.0f},{100 * i:.0f}"
+        ),
         "--series 4",
     ),
     "EdgeTX": (
@@ -109,7 +111,9 @@ FORMS = {
         table(
             "time(millisecond),datetime(utc),latitude,height_above_takeoff(meters),voltage(v),"
             "max_altitude(meters),battery_percent,voltageCell1,current(A),battery_temperature(f)",
-            lambda t, i, v: f"{1000 * t:.0f},2024-05-31 {clock(t)},48,10,{4 * v:.3f},99,90,{v:.3f},{i:.2f},77",
+            lambda t, i, v: (
+                f"{1000 * t:.0f},2024-05-31 {clock(t)},48,10,{4 * v:.3f},99,90,{v:.3f},{i:.2f},77"
+            ),
         ),
         "--series 4",
     ),
@@ -205,14 +209,19 @@ FORMS = {
     "Torque": (
         table(
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)",
-            lambda t, i, v: f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.000,11,{i:.3f},{96 * v:.2f}",
+            lambda t, i, v: (
+                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.000,11,{i:.3f},{96 * v:.2f}"
+            ),
             between="Fri May 31 08:59:58 GMT+02:00 2024,31-May-2024 08:59:59.000,11,-,-\n"
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)\n",
         ),
         "--series 96",
     ),
     "states": (
-        table("Time(s),Status,Voltage(V),Current(A)", lambda t, i, v: f"{t},{state(i, ENGLISH)},{v:.4f},{abs(i):.4f}"),
+        table(
+            "Time(s),Status,Voltage(V),Current(A)",
+            lambda t, i, v: f"{t},{state(i, ENGLISH)},{v:.4f},{abs(i):.4f}",
+        ),
         "",
     ),
     "two currents": (
@@ -225,7 +234,9 @@ FORMS = {
     "days and clocks, decimal commas": (
         table(
             "Datum;Zeit;Spannung;Strom",
-            lambda t, i, v: f"31.05.2024;{clock(t)};{v:.4f};{i:.3f}".replace(".", ",").replace("31,05,", "31.05."),
+            lambda t, i, v: f"31.05.2024;{clock(t)};{v:.4f};{i:.3f}".replace(".", ",").replace(
+                "31,05,", "31.05."
+            ),
         ),
         "",
     ),
@@ -233,23 +244,42 @@ FORMS = {
         table("Time,Voltage (V),Current (A)", lambda t, i, v: f"{clock(t, 84600)},{v:.4f},{i:.3f}"),
         "",
     ),
-    "spring": (table("Time,Voltage (V),Current (A)", lambda t, i, v: f"{over_spring(t)},{v:.4f},{i:.3f}"), ""),
-    "autumn": (table("Time,Voltage (V),Current (A)", lambda t, i, v: f"{over_autumn(t)},{v:.4f},{i:.3f}"), ""),
+    "spring": (
+        table("Time,Voltage (V),Current (A)", lambda t, i, v: f"{over_spring(t)},{v:.4f},{i:.3f}"),
+        "",
+    ),
+    "autumn": (
+        table("Time,Voltage (V),Current (A)", lambda t, i, v: f"{over_autumn(t)},{v:.4f},{i:.3f}"),
+        "",
+    ),
     "month first, afternoon": (
-        table("Date,Volts,Amps", lambda t, i, v: f'"May 31, 2024 1{clock(t, 3600)[1:]} PM",{v:.4f},{i:.3f}'),
+        table(
+            "Date,Volts,Amps",
+            lambda t, i, v: f'"May 31, 2024 1{clock(t, 3600)[1:]} PM",{v:.4f},{i:.3f}',
+        ),
         "",
     ),
     "milliseconds since 1970": (
-        table("timestamp,Voltage (V),Current (A)", lambda t, i, v: f"{1717142400000 + 1000 * t:.0f},{v:.4f},{i:.3f}"),
+        table(
+            "timestamp,Voltage (V),Current (A)",
+            lambda t, i, v: f"{1717142400000 + 1000 * t:.0f},{v:.4f},{i:.3f}",
+        ),
         "",
     ),
     "micro": (
-        table("Timestamp(ms),Current(uA),Voltage(uV)", lambda t, i, v: f"{1000 * t:.0f},{1e6 * i:.0f},{1e6 * v:.0f}"),
+        table(
+            "Timestamp(ms),Current(uA),Voltage(uV)",
+            lambda t, i, v: f"{1000 * t:.0f},{1e6 * i:.0f},{1e6 * v:.0f}",
+        ),
         "",
     ),
     "DIN symbols": (table("Time [s],U [V],I [A]", lambda t, i, v: f"{t},{v:.4f},{i:.3f}"), ""),
     "a line of units": (
-        table("Time,Voltage,Current,Power", lambda t, i, v: f"{t},{v:.4f},{1000 * i:.1f},0", between="s,V,mA,W\n"),
+        table(
+            "Time,Voltage,Current,Power",
+            lambda t, i, v: f"{t},{v:.4f},{1000 * i:.1f},0",
+            between="s,V,mA,W\n",
+        ),
         "",
     ),
     "a block of metadata": (

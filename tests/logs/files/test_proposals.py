@@ -77,7 +77,9 @@ def tables(draw):
         if "/" in style and "0.01" in unit:
             unit, factor = quantity, 1.0
         columns.append((style.format(word, unit), factor * series[quantity]))
-    for name, of_current, of_voltage in draw(st.lists(st.sampled_from(DECOYS), max_size=4, unique=True)):
+    for name, of_current, of_voltage in draw(
+        st.lists(st.sampled_from(DECOYS), max_size=4, unique=True)
+    ):
         columns.append((name, of_current * CURRENT + of_voltage * VOLTAGE))
     columns = draw(st.permutations(columns))
     delimiter, decimal = draw(st.sampled_from([(",", "."), (";", ","), ("\t", "."), (";", ".")]))

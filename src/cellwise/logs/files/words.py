@@ -194,5 +194,7 @@ def words_in(text: str) -> int:
     lower = text.casefold()
     known = _KNOWN.union(_ALL["state"]["names"])
     return sum(
-        len(word) for word in known if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in lower
+        len(word)
+        for word in known
+        if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in lower
     )
