@@ -1,4 +1,4 @@
-"""Forms in which people have their logs, each by a small file: the charge that flowed is the file's.
+"""Forms in which people have their logs, by small files: the charge that flowed is the file's.
 
 Where a refusal proposes options they are pasted, as people do.
 """
@@ -71,7 +71,8 @@ def over_autumn(t):
 
 def long_rows(t, i, v):
     stamp = f"2024-05-31T{clock(t)}.000Z"
-    return f"sensor.bms_voltage,{16 * v:.3f},{stamp}\nsensor.bms_current,{-i:.3f},{stamp}\nsensor.soc,50,{stamp}"
+    found = {"bms_voltage": 16 * v, "bms_current": -i, "soc": 50.0}
+    return "\n".join(f"sensor.{name},{x:.3f},{stamp}" for name, x in found.items())
 
 
 def gamry(t, i, v):
@@ -187,7 +188,7 @@ FORMS = {
         table(
             "\tPt\tT\tVf\tIm\tVu\tSig\tAch\tIERange\tOver\tTemp",
             gamry,
-            above="EXPLAIN\nTAG\tPWR\nTITLE\tLABEL\tDischarge\tTest &Identifier\nCURVE\tTABLE\t1500\n",
+            above="EXPLAIN\nTAG\tPWR\nTITLE\tLABEL\tDischarge\tIdentifier\nCURVE\tTABLE\t1500\n",
             between="\t#\ts\tV vs. Ref.\tA\tV\tV\tV\t#\tbits\tdeg C\n",
         ),
         "",
@@ -201,7 +202,7 @@ FORMS = {
     ),
     "Battery Archive": (
         table(
-            "Date_Time,Test_Time (s),Cycle_Index,Current (A),Voltage (V),Environment_Temperature (C)",
+            "Date_Time,Test_Time (s),Cycle_Index,Current (A),Voltage (V),Cell_Temperature (C)",
             lambda t, i, v: f"2024-05-31 {clock(t)},{t:.1f},1,{-i:.4f},{v:.4f},25",
         ),
         "",
@@ -210,7 +211,7 @@ FORMS = {
         table(
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)",
             lambda t, i, v: (
-                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.000,11,{i:.3f},{96 * v:.2f}"
+                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.0,1,{i:.2f},{96 * v:.1f}"
             ),
             between="Fri May 31 08:59:58 GMT+02:00 2024,31-May-2024 08:59:59.000,11,-,-\n"
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)\n",

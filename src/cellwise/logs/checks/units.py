@@ -207,7 +207,7 @@ def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[st
         raise InputError(
             f"a voltage of typically {usual:.0f} under the name voltage_V in {where}",
             "volts",
-            "It looks like millivolts: name the column voltage_mV (voltage_uV, if it has that name)."
+            "It looks like millivolts: name the column voltage_mV (if it is, voltage_uV)."
             if usual < 1e3 * CELL.string_V
             else "It looks like microvolts: name the column voltage_uV.",
         )
