@@ -21,6 +21,7 @@ from cellwise.identify.identification import (
 )
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
+from cellwise.logs.checks.unsigned import signed_by_loads
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 
@@ -96,7 +97,13 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
 
 
 def _check_log(log: CellLog) -> None:
-    """Refuse a wrong sign, and a pack."""
+    """Refuse a current without a sign or with a wrong one, and a pack."""
+    if no_sign := signed_by_loads(log)[1]:
+        raise InputError(
+            f"log '{log.name}' whose current has no sign ({no_sign})",
+            "positive current on discharge, negative on charge",
+            "Export it with its sign, or with a column of the tester's states.",
+        )
     found = verify_sign(log)
     if found.verdict == "contradicted":
         raise InputError(

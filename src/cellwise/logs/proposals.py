@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +15,20 @@ from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.checks.unsigned import NO_SIGN
 from cellwise.logs.files.choice import MissingColumnsError
-from cellwise.logs.files.source import LogSource, ReadOptions
+from cellwise.logs.files.columns import listed
+from cellwise.logs.files.source import LogSource
 
-TRIED_BYTES = 4_000_000  # of a larger text the beginning is tried
+TRIED_BYTES = 2_000_000  # of a larger text the beginning is tried
 LEAST_V = 0.5  # of a cell, typically
-ANSWERS, READS = 2, 1
+MOST_A, SLOWEST_S = 300.0, 1000.0  # beyond these another unit is more likely
+
+
+class Passed(NamedTuple):
+    """What speaks for names that read: the voltage answers, is a cell's, the rest is usual."""
+
+    answers: bool
+    one_cell: bool
+    usual: bool
 
 
 def tried(
@@ -28,18 +38,19 @@ def tried(
 
     Parameters
     ----------
-    refusal : MissingColumnsError        whose proposals nobody has tried
+    refusal : MissingColumnsError   whose proposals nobody has tried
     source : LogSource              the file
     read : callable                 a file, with what is stated of it, to its log
     """
     begin = _beginning(source)
-    found: list[tuple[int, Mapping[str, str]]] = []
+    found: list[tuple[Passed, Mapping[str, str]]] = []
     for proposal in refusal.proposals:
         stated = replace(source.options, channels={**source.options.channels, **proposal})
-        if passed := _passes(begin, stated, read):
+        passed = _passes(replace(begin, options=stated, progress=None), read)
+        if passed is not None:
             found.append((passed, proposal))
-        if passed == ANSWERS:
-            break
+            if all(passed):
+                break
     if not found:
         return InputError(
             refusal.found,
@@ -49,9 +60,9 @@ def tried(
         )
     passed, best = max(found, key=lambda one: one[0])
     said = ", ".join(f"{tidy!r}: {name!r}" for tidy, name in best.items())
-    why = "it reads, and the voltage answers the current" if passed == ANSWERS else "it reads"
-    others = sorted({n for _, p in found for n in p.values()} - set(best.values()))
-    also = f" Others that read: {', '.join(others)}." if others else ""
+    why = "it reads, and the voltage answers the current" if passed.answers else "it reads"
+    others = sorted({name for _, one in found for name in one.values()} - set(best.values()))
+    also = f" What reads, too: {listed(others)}." if others else ""
     return InputError(
         refusal.found,
         refusal.expected,
@@ -69,20 +80,20 @@ def _beginning(source: LogSource) -> LogSource:
     return replace(source, content=text[: text.rfind(b"\n") + 1], gzipped=False, size=len(text))
 
 
-def _passes(source: LogSource, options: ReadOptions, read: Callable[[LogSource], CellLog]) -> int:
-    """2: it reads and the voltage answers; 1: it reads; 0: it does not, or is no cell."""
+def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed | None:
+    """What speaks for what is stated of a file; None: it does not read, or is no cell's."""
     try:
-        log = read(replace(source, options=options, progress=None))
+        log = read(source)
     except InputError:
-        return 0
-    usual = float(np.nanmedian(log.voltage_V))
-    string = source.options.series == 1 and usual > CELL.largest_V
+        return None
+    one_cell = log.typical_voltage_V <= CELL.largest_V
+    pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
     for notice in log.notices:
-        if is_grave(notice) and not (notice.startswith(NO_SIGN) or (string and "series" in notice)):
-            return 0
-    if usual < LEAST_V:
-        return 0
+        if is_grave(notice) and not (notice.startswith(NO_SIGN) or (pack and "series" in notice)):
+            return None
     check = verify_sign(log)
-    if check.verdict != "undetermined":
-        return ANSWERS
-    return 0 if "does not follow" in check.evidence[0] else READS
+    if log.typical_voltage_V < LEAST_V or "does not follow" in check.evidence[0]:
+        return None
+    peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
+    usual = bool(peak < MOST_A and every_s < SLOWEST_S)
+    return Passed(check.verdict != "undetermined", one_cell, usual)

@@ -193,8 +193,10 @@ SLIPS = {
 }
 
 
-def check_voltage(log: CellLog, where: str) -> list[str]:
-    """Refuse millivolts; note when the voltage is that of a string.
+def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[str]:
+    """Refuse millivolts; note when the voltage is that of a string, or of another unit.
+
+    ``of_pack``: it was divided by a number of cells in series.
 
     Raises
     ------
@@ -205,8 +207,15 @@ def check_voltage(log: CellLog, where: str) -> list[str]:
         raise InputError(
             f"a voltage of typically {usual:.0f} under the name voltage_V in {where}",
             "volts",
-            "It looks like millivolts: name the column voltage_mV.",
+            "It looks like millivolts: name the column voltage_mV (if it is, voltage_uV)."
+            if usual < 1e3 * CELL.string_V
+            else "It looks like microvolts: name the column voltage_uV.",
         )
+    if usual > CELL.largest_V and of_pack:
+        return [
+            f"the voltage LOOKS WRONG for a cell of the pack: it is typically {usual:.1f} V; check "
+            "the number of cells in series, and the unit (`voltage_mV`; `voltage_cV` for 0.01 V)"
+        ]
     if usual > CELL.largest_V:
         return [
             f"the voltage LOOKS WRONG for one cell: it is typically {usual:.1f} V, a pack of some "

@@ -28,7 +28,7 @@ from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.unsigned import emptied_too_fast, signed_by_loads
 from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.source import FROM_FILE, RawLog
+from cellwise.logs.files.source import FROM_FILE, OF_PACK, RawLog
 from cellwise.logs.files.tables import table_channels
 from cellwise.logs.files.times import DAY_S
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
@@ -322,7 +322,8 @@ def assemble(
         notices += noted
     notices += emptied_too_fast(log)
     notices += grave.grave_notices(log)
-    notices += units.check_voltage(log, where)
+    of_pack = any(notice.startswith(OF_PACK) for notice in raw.notices)
+    notices += units.check_voltage(log, where, of_pack=of_pack)
     log, counter, noted = units.checked_counter(log, where)
     notices += noted
     notices += units.check_charge(possible_part(log))

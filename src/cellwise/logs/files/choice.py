@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import (
+    ANY,
     CLOCK,
     DATE,
     MOST_LISTED,
@@ -33,6 +34,7 @@ from cellwise.logs.files.words import (
     TOLD,
     WORDS,
     likeness,
+    name_of,
     names_states,
     of_battery,
     state_of,
@@ -43,7 +45,7 @@ Look = Callable[[int], Sequence[str]]
 _NUMBERS = re.compile(r"\d+")
 _NUMBER = re.compile(r"\s*[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*")
 _STATE = Unit(kind="label")
-MOST_PROPOSED = 24
+MOST_PROPOSED = 80
 MOST_OF_A_FIELD = 5
 # A quantity without a unit, in the order of what loggers write.
 _UNSAID = {
@@ -149,11 +151,9 @@ class Evidence:
         for field, state in (("charging_A", -1.0), ("discharging_A", 1.0)):
             for k in self._free(taken):
                 name = self.names[k]
-                if (
-                    likeness("current_A", name) >= PART
-                    and self.numeric(k)
-                    and state_of(name) == state
-                ):
+                like, unit_said = likeness("current_A", name), unit_for("current_A", name)
+                told = like >= PART or (like >= 0 and unit_said)
+                if told and self.numeric(k) and state_of(name_of(name).phrase) == state:
                     unit = TIDY_NAMES.get(_tidy_of("current_A", name), ("", OWN))[1]
                     found.append(Column(field, k, name, unit, by_words=True))
                     break
@@ -311,7 +311,7 @@ def choose_columns(
     unused = [name for k, name in enumerate(names) if k not in used and name]
     if unused and known is None:
         return columns, [*notices, f"column(s) not used: {listed(unused)}"]
-    return columns, notices + _unknown(unused, channels, known or ())
+    return columns, notices + (_unknown(unused, channels, known or ()) if known != ANY else [])
 
 
 def two_currents(columns: Sequence[Column]) -> bool:

@@ -102,6 +102,7 @@ class Column:
     by_words: bool = False
 
 
+ANY = ("*",)  # in place of the names that a format knows: it has many, of no use here
 REQUIRED = ("time_s", "current_A", "voltage_V")
 _TIDY = {
     "time_s": ("time_s", "time_ms => ms", "time_us => us", "time_min => min", "time_h => h"),

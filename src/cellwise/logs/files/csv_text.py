@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
@@ -16,6 +17,7 @@ from cellwise.logs.files.columns import CLOCK, Column, folded
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import (
     FROM_FILE,
+    MOST_HEADER_LINES,
     Limits,
     LogSource,
     RawLog,
@@ -82,7 +84,9 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
     texts = [decoded(raw.removeprefix(b"\xef\xbb\xbf"), source.encoding) for raw in lines]
     at, line = _first_names(texts)
     best = _most_names(texts, names)
-    above = None if best is not None or _has_rows(texts, at, line) else _above_rows(texts)
+    above = None if best is not None else _above_rows(texts)
+    if above is not None and _has_rows(texts, at, line):
+        above = above if len(above[2]) > len(header_cells(line)) else None
     if best is not None:
         at, line = best, texts[best]
     if above is None and (at is None or not line):
@@ -150,16 +154,23 @@ def _values(cells: Sequence[str]) -> int:
 
 def _above_rows(texts: Sequence[str]) -> tuple[str, int, list[str]] | None:
     """Delimiter, first of the first rows of numbers, and the names above them."""
-    table = [(_delimiter(text), header_cells(text)) for text in texts]
-    for j in range(1, len(table) - 1):
-        delimiter, cells = table[j]
+
+    @cache
+    def cells_of(k: int) -> tuple[str, list[str]]:
+        return _delimiter(texts[k]), header_cells(texts[k])
+
+    for j in range(1, min(len(texts), MOST_HEADER_LINES) - 1):
+        delimiter, cells = cells_of(j)
         if not all(
             len(row) == len(cells) > 1 and _values(row) > 1 and other == delimiter
-            for other, row in table[j : j + 3]
+            for other, row in map(cells_of, range(j, min(j + 3, len(texts))))
         ):
             continue
         stack: list[list[str]] = []
-        for text in reversed(texts[max(0, j - 1 - MOST_NAME_ROWS) : j]):
+        above = j
+        while above > 0 and not texts[above - 1].strip():
+            above -= 1
+        for text in reversed(texts[max(0, above - 1 - MOST_NAME_ROWS) : above]):
             row = next(
                 csv.reader([text.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), []
             )

@@ -32,6 +32,7 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 FROM_FILE: Literal["auto"] = "auto"
+OF_PACK = "a pack of"  # begins the notice of a pack that was divided
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ _DAYS = (_NUMBERS, _DAY_FIRST, _MONTH_FIRST)
 _PATTERNS = (
     *(rf"^\s*{day}[T_,\s-]+{_AT}{_ZONE}\s*$" for day in _DAYS),
     rf"^\s*\p{{L}}+,?\s+(?P<b>\p{{L}}+)(?P<sep>)\s+(?P<a>\d{{1,2}})\s+{_AT}{_ZONE}\s+(?P<c>\d{{4}})\s*$",
-    r"^\s*(?P<a>\d{4})(?P<sep>)(?P<b>\d{2})(?P<c>\d{2})[T _-](?P<h>\d{2}):?(?P<m>\d{2}):?"
+    r"^\s*(?P<a>\d{4})(?P<sep>)(?P<b>\d{2})(?P<c>\d{2})[T _-]?(?P<h>\d{2}):?(?P<m>\d{2}):?"
     rf"(?P<s>\d{{2}}(?:[.,]\d*)?)(?P<half>){_ZONE}\s*$",
     rf"^\s*{_AT}{_ZONE}[,\s]+{_NUMBERS}\s*$",
 )

@@ -21,6 +21,8 @@ WORDS: dict[str, list[str]] = _ALL["quantity"]
 MONTHS = {name: k + 1 for k, names in enumerate(_ALL["month"]["names"]) for name in names}
 _UNITS = {text: unit for unit, texts in _ALL["unit"].items() for text in texts}
 _QUALIFIERS = {word: kind for kind, words in _ALL["qualifier"].items() for word in words}
+_KNOWN = frozenset(word for words in WORDS.values() for word in words)
+_ENDS = sorted((word for word in _KNOWN if len(word) > 4 and word.isalpha()), key=len, reverse=True)
 _STATES = {"rest": 0.0, "discharge": 1.0, "charge": -1.0}
 _OF = {
     "time_s": ("s", "ms", "us", "min", "h"),
@@ -67,8 +69,16 @@ def name_of(text: str) -> Name:
     own = whole.casefold()
     if not unit and len(own) > 2:
         unit = _UNITS.get(own, "")
-    words = frozenset(word.casefold() for word in _WORD.findall(rest))
+    group, _, last = rest.rpartition(".")  # SYS_STATUS.voltage_battery
+    words = words_of(last) | (words_of(group) - {"status", "state"})
+    words = frozenset(part for word in words for part in _parts(word))
     return Name(unit, plain(rest).strip(" .:-"), words)
+
+
+def _parts(word: str) -> tuple[str, ...]:
+    """A word, or what it is joined of: Ladestrom, packvoltage."""
+    end = next((w for w in _ENDS if word.endswith(w)), "") if word not in _KNOWN else ""
+    return (word.removesuffix(end), end) if end and word != end else (word,)
 
 
 def words_of(name: str) -> frozenset[str]:
@@ -164,25 +174,27 @@ def names_states(name: str) -> bool:
     return phrase in _ALL["state"]["names"] or phrase.partition(" ")[2] in _ALL["state"]["names"]
 
 
-def long_table(header: Sequence[str]) -> tuple[int, int] | None:
-    """Columns of the entity and of its value, of a table with a row for each entity and time."""
+def long_table(header: Sequence[str]) -> tuple[list[int], int] | None:
+    """Columns of entities, and of their value, of a table with a row for each entity and time."""
     phrases = [name_of(name).phrase.strip() for name in header]
-    places = [
-        next((k for word in _ALL["long"][kind] for k, p in enumerate(phrases) if p == word), None)
+    entities, values = (
+        [k for word in _ALL["long"][kind] for k, p in enumerate(phrases) if p == word]
         for kind in ("entity", "value")
-    ]
+    )
     quantities = sum(
         max(likeness(field, name) for field in ("current_A", "voltage_V")) >= TOLD
         for name in header
     )
-    if places[0] is None or places[1] is None or quantities:
-        return None
-    return places[0], places[1]
+    values = [k for k in values if k not in entities[:1]]
+    return (entities, values[0]) if entities and values and not quantities else None
 
 
 def words_in(text: str) -> int:
     """How many letters of other scripts in a text belong to known words."""
-    known = {w for words in WORDS.values() for w in words} | set(_ALL["state"]["names"])
+    lower = text.casefold()
+    known = _KNOWN.union(_ALL["state"]["names"])
     return sum(
-        len(word) for word in known if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in text
+        len(word)
+        for word in known
+        if len(word) > 1 and _OTHER_SCRIPT.search(word) and word in lower
     )

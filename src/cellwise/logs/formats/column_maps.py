@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cellwise.logs.files.columns import REQUIRED, Channel, Unit, named_units
+from cellwise.logs.files.columns import ANY, REQUIRED, Channel, Unit, named_units
 from cellwise.logs.files.csv_text import has_names, read_csv
 from cellwise.logs.files.format import Format, Reader
 from cellwise.logs.files.source import LogSource
@@ -18,7 +18,7 @@ PLACE = Path(__file__).with_name("column_maps.toml")
 FIELDS = (
     *("time_s", "step_time_s", "current_A", "voltage_V", "working_V", "counter_V"),
     *("temperature_C", "charge_Ah", "charged_Ah", "discharged_Ah", "moved_Ah", "step", "direction"),
-    "instance",
+    *("instance", "day_s"),
 )
 _STATES = {"charge": -1.0, "discharge": 1.0, "rest": 0.0}
 
@@ -61,7 +61,7 @@ def mapped(
             for field in FIELDS
             if field in entry or field in like
         ),
-        known=(*like.get("unused", ()), *entry["unused"]),
+        known=ANY if entry.get("any") else (*like.get("unused", ()), *entry["unused"]),
         read=read,
         sign=entry["sign"],
         **more,

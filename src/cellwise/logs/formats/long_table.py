@@ -26,11 +26,11 @@ def _read(source: LogSource, known: Format) -> RawLog:
     import pyarrow as pa
 
     layout = csv_layout(source)
-    entity, value = long_table(layout.header) or (0, 1)
+    entities, value = long_table(layout.header) or ([0], 1)
     looks = {
         k: time_kind([row[k] for row in layout.cells if k < len(row)])
         for k in range(len(layout.header))
-        if k not in (entity, value)
+        if k not in (*entities, value)
     }
     time = next((k for k, kind in looks.items() if kind in ("date", "epoch", "clock")), None)
     if time is None:
@@ -42,6 +42,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
     width = len(layout.header)
     rows = list(csv.reader(lines_of(source, layout.offset), delimiter=layout.delimiter))
     rows = [row for row in rows if len(row) >= width]
+    entity = max(entities, key=lambda k: len({row[k] for row in rows}))
     stamps = pa.chunked_array([pa.array([row[time] or None for row in rows], pa.string())])
     seconds, _ = seconds_of(stamps, layout.header[time], source.where)
     seconds = seconds * (epoch_unit(seconds) or 1.0)
@@ -67,6 +68,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
         held = np.where(last >= 0, numbers[np.maximum(last, 0)], np.nan)
         found[column.field] = column.unit.convert(held)
     last_of = np.append(np.diff(times) > 0, True)  # what has changed at one stamp is one row
+    begun = np.logical_and.accumulate(np.any([np.isnan(x) for x in found.values()], axis=0))
+    last_of &= ~begun  # before each entity has its first value
     found = {"time_s": times, **found}
     notices.append("a long table: each value holds until the next of its entity")
     return RawLog(

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
-from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
+from cellwise.logs.files.source import FROM_FILE, OF_PACK, RawLog, ReadOptions
 from cellwise.typing import BoolArray, FloatArray
 
 Kind = Literal["cell", "balancing", "temperature"]
@@ -350,6 +350,6 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
                 channels[field] = channels[field] / options.parallel
     if series > 1 or options.parallel > 1:
         notices.append(
-            f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
+            f"{OF_PACK} {series} in series, {options.parallel} in parallel, read as its mean cell"
         )
     return replace(raw, channels=channels, notices=tuple(notices))
