@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.grave import is_grave
-from cellwise.logs.checks.sign import verify_sign
+from cellwise.logs.checks.sign import NEEDED, verify_sign
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.checks.unsigned import NO_SIGN
 from cellwise.logs.files.choice import MissingColumnsError
@@ -95,5 +95,5 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed |
     if log.typical_voltage_V < LEAST_V or "does not follow" in check.evidence[0]:
         return None
     peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
-    usual = bool(peak < MOST_A and every_s < SLOWEST_S)
+    usual = bool(NEEDED.current_A <= peak < MOST_A and every_s < SLOWEST_S)
     return Passed(check.verdict != "undetermined", one_cell, usual)
