@@ -211,7 +211,7 @@ FORMS = {
         table(
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)",
             lambda t, i, v: (
-                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.0,1,{i:.2f},{96 * v:.1f}"
+                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)},,{i:.2f},{96 * v:.1f}"
             ),
             between="Fri May 31 08:59:58 GMT+02:00 2024,31-May-2024 08:59:59.000,11,-,-\n"
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)\n",
