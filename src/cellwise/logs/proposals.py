@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.grave import is_grave
-from cellwise.logs.checks.sign import NEEDED, verify_sign
+from cellwise.logs.checks.sign import CONTRADICTED, NEEDED, verify_sign
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.checks.unsigned import NO_SIGN
 from cellwise.logs.files.choice import MissingColumnsError
@@ -89,7 +89,8 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed |
     one_cell = log.typical_voltage_V <= CELL.largest_V
     pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
     for notice in log.notices:
-        if is_grave(notice) and not (notice.startswith(NO_SIGN) or (pack and "series" in notice)):
+        of_sign = notice.startswith((NO_SIGN, CONTRADICTED))
+        if is_grave(notice) and not (of_sign or (pack and "series" in notice)):
             return None
     check = verify_sign(log)
     if log.typical_voltage_V < LEAST_V or "does not follow" in check.evidence[0]:

@@ -8,14 +8,18 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from datetime import datetime, timedelta
 
 import numpy as np
+import openpyxl
 import pytest
+from scipy.io import savemat
 
 from cellwise.cli import main
 
 STEP_S = 2.0
 ROWS = 1500
+START = datetime(2024, 5, 31, 9)
 PROPOSED = re.compile(r"Name the columns with ((?:--channel \w+=(?:'[^']*'|\S+) ?)+), if")
 
 
@@ -211,7 +215,7 @@ FORMS = {
         table(
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)",
             lambda t, i, v: (
-                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)}.0,1,{i:.2f},{96 * v:.1f}"
+                f"Fri May 31 {clock(t)} GMT+02:00 2024,31-May-2024 {clock(t)},,{i:.2f},{96 * v:.1f}"
             ),
             between="Fri May 31 08:59:58 GMT+02:00 2024,31-May-2024 08:59:59.000,11,-,-\n"
             "GPS Time, Device Time, Longitude,HV Battery Current(A),HV Battery Voltage(V)\n",
@@ -291,6 +295,38 @@ FORMS = {
         ),
         "",
     ),
+    "some names of a tester's": (
+        table(
+            "Rec,Mode,Loop,Current,Elapsed (s),Cell voltage (V)",
+            lambda t, i, v: f"1,{state(i, ENGLISH)},1,{i:.3f},{t},{v:.4f}",
+        ),
+        "",
+    ),
+    "compounds": (
+        table(
+            "Zeit [s];Zellspannung [mV];Ladestrom [A];Entladestrom [A]",
+            lambda t, i, v: f"{t};{1000 * v:.1f};{max(-i, 0):.3f};{max(i, 0):.3f}",
+        ),
+        "",
+    ),
+    "MAVLink": (
+        table(
+            "timestamp,SYS_STATUS.voltage_battery,SYS_STATUS.current_battery",
+            lambda t, i, v: f"{1717142400 + t:.3f},{4000 * v:.0f},{100 * i:.0f}",
+        ),
+        "--series 4",
+    ),
+    "InfluxDB": (
+        "_time,_value,_field,entity_id\n"
+        + table(
+            "",
+            lambda t, i, v: (
+                f"2024-05-31T{clock(t)}Z,{v:.4f},value,bms_voltage\n"
+                f"2024-05-31T{clock(t)}Z,{i:.3f},value,bms_current"
+            ),
+        )[1:],
+        "",
+    ),
     "Russian": (
         table("Время, с;Напряжение, В;Ток, А", lambda t, i, v: f"{t};{v:.4f};{i:.3f}"),
         "",
@@ -336,6 +372,53 @@ def test_names_of_another_character_set(encoding, tmp_path, capsys):
     path.write_bytes(text.encode(encoding))
     found, options = inspected(path, capsys)
     assert not options
+    assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
+
+
+SHEETS = {
+    "plain": (("Time (s)", "Voltage (V)", "Current (A)"), lambda t: t),
+    "dates": (("Datum", "Spannung [V]", "Strom [A]"), lambda t: START + timedelta(seconds=t)),
+    "Neware": (("DataPoint", "Step Type", "Total Time", "Voltage(V)", "Current(A)"), clock),
+}
+
+
+@pytest.mark.parametrize("kind", SHEETS)
+def test_the_sheet_with_the_measurement_is_read(kind, tmp_path, capsys):
+    names, stamp = SHEETS[kind]
+    book = openpyxl.Workbook()
+    book.active.append(["Made by", "X"])
+    sheet = book.create_sheet("record")
+    for row in ((), names) if kind == "plain" else (names,):
+        sheet.append(row)
+    for k, (t, i, v) in enumerate(zip(TIME, CURRENT, VOLTAGE, strict=True)):
+        more = [k + 1, state(i, ENGLISH)] if kind == "Neware" else []
+        sheet.append([*more, stamp(float(t)), float(v), float(i if kind != "Neware" else -i)])
+    book.save(tmp_path / "log.xlsx")
+    found, options = inspected(tmp_path / "log.xlsx", capsys)
+    assert not options
+    assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
+    assert found["duration_s"] == pytest.approx(3600 * HOURS, rel=0.001)
+
+
+def test_a_dataflash_log_as_text(tmp_path, capsys):
+    pytest.importorskip("pymavlink")
+    path = tmp_path / "flight.log"
+    head = "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+    head += "FMT, 160, 45, BAT, QBffff, TimeUS,Inst,Volt,VoltR,Curr,CurrTot"
+    path.write_text(
+        table(
+            head, lambda t, i, v: f"BAT, {1e6 * t:.0f}, 0, {4 * v:.3f}, {4 * v:.3f}, {i:.3f}, 0.0"
+        )
+    )
+    found, _ = inspected(path, capsys, "--series 4")
+    assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
+
+
+def test_names_in_a_matlab_file_are_proposed(tmp_path, capsys):
+    path = tmp_path / "log.mat"
+    savemat(path, {"zeit": TIME, "spannung": VOLTAGE, "strom": CURRENT})
+    found, options = inspected(path, capsys)
+    assert "current_A=strom" in options
     assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
 
 

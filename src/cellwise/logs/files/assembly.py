@@ -70,7 +70,8 @@ def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_F
     notices = list(raw.notices)
     convention = cast("SignConvention", sign if stated == FROM_FILE else stated)
     if (day := channels.pop("day_s", None)) is not None:
-        channels["time_s"] = day + np.mod(channels["time_s"], DAY_S)
+        clock = channels["time_s"]  # one of more than a day is the time since the start
+        channels["time_s"] = day + clock if np.nanmax(clock, initial=0.0) < DAY_S else clock
     charging, discharging = channels.pop("charging_A", None), channels.pop("discharging_A", None)
     if charging is not None and discharging is not None and "current_A" not in channels:
         out, back = (np.abs(np.nan_to_num(x)) for x in (discharging, charging))
@@ -295,7 +296,8 @@ def assemble(
     if temperature is not None:
         temperature, noted = units.plausible_temperature(temperature)
         notices += noted
-    if (own_sign if sign == "auto" else sign) == "charge-positive":
+    read_as = own_sign if sign == "auto" else sign
+    if read_as == "charge-positive":
         channels["current_A"] = -channels["current_A"]
         notices.append("positive current was read as charge and inverted")
     log = CellLog(
@@ -330,7 +332,8 @@ def assemble(
     opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
     if not (check_sign or opposite):
         return log.with_notices(grave.graves_first(notices))
-    log, noted = _with_checked_sign(log, sign, opposite=opposite)
+    way_out = "charge-positive" if read_as != "charge-positive" else "discharge-positive"
+    log, noted = _with_checked_sign(log, sign, way_out, opposite=opposite)
     return log.with_notices(grave.graves_first([*noted, *notices]))
 
 
@@ -382,7 +385,9 @@ def _signed_by_voltage(log: CellLog) -> tuple[CellLog, list[str]]:
     return log, [f"{said}, nor does the voltage: {other}"]
 
 
-def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[CellLog, list[str]]:
+def _with_checked_sign(
+    log: CellLog, sign: str, way_out: str, *, opposite: bool
+) -> tuple[CellLog, list[str]]:
     """Verify the sign and bring the counter in line with a current that is right."""
     notices: list[str] = []
     check = verify_sign(possible_part(log))
@@ -396,6 +401,5 @@ def _with_checked_sign(log: CellLog, sign: str, *, opposite: bool) -> tuple[Cell
                 "and the voltage does not confirm it"
             )
     if check.verdict == "contradicted":
-        way_out = "charge-positive" if sign != "charge-positive" else "discharge-positive"
         notices.append(contradiction(way_out))
     return log, notices

@@ -30,8 +30,8 @@ from cellwise.logs.files.columns import (
 )
 from cellwise.logs.files.times import TimeKind, time_kind
 from cellwise.logs.files.words import (
+    CLEAR,
     PART,
-    TOLD,
     WORDS,
     likeness,
     name_of,
@@ -81,14 +81,14 @@ class Evidence:
             return self._time(taken)
         if field not in WORDS or field == "charge_Ah":
             return None, []
-        told = [k for k in self._free(taken) if likeness(field, self.names[k]) >= TOLD]
-        found = [k for k in told if unit_for(field, self.names[k]) and self.numeric(k)]
-        best = [k for k in found if likeness(field, self.names[k]) > TOLD] or found
+        clear = [k for k in self._free(taken) if likeness(field, self.names[k]) >= CLEAR]
+        found = [k for k in clear if unit_for(field, self.names[k]) and self.numeric(k)]
+        best = [k for k in found if likeness(field, self.names[k]) > CLEAR] or found
         best = [k for k in best if of_battery(self.names[k])] or best
         if len(best) != 1:
             return None, []
         name = self.names[best[0]]
-        unit = channel.names.get(_tidy_of(field, name))
+        unit = channel.names.get(tidy_of(field, name))
         column = None if unit is None else Column(field, best[0], name, unit, by_words=True)
         return column, [self.names[k] for k in found if k != best[0]]
 
@@ -101,18 +101,18 @@ class Evidence:
 
         def of(k: int) -> tuple[bool, int, int]:
             kind, like = self.kind(k), likeness("time_s", self.names[k])
-            unit = 3 if unit_for("time_s", self.names[k]) and like >= TOLD else 0
-            return like >= TOLD, max(worth[kind], unit), like
+            unit = 3 if unit_for("time_s", self.names[k]) and like >= CLEAR else 0
+            return like >= CLEAR, max(worth[kind], unit), like
 
-        told = [k for k in self._free(taken) if of(k)[1] > 1 and of(k)[2] >= PART]
+        clear = [k for k in self._free(taken) if of(k)[1] > 1 and of(k)[2] >= PART]
         dates = [k for k in self._free(taken) if self.kind(k) == "date" and of(k)[2] >= 0]
-        if not told and len(dates) != 1:
+        if not clear and len(dates) != 1:
             return None, []
-        place = max(told or dates, key=of)
+        place = max(clear or dates, key=of)
         name, kind = self.names[place], self.kind(place)
-        unit = TIDY_NAMES.get(_tidy_of("time_s", name), ("", OWN))[1]
+        unit = TIDY_NAMES.get(tidy_of("time_s", name), ("", OWN))[1]
         column = Column("time_s", place, name, DATE if kind else unit, by_words=True)
-        return column, [self.names[k] for k in told if k != place]
+        return column, [self.names[k] for k in clear if k != place]
 
     def completed(self, columns: Sequence[Column]) -> tuple[list[Column], list[str]]:
         """The columns with the day of a clock, the state of a tester, two currents for one."""
@@ -152,9 +152,9 @@ class Evidence:
             for k in self._free(taken):
                 name = self.names[k]
                 like, unit_said = likeness("current_A", name), unit_for("current_A", name)
-                told = like >= PART or (like >= 0 and unit_said)
-                if told and self.numeric(k) and state_of(name_of(name).phrase) == state:
-                    unit = TIDY_NAMES.get(_tidy_of("current_A", name), ("", OWN))[1]
+                clear = like >= PART or (like >= 0 and unit_said)
+                if clear and self.numeric(k) and state_of(name_of(name).phrase) == state:
+                    unit = TIDY_NAMES.get(tidy_of("current_A", name), ("", OWN))[1]
                     found.append(Column(field, k, name, unit, by_words=True))
                     break
         return found if two_currents(found) else []
@@ -193,7 +193,7 @@ class Evidence:
         listed_ = []
         for like, k, time in found[:MOST_OF_A_FIELD]:
             name = self.names[k]
-            tidy = (_tidy_of(field, name),) if unit_for(field, name) else _UNSAID[field]
+            tidy = (tidy_of(field, name),) if unit_for(field, name) else _UNSAID[field]
             for rank, one in enumerate(("time_s",) if time else tidy):
                 unsaid = "" if len(tidy) == 1 or time or field == "time_s" else f"{rank}"
                 listed_.append((like - 0.01 * rank, one, name, unsaid))
@@ -277,10 +277,8 @@ def choose_columns(
     names = table.names
     columns = [_stated(tidy, name, names, where) for tidy, name in (chosen or {}).items()]
     notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
-    if known is None:
-        columns = [
-            replace(c, by_words=folded(c.name) not in map(folded, TIDY_NAMES)) for c in columns
-        ]
+    usual = {folded(name) for name in (*TIDY_NAMES, *(n for c in channels for n in c.names))}
+    columns = [replace(c, by_words=folded(c.name) not in usual) for c in columns]
     found = {column.field for column in columns}
     for channel in channels:
         if channel.field in found:
@@ -312,6 +310,11 @@ def choose_columns(
     if unused and known is None:
         return columns, [*notices, f"column(s) not used: {listed(unused)}"]
     return columns, notices + (_unknown(unused, channels, known or ()) if known != ANY else [])
+
+
+def has_days(columns: Sequence[Column]) -> bool:
+    """The time's clock has a day beside it."""
+    return any(column.field == "day_s" for column in columns)
 
 
 def two_currents(columns: Sequence[Column]) -> bool:
@@ -389,7 +392,7 @@ def _missing_columns(
     )
 
 
-def _tidy_of(field: str, name: str) -> str:
+def tidy_of(field: str, name: str) -> str:
     """The tidy name with the unit that a column's name states: 'Strom [mA]' is ``current_mA``.
 
     Empty where it states another quantity's unit, the usual name where it states none.

@@ -12,7 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
-from cellwise.logs.files.choice import choose_columns, says_its_sign
+from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
 from cellwise.logs.files.columns import CLOCK, Column, folded
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import (
@@ -395,9 +395,10 @@ def _read(
         raise damaged_gzip(source, str(error)) from None
     table = pa.Table.from_batches(batches, pa.schema(list(types.items())))
     del batches
-    told = None if any(c.field == "day_s" for c in columns) else notices
+    noted_in = None if has_days(columns) else notices
     return {
-        c.field: column_values(table.column(names[c.index]), c, source.where, told) for c in columns
+        c.field: column_values(table.column(names[c.index]), c, source.where, noted_in)
+        for c in columns
     }
 
 

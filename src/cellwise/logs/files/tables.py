@@ -14,7 +14,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.arrow import to_numpy
-from cellwise.logs.files.choice import choose_columns, says_its_sign
+from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
 from cellwise.logs.files.columns import Channel, Column, Unit, folded
 from cellwise.logs.files.format import (
     FREQUENCIES,
@@ -55,7 +55,8 @@ def table_channels(
     columns, notices = choose_columns(
         [str(name) for name in names], channels, where, look=look, **options
     )
-    found = {c.field: column_values(table[names[c.index]], c, where, notices) for c in columns}
+    noted_in = None if has_days(columns) else notices
+    found = {c.field: column_values(table[names[c.index]], c, where, noted_in) for c in columns}
     return RawLog(found, tuple(notices), signed=says_its_sign(columns))
 
 
@@ -155,7 +156,8 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
         for k, column in enumerate(columns):
             # On this thread alone: there are many small files.
             table = file.read(columns=[header[column.index]], use_threads=False)
-            arrays[column.field] = column_values(table.column(0), column, where, notices)
+            noted_in = None if has_days(columns) else notices
+            arrays[column.field] = column_values(table.column(0), column, where, noted_in)
             source.report(k + 1, len(columns))
     return RawLog(arrays, tuple(notices), signed=says_its_sign(columns))
 
@@ -179,7 +181,7 @@ def column_values(
 ) -> FloatArray:
     """A column in its channel's own unit; times that are dates or durations in seconds.
 
-    ``notices`` takes what was done with it.
+    ``notices`` takes what was done with it; None: the clock stands beside a day.
 
     Raises
     ------
@@ -199,7 +201,8 @@ def column_values(
         if unit.kind != "number" and _is_text(found.type):
             if unit.kind == "label":
                 return _labels(found, column)
-            seconds, noted = seconds_of(found, column.name, where)
+            alone = notices is not None
+            seconds, noted = seconds_of(found, column.name, where, alone=alone)
             if notices is not None and noted:
                 notices.append(noted)
             return _converted(seconds, column)

@@ -94,10 +94,13 @@ def epoch_unit(values: FloatArray) -> float:
     return 0.0
 
 
-def seconds_of(found: pyarrow.ChunkedArray, name: str, where: str) -> tuple[FloatArray, str]:
+def seconds_of(
+    found: pyarrow.ChunkedArray, name: str, where: str, *, alone: bool = True
+) -> tuple[FloatArray, str]:
     """Seconds of texts: of clocks, or since 1970 of dates; a plain number is one of seconds.
 
-    A clock that begins again at midnight goes on; what was done with it is the second value.
+    A clock ``alone``, without a day, goes on where it begins again at midnight; what was done with
+    it is the second value.
 
     Raises
     ------
@@ -123,10 +126,8 @@ def seconds_of(found: pyarrow.ChunkedArray, name: str, where: str) -> tuple[Floa
     else:
         total = np.sum([seconds * numbers(part) for part, seconds in _SECONDS.items()], axis=0)
         total = total + 3600.0 * _half_days(numbers, texts_of)
-        if (
-            np.nan_to_num(numbers("d")).max(initial=0.0) == 0.0
-            and pc.any(pc.greater(pc.binary_length(pc.fill_null(texts_of("h"), "")), 0)).as_py()
-        ):
+        is_clock = pc.any(pc.match_substring(texts, ":")).as_py()
+        if alone and is_clock and not np.nan_to_num(numbers("d")).any():
             total, nights = past_midnight(total)
             noted = f"the clock passes midnight {nights} time(s) and was taken on" if nights else ""
     if texts.null_count < np.count_nonzero(np.isnan(total)):

@@ -37,8 +37,8 @@ _UNIT = re.compile(
     r"(?:[(\[{<]\s*(?:in\s+)?(?P<a>[^()\[\]{}<>]*?)\s*[)\]}>]|(?:\s*[/_,:#]|\s)\s*(?P<b>[^\s/_,:#()\[\]{}<>]+))\s*$"
 )
 _OTHER_SCRIPT = re.compile(r"[^\u0000-\u024f]")
-# How much a name speaks for a quantity; from TOLD on it is taken where its unit is clear.
-WHOLE, TOLD, PART, PERHAPS, LIKE, NEVER = 6, 5, 3, 2, 1, -1
+# How much a name speaks for a quantity; from CLEAR on it is taken where its unit is clear.
+WHOLE, CLEAR, PART, PERHAPS, LIKE, NEVER = 6, 5, 3, 2, 1, -1
 
 
 class Name(NamedTuple):
@@ -98,7 +98,7 @@ def is_unit(text: str) -> bool:
 
 
 def likeness(field: str, text: str) -> int:
-    """How much a name speaks for a quantity: from `TOLD` on without doubt, 0 not at all.
+    """How much a name speaks for a quantity: from `CLEAR` on for nothing else, 0 not at all.
 
     `NEVER`: it is of something else.
     """
@@ -122,7 +122,7 @@ def likeness(field: str, text: str) -> int:
             return NEVER  # 'Current time'
         beside = {w for w in name.words - own if _kind(w) not in ("battery", "plain", "number")}
         if not beside:
-            return TOLD
+            return CLEAR
         return PART if any(len(w) > 1 for w in own) else 0
     if (name.words | {name.phrase}).intersection(_ALL["perhaps"].get(field, ())):
         return PERHAPS
@@ -182,7 +182,7 @@ def long_table(header: Sequence[str]) -> tuple[list[int], int] | None:
         for kind in ("entity", "value")
     )
     quantities = sum(
-        max(likeness(field, name) for field in ("current_A", "voltage_V")) >= TOLD
+        max(likeness(field, name) for field in ("current_A", "voltage_V")) >= CLEAR
         for name in header
     )
     values = [k for k in values if k not in entities[:1]]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cellwise.logs.files.columns import ANY, REQUIRED, Channel, Unit, named_units
+from cellwise.logs.files.columns import ANY, REQUIRED, TIDY_NAMES, Channel, Unit, named_units
 from cellwise.logs.files.csv_text import has_names, read_csv
 from cellwise.logs.files.format import Format, Reader
 from cellwise.logs.files.source import LogSource
@@ -42,30 +42,46 @@ def mapped(
     ----------
     table : str         its heading
     name : str          the format's name; empty: the heading
-    matches : callable  empty: one line of the text holds a name of each group of ``marks``
+    matches : callable  empty: one line of the text holds a name of each group of ``marks``, and
+                        of each channel that is needed and that nobody has stated
     read : callable     the reader
     more                of `Format`
     """
     entry = _tables()[table]
     like = _tables()[entry["like"]] if "like" in entry else {}
+    channels = tuple(
+        Channel(
+            field,
+            _names(field, like) | _names(field, entry),
+            required=field in REQUIRED,
+            instead=(like | entry).get("instead", {}).get(field, ""),
+        )
+        for field in FIELDS
+        if field in entry or field in like
+    )
+
+    def has_all(source: LogSource) -> bool:
+        return has_names(source, *marks(table), *_needed(channels, source.options.channels))
+
     return Format(
         name=name or table,
-        matches=matches or (lambda source: has_names(source, *marks(table))),
-        channels=tuple(
-            Channel(
-                field,
-                _names(field, like) | _names(field, entry),
-                required=field in REQUIRED,
-                instead=(like | entry).get("instead", {}).get(field, ""),
-            )
-            for field in FIELDS
-            if field in entry or field in like
-        ),
+        matches=matches or has_all,
+        channels=channels,
         known=ANY if entry.get("any") else (*like.get("unused", ()), *entry["unused"]),
         read=read,
         sign=entry["sign"],
         **more,
     )
+
+
+def _needed(channels: Sequence[Channel], stated: Mapping[str, str]) -> list[list[str]]:
+    """Names of each channel that is needed, and of what will do in its place."""
+    there = {TIDY_NAMES[tidy][0] for tidy in stated if tidy in TIDY_NAMES}
+    return [
+        [n for c in channels if c.field in (need.field, need.instead) for n in c.names]
+        for need in channels
+        if need.required and need.field not in there
+    ]
 
 
 def marked_tables() -> list[str]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.files.choice import MissingColumnsError, tidy_of
 from cellwise.logs.files.columns import (
     REQUIRED,
     TIDY_NAME,
@@ -189,10 +190,11 @@ def _unclear(
     tidy = TIDY_NAME[field]
     if found:
         names = [s.name for s in found]
-        return InputError(
+        return MissingColumnsError(
             f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
             "one",
-            f"Choose it: `channels={{{tidy!r}: {names[0]!r}}}`.",
+            f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
+            [{tidy_of(field, f"({_unit(s, field)})"): s.name} for s in found],
         )
     names = [s.name + (f" [{s.unit}]" if s.unit else "") for s in signals]
     return InputError(
