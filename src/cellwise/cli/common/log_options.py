@@ -128,8 +128,8 @@ def each_that_serves(logs: Sequence[Log], do: Callable[[Log], Made]) -> list[Mad
             refused.append(error)
     if refused and not made:
         raise refused[0]
-    for error in refused:
-        printing.warn(f"left out: {error.found}")
+    for one in refused:
+        printing.warn(f"left out: {one.found}")
     return made
 
 

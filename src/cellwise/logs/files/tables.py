@@ -80,7 +80,7 @@ def channels_of(
     """
     where, chosen = source.where, source.options.channels
     names = [str(name) for name in arrays]
-    check_no_spectrum(names, lambda k: np.ravel(arrays[names[k]])[:FREQUENCIES], where)
+    check_no_spectrum(names, lambda k: np.asarray(arrays[names[k]]).ravel()[:FREQUENCIES], where)
     raw = table_channels(arrays, known.channels, where, known=known.known, chosen=chosen)
     sizes = {field: values.size for field, values in raw.channels.items()}
     if set(sizes.values()) == {0}:

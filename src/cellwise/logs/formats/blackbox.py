@@ -23,15 +23,15 @@ def _read(source: LogSource, known: Format) -> RawLog:
     reading, parsing = (need(f"orangebox.{m}", what, "orangebox") for m in ("reader", "parser"))
     limits = Limits.of(source.size)
     with library_at_work(source, "blackbox recording"):
-        reader: Any = reading.Reader(str(source.path), allow_invalid_header=True)
-        edges = (*reader.log_pointers, source.size)
+        file: Any = reading.Reader(str(source.path), allow_invalid_header=True)
+        edges = (*file.log_pointers, source.size)
     sizes = [f"session {k + 1}, {(b - a) / 1e3:.0f} kB" for k, (a, b) in enumerate(pairwise(edges))]
     session = chosen_log(sizes, source)
     rows: list[list[float]] = []
     notices = []
     with library_at_work(source, "blackbox recording"):
-        reader.set_log_index(session + 1)
-        parser = parsing.Parser(reader)
+        file.set_log_index(session + 1)
+        parser = parsing.Parser(file)
         used = {name for c in known.channels for name in c.names}
         places = {n: k for k, n in enumerate(map(str, parser.field_names)) if n in used}
         try:
@@ -40,7 +40,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
                     limits.check(source.where, number)
                 rows.append([frame.data[k] for k in places.values()])
         except (TypeError, IndexError):  # as the library takes the end of the bytes
-            if reader.tell() < len(reader):
+            if file.tell() < len(file):
                 raise
             notices.append("the recording has no end: the power was cut, or the memory was full")
     if not rows:
