@@ -44,10 +44,7 @@ def table_channels(
     ------
     InputError        a required channel is missing or holds no numbers
     """
-    header = getattr(table, "column_names", None)  # pyarrow
-    if header is None:
-        header = getattr(table, "columns", None)  # pandas, polars
-    names = list(cast(Iterable[str], table) if header is None else header)
+    names = _names_of(table)
 
     def look(place: int) -> list[str]:
         return first_texts(table[names[place]])
@@ -69,6 +66,13 @@ def first_texts(values: Any) -> list[str]:
     return ["" if cell is None or cell != cell else str(cell) for cell in cells]
 
 
+def _names_of(table: NamedColumns) -> list[str]:
+    header = getattr(table, "column_names", None)  # pyarrow
+    if header is None:
+        header = getattr(table, "columns", None)  # pandas, polars
+    return list(cast(Iterable[str], table) if header is None else header)
+
+
 def channels_of(
     arrays: NamedColumns, source: LogSource, known: Format, cells: int | None = None
 ) -> RawLog:
@@ -79,7 +83,7 @@ def channels_of(
     InputError              a required channel is missing or holds no numbers; no rows
     """
     where, chosen = source.where, source.options.channels
-    names = [str(name) for name in arrays]
+    names = _names_of(arrays)
     check_no_spectrum(names, lambda k: np.asarray(arrays[names[k]]).ravel()[:FREQUENCIES], where)
     raw = table_channels(arrays, known.channels, where, known=known.known, chosen=chosen)
     sizes = {field: values.size for field, values in raw.channels.items()}
