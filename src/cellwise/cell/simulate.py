@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.arguments import held_soc, number
+from cellwise.arguments import SOC_BEYOND, held_soc, number
 from cellwise.cell.compiled import announce, rows
 from cellwise.cell.equations import (
     CellState,
@@ -197,7 +197,7 @@ def check_soc0(soc0: float) -> float:
         hint = " Per cent? Divide by 100." if 1.0 < soc0 <= 100.0 else ""
         raise InputError(
             f"an initial SOC of {soc0:g}",
-            "a fraction from 0 to 1",
+            f"a fraction from 0 to 1 (up to {SOC_BEYOND:g} beyond is held there)",
             f"Give 0.5, say; left out it is found from the log.{hint}",
         )
     return soc0

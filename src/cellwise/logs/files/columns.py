@@ -52,7 +52,9 @@ UNITS = {
     "F": Unit(5.0 / 9.0, -160.0 / 9.0),
     "As": Unit(1.0 / 3600.0),
     "clock": CLOCK,
-    "nth": Unit(kind="label", labels={str(k): float(k) for k in range(32)}),
+    "nth": Unit(
+        kind="label", labels={n: float(k) for k in range(26) for n in (str(k), chr(97 + k))}
+    ),
     "-Ah": Unit(-1.0),
     "-mAh": Unit(-1e-3),
 }

@@ -70,7 +70,7 @@ def mapped(
         known=ANY if entry.get("any") else (*like.get("unused", ()), *entry["unused"]),
         read=read,
         sign=entry["sign"],
-        **more,
+        **{"instances": "instance" in entry, **more},
     )
 
 
