@@ -327,6 +327,33 @@ FORMS = {
         )[1:],
         "",
     ),
+    "Car Scanner": (
+        '"SECONDS";"PID";"VALUE";"UNITS"\n'
+        + table(
+            "",
+            lambda t, i, v: (
+                f'"{3600 + t}";"[BMS] Battery voltage";"{96 * v:.2f}";"V"\n'
+                f'"{3600 + t}";"[BMS] Battery current";"{i:.3f}";"A"'
+            ),
+        )[1:],
+        "--series 96",
+    ),
+    "between blanks": (
+        table(
+            "  Time(s)   Voltage(V)   Current(A)",
+            lambda t, i, v: f"{t:9.1f} {v:12.4f} {i:12.4f}",
+        ),
+        "",
+    ),
+    "keys and values of the same width": (
+        table(
+            "Time (s),Voltage (V),Current (A)",
+            lambda t, i, v: f"{t},{v:.3f},{i:.3f}",
+            above="Start Time,2024-05-31 09:00:00,\nCapacity,2.8,Ah\n\n",
+            below="\nSummary\nCapacity (Ah),0.66\n",
+        ),
+        "",
+    ),
     "Russian": (
         table("Время, с;Напряжение, В;Ток, А", lambda t, i, v: f"{t};{v:.4f};{i:.3f}"),
         "",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
 from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
-from cellwise.logs.files.columns import CLOCK, Column, folded
+from cellwise.logs.files.columns import CLOCK, REQUIRED, Column, folded
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.source import (
     FROM_FILE,
@@ -24,9 +24,10 @@ from cellwise.logs.files.source import (
     TimedStream,
     damaged_gzip,
     decoded,
+    lines_of,
 )
 from cellwise.logs.files.tables import arrow_type, column_values
-from cellwise.logs.files.words import is_unit
+from cellwise.logs.files.words import PART, is_unit, likeness
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---", " -", "unavai
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _DIGIT = re.compile(r"[0-9]")
 _DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
+_DATE_AND_CLOCK = re.compile(r"(\d[-./]\d+[-./]\d+) (\d+:\d)")
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
 
@@ -86,7 +88,9 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
     best = _most_names(texts, names)
     above = None if best is not None else _above_rows(texts)
     if above is not None and _has_rows(texts, at, line):
-        above = above if len(above[2]) > len(header_cells(line)) else None
+        own = header_cells(line)
+        better = len(above[2]) > len(own) or _quantities(above[2]) > _quantities(own)
+        above = above if better else None
     if best is not None:
         at, line = best, texts[best]
     if above is None and (at is None or not line):
@@ -146,6 +150,33 @@ def _has_rows(texts: Sequence[str], at: int | None, line: str) -> bool:
         and abs(below[0].count(_delimiter(line)) - line.count(_delimiter(line))) <= 1
         and _values(header_cells(below[0])) > 0
     )
+
+
+def _quantities(names: Sequence[str]) -> int:
+    """Of how many needed channels some name speaks."""
+    return sum(any(likeness(field, name) >= PART for name in names) for field in REQUIRED)
+
+
+def between_tabs(source: LogSource) -> LogSource:
+    """A text whose cells stand between blanks, with tabs; another text as it is."""
+    rows = [line.split() for line in source.first_lines]
+    for j in range(1, len(rows) - 2):
+        cells, *others = map(_joined_dates, source.first_lines[j : j + 3])
+        width = len(cells.split())
+        if width < 2 or _values(cells.split()) < width - 1 or any(d in cells for d in DELIMITERS):
+            continue
+        if all(len(other.split()) == width for other in others):
+            lines = map(_joined_dates, lines_of(source))
+            apart = (
+                re.split(r"\s{2,}|\t", t) if len(t.split()) != width else t.split() for t in lines
+            )
+            return source.of_text("\n".join("\t".join(cells) for cells in apart))
+    return source
+
+
+def _joined_dates(line: str) -> str:
+    """A line without blanks between a date and its clock."""
+    return _DATE_AND_CLOCK.sub(r"\1T\2", line.strip())
 
 
 def _values(cells: Sequence[str]) -> int:
@@ -292,6 +323,7 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
                       damaged gzip; a last line that was cut off is dropped with a notice
     """
     where, chosen = source.where, source.options.channels
+    source = between_tabs(source)
     names = [*(n for c in known.channels for n in c.names), *(known.known or ())]
     layout = csv_layout(source, [] if known.known is None else [*names, *chosen.values()])
     there = {folded(name) for name in layout.header}

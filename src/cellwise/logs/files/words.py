@@ -174,19 +174,21 @@ def names_states(name: str) -> bool:
     return phrase in _ALL["state"]["names"] or phrase.partition(" ")[2] in _ALL["state"]["names"]
 
 
-def long_table(header: Sequence[str]) -> tuple[list[int], int] | None:
-    """Columns of entities, and of their value, of a table with a row for each entity and time."""
+def long_table(header: Sequence[str]) -> tuple[list[int], int, int | None] | None:
+    """Columns of entities, of their value and unit, of a table with a row for each and time."""
     phrases = [name_of(name).phrase.strip() for name in header]
-    entities, values = (
+    entities, values, units = (
         [k for word in _ALL["long"][kind] for k, p in enumerate(phrases) if p == word]
-        for kind in ("entity", "value")
+        for kind in ("entity", "value", "unit")
     )
     quantities = sum(
         max(likeness(field, name) for field in ("current_A", "voltage_V")) >= CLEAR
         for name in header
     )
     values = [k for k in values if k not in entities[:1]]
-    return (entities, values[0]) if entities and values and not quantities else None
+    if not entities or not values or quantities:
+        return None
+    return entities, values[0], units[0] if units else None
 
 
 def words_in(text: str) -> int:

@@ -9,11 +9,11 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.choice import choose_columns, says_its_sign
 from cellwise.logs.files.columns import TIDY_CHANNELS
-from cellwise.logs.files.csv_text import csv_layout, header_cells
+from cellwise.logs.files.csv_text import LOOKED_AT, csv_layout, header_cells
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.source import LogSource, RawLog, lines_of
 from cellwise.logs.files.times import epoch_unit, seconds_of, time_kind
-from cellwise.logs.files.words import long_table
+from cellwise.logs.files.words import PART, likeness, long_table
 from cellwise.typing import FloatArray
 
 
@@ -26,13 +26,16 @@ def _read(source: LogSource, known: Format) -> RawLog:
     import pyarrow as pa
 
     layout = csv_layout(source)
-    entities, value = long_table(layout.header) or ([0], 1)
-    looks = {
-        k: time_kind([row[k] for row in layout.cells if k < len(row)])
-        for k in range(len(layout.header))
-        if k not in (*entities, value)
-    }
-    time = next((k for k, kind in looks.items() if kind in ("date", "epoch", "clock")), None)
+    entities, value, unit = long_table(layout.header) or ([0], 1, None)
+
+    def worth(k: int) -> int:
+        kind = time_kind([row[k] for row in layout.cells if k < len(row)])
+        return (
+            2 if kind in ("date", "epoch", "clock") else likeness("time_s", layout.header[k]) > PART
+        )
+
+    others = [k for k in range(len(layout.header)) if k not in (*entities, value, unit)]
+    time = max(others, key=worth) if any(map(worth, others)) else None
     if time is None:
         raise InputError(
             f"a long table without a column of times in {source.where}",
@@ -47,8 +50,13 @@ def _read(source: LogSource, known: Format) -> RawLog:
     seconds, _ = seconds_of(stamps, layout.header[time], source.where)
     seconds = seconds * (epoch_unit(seconds) or 1.0)
     order = np.argsort(seconds, kind="stable")
-    names = list(dict.fromkeys(row[entity] for row in rows))
-    texts = {name: [row[value] for row in rows if row[entity] == name][:50] for name in names}
+    of_rows = [
+        f"{row[entity]} ({row[unit]})" if unit and row[unit] else row[entity] for row in rows
+    ]
+    names = list(dict.fromkeys(of_rows))
+    texts: dict[str, list[str]] = {name: [] for name in names}
+    for name, row in zip(of_rows, rows, strict=True):
+        texts[name] += [row[value]] if len(texts[name]) < LOOKED_AT else []
     channels = [c for c in known.channels if c.field != "time_s"]
     columns, notices = choose_columns(
         names,
@@ -58,7 +66,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
         look=lambda k: texts[names[k]],
     )
     found: dict[str, FloatArray] = {}
-    of = np.array([row[entity] for row in rows])[order]
+    of = np.array(of_rows)[order]
     numbers = np.array([_number(row[value], layout.decimal) for row in rows])[order]
     chosen = np.isin(of, [c.name for c in columns])
     times, of, numbers = seconds[order][chosen], of[chosen], numbers[chosen]

@@ -19,14 +19,13 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import TIDY_CHANNELS
-from cellwise.logs.files.csv_text import header_cells, read_csv
+from cellwise.logs.files.csv_text import header_cells
 from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
 from cellwise.logs.files.source import NOTHING_SAID, LogSource, RawLog, lines_of
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 
 # Basytec: lines with a tilde before the rows, cells between tabs or blanks.
-_DATE_COLUMN = "DateTime"
 
 
 def _basytec_header(source: LogSource) -> str:
@@ -38,28 +37,7 @@ def _is_basytec(source: LogSource) -> bool:
     return any(name in _basytec_header(source).split() for name in times)
 
 
-def _read_basytec(source: LogSource, known: Format) -> RawLog:
-    line = _basytec_header(source)
-    if "\t" in line:
-        return read_csv(source, known)
-    header = line.split()
-    # A date and its time are two cells between blanks.
-    wide = [
-        x for name in header for x in ((name, f"{name} time") if name == _DATE_COLUMN else (name,))
-    ]
-    rows = (text.split() for text in lines_of(source))
-    next((cells for cells in rows if cells == header), None)
-    below = [cells for cells in rows if cells]
-    first = next((cells for cells in below if len(cells) in (len(wide), len(header))), header)
-    names = wide if len(first) == len(wide) else header
-    whole = [cells for cells in below if len(cells) == len(names)]
-    arrays = {name: np.array([row[k] for row in whole]) for k, name in enumerate(names)}
-    raw = channels_of(arrays, source, known)
-    skipped = len(below) - len(whole)
-    return raw.noted([f"{skipped} line(s) of another width left out"] if skipped else [])
-
-
-BASYTEC_TEXT = mapped("basytec-text", matches=_is_basytec, read=_read_basytec)
+BASYTEC_TEXT = mapped("basytec-text", matches=_is_basytec)
 
 
 # Neware's levels: a row for a cycle, below it its steps, below these their records. The first step
