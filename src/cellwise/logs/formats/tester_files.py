@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.csv_text import header_cells
 from cellwise.logs.files.format import Format, library_at_work, need
+from cellwise.logs.files.header import header_cells
 from cellwise.logs.files.source import LogSource, RawLog, lines_of
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
