@@ -470,6 +470,19 @@ def test_a_current_without_a_sign_is_said_first(tmp_path, capsys):
     assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
 
 
+def test_a_current_whose_sign_nothing_gives_is_refused_by_identify(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    # Of the last load the voltage says nothing.
+    header = "time_s,current_A,voltage_V"
+    path.write_text(table(header, lambda t, i, v: f"{t},{abs(i)},{v if t < 2000 else 3.8:.4f}"))
+    found, _ = inspected(path, capsys)
+    assert "LOOKS WRONG: it has no sign" in found["notices"][0]
+    model = tmp_path / "model.json"
+    assert main(["identify", "--capacity", str(path), "--nominal-ah", "2.8", "-o", str(model)]) == 2
+    assert "no sign" in capsys.readouterr().err
+    assert not model.exists()
+
+
 def test_hours_taken_for_seconds_are_said_loudly(tmp_path, capsys):
     path = tmp_path / "log.csv"
     hours = np.linspace(0, 5, 300)

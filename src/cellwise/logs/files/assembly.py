@@ -97,8 +97,9 @@ def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_F
             channels["current_A"], noted = _signed(current, direction, convention, where)
             notices += noted
     elif state is not None and "current_A" in channels:
+        trusted = raw.signed or stated != FROM_FILE
         current, signed, noted = _signed_by_label(
-            channels["current_A"], state, convention, raw.signed or stated != FROM_FILE
+            channels["current_A"], state, convention, where, trusted=trusted
         )
         channels["current_A"], direction = current, state if signed else None
         raw = replace(raw, signed=raw.signed or signed)
@@ -169,27 +170,23 @@ def _has_sign(current: FloatArray) -> tuple[bool, BoolArray]:
 
 
 def _signed_by_label(
-    current: FloatArray, state: FloatArray, sign: SignConvention, has_meaning: bool
+    current: FloatArray, state: FloatArray, sign: SignConvention, where: str, *, trusted: bool
 ) -> tuple[FloatArray, bool, list[str]]:
     """A current, whether a column of states has given it its sign, and what is to be said.
 
-    Nobody vouches for such a column: it is used where it fits the current throughout.
+    Nobody vouches for such a column: it is used where it fits the current throughout, and does not
+    change a sign that is ``trusted``.
     """
     has_sign, load = _has_sign(current)
-    count = np.count_nonzero(load)
-    stated = load & (np.nan_to_num(state) != 0.0)
-    positive = 1.0 if sign == "discharge-positive" else -1.0
-    if count == 0 or np.count_nonzero(stated) < STATE.stated * count:
+    known = np.nan_to_num(state)
+    stated = load & (known != 0.0)
+    if np.count_nonzero(stated) < max(STATE.stated * np.count_nonzero(load), 1.0):
         return current, False, []
-    if not has_sign:
-        at_rest = np.where(np.nan_to_num(state) == 0.0, 1.0, np.nan_to_num(state))
-        return positive * np.abs(current) * at_rest, True, [BY_STATE]
-    agreeing = np.mean(np.sign(current[stated]) == positive * state[stated])
-    if has_meaning or STATE.agreeing > agreeing > 1.0 - STATE.agreeing:
+    agreeing = np.mean(np.sign(current[stated]) == known[stated])
+    if has_sign and (trusted or STATE.agreeing > agreeing > 1.0 - STATE.agreeing):
         return current, False, []
-    found = "discharge" if (agreeing > 0.5) == (positive > 0) else "charge"
-    noted = [f"positive current is {found}, as the tester's state says"]
-    return (current if agreeing > 0.5 else -current), True, noted
+    current, noted = _signed(current, known, sign, where)
+    return current, True, noted
 
 
 def _sign_by_state(

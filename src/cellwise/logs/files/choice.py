@@ -190,14 +190,14 @@ class Evidence:
             if like > 0.0 or self._may_be(field, k):
                 found.append((like + 0.1 * of_battery(name) + 0.2 * bool(unit or time), k, time))
         found.sort(key=lambda c: -c[0])
-        listed_ = []
+        each = []
         for like, k, time in found[:MOST_OF_A_FIELD]:
             name = self.names[k]
             tidy = (tidy_of(field, name),) if unit_for(field, name) else _UNSAID[field]
             for rank, one in enumerate(("time_s",) if time else tidy):
                 unsaid = "" if len(tidy) == 1 or time or field == "time_s" else f"{rank}"
-                listed_.append((like - 0.01 * rank, one, name, unsaid))
-        return listed_
+                each.append((like - 0.01 * rank, one, name, unsaid))
+        return each
 
     def _is_twice(self, name: str) -> bool:
         return sum(folded(other) == folded(name) for other in self.names) > 1
@@ -207,14 +207,10 @@ class Evidence:
         name = self.names[k]
         if any(likeness(other, name) != 0 for other in WORDS):
             return False
-        try:
-            values = np.array(
-                [float(cell.replace(",", ".")) for cell in self.look(k) if cell.strip()]
-            )
-        except ValueError:
+        cells = [cell.replace(",", ".") for cell in self.look(k) if cell.strip()]
+        if len(cells) < 3 or not all(map(_NUMBER.fullmatch, cells)):
             return False
-        if values.size < 3:
-            return False
+        values = np.array(cells, dtype=np.float64)
         if field == "time_s":
             return bool(np.all(np.diff(values) > 0))
         return field == "current_A" or bool(0.5 < np.median(values) < 1500.0)

@@ -8,34 +8,41 @@ import zlib
 from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
 from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
-from cellwise.logs.files.columns import CLOCK, REQUIRED, Column, folded
+from cellwise.logs.files.columns import CLOCK, Column, folded
 from cellwise.logs.files.format import Format, without_late_errors
+from cellwise.logs.files.header import (
+    DIGIT_FIRST,
+    NUMBER,
+    above_rows,
+    between_tabs,
+    delimiter_of,
+    first_names,
+    has_rows,
+    header_cells,
+    is_numeric,
+    most_names,
+    quantities,
+)
 from cellwise.logs.files.source import (
     FROM_FILE,
-    MOST_HEADER_LINES,
     Limits,
     LogSource,
     RawLog,
     TimedStream,
     damaged_gzip,
     decoded,
-    lines_of,
 )
 from cellwise.logs.files.tables import arrow_type, column_values
-from cellwise.logs.files.words import PART, is_unit, likeness
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
-DELIMITERS = ",;\t|"
 MOST_UNIT_ROWS = 2
-MOST_NAME_ROWS = 3
 MOST_FOOTER_LINES = 20
 FOOTER_BYTES = 8192
 LOOKED_AT = 50  # rows below the header
@@ -50,9 +57,6 @@ MISSING += ["#N/A", "#NA", "#DIV/0!", "#VALUE!", "-", "--", "---", " -", "unavai
 
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _DIGIT = re.compile(r"[0-9]")
-_DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
-_DATE_AND_CLOCK = re.compile(r"(\d[-./]\d+[-./]\d+) (\d+:\d)")
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -84,12 +88,12 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
     """
     lines = _head_lines(source.head)
     texts = [decoded(raw.removeprefix(b"\xef\xbb\xbf"), source.encoding) for raw in lines]
-    at, line = _first_names(texts)
-    best = _most_names(texts, names)
-    above = None if best is not None else _above_rows(texts)
-    if above is not None and _has_rows(texts, at, line):
+    at, line = first_names(texts)
+    best = most_names(texts, names)
+    above = None if best is not None else above_rows(texts)
+    if above is not None and has_rows(texts, at, line):
         own = header_cells(line)
-        better = len(above[2]) > len(own) or _quantities(above[2]) > _quantities(own)
+        better = len(above[2]) > len(own) or quantities(above[2]) > quantities(own)
         above = above if better else None
     if best is not None:
         at, line = best, texts[best]
@@ -108,7 +112,7 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
         first, last = (at or 0) + 1, min(len(lines), (at or 0) + 2 + MOST_UNIT_ROWS)
         while best is not None and first < last and not _DIGIT.search(texts[first]):
             first += 1
-        delimiter, header = _delimiter(line), header_cells(line)
+        delimiter, header = delimiter_of(line), header_cells(line)
     rows = csv.reader(texts[first : first + LOOKED_AT], delimiter=delimiter)
     cells = tuple(tuple(row) for row in rows if any(row))
     return CsvLayout(
@@ -118,116 +122,6 @@ def csv_layout(source: LogSource, names: Collection[str] = ()) -> CsvLayout:
         sum(len(raw) for raw in lines[:first]),
         cells,
     )
-
-
-def _most_names(texts: Sequence[str], names: Collection[str]) -> int | None:
-    """The line with most of the names, two at least."""
-    wanted = {folded(name) for name in names}
-    scores = [len(wanted.intersection(map(folded, header_cells(text)))) for text in texts]
-    best = max(scores, default=0)
-    return scores.index(best) if best > 1 else None
-
-
-def _first_names(texts: Sequence[str]) -> tuple[int | None, str]:
-    """The line above the rows, and the names: its own, or the comment's that it is."""
-    comment = ""
-    for k, line in enumerate(texts):
-        text = line.strip()
-        if text and not text.startswith("#"):
-            if not is_numeric(text):
-                return k, text
-            name = comment.lstrip("# ")
-            return k - 1, "" if is_numeric(name) else name
-        comment = text or comment
-    return None, ""
-
-
-def _has_rows(texts: Sequence[str], at: int | None, line: str) -> bool:
-    """The line below the names is a row of values, or there is none."""
-    below = [] if at is None else [text for text in texts[at + 1 :] if text.strip()][:1]
-    return not below or (
-        below[0].count(_delimiter(line)) > 0
-        and abs(below[0].count(_delimiter(line)) - line.count(_delimiter(line))) <= 1
-        and _values(header_cells(below[0])) > 0
-    )
-
-
-def _quantities(names: Sequence[str]) -> int:
-    """Of how many needed channels some name speaks."""
-    return sum(any(likeness(field, name) >= PART for name in names) for field in REQUIRED)
-
-
-def between_tabs(source: LogSource) -> LogSource:
-    """A text whose cells stand between blanks, with tabs; another text as it is."""
-    rows = [line.split() for line in source.first_lines]
-    for j in range(1, len(rows) - 2):
-        cells, *others = map(_joined_dates, source.first_lines[j : j + 3])
-        width = len(cells.split())
-        if width < 2 or _values(cells.split()) < width - 1 or any(d in cells for d in DELIMITERS):
-            continue
-        if all(len(other.split()) == width for other in others):
-            lines = map(_joined_dates, lines_of(source))
-            apart = (
-                re.split(r"\s{2,}|\t", t) if len(t.split()) != width else t.split() for t in lines
-            )
-            return source.of_text("\n".join("\t".join(cells) for cells in apart))
-    return source
-
-
-def _joined_dates(line: str) -> str:
-    """A line without blanks between a date and its clock."""
-    return _DATE_AND_CLOCK.sub(r"\1T\2", line.strip())
-
-
-def _values(cells: Sequence[str]) -> int:
-    return sum(bool(_DIGIT_FIRST.match(cell)) for cell in cells)
-
-
-def _above_rows(texts: Sequence[str]) -> tuple[str, int, list[str]] | None:
-    """Delimiter, first of the first rows of numbers, and the names above them."""
-
-    @cache
-    def cells_of(k: int) -> tuple[str, list[str]]:
-        return _delimiter(texts[k]), header_cells(texts[k])
-
-    for j in range(1, min(len(texts), MOST_HEADER_LINES) - 1):
-        delimiter, cells = cells_of(j)
-        if not all(
-            len(row) == len(cells) > 1 and _values(row) > 1 and other == delimiter
-            for other, row in map(cells_of, range(j, min(j + 3, len(texts))))
-        ):
-            continue
-        stack: list[list[str]] = []
-        above = j
-        while above > 0 and not texts[above - 1].strip():
-            above -= 1
-        for text in reversed(texts[max(0, above - 1 - MOST_NAME_ROWS) : above]):
-            row = next(
-                csv.reader([text.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), []
-            )
-            fits = abs(len(row) - len(cells)) <= 1 and any(cell.strip() for cell in row)
-            if not fits or _values(row) > 1:
-                break
-            stack.insert(0, [*(cell.strip() for cell in row), ""][: len(cells)])
-        if stack:
-            return delimiter, j, _joined(stack)
-    return None
-
-
-def _joined(stack: Sequence[Sequence[str]]) -> list[str]:
-    """One name for each column of several lines: what stands above it, its name, its unit."""
-    rows = list(stack)
-    units = [""] * len(rows[0])
-    plain = [cell.strip("()[] ") for cell in rows[-1]]
-    known = sum(is_unit(cell) for cell in plain if cell)
-    if len(rows) > 1 and known and 2 * known >= sum(map(bool, plain)):
-        units = plain
-        rows.pop()
-    names = []
-    for k, unit in enumerate(units):
-        name = " ".join(dict.fromkeys(row[k] for row in rows if row[k]))
-        names.append(f"{name} ({unit})" if unit and name else name)
-    return names
 
 
 def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | None, str]:
@@ -246,7 +140,7 @@ def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | No
         text = decoded(raw, source.encoding)
         cells = next(csv.reader([text], delimiter=layout.delimiter), [])
         time = cells[place] if place < len(cells) else ""
-        if _DIGIT_FIRST.match(text) or _DIGIT_FIRST.match(time):
+        if DIGIT_FIRST.match(text) or DIGIT_FIRST.match(time):
             return (end, first) if first else (None, "")
         end -= len(raw)
         count += bool(text.strip())
@@ -254,24 +148,6 @@ def data_end(source: LogSource, layout: CsvLayout, place: int) -> tuple[int | No
         if count > MOST_FOOTER_LINES:
             break
     return None, ""
-
-
-def header_cells(line: str) -> list[str]:
-    """The cells of a line, by the delimiter it has most of."""
-    text = line.rstrip("\r\n").lstrip("\ufeff")
-    return next(csv.reader([text], delimiter=_delimiter(text), skipinitialspace=True), [])
-
-
-def has_names(source: LogSource, *groups: Collection[str]) -> bool:
-    """One of a text's first lines holds a name of each group."""
-    sought = [{folded(name) for name in group} for group in groups]
-    for line in source.first_lines:
-        text = folded(line)
-        if all(any(name in text for name in group) for group in sought):
-            cells = {folded(cell) for cell in header_cells(line)}
-            if all(group & cells for group in sought):
-                return True
-    return False
 
 
 def _as_wide(header: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[str, ...]:
@@ -282,10 +158,6 @@ def _as_wide(header: Sequence[str], cells: Sequence[Sequence[str]]) -> tuple[str
     if cells and not header[-1].strip() and all(len(row) == wide - 1 for row in cells):
         return tuple(header[:-1])
     return tuple(header)
-
-
-def _delimiter(line: str) -> str:
-    return max(DELIMITERS, key=line.count)
 
 
 def _head_lines(head: bytes) -> list[bytes]:
@@ -304,14 +176,8 @@ def _decimal(cells: Sequence[Sequence[str]], stated: str) -> str:
         return stated
     flat = [cell.strip() for row in cells for cell in row]
     commas = any(DECIMAL_COMMA.fullmatch(cell) for cell in flat)
-    points = any("." in cell and _NUMBER.fullmatch(cell) for cell in flat)
+    points = any("." in cell and NUMBER.fullmatch(cell) for cell in flat)
     return "," if commas and not points else "."
-
-
-def is_numeric(line: str) -> bool:
-    """Every cell of the line is a number or empty."""
-    cells = [cell.strip() for cell in re.split(r"[,;\t|]", line)]
-    return any(cells) and all(not c or _NUMBER.fullmatch(c) for c in cells)
 
 
 def read_csv(source: LogSource, known: Format) -> RawLog:
@@ -377,7 +243,7 @@ def _read(
     types = {names[column.index]: arrow_type(column.unit) for column in columns}
     # Only texts need another character set; a header may stand in the middle once more.
     numbers = all(column.unit.kind == "number" for column in columns)
-    again = [name for name in layout.header if name and not _NUMBER.fullmatch(name)]
+    again = [name for name in layout.header if name and not NUMBER.fullmatch(name)]
 
     def keep_odd(row: InvalidRow) -> str:
         if not row.text.strip(f"{layout.delimiter} \t"):

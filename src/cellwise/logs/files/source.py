@@ -159,11 +159,10 @@ class LogSource:
         """The content as a binary stream, decompressed."""
         return self.content_of(self.raw())
 
-    def of_text(self, text: str, options: ReadOptions | None = None) -> LogSource:
+    def of_text(self, text: str) -> LogSource:
         """The same file with a text as its content."""
         held = text.encode("utf-8")
-        options = self.options if options is None else options
-        return LogSource(self.path, len(held), False, self.progress, options, held)
+        return LogSource(self.path, len(held), False, self.progress, self.options, held)
 
     def content_of(self, file: IO[bytes]) -> IO[bytes]:
         """The content of an open file, decompressed."""

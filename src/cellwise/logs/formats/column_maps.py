@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.logs.files.columns import ANY, REQUIRED, TIDY_NAMES, Channel, Unit, named_units
-from cellwise.logs.files.csv_text import has_names, read_csv
+from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format, Reader
+from cellwise.logs.files.header import has_names
 from cellwise.logs.files.source import LogSource
 
 PLACE = Path(__file__).with_name("column_maps.toml")

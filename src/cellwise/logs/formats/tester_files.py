@@ -19,8 +19,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import TIDY_CHANNELS
-from cellwise.logs.files.csv_text import header_cells
 from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
+from cellwise.logs.files.header import header_cells
 from cellwise.logs.files.source import NOTHING_SAID, LogSource, RawLog, lines_of
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
