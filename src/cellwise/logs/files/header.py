@@ -147,8 +147,12 @@ def has_names(source: LogSource, *groups: Collection[str]) -> bool:
 
 
 def delimiter_of(line: str) -> str:
-    """The delimiter that a line has most of."""
-    return max(DELIMITERS, key=line.count)
+    """The delimiter that a line has most of.
+
+    Beside another one a comma before a blank is part of a name: `Zeit, s;Spannung, V`.
+    """
+    others = any(mark in line for mark in DELIMITERS if mark != ",")
+    return max(DELIMITERS, key=(line.replace(", ", " ") if others else line).count)
 
 
 def is_numeric(line: str) -> bool:
