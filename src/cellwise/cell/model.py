@@ -25,6 +25,7 @@ from cellwise.cell.effects import (
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
+from cellwise.cell.posterior import Posterior
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
 from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
@@ -69,6 +70,7 @@ class CellModel(Plottable, Summarised):
     effects : tuple of Effect      extensions, at most one of a kind
     charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
     error : ModelError             voltage error on every time scale, from loads no fit has seen
+    posterior : Posterior or None  what the fit left open; the error holds it already
     validity : Validity            SOC, temperature and current that its data covered
     voltage_min_V, voltage_max_V : float or None   the cell's limits
     name, chemistry : str
@@ -92,6 +94,7 @@ class CellModel(Plottable, Summarised):
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
     error: ModelError = field(default_factory=ModelError)
+    posterior: Posterior | None = None
     validity: Validity = UNKNOWN
     voltage_min_V: float | None = None
     voltage_max_V: float | None = None

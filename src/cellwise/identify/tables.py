@@ -10,7 +10,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.pulse_fit.circuit import PulseFit
-from cellwise.identify.refinement.splines import (
+from cellwise.fit.splines import (
     TABLE_KNOTS,
     curvature_penalty,
     greville,

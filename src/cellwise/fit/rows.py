@@ -1,7 +1,8 @@
-"""A log made ready for refinement: few rows, known SOC and temperature, splines laid out."""
+"""A log made ready for the fit: few rows, SOC and temperature of each, splines laid out."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,8 +12,8 @@ from cellwise.cell.compiled import cached
 from cellwise.cell.effects import SurfaceSoc
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
-from cellwise.identify.refinement.refine_kernels import LogRows
-from cellwise.identify.refinement.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
+from cellwise.fit.sensitivity_kernels import LogRows
+from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, SplineRows, spline_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
@@ -45,20 +46,29 @@ NO_SURFACE = SurfaceSoc()
 
 
 @dataclass(frozen=True, eq=False)
-class RefineLog:
-    """One log for refinement.
+class FitLog:
+    """One log of a fit, and what is known of it beforehand.
 
-    ``soc`` is known at every row (the tester's counter over the capacity, from a known start);
-    ``skewed`` logs share the fitted sampling delay; ``h0`` is the hysteresis state at the first
-    row; ``compare`` marks rows that may be compared (None: all); ``temperature_C`` holds where the
-    log measured none; the tables are looked up where ``surface`` says; ``low_rate`` tests hold the
-    OCV and are no load; a log with a ``sample`` keeps a capacity of its own, of that number; one
-    whose SOC at the start is known to ``start_std`` only has it fitted where that is not 0, with
-    what a past that nobody saw left in the slow states, ``past_V`` +- as much.
+    Parameters
+    ----------
+    log : CellLog
+    soc0, soc0_std : float      SOC at the first row and its standard deviation; 0: known
+    skewed : bool               shares the fitted sampling delay
+    h0 : float                  hysteresis state at the first row
+    weight : float              of its evidence
+    compare : (n,) bool or None      rows that may be compared; None: all
+    temperature_C : float or None    where the log measured none
+    surface : SurfaceSoc        where the tables are looked up
+    low_rate : bool             shows the OCV, and is no load
+    ln_sample, sample_std : float    ln of its cell's capacity over the others', and its
+                                deviation; 0: known
+    past_V : float              standard deviation of what each slow branch holds at first; of the
+                                fast one a fifth [V]
     """
 
     log: CellLog
-    soc: FloatArray
+    soc0: float
+    soc0_std: float = 0.0
     skewed: bool = False
     h0: float = 1.0
     weight: float = 1.0
@@ -66,25 +76,29 @@ class RefineLog:
     temperature_C: float | None = None
     surface: SurfaceSoc = NO_SURFACE
     low_rate: bool = False
-    sample: int | None = None
-    start_std: float = 0.0
+    ln_sample: float = 0.0
+    sample_std: float = 0.0
     past_V: float = 0.0
+
+    def soc(self, capacity_Ah: float) -> FloatArray:
+        """SOC of every row, counted from ``soc0`` over a capacity."""
+        return np.asarray(self.soc0 - self.log.counted_charge_Ah() / capacity_Ah)
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedLog:
     """A log as the fit reads it: merged ``rows``, of which some are compared.
 
-    ``soc`` and ``table_soc``, where the tables are looked up, are of all rows; ``measured_V`` and
-    ``time_s`` of the compared ones. ``rows.row`` and ``rows.share`` say between which of the log's
-    own temperatures a row lies; these are ``temperatures`` of the grid's, from
+    ``soc`` and ``depth_soc``, by how much less the tables are looked up at, are of all rows;
+    ``measured_V`` and ``time_s`` of the compared ones. ``rows.row`` and ``rows.share`` say between
+    which of the log's own temperatures a row lies; these are ``temperatures`` of the grid's, from
     ``first_temperature`` on.
     """
 
-    item: RefineLog
+    item: FitLog
     rows: LogRows
     soc: FloatArray
-    table_soc: FloatArray
+    depth_soc: FloatArray
     measured_V: FloatArray
     time_s: FloatArray
     first_temperature: int = 0
@@ -95,25 +109,61 @@ class PreparedLog:
         """Number of rows that are compared with the measurement."""
         return int(self.measured_V.size)
 
+    @property
+    def compared_soc(self) -> FloatArray:
+        """SOC of the compared rows, as taken beforehand."""
+        return np.asarray(self.soc[self.rows.evaluate])
+
     def temperature_C(self, reference_C: float) -> FloatArray:
         """Temperature of the compared rows [degC]."""
         kelvin = reference_C + ZERO_CELSIUS_K
         inverse = self.rows.inverse_K[self.rows.evaluate]
         return np.asarray(1.0 / (inverse + 1.0 / kelvin) - ZERO_CELSIUS_K)
 
-    def moved(self, away: FloatArray) -> LogRows:
-        """The rows of a log that lies elsewhere on the SOC axis, (rows,)."""
-        return self.rows._replace(
-            tables=spline_rows(self.table_soc + away, TABLE_KNOTS),
-            ocv=spline_rows(self.soc + away, OCV_KNOTS),
-        )
+    def moved(self, base: BaseOcv, away: float, ln_capacity: float) -> LogRows:
+        """The rows of a log that begins ``away``, of a cell of another capacity."""
+        if away == 0.0 and ln_capacity == 0.0:
+            return self.rows
+        used = (self.soc[0] - self.soc) * math.exp(-ln_capacity)
+        soc = self.soc[0] + away - used
+        return _at_soc(self.rows, soc, self.depth_soc, used, base)
+
+
+class BaseOcv(NamedTuple):
+    """The OCV that a fit corrects: over an even SOC grid from 0 to 1 [V]."""
+
+    voltage_V: FloatArray
+
+    def rows(self, soc: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Voltage and slope at each SOC; beyond the ends the end value holds."""
+        steps = self.voltage_V.size - 1
+        at = np.clip(soc, 0.0, 1.0) * steps
+        low = np.minimum(at.astype(np.int64), steps - 1)
+        rise = self.voltage_V[low + 1] - self.voltage_V[low]
+        inside = (soc >= 0.0) & (soc <= 1.0)
+        return self.voltage_V[low] + (at - low) * rise, np.where(inside, rise * steps, 0.0)
+
+
+def _at_soc(
+    rows: LogRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
+) -> LogRows:
+    base_V, slope_V = base.rows(soc)
+    below = np.clip(soc - depth, 0.0, 1.0) if depth.any() else soc
+    return rows._replace(
+        tables=spline_rows(below, TABLE_KNOTS),
+        ocv=spline_rows(soc, OCV_KNOTS),
+        base_V=base_V,
+        base_slope_V=slope_V,
+        used_soc=used,
+    )
 
 
 def prepare_log(
-    item: RefineLog,
+    item: FitLog,
+    base: BaseOcv,
+    capacity_Ah: float,
     reference_C: float,
     grid_C: FloatArray | None = None,
-    capacity_Ah: float = np.inf,
     most_rows: int = ROWS.most,
 ) -> PreparedLog:
     """Merge rows of equal current, choose the rows to compare, lay out the splines.
@@ -121,7 +171,6 @@ def prepare_log(
     Parameters
     ----------
     grid_C : (temperatures,) float or None      ascending; temperatures with tables of their own
-    capacity_Ah : float                         for the spacing of rows under a constant load
 
     Raises
     ------
@@ -129,7 +178,10 @@ def prepare_log(
     """
     log = item.log
     current = log.known_current_A()
-    usable = np.isfinite(log.voltage_V) & np.isfinite(item.soc) & (item.soc >= 0.0)
+    every_soc = item.soc(capacity_Ah)
+    usable = np.isfinite(log.voltage_V) & np.isfinite(every_soc)
+    if item.soc0_std == 0.0:
+        usable &= every_soc >= 0.0
     if item.compare is not None:
         usable &= item.compare
     keep, evaluate = _chosen_rows(item, current, capacity_Ah, usable, most_rows)
@@ -146,23 +198,24 @@ def prepare_log(
     merged = np.diff(moved, prepend=moved[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(dt > 0, merged / dt, current[kept])
-    soc = _bridged(item.soc)[kept]
+    soc = _bridged(every_soc)[kept]
     shown = evaluate[kept]
     warm_C = _temperature_C(item, reference_C)[kept]
     inverse = inverse_K(warm_C, reference_C)
     first, count, row, share = _between(inverse, np.abs(mean) * dt, reference_C, grid_C)
-    table_soc = soc
+    depth_soc = np.zeros(soc.size)
     effect = item.surface
     if effect.depth_h != 0.0:
         grown = np.exp(effect.activation_K * inverse_K(warm_C, effect.reference_C))
-        depth = effect.depth_h * grown / capacity_Ah
-        table_soc = np.clip(soc - depth * lagged(mean, dt, effect.tau_s), 0.0, 1.0)
-    splines = spline_rows(table_soc, TABLE_KNOTS), spline_rows(soc, OCV_KNOTS)
+        depth_soc = effect.depth_h * grown / capacity_Ah * lagged(mean, dt, effect.tau_s)
+    none = np.empty(0)
+    blank = SplineRows(np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty((0, 4)))
+    rows = LogRows(dt, mean, inverse, row, share, blank, blank, none, none, none, shown)
     return PreparedLog(
         item=item,
-        rows=LogRows(dt, mean, inverse, row, share, *splines, shown),
+        rows=_at_soc(rows, soc, depth_soc, soc[0] - soc, base),
         soc=soc,
-        table_soc=table_soc,
+        depth_soc=depth_soc,
         measured_V=log.voltage_V[kept][shown],
         time_s=time_s[shown],
         first_temperature=first,
@@ -171,7 +224,7 @@ def prepare_log(
 
 
 def _chosen_rows(
-    item: RefineLog, current: FloatArray, capacity_Ah: float, usable: BoolArray, most_rows: int
+    item: FitLog, current: FloatArray, capacity_Ah: float, usable: BoolArray, most_rows: int
 ) -> tuple[BoolArray, BoolArray]:
     """Rows to keep and rows to compare; of a long log evenly chosen ones of these."""
     log = item.log
@@ -209,7 +262,7 @@ def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
     return found
 
 
-def _temperature_C(item: RefineLog, reference_C: float) -> FloatArray:
+def _temperature_C(item: FitLog, reference_C: float) -> FloatArray:
     """Temperature of every row [degC]; the reference where nothing is known."""
     measured = item.log.temperature_C
     if measured is None or not np.isfinite(measured).any():

@@ -1,12 +1,13 @@
 """Simulated voltage and its analytic sensitivities over one log, in one pass of scalar code.
 
-SOC and temperature are known here (the tester's counter, the sensor), so the look-ups do not depend
-on the parameters and every sensitivity obeys the branch's own recursion with a source at the knots
-that are active:
+Every sensitivity obeys the branch's own recursion with a source at the knots that are active:
 
     v'  = rc_step(v, I, R, tau, dt)
     S'  = a S + B R (1 - a) I              with respect to the spline coefficients of ln R
     S'  = a S + B a dt/tau (v - R I)       with respect to those of ln tau
+    S'  = a S + (d ln R R (1 - a) I + d ln tau a dt/tau (v - R I)) ds       to the SOC of the row
+
+A start moves every row by as much (ds = 1), a larger capacity by what has flowed (ds = s_0 - s).
 
 Between temperatures ln R and ln tau are straight over 1/T, so that what lies between two of them is
 an activation energy. The equations are those of the cell, and so are their derivatives.
@@ -32,13 +33,13 @@ from cellwise.cell.equations import (
     transfer_resistance,
 )
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.identify.refinement.layout import (
+from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,
     ASINH_UNIT_PER_V,
     SKEW_UNIT_S,
     Layout,
 )
-from cellwise.identify.refinement.splines import SplineRows
+from cellwise.fit.splines import SplineRows
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 OVERVOLTAGE_STEP = 1e-4
@@ -49,7 +50,8 @@ class LogRows(NamedTuple):
     """What the kernel reads of one log, arrays over its kept rows.
 
     ``row`` is the number of the first of the two temperatures between which a row lies, ``share``
-    how much of the way to the second it is, over 1/T; ``evaluate`` marks the compared rows.
+    how much of the way to the second it is, over 1/T; ``base_V`` and ``base_slope_V`` the OCV that
+    is corrected; ``used_soc`` what has flowed out, as SOC; ``evaluate`` marks the compared rows.
     """
 
     dt_s: FloatArray
@@ -59,6 +61,9 @@ class LogRows(NamedTuple):
     share: FloatArray
     tables: SplineRows
     ocv: SplineRows
+    base_V: FloatArray
+    base_slope_V: FloatArray
+    used_soc: FloatArray
     evaluate: BoolArray
 
 
@@ -81,7 +86,6 @@ def _value(
 @cached(error_model="numpy", nogil=True)
 def voltage_and_jacobian(
     log: LogRows,
-    base_ocv_V: FloatArray,
     cell: CellScalars,
     lay: Layout,
     h0: float,
@@ -90,14 +94,20 @@ def voltage_and_jacobian(
     jacobian: FloatArray,
     voltage_V: FloatArray,
 ) -> None:
-    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, parameters).
+    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, unknowns) of one log.
 
-    ``base_ocv_V`` (rows,) is what the OCV's correction is added to; ``cell`` are the scalars of
-    ``theta``, see `scalars_of` of the layout.
+    ``cell`` are the scalars of ``theta``, see `scalars_of`; without rows in ``jacobian`` none is
+    computed.
     """
     knots, branches, hysteresis = lay.knots, lay.branches, lay.hysteresis
     block = lay.block
+    wanted = jacobian.shape[0] > 0
     v = np.zeros(3)
+    for j in range(branches):
+        v[j] = theta[lay.past + j]
+    left_of_past = np.ones(branches)
+    sens_start = np.zeros(branches)
+    sens_capacity = np.zeros(branches)
     sens = np.zeros((2 * branches, block))
     sens_act = np.zeros(branches)
     sens_tau_act = np.zeros(branches)
@@ -145,10 +155,15 @@ def voltage_and_jacobian(
             by_loaded = seen * (1.0 - left)
             by_ln_r = by_loaded * by_r * r
             by_ln_tau = dt / tau * left * (v[j] - loaded_r * seen)
-            if left < 1.0:
+            left_of_past[j] *= left
+            if left < 1.0 and wanted:
                 for q in range(block):
                     sens[2 * j, q] *= left
                     sens[2 * j + 1, q] *= left
+            by_soc = by_ln_r * _value(theta, o_r + f, log.tables.slopes, k, share, knots)
+            by_soc += by_ln_tau * _value(theta, o_t + f, log.tables.slopes, k, share, knots)
+            sens_start[j] = left * sens_start[j] + by_soc
+            sens_capacity[j] = left * sens_capacity[j] + by_soc * log.used_soc[k]
             for q in range(SUPPORT):
                 sens[2 * j, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_r
                 sens[2 * j + 1, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_tau
@@ -164,7 +179,7 @@ def voltage_and_jacobian(
             v[j] = rc_step(v[j], seen, loaded_r, tau, dt)
         r0 = math.exp(_value(theta, lay.r0 + f, log.tables.values, k, share, knots))
         r0 *= thermal_factor(cell.activation_K + theta[lay.own] * ACTIVATION_UNIT_K, x)
-        ocv = base_ocv_V[k]
+        ocv = log.base_V[k]
         of = log.ocv.first[k]
         ocv += _value(theta, of, log.ocv.values, k, 0.0, 0)
         m = 0.0
@@ -178,7 +193,7 @@ def voltage_and_jacobian(
             h = hysteresis_step(h, ah, seen)
         drop = polarisation(r0, seen, v[0], v[1] + v[2])
         voltage_V[k] = loaded_voltage(ocv, m, h, drop)
-        if log.evaluate[k]:
+        if log.evaluate[k] and wanted:
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
@@ -210,4 +225,16 @@ def voltage_and_jacobian(
             row[lay.activation] = act
             row[lay.skew] = skw
             row[lay.asinh] = -sens_asinh
+            along = log.base_slope_V[k] + _value(theta, of, log.ocv.slopes, k, 0.0, 0)
+            along -= seen * r0 * _value(theta, lay.r0 + f, log.tables.slopes, k, share, knots)
+            if hysteresis:
+                along += h * _value(theta, lay.m + f, log.tables.slopes, k, share, knots)
+            start, capacity = along, along * log.used_soc[k]
+            for j in range(branches):
+                start -= sens_start[j]
+                capacity -= sens_capacity[j]
+                row[lay.past + j] = -left_of_past[j]
+            row[lay.start] = start
+            row[lay.capacity] = capacity
+            row[lay.sample] = capacity
             out += 1

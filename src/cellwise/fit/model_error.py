@@ -13,7 +13,7 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
-from cellwise.identify.refinement.problem import autocorrelation
+from cellwise.fit.problem import autocorrelation
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 

@@ -17,9 +17,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.identify.assemble import own_model
-from cellwise.identify.refinement.effects import NEEDED, JointFit, drive_temperatures
-from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS
-from cellwise.identify.refinement.model_error import (
+from cellwise.fit.model_error import (
     MIDDLE,
     POINTS,
     SAME_TEMPERATURE_K,
@@ -28,7 +26,9 @@ from cellwise.identify.refinement.model_error import (
     polarisation_V,
     unseen_shares,
 )
-from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
+from cellwise.fit.rows import FitLog, inverse_K
+from cellwise.identify.effect_selection import NEEDED, JointFit, drive_temperatures
+from cellwise.identify.joint_fit import QUICK_ITERATIONS
 from cellwise.typing import BoolArray, FloatArray
 
 MOST_FOLDS = 4
@@ -41,24 +41,19 @@ def stated_error(fit: JointFit) -> ModelError:
     But where no load has been at a SOC, tests at constant current are all there is to go by.
     """
     joint, model = fit.joint, fit.model
-    soc0 = [s.soc0 for s in joint.used]
+    logs = joint.as_found(fit.result)
     others = [
-        residual_log(own_model(model, fit.result.capacity_scale(item.sample)), item, first)
-        for item, first in zip(fit.logs, soc0, strict=True)
+        residual_log(own_model(model, math.exp(item.ln_sample)), item)
+        for item in logs
         if item.compare is not None
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
-    error = estimate_model_error(_held_out(fit, soc0), others, unseen)
+    error = estimate_model_error(_held_out(fit, logs), others, unseen)
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         # One activation for all of them: colder, another process limits, and may have none or two.
         beyond_K = abs(fit.result.activation_K)
-    error = replace(error, activation_std_K=beyond_K)
-    if joint.axis_std == 0.0:
-        return error
-    grid = np.linspace(0.0, 1.0, POINTS)
-    level = np.interp(grid, model.soc, model.ocv_V.mean(axis=0))
-    return error.with_slow(joint.axis_std * np.gradient(level, grid), 0.0)
+    return replace(error, activation_std_K=beyond_K)
 
 
 def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
@@ -79,28 +74,30 @@ def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
     return max(math.sqrt(float(np.mean(slope * slope))) for slope in (slopes[0], slopes[-1]))
 
 
-def _held_out(fit: JointFit, soc0: Sequence[float]) -> list[ResidualLog]:
+def _held_out(fit: JointFit, logs: Sequence[FitLog]) -> list[ResidualLog]:
     """Residuals of every load at its own rate, of a model that was fitted without it."""
     parts: dict[int, list[ResidualLog]] = {}
-    for fold in _folds(fit.logs):
-        kept = [_without(item, fold.get(k)) for k, item in enumerate(fit.logs)]
+    capacity_Ah = fit.joint.capacity_Ah
+    for fold in _folds(logs, capacity_Ah):
+        kept = [_without(item, fold.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
         result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         for k, rows in fold.items():
-            part = residual_log(model, fit.logs[k], soc0[k], rows)
+            own = own_model(model, math.exp(logs[k].ln_sample))
+            part = residual_log(own, logs[k], rows)
             parts.setdefault(k, []).append(part)
     return [_joined(each) for each in parts.values()]
 
 
 def residual_log(
-    model: CellModel, item: RefineLog, soc0: float, rows: BoolArray | None = None
+    model: CellModel, item: FitLog, rows: BoolArray | None = None
 ) -> ResidualLog:
     """What a model leaves of a log, at the rows given and measured."""
     log = item.log
     if log.temperature_C is None and item.temperature_C is not None:
         log = replace(log, temperature_C=np.full(len(log), item.temperature_C))
-    simulation = simulate(model, log, min(max(soc0, 0.0), 1.0), item.h0)
+    simulation = simulate(model, log, min(max(item.soc0, 0.0), 1.0), item.h0)
     use = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
     use &= item.compare if rows is None and item.compare is not None else True
     use &= True if rows is None else rows
@@ -122,7 +119,7 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
     return ResidualLog(of("time_s"), of("soc"), of("drop_V"), of("residual_V"), warm)
 
 
-def _folds(logs: Sequence[RefineLog]) -> list[dict[int, BoolArray]]:
+def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
     """Of each fold the logs left out and the rows of them that are, shape (n,)."""
     loads = [k for k, item in enumerate(logs) if item.compare is None]
     drives = [k for k in loads if logs[k].skewed]
@@ -138,20 +135,20 @@ def _folds(logs: Sequence[RefineLog]) -> list[dict[int, BoolArray]]:
     if drives and len(loads) > len(drives):
         return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
     # Where one log is left out the next one is not: no stretch is left out of all.
-    stretch = [(np.floor(logs[k].soc / STRETCH_SOC) + turn) % 2 for turn, k in enumerate(loads)]
+    stretch = [(np.floor(logs[k].soc(capacity_Ah) / STRETCH_SOC) + turn) % 2 for turn, k in enumerate(loads)]
     return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
 
 
-def _warm_C(item: RefineLog) -> float:
+def _warm_C(item: FitLog) -> float:
     """Median as measured, else what the log is said to be at; 0 where nobody knows."""
     measured = item.log.temperature_C
     known = np.empty(0) if measured is None else measured[np.isfinite(measured)]
     return float(np.median(known)) if known.size else item.temperature_C or 0.0
 
 
-def _without(item: RefineLog, out: BoolArray | None) -> RefineLog | None:
+def _without(item: FitLog, out: BoolArray | None, capacity_Ah: float) -> FitLog | None:
     """A log without the rows left out; None where nothing stays."""
     if out is None:
         return item
-    kept = np.isfinite(item.soc) & ~out
+    kept = np.isfinite(item.soc(capacity_Ah)) & ~out
     return replace(item, compare=kept) if kept.any() else None

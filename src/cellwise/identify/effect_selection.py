@@ -15,12 +15,12 @@ import numpy as np
 from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
+from cellwise.fit.model_error import SAME_TEMPERATURE_K
+from cellwise.fit.rows import FitLog
+from cellwise.fit.solve import FitResult
+from cellwise.fit.unknowns import ASINH_UNIT_PER_V, FitSettings
 from cellwise.identify.identification import Decided, Start
-from cellwise.identify.refinement.joint_fit import QUICK_ITERATIONS, JointLogs
-from cellwise.identify.refinement.layout import ASINH_UNIT_PER_V, RefineSettings
-from cellwise.identify.refinement.model_error import SAME_TEMPERATURE_K
-from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.refinement.refine_data import RefineLog
+from cellwise.identify.joint_fit import QUICK_ITERATIONS, JointLogs
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -59,11 +59,11 @@ class JointFit:
     """
 
     joint: JointLogs
-    result: RefineResult
+    result: FitResult
     decided: tuple[Decided, ...]
     effects: tuple[Effect, ...]
-    logs: tuple[RefineLog, ...]
-    settings: RefineSettings
+    logs: tuple[FitLog, ...]
+    settings: FitSettings
 
     @property
     def model(self) -> CellModel:
@@ -73,24 +73,25 @@ class JointFit:
     @property
     def starts(self) -> tuple[Start, ...]:
         """Where every log begins, and what the cell of one that keeps its own capacity held."""
-        held = {id(item.log): self.result.capacity_scale(item.sample) for item in self.logs}
-        return tuple(s._replace(capacity_scale=held.get(id(s.log), 1.0)) for s in self.joint.starts)
-
-    def of_loads(self) -> RefineResult:
-        """A fit of the loads alone: low-rate tests hold the OCV, what loads say must not differ."""
-        loads = [item for item in self.logs if item.compare is None]
-        if self.joint.grid_C.size > 1 or len(loads) == len(self.logs):
-            return self.result
-        return self.joint.fit(loads, self.settings, self.result.theta, quick=QUICK_ITERATIONS)
+        each = range(len(self.logs))
+        held = {id(self.logs[k].log): self.result.capacity_scale(k) for k in each}
+        soc0 = {id(self.logs[k].log): self.result.start(k)[0] for k in each}
+        return tuple(
+            s._replace(
+                soc0=min(max(soc0.get(id(s.log), s.soc0), 0.0), 1.0),
+                capacity_scale=held.get(id(s.log), 1.0),
+            )
+            for s in self.joint.starts
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
     """A fit to what is not held out, and its residuals on what is."""
 
-    settings: RefineSettings
+    settings: FitSettings
     effects: tuple[Effect, ...]
-    result: RefineResult
+    result: FitResult
     residual_V: FloatArray
     block: IndexArray
 
@@ -98,7 +99,7 @@ class _Trial:
 class _Split(NamedTuple):
     """Logs with the numbers of those that are held out, what these are, and steps of a trial."""
 
-    logs: tuple[RefineLog, ...]
+    logs: tuple[FitLog, ...]
     held: frozenset[int]
     of: str
     steps: int
@@ -111,19 +112,20 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     every second load of the pulse tests: several rates at one SOC show a charge transfer without
     any drive, in the cold above all.
     """
-    joint = joint.with_starts_found()
-    held = frozenset(held_out(joint.logs))
-    split = _Split(joint.logs, held, f"{len(held)} drive(s)", QUICK_ITERATIONS)
+    first = joint.fit(joint.logs, joint.settings, quick=QUICK_ITERATIONS)
+    found = joint.as_found(first)
+    held = frozenset(held_out(found))
+    split = _Split(found, held, f"{len(held)} drive(s)", QUICK_ITERATIONS)
     candidates = _candidates(joint)
     if not held:
-        split = _without_pulses(joint.logs, joint.settings.iterations)
+        split = _without_pulses(found, QUICK_ITERATIONS, joint.capacity_Ah)
         candidates = ("charge_transfer",)
     few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
     if not split.held:
-        result = joint.fit(joint.logs, joint.settings)
+        result = joint.fit(joint.logs, joint.settings, first.theta)
         return JointFit(joint, result, tuple(decided.values()), (), joint.logs, joint.settings)
-    best = _tried(joint, split, joint.settings)
+    best = _tried(joint, split, joint.settings, theta=first.theta)
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
         refused = []
@@ -145,7 +147,7 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
 
 
-def _with_surface(logs: Sequence[RefineLog], effects: Sequence[Effect]) -> tuple[RefineLog, ...]:
+def _with_surface(logs: Sequence[FitLog], effects: Sequence[Effect]) -> tuple[FitLog, ...]:
     surface = next((e for e in effects if isinstance(e, SurfaceSoc)), SurfaceSoc())
     return tuple(replace(item, surface=surface) for item in logs)
 
@@ -153,7 +155,7 @@ def _with_surface(logs: Sequence[RefineLog], effects: Sequence[Effect]) -> tuple
 def _tried(
     joint: JointLogs,
     split: _Split,
-    settings: RefineSettings,
+    settings: FitSettings,
     effects: tuple[Effect, ...] = (),
     theta: FloatArray | None = None,
 ) -> _Trial:
@@ -190,12 +192,12 @@ def _candidates(joint: JointLogs) -> tuple[str, ...]:
 
 def _changed(
     name: str, joint: JointLogs, best: _Trial
-) -> tuple[RefineSettings, tuple[Effect, ...], FloatArray]:
+) -> tuple[FitSettings, tuple[Effect, ...], FloatArray]:
     """Settings, effects and beginning of a trial of one more effect."""
     settings, effects, theta = best.settings, best.effects, best.result.theta.copy()
     if name == "charge_transfer":  # the asinh law of the fast branch
         settings = replace(settings, charge_transfer=True)
-        theta[best.result.layout.asinh] = joint.start.asinh_per_V / ASINH_UNIT_PER_V
+        theta[best.result.layout.asinh] = settings.asinh_per_V / ASINH_UNIT_PER_V
     elif name == "temperature_dependence":  # one of each resistance and time constant
         settings = replace(settings, own_activation_std_K=OWN_ACTIVATION_STD_K)
     else:  # tables at the SOC of the particles' surface
@@ -205,13 +207,13 @@ def _changed(
     return settings, effects, theta
 
 
-def _without_pulses(logs: Sequence[RefineLog], steps: int) -> _Split:
+def _without_pulses(logs: Sequence[FitLog], steps: int, capacity_Ah: float) -> _Split:
     """The logs without every second load of the pulse tests, and these loads beside them."""
     split, beside = [], []
     for item in logs:
         left = np.zeros(0, dtype=np.bool_)
         if not item.skewed and item.compare is None:
-            left = every_second_load(item)
+            left = every_second_load(item, capacity_Ah)
         if left.all() or not left.any():
             split.append(item)
         else:
@@ -221,7 +223,7 @@ def _without_pulses(logs: Sequence[RefineLog], steps: int) -> _Split:
     return _Split((*split, *beside), held, "every second load of the pulse tests", steps)
 
 
-def every_second_load(item: RefineLog) -> BoolArray:
+def every_second_load(item: FitLog, capacity_Ah: float) -> BoolArray:
     """Rows of every second load and the rest after it, from one tenth of SOC to the next in turn.
 
     In turn, or else of two pulses at every SOC the same one would be held out.
@@ -229,18 +231,18 @@ def every_second_load(item: RefineLog) -> BoolArray:
     current_A = item.log.known_current_A()
     side = np.sign(np.where(np.abs(current_A) > LOADED * np.max(np.abs(current_A)), current_A, 0.0))
     begins = (side != 0.0) & (np.diff(side, prepend=0.0) != 0.0)
-    turn = np.cumsum(begins) + np.floor(item.soc * SOC_PARTS).astype(np.int64)
+    turn = np.cumsum(begins) + np.floor(item.soc(capacity_Ah) * SOC_PARTS).astype(np.int64)
     return np.asarray(turn % 2 == 1, dtype=np.bool_)
 
 
-def drive_temperatures(logs: Sequence[RefineLog]) -> int:
+def drive_temperatures(logs: Sequence[FitLog]) -> int:
     """At how many temperatures drives were measured."""
     warm = [item.log.temperature_C for item in logs if item.skewed]
     found = np.sort([float(np.nanmedian(t)) for t in warm if t is not None])
     return int(found.size > 0) + int(np.count_nonzero(np.diff(found) >= SAME_TEMPERATURE_K))
 
 
-def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:
+def held_out(logs: Sequence[FitLog]) -> tuple[int, ...]:
     """Logs to hold out: the last drive of every temperature that has two and more.
 
     Where no temperature has two, every second drive by temperature. Where drives are too few, one
@@ -263,7 +265,7 @@ def held_out(logs: Sequence[RefineLog]) -> tuple[int, ...]:
 
 
 def _by_temperature(
-    logs: Sequence[RefineLog], which: Sequence[int]
+    logs: Sequence[FitLog], which: Sequence[int]
 ) -> dict[float | None, list[int]]:
     """Numbers of the logs of every temperature."""
     found: dict[float | None, list[int]] = {}
