@@ -51,8 +51,8 @@ class Spread(NamedTuple):
     rest: float = 0.3
     rest_soc: float = 0.05
     soc: float = 0.3
-    least_ln: float = 1.0
-    shape_ln: float = 0.7
+    least_ln: float = 1.2
+    shape_ln: float = 1.0
     empty_ln: float = 0.9
     empty_soc: float = 0.08
     table_soc: float = 0.2

@@ -57,7 +57,7 @@ class Roles(NamedTuple):
     full_std: float = 0.0005
     drive_std: float = 0.004
     capacity_std: float = 0.1
-    low_rate_std: float = 0.02
+    low_rate_std: float = 0.01
     past_rate: float = 0.3
     fewest_rows: int = 10
     least_moved: float = 0.005

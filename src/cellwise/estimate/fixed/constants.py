@@ -81,6 +81,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
     return {
         "soc_per_A": per_A,
         "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
+        "capacity_walk": noise.capacity_share**2 * per_A,
         "current_variance_A2": noise.current_A**2,
         "lost_A2": lost_A**2,
         "lost_soc": per_A * lost_A,
