@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
 POINTS = 21  # over an even SOC grid
+CAPACITY = "capacity_Ah"  # name of its direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,28 @@ class Posterior:
         """Deviation of ln of the resistances over an even SOC grid, shape (21,)."""
         return np.asarray(np.linalg.norm(self.ln_r.T @ self.factor, axis=1))
 
+    def with_capacity_std(self, std: float) -> Posterior:
+        """The same where others say what the capacity is, to so much of its ln; 0: exactly."""
+        kept = np.flatnonzero(self.ln_capacity == 0.0)
+        covariance = (self.factor @ self.factor.T)[np.ix_(kept, kept)]
+        names = tuple(self.directions[k] for k in kept)
+        root = np.linalg.cholesky(covariance + 1e-12 * np.eye(kept.size))
+        factor = np.asarray(root, dtype=np.float64)
+        rest = replace(
+            self, directions=names, factor=factor, ln_capacity=np.zeros(kept.size),
+            ocv_V=self.ocv_V[kept], ln_r=self.ln_r[kept],
+        )  # fmt: skip
+        if std == 0.0:
+            return rest
+        whole = np.eye(kept.size + 1)
+        whole[1:, 1:] = factor
+        none = np.zeros((1, self.ocv_V.shape[1]))
+        return replace(
+            rest, directions=(CAPACITY, *names), factor=whole,
+            ln_capacity=np.concatenate(([std], np.zeros(kept.size))),
+            ocv_V=np.concatenate((none, rest.ocv_V)), ln_r=np.concatenate((none, rest.ln_r)),
+        )  # fmt: skip
+
     @classmethod
     def of_dict(cls, data: Any) -> Posterior:
         """Back from JSON values.
@@ -75,8 +98,14 @@ class Posterior:
             np.array(data["ocv_V"], dtype=np.float64).reshape(n, -1),
             np.array(data["ln_r"], dtype=np.float64).reshape(n, -1), str(data.get("prior", "")),
         )  # fmt: skip
-        every = np.concatenate([np.ravel(x) for x in (factor, found.ln_capacity, found.ocv_V, found.ln_r)])
-        if len(data["factor"]) != n or found.ln_capacity.shape != (n,) or not np.isfinite(every).all():
+        every = np.concatenate(
+            [np.ravel(x) for x in (factor, found.ln_capacity, found.ocv_V, found.ln_r)]
+        )
+        if (
+            len(data["factor"]) != n
+            or found.ln_capacity.shape != (n,)
+            or not np.isfinite(every).all()
+        ):
             raise InputError(
                 f"a posterior of {n} directions whose tables do not fit",
                 "a row of the factor, of ln_capacity, ocv_V and ln_r for each, all finite",

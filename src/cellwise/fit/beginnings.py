@@ -12,7 +12,7 @@ from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 
 class Trials(NamedTuple):
@@ -74,10 +74,14 @@ def find_beginning(
     tried = tried or [(float(np.clip(0.5 * (lowest + highest), 0.0, 1.0)), wide)]
     full = float(np.clip(1.0 + charged_Ah / capacity_Ah, 0.0, 1.0))
     found = [
-        _try(replace(thin, soc0=s, soc0_std=std), cells, capacity_Ah, ln_capacity_std, temperature_C)
+        _try(
+            replace(thin, soc0=s, soc0_std=std), cells, capacity_Ah, ln_capacity_std, temperature_C
+        )
         for s, std in [(full, TRIALS.full_std), *tried]
     ]
-    odds = np.log(np.maximum([full_before, *(1.0 - full_before) / 10.0 * np.ones(len(tried))], 1e-9))
+    odds = np.log(
+        np.maximum([full_before, *(1.0 - full_before) / 10.0 * np.ones(len(tried))], 1e-9)
+    )
     weights = odds + np.array([evidence for _, _, evidence in found])
     total = float(np.logaddexp.reduce(weights))
     share = np.exp(weights - total)
@@ -113,7 +117,7 @@ def _try(
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
 
 
-def thinned(log: CellLog, compare: FloatArray | None = None) -> CellLog:
+def thinned(log: CellLog, compare: BoolArray | None = None) -> CellLog:
     """Means over blocks of time; voltages of rows that are not compared are left out."""
     voltage = log.voltage_V if compare is None else np.where(compare, log.voltage_V, np.nan)
     block_s = max(TRIALS.block_s, log.duration_s / TRIALS.rows)

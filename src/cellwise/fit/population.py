@@ -124,7 +124,9 @@ class CellClass:
             found += away.T @ away / (n - 1) * (1.0 + 1.0 / n)
         return np.asarray(found)
 
-    def table(self, name: str, soc: FloatArray, grid_C: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def table(
+        self, name: str, soc: FloatArray, grid_C: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity.
 
         Members differ in level and shape; a temperature by the activation, and by itself.
@@ -147,7 +149,7 @@ class CellClass:
             steps = np.abs(np.subtract.outer(x, x)) / abs(float(inverse_K(25.0, 10.0)))
             near = np.exp(-0.5 * (apart / 0.3) ** 2)
             covariance += np.kron(SPREAD.temperature_ln**2 * np.exp(-0.5 * steps), near)
-        return (warm_K * x[:, None] + row).ravel(), covariance
+        return np.asarray(warm_K * x[:, None] + row).ravel(), np.asarray(covariance)
 
     def gap(self, soc: FloatArray, temperatures: int) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of the hysteresis [V]."""
@@ -155,7 +157,7 @@ class CellClass:
         near = np.exp(-0.5 * (np.subtract.outer(soc, soc) / 0.15) ** 2)
         along = (SPREAD.gap * np.outer(level, level) * SPREAD.gap) * (0.5 + 0.5 * near)
         both = 0.7 + 0.3 * np.eye(temperatures)
-        return np.tile(level, temperatures), np.kron(both, along)
+        return np.tile(level, temperatures), np.asarray(np.kron(both, along), dtype=np.float64)
 
     @property
     def activation_K(self) -> tuple[float, float]:
@@ -200,18 +202,18 @@ class ModelPrior:
         apart = np.abs(np.subtract.outer(soc, soc))
         return np.asarray(np.outer(size, size) * np.exp(-apart / SAME_CELL.soc))
 
-    def table(self, name: str, soc: FloatArray, grid_C: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def table(
+        self, name: str, soc: FloatArray, grid_C: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity."""
-        rows = [
-            np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C
-        ]
+        rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
         share = max(self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
         shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))
         x = inverse_K(grid_C, HOME_C)
         covariance = np.kron(np.ones((x.size, x.size)), shape)
         covariance += np.kron(SAME_CELL.activation_K**2 * np.outer(x, x), np.ones(apart.shape))
-        return np.array(rows).ravel(), covariance
+        return np.array(rows).ravel(), np.asarray(covariance, dtype=np.float64)
 
     def gap(self, soc: FloatArray, temperatures: int) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of the hysteresis [V]."""
@@ -219,9 +221,8 @@ class ModelPrior:
         known = np.broadcast_to(np.asarray(effect.m_V), self.model.ocv_V.shape)[0]
         level = np.interp(soc, self.model.soc, known)
         size = SPREAD.gap * level + 1e-3
-        return np.tile(level, temperatures), np.kron(
-            np.ones((temperatures, temperatures)), np.outer(size, size)
-        )
+        alike = np.kron(np.ones((temperatures, temperatures)), np.outer(size, size))
+        return np.tile(level, temperatures), np.asarray(alike, dtype=np.float64)
 
     @property
     def activation_K(self) -> tuple[float, float]:
@@ -272,7 +273,7 @@ def _ln_table(model: CellModel, name: str, warm_C: float = HOME_C) -> FloatArray
     else:
         row = getattr(at, f"{name}_ohm" if name.startswith("r") else f"{name}_s")[0]
     scale = at.capacity_Ah if name.startswith("r") else 1.0
-    return np.interp(SOC, at.soc, np.log(np.maximum(row * scale, 1e-4)))
+    return np.asarray(np.interp(SOC, at.soc, np.log(np.maximum(row * scale, 1e-4))))
 
 
 def prior_of(
@@ -320,6 +321,6 @@ def prior_of(
         first = lay.past + k * lay.branches
         std[first] = 0.2 * item.past_V
         std[first + 1 : first + lay.branches] = item.past_V
-    for k in np.flatnonzero(std):
-        precision[k, k], free[k] = 1.0 / std[k] ** 2, True
+    known = np.flatnonzero(std)
+    precision[known, known], free[known] = 1.0 / std[known] ** 2, True
     return Prior(mean, precision, free)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellwise.cell.posterior import POINTS, Posterior
+from cellwise.cell.posterior import CAPACITY, POINTS, Posterior
 from cellwise.fit.problem import Prior
 from cellwise.fit.solve import FitResult
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
@@ -31,7 +31,7 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
         size = float(np.sqrt(before[held, held]))
         unit = np.zeros(lay.size)
         unit[held] = 1.0 / size
-        names.append("capacity_Ah")
+        names.append(CAPACITY)
         maps.append((size, np.zeros(POINTS), np.zeros(POINTS)))
         rows.append(unit)
     for kind, feature, most in (("ocv", ocv, OCV_MODES), ("resistance", ln_r, RESISTANCE_MODES)):
@@ -47,7 +47,7 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     factor = np.linalg.cholesky(covariance + 1e-10 * np.eye(len(rows)))
     return Posterior(
         tuple(names),
-        factor,
+        np.asarray(factor, dtype=np.float64),
         np.array([m[0] for m in maps]),
         np.array([m[1] for m in maps]),
         np.array([m[2] for m in maps]),

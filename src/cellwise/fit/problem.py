@@ -27,14 +27,15 @@ class Evidence(NamedTuple):
 
     Parameters
     ----------
-    least_V, least_share : float      two logs of one cell are not alike within less: temperature inside,
-                            relaxation, sensors [V]
+    least_V, least_share : float      two logs of one cell are not alike within less:
+                            temperature inside, relaxation, sensors [V]
+    most_share : float      of the polarisation: more is a wrong table, and no noise
     first_V, first_share : float      before any fit, and of the polarisation
-    soc, low_rate_soc : float      error of the counted charge, and of the OCV along the SOC: of loads,
-                            and of a low-rate test, which another age or temperature shifts beside
-                            the loads, as does a current that never rests
-    empty_soc, near_soc : float    more of it under load near empty, where what is left follows rate
-                            and temperature, over so much SOC
+    soc, low_rate_soc : float      error of the counted charge, and of the OCV along the SOC: of
+                            loads, and of a low-rate test, which another age or temperature shifts
+                            beside the loads, as does a current that never rests
+    empty_soc, near_soc : float    more of it under load near empty, where what is left follows
+                            rate and temperature, over so much SOC
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
     cell_soc, memory_s : float      tables are wrong alike over so much SOC, and for so long [s]
@@ -156,7 +157,7 @@ class Problem:
             self.base, float(own[lay.start]), float(own[lay.capacity] + own[lay.sample])
         )
         shown = rows.evaluate
-        splines = SplineRows(*(x[shown] for x in rows.ocv))
+        splines = SplineRows(rows.ocv.first[shown], rows.ocv.values[shown], rows.ocv.slopes[shown])
         ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
         slope = rows.base_slope_V[shown] + spline_values(
             splines._replace(values=splines.slopes), own[: lay.knots_ocv]
@@ -222,9 +223,7 @@ class Problem:
             tuple(residuals),
         )
 
-    def minimise(
-        self, theta: FloatArray, iterations: int
-    ) -> tuple[FloatArray, int, _Normal]:
+    def minimise(self, theta: FloatArray, iterations: int) -> tuple[FloatArray, int, _Normal]:
         """Levenberg-Marquardt with bounds by projection."""
         free = np.flatnonzero(self.prior.free)
         now = self.normal_equations(theta)

@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Effect
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
-from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
+from cellwise.fit.beginnings import Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Prior, Problem
@@ -25,7 +24,7 @@ from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
-from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Role, Start
+from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -44,9 +43,9 @@ class Roles(NamedTuple):
     full_std, drive_std : float       of a full one, charged by a tester, by a charger
     capacity_std : float              of ln of what the cell of a capacity test holds over the
                                       others': another sample or age
-    low_rate_std : float              of ln of what a low-rate test holds over the loads: between two
-                                      tests a cell ages, and rests lie elsewhere on the SOC axis than
-                                      the curve of a current that never rests
+    low_rate_std : float              of ln of what a low-rate test holds over the loads: between
+                                      two tests a cell ages, and rests lie elsewhere on the SOC
+                                      axis than the curve of a current that never rests
     past_rate : float                 mean load before a log that began anywhere [1/h]
     fewest_rows, least_moved : float  what says nothing: fewer rows, a smaller share of the capacity
     """
@@ -188,7 +187,9 @@ def gather_logs(
             *(("capacity", log) for log in tests.capacity),
         ]
         for role, log in several:
-            item = _item(role, log, float(temperature_C), capacity.capacity_Ah, bool(checked.tests.ocv))
+            item = _item(
+                role, log, float(temperature_C), capacity.capacity_Ah, bool(checked.tests.ocv)
+            )
             why = _says_nothing(log, capacity.capacity_Ah)
             if role == "ocv" and item.compare is not None and not item.compare.any():
                 why = why or "it has no discharge"
@@ -206,15 +207,15 @@ def gather_logs(
             "Give a longer log, or check its columns.",
         )
     say("starts")
-    cells, why, begun = _beginnings(items, roles, capacity, settings, of_model)
+    cells, chosen, begun = _beginnings(items, roles, capacity, settings, of_model)
     if of_model is not None:
         grid = of_model.grid_C
         reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], said = _begun(item, found, roles[k], capacity.capacity_Ah)
-        notices += [said] if said else []
-    found = iter(items)
-    starts = [s if s.left_out else s._replace(soc0=next(found).soc0) for s in starts]
+        items[k], told = _begun(item, found, roles[k])
+        notices += [told] if told else []
+    begins = iter(items)
+    starts = [s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts]
     fit = FitSettings(
         branches=settings.branches,
         hysteresis=cells.name == "lfp" if settings.hysteresis is None else settings.hysteresis,
@@ -222,7 +223,7 @@ def gather_logs(
         skew=any(item.skewed for item in items),
     )
     return JointLogs(tuple(items), tuple(starts), cells, fit, capacity.capacity_Ah, reference, grid,
-                     (*why, *notices))  # fmt: skip
+                     (*chosen, *notices))  # fmt: skip
 
 
 def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool) -> FitLog:
@@ -286,18 +287,20 @@ def _beginnings(
     return cells, notices, found
 
 
-def _begun(
-    item: FitLog, found: Beginning | None, role: str, capacity_Ah: float
-) -> tuple[FitLog, str]:
+def _begun(item: FitLog, found: Beginning | None, role: str) -> tuple[FitLog, str]:
     """A log with its start: as stated, full, or open around the most probable."""
     past_V = 0.12 * ROLES.past_rate  # about what the slow branches hold after a mean load
     if found is None:
         soc0 = item.log.soc0
         assert soc0 is not None
         past = 0.0 if soc0 > 0.99 else past_V
-        return replace(item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past), ""
+        return replace(
+            item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
+        ), ""
     if found.full > 0.5:
-        item = replace(item, soc0=found.soc, soc0_std=ROLES.drive_std if role == "drive" else ROLES.full_std)
+        item = replace(
+            item, soc0=found.soc, soc0_std=ROLES.drive_std if role == "drive" else ROLES.full_std
+        )
         return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
     said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
     item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)

@@ -18,7 +18,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.model import CAPACITY_STD, CellModel
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
@@ -228,7 +228,7 @@ def remaining_constants(model: CellModel, cutoff_V: float, dt_s: float) -> dict[
     return {
         "remaining_low_V": cutoff_V,
         "remaining_least_A": LEAST_LOAD_C * model.capacity_Ah,
-        "remaining_share": 2.0 * CAPACITY_STD,
+        "remaining_share": 2.0 * model.capacity_share,
         "step_s": dt_s,
     }
 
