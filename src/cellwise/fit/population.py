@@ -57,8 +57,8 @@ class Spread(NamedTuple):
     empty_soc: float = 0.08
     table_soc: float = 0.2
     activation_K: float = 3000.0
-    activation_std_K: float = 1200.0
-    temperature_ln: float = 0.3
+    activation_std_K: float = 2000.0
+    temperature_ln: float = 1.0
     gap: float = 0.8
 
 

@@ -43,9 +43,6 @@ class Roles(NamedTuple):
     full_std, drive_std : float       of a full one, charged by a tester, by a charger
     capacity_std : float              of ln of what the cell of a capacity test holds over the
                                       others': another sample or age
-    low_rate_std : float              of ln of what a low-rate test holds over the loads: between
-                                      two tests a cell ages, and rests lie elsewhere on the SOC
-                                      axis than the curve of a current that never rests
     past_rate : float                 mean load before a log that began anywhere [1/h]
     fewest_rows, least_moved : float  what says nothing: fewer rows, a smaller share of the capacity
     """
@@ -56,7 +53,6 @@ class Roles(NamedTuple):
     full_std: float = 0.0005
     drive_std: float = 0.004
     capacity_std: float = 0.1
-    low_rate_std: float = 0.01
     past_rate: float = 0.3
     fewest_rows: int = 10
     least_moved: float = 0.005
@@ -231,8 +227,7 @@ def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool
     if role in ("hppc", "drive"):
         return FitLog(log, 1.0, skewed=role == "drive", temperature_C=at_C)
     if role == "ocv":
-        return FitLog(log, 1.0, compare=discharge_rows(log), temperature_C=at_C, low_rate=True,
-                      sample_std=ROLES.low_rate_std)  # fmt: skip
+        return FitLog(log, 1.0, compare=discharge_rows(log), temperature_C=at_C, low_rate=True)
     return FitLog(log, 1.0, temperature_C=at_C, sample_std=ROLES.capacity_std if scaled else 0.0)
 
 
