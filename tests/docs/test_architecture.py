@@ -13,7 +13,18 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
-TOOLS = {"logs", "cell", "fit", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
+TOOLS = {
+    "logs",
+    "cell",
+    "fit",
+    "identify",
+    "estimate",
+    "forecast",
+    "diagnose",
+    "pack",
+    "history",
+    "data",
+}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
