@@ -18,6 +18,7 @@ import numpy as np
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.cell.stock import stock_model, stock_names
+from cellwise.errors import InputError
 from cellwise.files import embedded_folder
 from cellwise.fit.problem import Prior
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
@@ -236,7 +237,19 @@ CellPrior = CellClass | ModelPrior
 
 @cache
 def cell_classes(without: frozenset[str] = frozenset()) -> tuple[CellClass, ...]:
-    """The classes, without the members of some lineages."""
+    """The classes, without the members of some lineages.
+
+    Raises
+    ------
+    InputError        a lineage of no stock model
+    """
+    unknown = sorted(without - set(stock_names()))
+    if unknown:
+        raise InputError(
+            f"a lineage '{unknown[0]}'",
+            f"one of {', '.join(stock_names())}",
+            "See `cellwise data list`.",
+        )
     models = [stock_model(name) for name in stock_names() if name not in without]
     ln_tables = {name: np.array([_ln_table(m, name) for m in models]) for name in TABLES}
     path = embedded_folder() / "population" / "ocv.json"
