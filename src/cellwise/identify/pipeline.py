@@ -135,6 +135,8 @@ def _fitted(
     share = math.hypot(float(np.median(posterior.ln_r_std)), _of_unknown_temperature(checked))
     error = stated_error(fit).with_slow(posterior.ocv_std_V, share)
     model = replace(fit.model, error=error, posterior=posterior)
+    if not settings.refine:  # pulses are of the capacity as it was measured
+        model = replace(model, capacity_Ah=capacity.capacity_Ah)
     starts = fit.starts
     say("OCV and pulses")
     begun = {id(s.log): InitialSoc(s.soc0, 0.01, "as the fit has it") for s in starts}
