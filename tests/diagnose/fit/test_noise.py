@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from cellwise.identify.refinement.model_error import charged_for_minutes
 from scipy.stats import invgamma, norm
 
 from cellwise.cell.model_error import ModelError
@@ -17,7 +18,6 @@ from cellwise.diagnose.fit.noise import (
     independent_errors,
     share_claimed,
 )
-from cellwise.identify.refinement.model_error import charged_for_minutes
 from cellwise.logs.cell_log import CellLog
 
 ROWS = 4001
