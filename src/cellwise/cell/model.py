@@ -25,8 +25,8 @@ from cellwise.cell.effects import (
 from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
-from cellwise.cell.posterior import Posterior
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
+from cellwise.cell.posterior import Posterior
 from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
 from cellwise.plotting import Line, Panel, Plottable, Summarised

@@ -16,8 +16,8 @@ import numpy as np
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
 from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables
 from cellwise.cell.model_error import ModelError
-from cellwise.cell.posterior import Posterior
 from cellwise.cell.plausibility.validity import Validity
+from cellwise.cell.posterior import Posterior
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray

@@ -75,8 +75,14 @@ class Posterior:
             np.array(data["ocv_V"], dtype=np.float64).reshape(n, -1),
             np.array(data["ln_r"], dtype=np.float64).reshape(n, -1), str(data.get("prior", "")),
         )  # fmt: skip
-        every = np.concatenate([np.ravel(x) for x in (factor, found.ln_capacity, found.ocv_V, found.ln_r)])
-        if len(data["factor"]) != n or found.ln_capacity.shape != (n,) or not np.isfinite(every).all():
+        every = np.concatenate(
+            [np.ravel(x) for x in (factor, found.ln_capacity, found.ocv_V, found.ln_r)]
+        )
+        if (
+            len(data["factor"]) != n
+            or found.ln_capacity.shape != (n,)
+            or not np.isfinite(every).all()
+        ):
             raise InputError(
                 f"a posterior of {n} directions whose tables do not fit",
                 "a row of the factor, of ln_capacity, ocv_V and ln_r for each, all finite",

@@ -74,10 +74,14 @@ def find_beginning(
     tried = tried or [(float(np.clip(0.5 * (lowest + highest), 0.0, 1.0)), wide)]
     full = float(np.clip(1.0 + charged_Ah / capacity_Ah, 0.0, 1.0))
     found = [
-        _try(replace(thin, soc0=s, soc0_std=std), cells, capacity_Ah, ln_capacity_std, temperature_C)
+        _try(
+            replace(thin, soc0=s, soc0_std=std), cells, capacity_Ah, ln_capacity_std, temperature_C
+        )
         for s, std in [(full, TRIALS.full_std), *tried]
     ]
-    odds = np.log(np.maximum([full_before, *(1.0 - full_before) / 10.0 * np.ones(len(tried))], 1e-9))
+    odds = np.log(
+        np.maximum([full_before, *(1.0 - full_before) / 10.0 * np.ones(len(tried))], 1e-9)
+    )
     weights = odds + np.array([evidence for _, _, evidence in found])
     total = float(np.logaddexp.reduce(weights))
     share = np.exp(weights - total)

@@ -57,8 +57,8 @@ class Spread(NamedTuple):
     empty_soc: float = 0.08
     table_soc: float = 0.2
     activation_K: float = 3000.0
-    activation_std_K: float = 1200.0
-    temperature_ln: float = 0.3
+    activation_std_K: float = 2000.0
+    temperature_ln: float = 1.0
     gap: float = 0.8
 
 
@@ -124,7 +124,9 @@ class CellClass:
             found += away.T @ away / (n - 1) * (1.0 + 1.0 / n)
         return np.asarray(found)
 
-    def table(self, name: str, soc: FloatArray, grid_C: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def table(
+        self, name: str, soc: FloatArray, grid_C: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity.
 
         Members differ in level and shape; a temperature by the activation, and by itself.
@@ -200,11 +202,11 @@ class ModelPrior:
         apart = np.abs(np.subtract.outer(soc, soc))
         return np.asarray(np.outer(size, size) * np.exp(-apart / SAME_CELL.soc))
 
-    def table(self, name: str, soc: FloatArray, grid_C: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def table(
+        self, name: str, soc: FloatArray, grid_C: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity."""
-        rows = [
-            np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C
-        ]
+        rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
         share = max(self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
         shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))

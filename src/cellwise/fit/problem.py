@@ -30,14 +30,15 @@ class Evidence(NamedTuple):
     least_V, least_share : float      two logs of one cell are not alike within less: temperature inside,
                             relaxation, sensors [V]
     first_V, first_share : float      before any fit, and of the polarisation
-    soc, low_rate_soc : float      error of the counted charge, and of the OCV along the SOC: of loads,
-                            and of a low-rate test, which another age or temperature shifts beside
-                            the loads, as does a current that never rests
+    soc : float             error of the counted charge, and of the OCV along the SOC
+    low_rate_soc : float    more of it in the middle of a low-rate test, which another age shifts
+                            beside the loads, as does a current that never rests
     empty_soc, near_soc : float    more of it under load near empty, where what is left follows rate
                             and temperature, over so much SOC
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
     cell_soc, memory_s : float      tables are wrong alike over so much SOC, and for so long [s]
+    low_rate_cell_soc : float       what shifts a low-rate test shifts it over so much SOC alike
     """
 
     least_V: float = 0.004
@@ -52,6 +53,7 @@ class Evidence(NamedTuple):
     robust: float = 4.0
     fewest: float = 4.0
     cell_soc: float = 0.02
+    low_rate_cell_soc: float = 0.04
     memory_s: float = 300.0
 
 
@@ -161,11 +163,11 @@ class Problem:
         slope = rows.base_slope_V[shown] + spline_values(
             splines._replace(values=splines.slopes), own[: lay.knots_ocv]
         )
-        known = EVIDENCE.low_rate_soc if log.item.low_rate else EVIDENCE.soc
-        along = np.full(slope.size, known)
-        if not log.item.low_rate:
-            soc = log.soc[0] + own[lay.start] - rows.used_soc[shown]
-            along += EVIDENCE.empty_soc * np.exp(-np.maximum(soc, 0.0) / EVIDENCE.near_soc)
+        soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
+        if log.item.low_rate:  # it defines both ends
+            along = EVIDENCE.soc + EVIDENCE.low_rate_soc * 4.0 * soc * (1.0 - soc)
+        else:
+            along = EVIDENCE.soc + EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
         return ocv - log.measured_V, along * slope
 
     def evaluate(
@@ -222,9 +224,7 @@ class Problem:
             tuple(residuals),
         )
 
-    def minimise(
-        self, theta: FloatArray, iterations: int
-    ) -> tuple[FloatArray, int, _Normal]:
+    def minimise(self, theta: FloatArray, iterations: int) -> tuple[FloatArray, int, _Normal]:
         """Levenberg-Marquardt with bounds by projection."""
         free = np.flatnonzero(self.prior.free)
         now = self.normal_equations(theta)
@@ -284,7 +284,8 @@ class Problem:
 def evidence_of(log: PreparedLog) -> float:
     """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC."""
     shown = log.compared_soc
-    cells = EVIDENCE.fewest + float(np.ptp(shown)) / EVIDENCE.cell_soc
+    alike = EVIDENCE.low_rate_cell_soc if log.item.low_rate else EVIDENCE.cell_soc
+    cells = EVIDENCE.fewest + float(np.ptp(shown)) / alike
     long = max(float(np.ptp(log.time_s)) / EVIDENCE.memory_s, EVIDENCE.fewest)
     return min(cells, long) * log.item.weight
 

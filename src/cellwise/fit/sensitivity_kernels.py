@@ -33,13 +33,13 @@ from cellwise.cell.equations import (
     transfer_resistance,
 )
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.fit.splines import SplineRows
 from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,
     ASINH_UNIT_PER_V,
     SKEW_UNIT_S,
     Layout,
 )
-from cellwise.fit.splines import SplineRows
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 OVERVOLTAGE_STEP = 1e-4

@@ -264,9 +264,7 @@ def held_out(logs: Sequence[FitLog]) -> tuple[int, ...]:
     return tuple(g[-1 - turn % 2] for turn, g in enumerate(several))
 
 
-def _by_temperature(
-    logs: Sequence[FitLog], which: Sequence[int]
-) -> dict[float | None, list[int]]:
+def _by_temperature(logs: Sequence[FitLog], which: Sequence[int]) -> dict[float | None, list[int]]:
     """Numbers of the logs of every temperature."""
     found: dict[float | None, list[int]] = {}
     for k in which:

@@ -63,7 +63,9 @@ def fit_all_pulses(
     parts = grouped_by_temperature(checked.tests, checked.low_rate, checked.default_C)
     groups = []
     for temperature_C, part in parts.items():
-        sets = tuple(_pulse_set(log, ocv, capacity_Ah, settings, starts[id(log)]) for log, _ in part.hppc)
+        sets = tuple(
+            _pulse_set(log, ocv, capacity_Ah, settings, starts[id(log)]) for log, _ in part.hppc
+        )
         fits = [f for s in sets for f in s.fits]
         if part.hppc and not fits and not settings.refine:
             raise InputError(

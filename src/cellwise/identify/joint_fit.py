@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Effect
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
-from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
+from cellwise.fit.beginnings import Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Prior, Problem
@@ -25,7 +24,7 @@ from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
 from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
-from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Role, Start
+from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -44,9 +43,6 @@ class Roles(NamedTuple):
     full_std, drive_std : float       of a full one, charged by a tester, by a charger
     capacity_std : float              of ln of what the cell of a capacity test holds over the
                                       others': another sample or age
-    low_rate_std : float              of ln of what a low-rate test holds over the loads: between two
-                                      tests a cell ages, and rests lie elsewhere on the SOC axis than
-                                      the curve of a current that never rests
     past_rate : float                 mean load before a log that began anywhere [1/h]
     fewest_rows, least_moved : float  what says nothing: fewer rows, a smaller share of the capacity
     """
@@ -57,7 +53,6 @@ class Roles(NamedTuple):
     full_std: float = 0.0005
     drive_std: float = 0.004
     capacity_std: float = 0.1
-    low_rate_std: float = 0.01
     past_rate: float = 0.3
     fewest_rows: int = 10
     least_moved: float = 0.005
@@ -188,7 +183,9 @@ def gather_logs(
             *(("capacity", log) for log in tests.capacity),
         ]
         for role, log in several:
-            item = _item(role, log, float(temperature_C), capacity.capacity_Ah, bool(checked.tests.ocv))
+            item = _item(
+                role, log, float(temperature_C), capacity.capacity_Ah, bool(checked.tests.ocv)
+            )
             why = _says_nothing(log, capacity.capacity_Ah)
             if role == "ocv" and item.compare is not None and not item.compare.any():
                 why = why or "it has no discharge"
@@ -230,8 +227,7 @@ def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool
     if role in ("hppc", "drive"):
         return FitLog(log, 1.0, skewed=role == "drive", temperature_C=at_C)
     if role == "ocv":
-        return FitLog(log, 1.0, compare=discharge_rows(log), temperature_C=at_C, low_rate=True,
-                      sample_std=ROLES.low_rate_std)  # fmt: skip
+        return FitLog(log, 1.0, compare=discharge_rows(log), temperature_C=at_C, low_rate=True)
     return FitLog(log, 1.0, temperature_C=at_C, sample_std=ROLES.capacity_std if scaled else 0.0)
 
 
@@ -295,9 +291,13 @@ def _begun(
         soc0 = item.log.soc0
         assert soc0 is not None
         past = 0.0 if soc0 > 0.99 else past_V
-        return replace(item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past), ""
+        return replace(
+            item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
+        ), ""
     if found.full > 0.5:
-        item = replace(item, soc0=found.soc, soc0_std=ROLES.drive_std if role == "drive" else ROLES.full_std)
+        item = replace(
+            item, soc0=found.soc, soc0_std=ROLES.drive_std if role == "drive" else ROLES.full_std
+        )
         return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
     said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
     item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)

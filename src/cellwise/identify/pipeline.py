@@ -8,6 +8,7 @@ it has to say.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,16 +16,19 @@ from importlib.metadata import version
 
 import numpy as np
 
+from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.errors import InputError
+from cellwise.fit.population import SPREAD
 from cellwise.identify.assemble import plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
 from cellwise.identify.effect_selection import fit_with_effects
 from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
+    REFERENCE_C,
     Fitted,
     Identification,
     IdentifySettings,
@@ -47,6 +51,7 @@ from cellwise.identify.stated_error import stated_error
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
+UNKNOWN_TEMPERATURE_K = 8.0  # by how much the temperature of one log and another differ
 
 
 @one_blas_thread
@@ -127,7 +132,8 @@ def _fitted(
     fit = fit_with_effects(joint)
     say("error")
     posterior = joint.posterior(fit.result, fit.logs, fit.settings)
-    error = stated_error(fit).with_slow(posterior.ocv_std_V, float(np.median(posterior.ln_r_std)))
+    share = math.hypot(float(np.median(posterior.ln_r_std)), _of_unknown_temperature(checked))
+    error = stated_error(fit).with_slow(posterior.ocv_std_V, share)
     model = replace(fit.model, error=error, posterior=posterior)
     starts = fit.starts
     say("OCV and pulses")
@@ -165,6 +171,19 @@ def _fitted(
         contradictions=(*wrong, *pulses.contradictions, *other_capacities(starts)),
         notices=(*said, *pulses.notices, *joint.notices),
     )
+
+
+def _of_unknown_temperature(checked: CheckedLogs) -> float:
+    """By what share the resistances may be another log's, where nobody measured a temperature.
+
+    Rooms and seasons differ by some kelvin, and resistances follow with their activation.
+    """
+    tests = checked.tests
+    stated = any(warm is not None for _, warm in (*tests.hppc, *tests.drive))
+    if stated or any(log.temperature_C is not None for log in tests.logs()):
+        return 0.0
+    kelvin = REFERENCE_C + ZERO_CELSIUS_K
+    return SPREAD.activation_K * UNKNOWN_TEMPERATURE_K / kelvin**2
 
 
 def _curve(

@@ -16,10 +16,8 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import known_temperature_C, simulate
-from cellwise.identify.assemble import own_model
 from cellwise.fit.model_error import (
     MIDDLE,
-    POINTS,
     SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
@@ -27,6 +25,7 @@ from cellwise.fit.model_error import (
     unseen_shares,
 )
 from cellwise.fit.rows import FitLog, inverse_K
+from cellwise.identify.assemble import own_model
 from cellwise.identify.effect_selection import NEEDED, JointFit, drive_temperatures
 from cellwise.identify.joint_fit import QUICK_ITERATIONS
 from cellwise.typing import BoolArray, FloatArray
@@ -90,9 +89,7 @@ def _held_out(fit: JointFit, logs: Sequence[FitLog]) -> list[ResidualLog]:
     return [_joined(each) for each in parts.values()]
 
 
-def residual_log(
-    model: CellModel, item: FitLog, rows: BoolArray | None = None
-) -> ResidualLog:
+def residual_log(model: CellModel, item: FitLog, rows: BoolArray | None = None) -> ResidualLog:
     """What a model leaves of a log, at the rows given and measured."""
     log = item.log
     if log.temperature_C is None and item.temperature_C is not None:
@@ -135,7 +132,10 @@ def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArr
     if drives and len(loads) > len(drives):
         return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
     # Where one log is left out the next one is not: no stretch is left out of all.
-    stretch = [(np.floor(logs[k].soc(capacity_Ah) / STRETCH_SOC) + turn) % 2 for turn, k in enumerate(loads)]
+    stretch = [
+        (np.floor(logs[k].soc(capacity_Ah) / STRETCH_SOC) + turn) % 2
+        for turn, k in enumerate(loads)
+    ]
     return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
 
 

@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.fit.splines import (
     TABLE_KNOTS,
     curvature_penalty,
@@ -17,6 +16,7 @@ from cellwise.fit.splines import (
     spline_rows,
     spline_values,
 )
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]
