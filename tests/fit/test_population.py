@@ -101,7 +101,8 @@ def test_a_model_as_the_prior_is_its_own_mean():
 def test_a_model_that_errs_more_is_a_wider_prior():
     model = stock_model("nmc-18650")
     error = model.error
-    double = replace(error, std_V=tuple(tuple(2.0 * v for v in row) for row in error.std_V))
+    twice = tuple(tuple(tuple(2.0 * v for v in row) for row in rows) for rows in error.std_V)
+    double = replace(error, std_V=twice)
     narrow, wide = (
         ModelPrior(replace(model, error=e)).ocv_covariance(SOC) for e in (error, double)
     )
