@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cellwise.identify.soc_anchor import anchor_soc
 
 from cellwise.cell.effects import Hysteresis
 from cellwise.cell.model_file import read_model
@@ -16,7 +17,6 @@ from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.estimate.replay import replay
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.logs import CellLog, read_log
 
 pytestmark = pytest.mark.slow

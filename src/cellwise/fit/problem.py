@@ -132,13 +132,15 @@ class Problem:
         self.numbers = np.array([evidence_of(log) for log in self.logs])
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
+        self.apart_V: tuple[FloatArray, ...] = ()
         self.judge_sizes(self.inside(prior.mean))
 
     def judge_sizes(self, theta: FloatArray) -> None:
-        """Standard deviation of every compared row [V]."""
+        """Standard deviation of every compared row, and without what the SOC's error does [V]."""
+        found = [self.exposed(k, theta) for k in range(len(self.logs))]
+        self.apart_V = tuple(np.hypot(self.level_V, self.share * drop) for drop, _ in found)
         self.sizes_V = tuple(
-            np.sqrt(self.level_V**2 + (self.share * drop) ** 2 + steep**2)
-            for drop, steep in (self.exposed(k, theta) for k in range(len(self.logs)))
+            np.hypot(apart, steep) for apart, (_, steep) in zip(self.apart_V, found, strict=True)
         )
 
     def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
@@ -263,11 +265,15 @@ class Problem:
         return found
 
     def log_evidence(self, normal: _Normal) -> float:
-        """Log of the marginal likelihood, Laplace, up to what is equal for every prior."""
+        """Log of the marginal likelihood, Laplace, up to what is equal for every prior.
+
+        An error of the SOC is one for the whole log, not one for each of its rows: it widens what a
+        row may be, and is left out of what the rows are divided by.
+        """
         free = np.flatnonzero(self.prior.free)
         after = np.linalg.slogdet(normal.matrix[np.ix_(free, free)])[1]
         before = np.linalg.slogdet(self.prior.precision[np.ix_(free, free)])[1]
-        each = zip(self.numbers, self.sizes_V, strict=True)
+        each = zip(self.numbers, self.apart_V, strict=True)
         sizes = sum(float(n * np.mean(np.log(size))) for n, size in each)
         return -normal.cost - sizes - 0.5 * float(after - before)
 

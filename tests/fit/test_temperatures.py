@@ -1,25 +1,22 @@
-"""Several temperatures refined together: a known cell comes back at each and between them."""
+"""Several temperatures fitted together: a known cell comes back at each and between them."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellwise.identify.assemble import KEPT, refined_model
-from cellwise.identify.refinement.layout import RefineSettings
-from cellwise.identify.refinement.refine import RefineResult, refine
-from cellwise.identify.refinement.refine_data import RefineLog, prepare_log
-from cellwise.identify.refinement.splines import (
-    TABLE_KNOTS,
-    spline_rows,
-    spline_values,
-)
-from refine_cases import CAPACITY_AH, Truth, log_of, pulse_current, start_tables
+from cellwise.fit.rows import FitLog, prepare_log
+from cellwise.fit.solve import FitResult
+from cellwise.fit.splines import TABLE_KNOTS, spline_rows, spline_values
+from cellwise.fit.unknowns import FitSettings
+from cellwise.identify.assemble import KEPT, fitted_model
+from fit_cases import CAPACITY_AH, Truth, cells_like, fit_of, log_of, pulse_current
 
 GRID_C = np.array([0.0, 12.0, 25.0])
 ACTIVATION_K = 3000.0
 INSIDE = np.linspace(0.2, 0.95, 30)
 TRUTH = Truth(activation_K=ACTIVATION_K)
+BASE = cells_like().base()
 
 
 def factor(temperature_C: float) -> float:
@@ -27,18 +24,15 @@ def factor(temperature_C: float) -> float:
 
 
 @pytest.fixture(scope="module")
-def result() -> RefineResult:
+def result() -> FitResult:
     rng = np.random.default_rng(3)
     logs = []
     for t in GRID_C:
         current = pulse_current()
-        log, soc = log_of(
-            current, TRUTH, noise=5e-4, rng=rng, temperature_C=np.full(current.size, t)
-        )
-        logs.append(RefineLog(log, soc, temperature_C=float(t)))
-    # The start knows nothing of the temperature.
-    return refine(logs, start_tables(2, 1.2), settings=RefineSettings(branches=2, skew=False),
-                  capacity_Ah=CAPACITY_AH, grid_C=GRID_C)  # fmt: skip
+        warm = np.full(current.size, t)
+        log, _ = log_of(current, TRUTH, noise=5e-4, rng=rng, temperature_C=warm)
+        logs.append(FitLog(log, 1.0, temperature_C=float(t)))
+    return fit_of(logs, cells_like(1.2), FitSettings(branches=2), tuple(GRID_C))
 
 
 @pytest.mark.parametrize("temperature_C", [0.0, 6.0, 12.0, 18.0, 25.0])
@@ -51,7 +45,7 @@ def test_resistances_at_and_between_the_temperatures(result, temperature_C):
 
 
 def test_the_model_has_rows_close_enough_and_the_cells_resistance(result):
-    model = refined_model(result, start_tables(2, 1.2), CAPACITY_AH, skewed=False, hot=True)
+    model = fitted_model(result, skewed=False, hot=True)
     assert set(GRID_C) <= set(model.temperature_C)
     assert np.diff(model.temperature_C).max() <= KEPT.step_K
     for t in (3.0, 9.0, 20.0):
@@ -69,16 +63,16 @@ def test_a_log_brings_only_temperatures_at_which_charge_flowed():
     # Two hours of soaking from 25 degC, then a load at 1 degC: the soak says nothing.
     current = np.concatenate((np.zeros(7200), np.full(1800, 2.0)))
     degrees = np.concatenate((np.linspace(25.0, 1.0, 7200), np.full(1800, 1.0)))
-    log, soc = log_of(current, TRUTH, temperature_C=degrees)
-    prepared = prepare_log(RefineLog(log, soc), 25.0, grid_C=GRID_C)
+    log, _ = log_of(current, TRUTH, temperature_C=degrees)
+    prepared = prepare_log(FitLog(log, 1.0), BASE, CAPACITY_AH, 25.0, grid_C=GRID_C)
     assert (prepared.first_temperature, prepared.temperatures) == (0, 2)
 
 
 def test_rows_of_long_logs_are_chosen_evenly():
-    log, soc = log_of(pulse_current(), TRUTH)
-    item = RefineLog(log, soc)
-    every = prepare_log(item, 25.0, most_rows=10**9)
-    some = prepare_log(item, 25.0, most_rows=every.compared // 3)
+    log, _ = log_of(pulse_current(), TRUTH)
+    item = FitLog(log, 1.0)
+    every = prepare_log(item, BASE, CAPACITY_AH, 25.0, most_rows=10**9)
+    some = prepare_log(item, BASE, CAPACITY_AH, 25.0, most_rows=every.compared // 3)
     assert some.compared == every.compared // 3
     assert set(some.time_s) <= set(every.time_s)
     # Seconds after an edge keep their share.

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellwise.fit.population import SOC, TABLES, CellClass, prior_of
+from cellwise.fit.problem import Prior
+from cellwise.fit.rows import FitLog
+from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.splines import TABLE_KNOTS, greville
+from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.identification import Start
-from cellwise.identify.refinement.joint_fit import JointLogs
-from cellwise.identify.refinement.layout import RefineSettings, StartTables
-from cellwise.identify.refinement.refine_data import RefineLog
-from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
+from cellwise.identify.joint_fit import JointLogs
 from cellwise.logs.cell_log import CellLog
 from synthetic import drive_current
 
@@ -28,13 +31,17 @@ R0 = constant(0.025)
 PAIRS = ((constant(0.012), constant(6.0)), (constant(0.020), constant(90.0)))
 
 
+CURVE_V = 3.45 + 0.62 * SOC - 0.5 * np.exp(-20.0 * SOC)
+
+
 def ocv(s):
-    return 3.45 + 0.62 * s - 0.5 * np.exp(-20.0 * s)
+    """Straight between the points that a class of cells has."""
+    return np.interp(s, SOC, CURVE_V)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A cell that the refinement's own class of models holds."""
+    """A cell that the fit's own class of models holds."""
 
     r0: Table = R0
     pairs: tuple[tuple[Table, Table], ...] = PAIRS
@@ -94,20 +101,36 @@ def two_logs(truth, *, noise=0.0, seed=0, warm=False):
     drive = drive_current(3000, 1.0, 9.0, np.random.default_rng(77))
     pulses = pulse_current()
     degrees = 25.0 + 12.0 * np.sin(np.linspace(0.0, 9.0, drive.size)) if warm else None
-    first, soc1 = log_of(pulses, truth if not truth.skew_s else replace(truth, skew_s=0.0),
-                         noise=noise, rng=rng)  # fmt: skip
-    second, soc2 = log_of(drive, truth, noise=noise, rng=rng, temperature_C=degrees)
-    return [RefineLog(first, soc1), RefineLog(second, soc2, skewed=bool(truth.skew_s))]
+    first, _ = log_of(pulses, replace(truth, skew_s=0.0), noise=noise, rng=rng)
+    second, _ = log_of(drive, truth, noise=noise, rng=rng, temperature_C=degrees)
+    return [FitLog(first, 1.0), FitLog(second, 1.0, skewed=bool(truth.skew_s))]
 
 
-def start_tables(branches=2, factor=1.0, m_V=None) -> StartTables:
-    at = np.ones(KNOTS.size)
-    return StartTables(
-        ocv=ocv,
-        r0_ohm=0.025 * factor * at,
-        r_ohm=tuple(r * factor * at for r in (0.012, 0.020, 0.015)[:branches]),
-        tau_s=tuple(t * factor * at for t in (6.0, 90.0, 1500.0)[:branches]),
-        m_V=None if m_V is None else m_V * at,
+def cells_like(factor=1.0, gap_V=0.0, ocv_V=CURVE_V, tau_s=(6.0, 90.0, 1500.0)) -> CellClass:
+    """A class around the plain cell, its resistances and time constants by a factor."""
+    r_ohm = (0.025, 0.012, 0.020, 0.015)
+    level = dict(
+        zip(("r0", "r1", "r2", "r3"), np.log(np.multiply(factor * CAPACITY_AH, r_ohm)), strict=True)
+    )
+    level |= dict(zip(("tau1", "tau2", "tau3"), np.log(np.multiply(factor, tau_s)), strict=True))
+    tables = {name: np.full((2, SOC.size), level[name]) for name in TABLES}
+    return CellClass("made", np.tile(ocv_V, (2, 1)), tables, np.full(SOC.size, gap_V))
+
+
+def prior_for(logs, cells, settings=None, grid_C=(25.0,)) -> tuple[Prior, Layout]:
+    """The prior of a fit of some logs and its layout."""
+    settings = settings or FitSettings(branches=2)
+    lay = layout_of(settings.branches, settings.hysteresis, len(grid_C), len(logs))
+    grid = np.array(grid_C)
+    return prior_of(cells, lay, tuple(logs), CAPACITY_AH, grid, 25.0, settings), lay
+
+
+def fit_of(logs, cells=None, settings=None, grid_C=(25.0,)) -> FitResult:
+    """The fit of some logs with a class as prior."""
+    cells = cells or cells_like()
+    prior, lay = prior_for(logs, cells, settings, grid_C)
+    return fit_logs(
+        logs, cells.base(), prior, lay, capacity_Ah=CAPACITY_AH, grid_C=np.array(grid_C)
     )
 
 
@@ -121,8 +144,9 @@ CURVED = Truth(
 
 
 def joint_logs(
-    logs: Sequence[RefineLog], start: StartTables, settings: RefineSettings, grid_C=(25.0,)
+    logs: Sequence[FitLog], cells: CellClass, settings: FitSettings, grid_C=(25.0,)
 ) -> JointLogs:
     """Logs for a joint fit, each from its own start."""
-    starts = tuple(Start(item.log, float(item.soc[0]), item.compare) for item in logs)
-    return JointLogs(tuple(logs), starts, start, settings, CAPACITY_AH, 25.0, np.array(grid_C), ())
+    starts = tuple(Start(item.log, item.soc0, item.compare) for item in logs)
+    grid = np.array(grid_C)
+    return JointLogs(tuple(logs), starts, cells, settings, CAPACITY_AH, 25.0, grid)

@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
-from cellwise.identify.refinement.model_error import slow_part, sustained_A, unseen_shares
+from cellwise.fit.model_error import slow_part, sustained_A, unseen_shares
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0

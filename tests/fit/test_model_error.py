@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
-from cellwise.identify.refinement.model_error import (
+from cellwise.fit.model_error import (
     ResidualLog,
     estimate_model_error,
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from cellwise.identify.refinement.splines import (
+from cellwise.fit.splines import (
     OCV_KNOTS,
     TABLE_KNOTS,
     curvature_penalty,
@@ -41,6 +41,19 @@ def test_values_are_those_of_scipys_spline(knots):
     np.testing.assert_allclose(
         spline_values(spline_rows(soc, knots), coefficients), expected, atol=1e-12
     )
+
+
+@KNOTS
+def test_slopes_are_the_derivatives_of_the_values(knots):
+    coefficients = np.random.default_rng(3).normal(size=spline_count(knots))
+    full = np.concatenate((np.repeat(knots[0], 3), knots, np.repeat(knots[-1], 3)))
+    soc = soc_samples(knots)
+    rows = spline_rows(soc, knots)
+    slopes = spline_values(rows._replace(values=rows.slopes), coefficients)
+    expected = BSpline(full, coefficients, 3).derivative()(soc)
+    np.testing.assert_allclose(slopes, expected, atol=1e-9 * np.abs(expected).max())
+    outside = spline_rows(np.array([-0.1, 1.1]), knots)
+    assert np.all(outside.slopes == 0.0), "where the end value holds"
 
 
 @KNOTS

@@ -1,31 +1,28 @@
-"""The refinement's kernel: sensitivities against finite differences, voltage against oracles."""
+"""The kernel of the fit: sensitivities against finite differences, voltage against oracles."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from cellwise.identify.refinement.layout import (
-    SKEW_UNIT_S,
-    Layout,
-    RefineSettings,
-    layout_of,
-    scalars_of,
-)
-from cellwise.identify.refinement.refine_data import RefineLog, choose_rows, prepare_log
-from cellwise.identify.refinement.refine_kernels import voltage_and_jacobian
+from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.rows import BaseOcv, FitLog, PreparedLog, choose_rows, prepare_log
+from cellwise.fit.sensitivity_kernels import voltage_and_jacobian
+from cellwise.fit.unknowns import SKEW_UNIT_S, Layout, layout_of, scalars_of
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
 REFERENCE_C = 25.0
 LAYOUTS = [(2, False, 1), (2, True, 1), (3, False, 1), (3, True, 1), (3, True, 3)]
 GRID_C = {1: None, 3: np.array([5.0, 22.0, 38.0])}
+BASE = BaseOcv(np.linspace(3.2, 4.0, 201))  # straight: its slope has no steps
 
 
 def make_layout(branches=3, hysteresis=True, temperatures=1) -> Layout:
-    return layout_of(RefineSettings(branches, hysteresis), temperatures)
+    return layout_of(branches, hysteresis, temperatures)
 
 
 def make_log(rng, rows=260, *, temperature=True, jitter=0.4) -> CellLog:
@@ -38,10 +35,6 @@ def make_log(rng, rows=260, *, temperature=True, jitter=0.4) -> CellLog:
     time = np.cumsum(20.0 * (1.0 + jitter * rng.uniform(-1.0, 1.0, rows)))
     degrees = 25.0 + 15.0 * np.sin(np.linspace(0.0, 6.0, rows)) if temperature else None
     return CellLog(time - time[0], current, np.full(rows, 3.6), degrees)
-
-
-def soc_of(log: CellLog, soc0=0.6):
-    return soc0 - log.counted_charge_Ah() / CAPACITY_AH
 
 
 def make_theta(layout: Layout, rng) -> np.ndarray:
@@ -59,22 +52,33 @@ def make_theta(layout: Layout, rng) -> np.ndarray:
         theta[layout.gamma] = np.log(60.0)
     theta[layout.activation] = 2.3
     theta[layout.asinh] = 1.7
-    theta[layout.own :] = 0.5 * rng.standard_normal(layout.size - layout.own)
+    own = slice(layout.own, layout.capacity)
+    theta[own] = 0.5 * rng.standard_normal(theta[own].size)
+    theta[layout.capacity], theta[layout.sample], theta[layout.start] = 0.06, -0.02, 0.03
+    theta[layout.past :] = (0.004, -0.01, 0.02)[: layout.branches]
     theta[layout.skew] = 7.0  # 0.7 s: shorter than every interval here
     return theta
 
 
-def evaluate(log: CellLog, theta, layout: Layout, *, soc=None, skewed=True, h0=0.3, every=True):
-    """Voltage of all prepared rows, Jacobian and rows that are compared; base OCV 3.2 + 0.8 soc."""
-    item = RefineLog(log, soc_of(log) if soc is None else soc, skewed=skewed, h0=h0)
-    prepared = prepare_log(item, REFERENCE_C, grid_C=GRID_C[layout.temperatures])
+def prepare(log: CellLog, layout: Layout, *, soc0=0.6, skewed=True, h0=0.3) -> PreparedLog:
+    item = FitLog(log, soc0, skewed=skewed, h0=h0)
+    prepared = prepare_log(item, BASE, CAPACITY_AH, REFERENCE_C, GRID_C[layout.temperatures])
     assert prepared.temperatures == layout.temperatures
-    shown = np.ones(prepared.rows.dt_s.size, dtype=np.bool_) if every else prepared.rows.evaluate
-    jacobian = np.full((int(shown.sum()), layout.size), np.nan)
-    voltage = np.full(prepared.rows.dt_s.size, np.nan)
+    return prepared
+
+
+def evaluate(log: CellLog, theta, layout: Layout, *, skewed=True, prepared=None):
+    """Voltage of all prepared rows and its Jacobian; base OCV 3.2 + 0.8 soc."""
+    prepared = prepared or prepare(log, layout, skewed=skewed)
+    shown = np.ones(prepared.rows.dt_s.size, dtype=np.bool_)
+    jacobian = np.full((shown.size, layout.size), np.nan)
+    voltage = np.full(shown.size, np.nan)
     cell = scalars_of(layout, theta, 3600.0 * CAPACITY_AH, skewed=skewed)
-    rows, base_V = prepared.rows._replace(evaluate=shown), 3.2 + 0.8 * prepared.soc
-    voltage_and_jacobian(rows, base_V, cell, layout, h0, skewed, theta, jacobian, voltage)
+    ln_capacity = float(theta[layout.capacity] + theta[layout.sample])
+    rows = prepared.moved(BASE, float(theta[layout.start]), ln_capacity)
+    rows = rows._replace(evaluate=shown)
+    h0 = prepared.item.h0
+    voltage_and_jacobian(rows, cell, layout, h0, skewed, theta, jacobian, voltage)
     return prepared, voltage, jacobian
 
 
@@ -86,11 +90,17 @@ def blocks(layout: Layout) -> dict[str, slice]:
     if layout.hysteresis:
         found["m"] = slice(layout.m, layout.m + layout.block)
         found["gamma"] = slice(layout.gamma, layout.gamma + 1)
-    found["activation"] = slice(layout.activation, layout.activation + 1)
-    found["skew"] = slice(layout.skew, layout.skew + 1)
-    found["asinh"] = slice(layout.asinh, layout.asinh + 1)
-    found["own"] = slice(layout.own, layout.size)
+    ends = [*layout._fields[layout._fields.index("activation") : -1], "size"]
+    for name, after in pairwise(ends):
+        found[name] = slice(getattr(layout, name), getattr(layout, after))
     return found
+
+
+def test_the_blocks_are_all_unknowns():
+    for case in LAYOUTS:
+        layout = make_layout(*case)
+        every = np.concatenate([np.arange(layout.size)[part] for part in blocks(layout).values()])
+        np.testing.assert_array_equal(every, np.arange(layout.size))
 
 
 @pytest.mark.parametrize(("branches", "hysteresis", "temperatures"), LAYOUTS)
@@ -98,7 +108,7 @@ def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis,
     rng = np.random.default_rng(branches + 10 * hysteresis)
     layout = make_layout(branches, hysteresis, temperatures)
     log, theta = make_log(rng), make_theta(layout, rng)
-    _, _, jacobian = evaluate(log, theta, layout)
+    prepared, _, jacobian = evaluate(log, theta, layout)
     step = 1e-4
     for name, part in blocks(layout).items():
         numeric = np.empty((jacobian.shape[0], part.stop - part.start))
@@ -107,8 +117,8 @@ def test_jacobian_is_the_central_difference_of_the_voltage(branches, hysteresis,
             moved[k] = step
             # Fourth order: the error of the difference itself stays far below 1e-5.
             far, near = (
-                evaluate(log, theta + c * moved, layout)[1]
-                - evaluate(log, theta - c * moved, layout)[1]
+                evaluate(log, theta + c * moved, layout, prepared=prepared)[1]
+                - evaluate(log, theta - c * moved, layout, prepared=prepared)[1]
                 for c in (2.0, 1.0)
             )
             numeric[:, column] = (8.0 * near - far) / (12.0 * step)
@@ -142,6 +152,26 @@ def test_a_skew_beyond_the_interval_shows_the_interval_before():
     np.testing.assert_array_equal(evaluate(log, theta, layout)[1], voltage)
 
 
+def test_the_gradient_of_all_logs_is_the_difference_of_their_cost():
+    """Places, weights, prior and bounds of a problem of two logs fit together."""
+    rng = np.random.default_rng(6)
+    layout = layout_of(3, True, 3, 2)
+    theta = np.zeros(layout.size)
+    one = make_layout(3, True, 3)
+    first = make_theta(one, rng)
+    theta[: layout.sample] = first[: one.sample]
+    theta[layout.sample :] = 0.01 * rng.standard_normal(layout.size - layout.sample)
+    logs = [FitLog(make_log(np.random.default_rng(k)), 0.6, 0.1, skewed=k > 0) for k in (0, 1)]
+    prior = Prior(np.zeros(layout.size), np.eye(layout.size), np.ones(layout.size, dtype=np.bool_))
+    problem = Problem(logs, BASE, prior, layout, CAPACITY_AH, GRID_C[3], REFERENCE_C)
+    ways = rng.standard_normal((5, layout.size))
+    gradient = problem.normal_equations(theta).gradient
+    step = 1e-5
+    for way in ways:
+        more, less = (problem.normal_equations(theta + c * step * way).cost for c in (1.0, -1.0))
+        assert -gradient @ way == pytest.approx((more - less) / (2.0 * step), rel=1e-4)
+
+
 def constant_theta(layout, r0, pairs):
     theta = np.zeros(layout.size)
     theta[layout.r0 : layout.r0 + layout.knots] = np.log(r0)
@@ -168,8 +198,8 @@ def test_merged_rows_give_the_voltage_of_every_row():
     theta[layout.m : layout.m + layout.knots] = 0.03
     theta[layout.gamma] = np.log(40.0)
     log = fine_log(rng)
-    soc = soc_of(log)
-    prepared, merged, _ = evaluate(log, theta, layout, skewed=False, soc=soc)
+    prepared, merged, _ = evaluate(log, theta, layout, skewed=False)
+    soc = prepared.item.soc(CAPACITY_AH)
     assert prepared.rows.dt_s.size < 0.25 * len(log), "nothing was merged: nothing was tested"
     whole = step_through(log, soc, 0.02, ((0.01, 5.0), (0.015, 80.0), (0.02, 1500.0)), 0.03, 40.0)
     rows = np.searchsorted(log.time_s, np.cumsum(prepared.rows.dt_s))
@@ -227,12 +257,10 @@ def test_nothing_is_compared_where_nothing_was_measured():
     log = fine_log(np.random.default_rng(12))
     voltage = log.voltage_V.copy()
     voltage[500:1500] = np.nan
-    soc = soc_of(log)
-    soc[3000:3100] = np.nan
-    prepared = prepare_log(RefineLog(replace(log, voltage_V=voltage), soc), REFERENCE_C)
+    item = FitLog(replace(log, voltage_V=voltage), 0.6)
+    prepared = prepare_log(item, BASE, CAPACITY_AH, REFERENCE_C)
     at = prepared.time_s
     assert not np.any((at >= 500) & (at < 1500))
-    assert not np.any((at >= 3000) & (at < 3100))
     assert np.all(np.isfinite(prepared.measured_V))
     assert np.all(np.isfinite(prepared.soc))
     assert np.sum(prepared.rows.dt_s) == pytest.approx(log.duration_s), "time and charge go on"
@@ -248,7 +276,7 @@ def test_a_gap_keeps_both_its_rows_and_carries_the_counters_charge():
     counter[row:] += 0.2
     gap = CellLog(time, current, np.full(time.size, 3.6), charge_Ah=counter)
     assert np.flatnonzero(gap.gap_rows).tolist() == [row]
-    prepared = prepare_log(RefineLog(gap, soc_of(gap)), REFERENCE_C)
+    prepared = prepare_log(FitLog(gap, 0.6), BASE, CAPACITY_AH, REFERENCE_C)
     ends = np.cumsum(prepared.rows.dt_s)
     kept = int(np.searchsorted(ends, time[row]))
     assert ends[kept] == time[row]

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from cellwise.cell.model import CellModel
-from cellwise.identify.refinement.effects import fit_with_effects
-from cellwise.identify.refinement.layout import RefineSettings
-from cellwise.identify.refinement.refine_data import RefineLog, inverse_K
-from cellwise.identify.refinement.stated_error import activation_beyond_K
-from refine_cases import CAPACITY_AH, Truth, constant, joint_logs, log_of, start_tables
+from cellwise.fit.rows import FitLog, inverse_K
+from cellwise.fit.unknowns import FitSettings
+from cellwise.identify.effect_selection import fit_with_effects
+from cellwise.identify.stated_error import activation_beyond_K
+from fit_cases import CAPACITY_AH, Truth, cells_like, constant, joint_logs, log_of
 from synthetic import drive_current
 
 DRIVES_C = (0.0, 13.0, 25.0, 40.0)
 REFERENCE_C = 25.0
-SETTINGS = RefineSettings(branches=2, skew=False)
+SETTINGS = FitSettings(branches=2)
 COMMON_K = 2500.0
 SLOPES_K = (2000.0, 4200.0)  # above and below 12 degC
 OWN_K = {"r0": 1000.0, "r1": 4500.0, "r2": 2500.0}
@@ -34,15 +34,15 @@ def truth_at(temperature_C: float, r0_K: float, r1_K: float, r2_K: float) -> Tru
     )
 
 
-def drives(truths: dict[float, Truth]) -> list[RefineLog]:
+def drives(truths: dict[float, Truth]) -> list[FitLog]:
     rng = np.random.default_rng(4)
     found = []
     for k, (warm, truth) in enumerate(truths.items()):
         current = drive_current(2000, 1.0, 9.0, np.random.default_rng(k))
-        log, soc = log_of(
+        log, _ = log_of(
             current, truth, noise=5e-4, rng=rng, temperature_C=np.full(current.size, warm)
         )
-        found.append(RefineLog(log, soc, skewed=True, temperature_C=REFERENCE_C))
+        found.append(FitLog(log, 1.0, skewed=True, temperature_C=REFERENCE_C))
     return found
 
 
@@ -51,7 +51,7 @@ def drives(truths: dict[float, Truth]) -> list[RefineLog]:
 def test_each_resistance_gets_its_own_activation_only_where_drives_held_out_show_it(own):
     wanted = OWN_K if own else dict.fromkeys(OWN_K, COMMON_K)
     logs = drives({t: truth_at(t, *wanted.values()) for t in DRIVES_C})
-    found = fit_with_effects(joint_logs(logs, start_tables(2, 1.2), SETTINGS))
+    found = fit_with_effects(joint_logs(logs, cells_like(1.2), SETTINGS))
     verdict = next(d for d in found.decided if d.name == "temperature_dependence")
     assert verdict.accepted == own
     thermal = found.result.temperature_dependence()

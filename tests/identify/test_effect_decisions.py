@@ -7,15 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.identify.refinement.effects import (
+from cellwise.fit.rows import FitLog
+from cellwise.fit.unknowns import FitSettings
+from cellwise.identify.effect_selection import (
     NEEDED,
     every_second_load,
     fit_with_effects,
     held_out,
 )
-from cellwise.identify.refinement.layout import RefineSettings
-from cellwise.identify.refinement.refine_data import RefineLog
-from refine_cases import Truth, _branch, constant, joint_logs, log_of, pulse_current, start_tables
+from fit_cases import (
+    CAPACITY_AH,
+    Truth,
+    _branch,
+    cells_like,
+    constant,
+    joint_logs,
+    log_of,
+    pulse_current,
+)
 from synthetic import drive_current
 
 SLOW = (constant(0.020), constant(90.0))
@@ -39,7 +48,7 @@ def logs_of(change=None):
     for k, current in enumerate([pulse_current(), *drives]):
         log, soc = log_of(current, TRUTH, noise=5e-4, rng=rng)
         log = log if change is None else change(log, soc)
-        found.append(RefineLog(log, soc, skewed=k > 0, temperature_C=25.0))
+        found.append(FitLog(log, 1.0, skewed=k > 0, temperature_C=25.0))
     return found
 
 
@@ -49,12 +58,12 @@ def rated_pulses(change=None):
     current = np.tile(np.repeat(level, [300, 10, 120, 10, 120, 10, 120, 900, 300]), 9)
     log, soc = log_of(current, TRUTH, noise=5e-4, rng=np.random.default_rng(12))
     log = log if change is None else change(log, soc)
-    return RefineLog(log, soc, temperature_C=25.0)
+    return FitLog(log, 1.0, temperature_C=25.0)
 
 
 def decided(logs):
-    settings = RefineSettings(branches=2, skew=False)
-    found = fit_with_effects(joint_logs(logs, start_tables(2, 1.2), settings))
+    settings = FitSettings(branches=2)
+    found = fit_with_effects(joint_logs(logs, cells_like(1.2), settings))
     return {d.name: d for d in found.decided}, found.result
 
 
@@ -94,8 +103,8 @@ def test_pulses_of_several_rates_show_a_charge_transfer_without_a_drive(change):
 
 def test_of_two_pulses_at_every_soc_each_is_held_out_somewhere():
     current = np.tile(np.repeat([0.0, 4.0, 0.0, -3.0, 0.0, 1.0], [60, 10, 60, 10, 60, 720]), 8)
-    log, soc = log_of(current, TRUTH)
-    left = every_second_load(RefineLog(log, soc))
+    log, _ = log_of(current, TRUTH)
+    left = every_second_load(FitLog(log, 1.0), CAPACITY_AH)
     for kind in (4.0, -3.0):
         rows = log.current_A == kind
         assert np.any(left[rows])
