@@ -1,4 +1,4 @@
-"""The prior over cells: what a cell of a class may be like, learnt from cells that were measured.
+"""The prior over cells: what a cell of a class may be like, by cells that were measured.
 
 A class has the curves of its members. Their mean and what they differ by, in a few modes and a
 rest, are the prior of a cell of which nothing is known but its class. The stock models are members,

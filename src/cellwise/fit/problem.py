@@ -34,7 +34,7 @@ class Evidence(NamedTuple):
     soc : float             error of the counted charge, and of the OCV along the SOC
     low_rate_soc : float    more of it in the middle of a low-rate test, which another age shifts
                             beside the loads, as does a current that never rests
-    empty_soc, near_soc : float    more of it under load near empty, where what is left follows
+    empty_soc, near_soc : float    more of it under load near empty, where the last charge follows
                             rate and temperature, over so much SOC
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short

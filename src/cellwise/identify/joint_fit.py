@@ -208,8 +208,8 @@ def gather_logs(
         grid = of_model.grid_C
         reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], told = _begun(item, found, roles[k])
-        notices += [told] if told else []
+        items[k], begin = _begun(item, found, roles[k])
+        notices += [begin] if begin else []
     begins = iter(items)
     starts = [s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts]
     fit = FitSettings(
@@ -286,8 +286,7 @@ def _begun(item: FitLog, found: Beginning | None, role: str) -> tuple[FitLog, st
     """A log with its start: as stated, full, or open around the most probable."""
     past_V = 0.12 * ROLES.past_rate  # about what the slow branches hold after a mean load
     if found is None:
-        soc0 = item.log.soc0
-        assert soc0 is not None
+        soc0 = 1.0 if item.log.soc0 is None else item.log.soc0  # stated: else it was found
         past = 0.0 if soc0 > 0.99 else past_V
         return replace(
             item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
