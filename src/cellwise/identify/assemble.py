@@ -1,4 +1,4 @@
-"""From a refinement to a CellModel: tables on the grid, effects, standard errors."""
+"""From a fit to a CellModel: tables on the grid, effects, standard errors."""
 
 from __future__ import annotations
 
@@ -28,14 +28,12 @@ from cellwise.typing import FloatArray
 
 
 class _Kept(NamedTuple):
-    """What of a refinement becomes part of a model."""
+    """What of a fit becomes part of a model."""
 
     rise_V: float = 1e-6  # per grid step, so that the OCV can be inverted everywhere
     m_V: float = 1e-4  # less is no hysteresis
     skew_s: float = 0.005  # less is no delay
     step_K: float = 5.0  # at 5,000 K and -20 degC a line is within 1 % of the exponential
-    # More than a cell of the same kind, hysteresis and temperature leave is said.
-    ocv_move_V: float = 0.03
 
 
 KEPT = _Kept()
@@ -117,7 +115,7 @@ def _table(result: FitResult, at: int) -> FloatArray:
 def fitted_effects(
     result: FitResult, rows: Sequence[FitResult], skewed: bool, hot: bool
 ) -> tuple[Effect, ...]:
-    """Effects that the refinement fitted; see :func:`fitted_model`."""
+    """Effects that were fitted; see :func:`fitted_model`."""
     lay = rows[0].layout
     found: list[Effect] = []
     if lay.branches == 3:
@@ -162,7 +160,7 @@ def monotone(voltage_V: FloatArray) -> FloatArray:
 
 
 def table_summary(result: FitResult) -> dict[str, Any]:
-    """What the provenance says of a refinement; standard errors: median over the knots of a table.
+    """What the provenance says of a fit; standard errors: median over the knots of a table.
 
     Those of resistances, time constants and gamma are shares, of OCV and hysteresis volts.
     """
