@@ -1,7 +1,7 @@
 """Sixth station: which effects a cell needs, by the loads that predict what was held out best.
 
 A candidate is fitted beside the plain model to everything that is not held out, and judged on what
-is. It is part of the model where it is surely better there, by more than a share.
+is. It is part of the model where it is better there, by more than a share, and surely so.
 """
 
 from __future__ import annotations
@@ -20,20 +20,22 @@ from cellwise.fit.rows import FitLog
 from cellwise.fit.solve import FitResult
 from cellwise.fit.unknowns import ASINH_UNIT_PER_V, FitSettings
 from cellwise.identify.identification import Decided, Start
-from cellwise.identify.joint_fit import QUICK_ITERATIONS, JointLogs
+from cellwise.identify.joint_fit import JointLogs
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
 class Evidence(NamedTuple):
     """What an effect must show, and on how much.
 
-    ``gain``: of the held-out RMSE, less is no reason for a parameter. ``drives``: below, no drive
+    ``gain``: of the held-out RMSE, less is no reason for a parameter; surely so, or with a marginal
+    likelihood of what is not held out that is ``ln_evidence`` larger. ``drives``: below, no drive
     can be held out; ``loads`` of one temperature at ``temperatures`` of them do as well, and
     activations of single tables need ``activations`` temperatures. ``block_s``: what is drawn
     together where a gain's interval is found.
     """
 
     gain: float = 0.02
+    ln_evidence: float = 5.0
     drives: int = 3
     loads: int = 3
     temperatures: int = 2
@@ -42,6 +44,7 @@ class Evidence(NamedTuple):
 
 
 NEEDED = Evidence()
+TRIAL_ITERATIONS = 24  # an effect needs its tables moved
 SOC_PARTS = 10  # pulses are held out by tenths of the SOC in turn
 LOADED = 0.02  # of the largest current
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
@@ -112,13 +115,13 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     every second load of the pulse tests: several rates at one SOC show a charge transfer without
     any drive, in the cold above all.
     """
-    first = joint.fit(joint.logs, joint.settings, quick=QUICK_ITERATIONS)
+    first = joint.fit(joint.logs, joint.settings, quick=TRIAL_ITERATIONS)
     found = joint.as_found(first)
     held = frozenset(held_out(found))
-    split = _Split(found, held, f"{len(held)} drive(s)", QUICK_ITERATIONS)
+    split = _Split(found, held, f"{len(held)} drive(s)", TRIAL_ITERATIONS)
     candidates = _candidates(joint)
     if not held:
-        split = _without_pulses(found, QUICK_ITERATIONS, joint.capacity_Ah)
+        split = _without_pulses(found, TRIAL_ITERATIONS, joint.capacity_Ah)
         candidates = ("charge_transfer",)
     few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
@@ -134,7 +137,9 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
             trial = _tried(joint, split, *_changed(name, joint, best))
             # In volts: where a model is most wrong counts most.
             gain = held_out_gain(best.residual_V, trial.residual_V, best.block)
-            accepted = gain.gain > NEEDED.gain and gain.low > 0.0
+            proof = trial.result.log_evidence - best.result.log_evidence
+            surely = gain.low > 0.0 or proof > NEEDED.ln_evidence
+            accepted = bool(gain.gain > NEEDED.gain and surely)
             if accepted:
                 best = trial
             else:
