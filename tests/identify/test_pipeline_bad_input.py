@@ -83,7 +83,9 @@ def r0_error(found, lowest: float = 0.3) -> float:
 REFUSED = {
     "nothing": (lambda x: TestLogs(), QUICK, "`hppc=LOG` or `drive=LOG`"),
     "no pulse": (lambda x: pulses(resting()), QUICK, "of the capacity moved in log 'rest'"),
-    "no pulse, refined": (lambda x: pulses(resting()), SETTINGS, "of the capacity moved in log 'rest'"),
+    "no pulse, refined": (
+        lambda x: pulses(resting()), SETTINGS, "of the capacity moved in log 'rest'"
+    ),
     "no pulse beside an OCV": (
         lambda x: pulses(resting(), ocv=x("low_rate")), QUICK, "no pulse at all in 'rest'",
     ),

@@ -12,7 +12,7 @@ from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
+from cellwise.typing import BoolArray, FloatArray
 
 
 class Trials(NamedTuple):
@@ -117,7 +117,7 @@ def _try(
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
 
 
-def thinned(log: CellLog, compare: FloatArray | None = None) -> CellLog:
+def thinned(log: CellLog, compare: BoolArray | None = None) -> CellLog:
     """Means over blocks of time; voltages of rows that are not compared are left out."""
     voltage = log.voltage_V if compare is None else np.where(compare, log.voltage_V, np.nan)
     block_s = max(TRIALS.block_s, log.duration_s / TRIALS.rows)

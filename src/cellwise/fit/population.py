@@ -213,7 +213,7 @@ class ModelPrior:
         x = inverse_K(grid_C, HOME_C)
         covariance = np.kron(np.ones((x.size, x.size)), shape)
         covariance += np.kron(SAME_CELL.activation_K**2 * np.outer(x, x), np.ones(apart.shape))
-        return np.array(rows).ravel(), covariance
+        return np.array(rows, dtype=np.float64).ravel(), covariance
 
     def gap(self, soc: FloatArray, temperatures: int) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of the hysteresis [V]."""
@@ -274,7 +274,7 @@ def _ln_table(model: CellModel, name: str, warm_C: float = HOME_C) -> FloatArray
     else:
         row = getattr(at, f"{name}_ohm" if name.startswith("r") else f"{name}_s")[0]
     scale = at.capacity_Ah if name.startswith("r") else 1.0
-    return np.interp(SOC, at.soc, np.log(np.maximum(row * scale, 1e-4)))
+    return np.asarray(np.interp(SOC, at.soc, np.log(np.maximum(row * scale, 1e-4))))
 
 
 def prior_of(
@@ -322,6 +322,6 @@ def prior_of(
         first = lay.past + k * lay.branches
         std[first] = 0.2 * item.past_V
         std[first + 1 : first + lay.branches] = item.past_V
-    for k in np.flatnonzero(std):
-        precision[k, k], free[k] = 1.0 / std[k] ** 2, True
+    known = np.flatnonzero(std)
+    precision[known, known], free[known] = std[known] ** -2.0, True
     return Prior(mean, precision, free)

@@ -47,7 +47,7 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     factor = np.linalg.cholesky(covariance + 1e-10 * np.eye(len(rows)))
     return Posterior(
         tuple(names),
-        factor,
+        np.asarray(factor, dtype=np.float64),
         np.array([m[0] for m in maps]),
         np.array([m[1] for m in maps]),
         np.array([m[2] for m in maps]),

@@ -27,8 +27,8 @@ class Evidence(NamedTuple):
 
     Parameters
     ----------
-    least_V, least_share : float      two logs of one cell are not alike within less: temperature inside,
-                            relaxation, sensors [V]
+    least_V, least_share : float      two logs of one cell are not alike within less: temperature
+                            inside, relaxation, sensors [V]
     first_V, first_share : float      before any fit, and of the polarisation
     soc : float             error of the counted charge, and of the OCV along the SOC
     low_rate_soc : float    more of it in the middle of a low-rate test, which another age shifts

@@ -203,15 +203,15 @@ def gather_logs(
             "Give a longer log, or check its columns.",
         )
     say("starts")
-    cells, why, begun = _beginnings(items, roles, capacity, settings, of_model)
+    cells, chosen, begun = _beginnings(items, roles, capacity, settings, of_model)
     if of_model is not None:
         grid = of_model.grid_C
         reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], said = _begun(item, found, roles[k], capacity.capacity_Ah)
-        notices += [said] if said else []
-    found = iter(items)
-    starts = [s if s.left_out else s._replace(soc0=next(found).soc0) for s in starts]
+        items[k], text = _begun(item, found, roles[k], capacity.capacity_Ah)
+        notices += [text] if text else []
+    fitted = iter(items)
+    starts = [s if s.left_out else s._replace(soc0=next(fitted).soc0) for s in starts]
     fit = FitSettings(
         branches=settings.branches,
         hysteresis=cells.name == "lfp" if settings.hysteresis is None else settings.hysteresis,
@@ -219,7 +219,7 @@ def gather_logs(
         skew=any(item.skewed for item in items),
     )
     return JointLogs(tuple(items), tuple(starts), cells, fit, capacity.capacity_Ah, reference, grid,
-                     (*why, *notices))  # fmt: skip
+                     (*chosen, *notices))  # fmt: skip
 
 
 def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool) -> FitLog:
