@@ -149,7 +149,7 @@ class CellClass:
             steps = np.abs(np.subtract.outer(x, x)) / abs(float(inverse_K(25.0, 10.0)))
             near = np.exp(-0.5 * (apart / 0.3) ** 2)
             covariance += np.kron(SPREAD.temperature_ln**2 * np.exp(-0.5 * steps), near)
-        return (warm_K * x[:, None] + row).ravel(), covariance
+        return np.asarray((warm_K * x[:, None] + row).ravel()), np.asarray(covariance, np.float64)
 
     def gap(self, soc: FloatArray, temperatures: int) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of the hysteresis [V]."""
@@ -157,7 +157,7 @@ class CellClass:
         near = np.exp(-0.5 * (np.subtract.outer(soc, soc) / 0.15) ** 2)
         along = (SPREAD.gap * np.outer(level, level) * SPREAD.gap) * (0.5 + 0.5 * near)
         both = 0.7 + 0.3 * np.eye(temperatures)
-        return np.tile(level, temperatures), np.kron(both, along)
+        return np.tile(level, temperatures), np.asarray(np.kron(both, along), np.float64)
 
     @property
     def activation_K(self) -> tuple[float, float]:
@@ -213,7 +213,7 @@ class ModelPrior:
         x = inverse_K(grid_C, HOME_C)
         covariance = np.kron(np.ones((x.size, x.size)), shape)
         covariance += np.kron(SAME_CELL.activation_K**2 * np.outer(x, x), np.ones(apart.shape))
-        return np.array(rows, dtype=np.float64).ravel(), covariance
+        return np.array(rows).ravel(), np.asarray(covariance, np.float64)
 
     def gap(self, soc: FloatArray, temperatures: int) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of the hysteresis [V]."""
@@ -221,9 +221,8 @@ class ModelPrior:
         known = np.broadcast_to(np.asarray(effect.m_V), self.model.ocv_V.shape)[0]
         level = np.interp(soc, self.model.soc, known)
         size = SPREAD.gap * level + 1e-3
-        return np.tile(level, temperatures), np.kron(
-            np.ones((temperatures, temperatures)), np.outer(size, size)
-        )
+        covariance = np.kron(np.ones((temperatures, temperatures)), np.outer(size, size))
+        return np.tile(np.asarray(level), temperatures), np.asarray(covariance, np.float64)
 
     @property
     def activation_K(self) -> tuple[float, float]:

@@ -160,7 +160,8 @@ class Problem:
             self.base, float(own[lay.start]), float(own[lay.capacity] + own[lay.sample])
         )
         shown = rows.evaluate
-        splines = SplineRows(*(x[shown] for x in rows.ocv))
+        at = rows.ocv
+        splines = SplineRows(at.first[shown], at.values[shown], at.slopes[shown])
         ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
         slope = rows.base_slope_V[shown] + spline_values(
             splines._replace(values=splines.slopes), own[: lay.knots_ocv]
