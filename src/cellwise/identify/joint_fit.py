@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
-from cellwise.fit.beginnings import Beginning, find_beginning
+from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Prior, Problem
@@ -292,9 +292,10 @@ def _begun(item: FitLog, found: Beginning | None, role: str) -> tuple[FitLog, st
             item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
         ), ""
     if found.full > 0.5:
-        item = replace(
-            item, soc0=found.soc, soc0_std=ROLES.drive_std if role == "drive" else ROLES.full_std
-        )
+        # Full as a charger leaves it, or elsewhere as far as its voltages leave that open.
+        full_std = ROLES.drive_std if role == "drive" else ROLES.full_std
+        std = float(np.sqrt(full_std**2 + max(found.std**2 - TRIALS.full_std**2, 0.0)))
+        item = replace(item, soc0=found.soc, soc0_std=std)
         return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
     said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
     item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)
