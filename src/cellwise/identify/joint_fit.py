@@ -48,7 +48,7 @@ class Roles(NamedTuple):
     """
 
     test_full: float = 0.97
-    drive_full: float = 0.8
+    drive_full: float = 0.9
     open_std: float = 0.3
     full_std: float = 0.0005
     drive_std: float = 0.004
@@ -207,8 +207,9 @@ def gather_logs(
     if of_model is not None:
         grid = of_model.grid_C
         reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
+    scaled = bool(checked.tests.ocv)
     for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], begin = _begun(item, found, roles[k])
+        items[k], begin = _begun(item, found, roles[k], scaled)
         notices += [begin] if begin else []
     begins = iter(items)
     starts = [s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts]
@@ -282,8 +283,13 @@ def _beginnings(
     return cells, notices, found
 
 
-def _begun(item: FitLog, found: Beginning | None, role: str) -> tuple[FitLog, str]:
-    """A log with its start: as stated, full, or open around the most probable."""
+def _begun(
+    item: FitLog, found: Beginning | None, role: str, scaled: bool
+) -> tuple[FitLog, str]:
+    """A log with its start: as stated, full, or open around the most probable.
+
+    ``scaled``: a low-rate test beside it says what full is, and what the cell holds.
+    """
     past_V = 0.12 * ROLES.past_rate  # about what the slow branches hold after a mean load
     if found is None:
         soc0 = 1.0 if item.log.soc0 is None else item.log.soc0  # stated: else it was found
@@ -294,7 +300,8 @@ def _begun(item: FitLog, found: Beginning | None, role: str) -> tuple[FitLog, st
     if found.full > 0.5:
         # Full as a charger leaves it, or elsewhere as far as its voltages leave that open.
         full_std = ROLES.drive_std if role == "drive" else ROLES.full_std
-        std = float(np.sqrt(full_std**2 + max(found.std**2 - TRIALS.full_std**2, 0.0)))
+        left_open = 0.0 if scaled else max(found.std**2 - TRIALS.full_std**2, 0.0)
+        std = float(np.sqrt(full_std**2 + left_open))
         item = replace(item, soc0=found.soc, soc0_std=std)
         return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
     said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
