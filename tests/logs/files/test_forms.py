@@ -402,6 +402,18 @@ def test_names_of_another_character_set(encoding, tmp_path, capsys):
     assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
 
 
+def test_a_comma_between_name_and_unit_parts_no_cells(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    rows = table(
+        "Zeit, s;Spannung, V;Strom, A",
+        lambda t, i, v: f"{t};{v:.4f};{i:.3f}".replace(".", ","),
+    )
+    path.write_text(rows)
+    found, options = inspected(path, capsys)
+    assert not options
+    assert found["charge_Ah"] == pytest.approx(NET_AH, rel=0.02)
+
+
 SHEETS = {
     "plain": (("Time (s)", "Voltage (V)", "Current (A)"), lambda t: t),
     "dates": (("Datum", "Spannung [V]", "Strom [A]"), lambda t: START + timedelta(seconds=t)),

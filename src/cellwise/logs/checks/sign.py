@@ -157,7 +157,8 @@ def contradiction(way_out: str) -> str:
 def _held(current: FloatArray, voltage: FloatArray) -> BoolArray:
     """Rows in which a tester holds a limit of the voltage while the current dies away."""
     held = np.zeros(voltage.size, dtype=np.bool_)
-    noise = NEEDED.sigmas * float(np.nanmedian(np.abs(np.diff(voltage))))
+    steps = np.abs(np.diff(voltage[np.isfinite(voltage)]))
+    noise = NEEDED.sigmas * float(np.median(steps)) if steps.size else 0.0
     for limit in (np.fmin.reduce(voltage), np.fmax.reduce(voltage)):
         for first, last in runs_of(np.abs(voltage - limit) <= max(NEEDED.held * abs(limit), noise)):
             falls = abs(current[last]) < NEEDED.falls * abs(current[first])

@@ -12,6 +12,7 @@ from cellwise.logs.files.source import MOST_HEADER_LINES, LogSource, lines_of
 from cellwise.logs.files.words import PART, is_unit, likeness
 
 DELIMITERS = ",;\t|"
+NO_DELIMITER = re.compile(r",(?= )|(?<=\d),(?=\d)")
 MOST_NAME_ROWS = 3
 DIGIT_FIRST = re.compile(r"\s*[-+.]?\d")
 NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
@@ -147,8 +148,13 @@ def has_names(source: LogSource, *groups: Collection[str]) -> bool:
 
 
 def delimiter_of(line: str) -> str:
-    """The delimiter that a line has most of."""
-    return max(DELIMITERS, key=line.count)
+    """The delimiter that a line has most of.
+
+    Beside another one a comma before a blank is part of a name (`Zeit, s;Spannung, V`), and one
+    between digits a decimal comma.
+    """
+    others = any(mark in line for mark in DELIMITERS if mark != ",")
+    return max(DELIMITERS, key=(NO_DELIMITER.sub("", line) if others else line).count)
 
 
 def is_numeric(line: str) -> bool:
