@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.gaps import runs_of
+from cellwise.logs.gaps import run_edges
 from cellwise.typing import BoolArray, FloatArray
 
 Verdict = Literal["verified", "contradicted", "undetermined"]
@@ -157,12 +157,16 @@ def contradiction(way_out: str) -> str:
 def _held(current: FloatArray, voltage: FloatArray) -> BoolArray:
     """Rows in which a tester holds a limit of the voltage while the current dies away."""
     held = np.zeros(voltage.size, dtype=np.bool_)
-    steps = np.abs(np.diff(voltage[np.isfinite(voltage)]))
+    known = voltage[np.isfinite(voltage)]
+    # The size of a step does not need millions of them.
+    steps = np.abs(np.diff(known))[:: max(known.size // LARGEST_SERIES, 1)]
     noise = NEEDED.sigmas * float(np.median(steps)) if steps.size else 0.0
     for limit in (np.fmin.reduce(voltage), np.fmax.reduce(voltage)):
-        for first, last in runs_of(np.abs(voltage - limit) <= max(NEEDED.held * abs(limit), noise)):
-            falls = abs(current[last]) < NEEDED.falls * abs(current[first])
-            held[first : last + 1] |= falls and last - first >= NEEDED.held_rows
+        near = np.abs(voltage - limit) <= max(NEEDED.held * abs(limit), noise)
+        first, last = run_edges(near)
+        long = last - first >= NEEDED.held_rows
+        for a, b in zip(first[long], last[long], strict=True):
+            held[a : b + 1] |= abs(current[b]) < NEEDED.falls * abs(current[a])
     return held
 
 
