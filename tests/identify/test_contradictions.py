@@ -113,7 +113,7 @@ def test_another_capacity_than_the_nominal_one_is_said_with_both(hppc):
 
 
 def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
-    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
+    other = scaled(load_dataset("nmc_cap_c5"), 1.3, "other")
     tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
     found = identify_cell(tests, QUICK)
     print_identification(found)
@@ -121,6 +121,12 @@ def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
     assert first.startswith("  ! ")
     assert "'other'" in first
     assert not any(line == first for line in rest)
+
+
+def test_a_capacity_test_of_far_more_charge_is_refused_by_name(hppc, low_rate):
+    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
+    with pytest.raises(InputError, match="'other' moves"):
+        identify_cell(together((hppc,), ocv=(low_rate,), capacity=(other,)), QUICK)
 
 
 def first_said(tests, settings):

@@ -192,7 +192,14 @@ def test_provenance_tells_where_every_number_came_from(nmc):
 def test_progress_is_reported_in_order():
     said = []
     identify_cell(nmc_tests(), QUICK, said.append)
-    assert said == ["capacity", "OCV", "pulses", "validation on its own logs"]
+    assert said == [
+        "capacity",
+        "starts",
+        "fit",
+        "error",
+        "OCV and pulses",
+        "validation on its own logs",
+    ]
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
-from cellwise.identify.refinement.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes
 from cellwise.logs.cell_log import CellLog, check_is_log
 
 Logs = CellLog | Sequence[CellLog]

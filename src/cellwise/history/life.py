@@ -159,7 +159,12 @@ class Life:
             "resistance_std": self.resistance[1],
             "logs": [one.log.name for one in self.logs],
         }
-        return replace(aged, provenance={**self.model.provenance, "history": about})
+        fitted, std = self.model.posterior, self.capacity_std_Ah / self.capacity_Ah
+        return replace(
+            aged,
+            posterior=None if fitted is None else fitted.with_capacity_std(std),
+            provenance={**self.model.provenance, "history": about},
+        )
 
     @property
     def resistance(self) -> tuple[float, float]:

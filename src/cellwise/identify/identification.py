@@ -14,12 +14,12 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
+from cellwise.fit.solve import FitResult
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Panel, Plottable, Summarised
@@ -56,6 +56,7 @@ class IdentifySettings:
     hysteresis: bool | None = None
     temperature_C: float | None = None
     prior: CellModel | None = None
+    without_lineage: tuple[str, ...] = ()
     name: str = ""
     chemistry: str = ""
 
@@ -167,7 +168,7 @@ class TemperatureResult:
 
     temperature_C: float
     pulse_sets: tuple[PulseSet, ...]
-    refinement: RefineResult | None
+    refinement: FitResult | None
 
 
 class Start(NamedTuple):
@@ -335,7 +336,7 @@ class Identification(Plottable, Summarised):
             "own_logs": [o.to_dict() for o in self.own_logs],
             "effects": self._effects(),
             "validity": self.model.validity.to_dict(),
-            "prior": self.model.provenance.get("prior"),
+            "posterior": None if self.model.posterior is None else self.model.posterior.to_dict(),
             "error": self.model.error.to_dict(),
             "notices": list(self.notices),
             "seconds": self.seconds,

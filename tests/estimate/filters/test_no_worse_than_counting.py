@@ -15,8 +15,8 @@ import pytest
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
+from cellwise.fit.model_error import polarisation_V
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.logs import read_log
 from measured_models import AT_ITS_BOUND, missed, rmse
 

@@ -22,7 +22,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.rows import SPLIT, Evidence
-from cellwise.identify.refinement.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
 
