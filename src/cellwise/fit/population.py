@@ -23,7 +23,13 @@ from cellwise.files import embedded_folder
 from cellwise.fit.problem import Prior
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
-from cellwise.fit.unknowns import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, FitSettings, Layout
+from cellwise.fit.unknowns import (
+    ACTIVATION_UNIT_K,
+    ASINH_UNIT_PER_V,
+    BENDS,
+    FitSettings,
+    Layout,
+)
 from cellwise.typing import FloatArray
 
 SOC = np.linspace(0.0, 1.0, 201)
@@ -45,6 +51,8 @@ class Spread(NamedTuple):
     activation_K, activation_std_K : float      of the resistances
     temperature_ln : float        of a table from one temperature to the next, beside activation
     gap : float                   share of a hysteresis
+    bend_soc : float              of a low-rate test in its middle, which another age shifts beside
+                                  the loads, as does a current that never rests
     """
 
     along: float = 0.025
@@ -61,6 +69,7 @@ class Spread(NamedTuple):
     activation_std_K: float = 2000.0
     temperature_ln: float = 1.0
     gap: float = 0.8
+    bend_soc: float = 0.01
 
 
 class SameCell(NamedTuple):
@@ -334,6 +343,9 @@ def prior_of(
         first = lay.past + k * lay.branches
         std[first] = 0.2 * item.past_V
         std[first + 1 : first + lay.branches] = item.past_V
+        if item.low_rate:
+            at = lay.bend + k * BENDS
+            std[at : at + BENDS] = SPREAD.bend_soc / np.arange(1, BENDS + 1)
     known = np.flatnonzero(std)
     precision[known, known], free[known] = 1.0 / std[known] ** 2, True
     return Prior(mean, precision, free)

@@ -14,9 +14,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from cellwise.fit.rows import ROWS, BaseOcv, FitLog, PreparedLog, prepare_log
-from cellwise.fit.sensitivity_kernels import voltage_and_jacobian
+from cellwise.fit.sensitivity_kernels import LogRows, voltage_and_jacobian
 from cellwise.fit.splines import SplineRows, spline_values
-from cellwise.fit.unknowns import LEAST_RATIO, Layout, bounds_of, scalars_of
+from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scalars_of
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
@@ -32,8 +32,6 @@ class Evidence(NamedTuple):
     most_share : float      of the polarisation: more is a wrong table, and no noise
     first_V, first_share : float      before any fit, and of the polarisation
     soc : float             error of the counted charge, and of the OCV along the SOC
-    low_rate_soc : float    more of it in the middle of a low-rate test, which another age shifts
-                            beside the loads, as does a current that never rests
     empty_soc, near_soc : float    more of it under load near empty, where the last charge follows
                             rate and temperature, over so much SOC
     robust : float          a residual of more deviations counts linearly
@@ -48,7 +46,6 @@ class Evidence(NamedTuple):
     first_V: float = 0.02
     first_share: float = 0.1
     soc: float = 0.002
-    low_rate_soc: float = 0.01
     empty_soc: float = 0.05
     near_soc: float = 0.08
     robust: float = 4.0
@@ -163,14 +160,11 @@ class Problem:
         shown = rows.evaluate
         splines = SplineRows(rows.ocv.first[shown], rows.ocv.values[shown], rows.ocv.slopes[shown])
         ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
-        slope = rows.base_slope_V[shown] + spline_values(
-            splines._replace(values=splines.slopes), own[: lay.knots_ocv]
-        )
+        slope = self._slope(rows, own[: lay.knots_ocv])
         soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
-        if log.item.low_rate:  # it defines both ends
-            along = EVIDENCE.soc + EVIDENCE.low_rate_soc * 4.0 * soc * (1.0 - soc)
-        else:
-            along = EVIDENCE.soc + EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
+        along = np.full(soc.size, EVIDENCE.soc)
+        if not log.item.low_rate:  # it defines both ends
+            along += EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
         return ocv - log.measured_V, along * slope
 
     def evaluate(
@@ -185,7 +179,21 @@ class Problem:
         skewed = log.item.skewed
         cell = scalars_of(lay, own, self.charge_As, skewed=skewed)
         voltage_and_jacobian(rows, cell, lay, log.item.h0, skewed, own, jacobian, voltage)
-        return log.measured_V - voltage[rows.evaluate], jacobian
+        residual = log.measured_V - voltage[rows.evaluate]
+        if log.item.low_rate:
+            soc = log.soc[0] + own[lay.start] - rows.used_soc[rows.evaluate]
+            bends = bends_of(soc) * self._slope(rows, own[: lay.knots_ocv])[:, None]
+            residual -= bends @ own[lay.bend :]
+            if slopes:
+                jacobian[:, lay.bend :] = bends
+        return residual, jacobian
+
+    @staticmethod
+    def _slope(rows: LogRows, ocv: FloatArray) -> FloatArray:
+        """Slope of the OCV at the compared rows [V]."""
+        shown = rows.evaluate
+        splines = SplineRows(rows.ocv.first[shown], rows.ocv.slopes[shown], rows.ocv.slopes[shown])
+        return np.asarray(rows.base_slope_V[shown] + spline_values(splines, ocv))
 
     def residuals(self, theta: FloatArray) -> tuple[FloatArray, ...]:
         """Residuals of every log."""

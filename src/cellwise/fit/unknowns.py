@@ -22,6 +22,7 @@ LEAST_OHM = 1e-7
 LARGEST_DROP_V = 10.0  # of one resistance at 1C: where nothing was measured it may run up
 GAMMA_LIMITS = (0.5, 5000.0)
 LN_CAPACITY_LIMITS = (-0.7, 0.4)  # an aged cell keeps a half
+BENDS = 2  # half and whole waves from empty to full
 OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
@@ -57,7 +58,8 @@ class Layout(NamedTuple):
     [10 / V]; ``own``: the activation that each table of logarithms has beside the common one
     [K / 1000]; ``capacity``: ln of the capacity over what was taken; of every log ``sample``: ln of
     the capacity that its cell has over the others', ``start``: by how much SOC it begins elsewhere
-    than was taken, ``past``: what the branches hold at its first row (branches each) [V].
+    than was taken, ``past``: what the branches hold at its first row (branches each) [V], ``bend``:
+    by how much SOC it runs beside the others' in its middle (BENDS each, see `bends_of`).
     """
 
     knots_ocv: int
@@ -78,6 +80,7 @@ class Layout(NamedTuple):
     sample: int
     start: int
     past: int
+    bend: int
     size: int
 
     def r(self, branch: int) -> int:
@@ -109,10 +112,11 @@ class Layout(NamedTuple):
         if log is None:
             found.append(np.arange(self.sample, self.size))
         else:
-            past = self.past + log * self.branches
+            past, bend = self.past + log * self.branches, self.bend + log * BENDS
             found += [
                 np.array([self.sample + log, self.start + log]),
                 np.arange(past, past + self.branches),
+                np.arange(bend, bend + BENDS),
             ]
         return np.concatenate(found)
 
@@ -128,11 +132,19 @@ def layout_of(branches: int, hysteresis: bool, temperatures: int = 1, logs: int 
     sample = capacity + 1
     start = sample + logs
     past = start + logs
+    bend = past + branches * logs
     return Layout(
         knots_ocv, knots, branches, hysteresis, temperatures, logs, block, r0=knots_ocv, m=m,
         gamma=m + block, activation=activation, skew=activation + 1, asinh=activation + 2, own=own,
-        capacity=capacity, sample=sample, start=start, past=past, size=past + branches * logs,
+        capacity=capacity, sample=sample, start=start, past=past, bend=bend,
+        size=bend + BENDS * logs,
     )  # fmt: skip
+
+
+def bends_of(soc: FloatArray) -> FloatArray:
+    """What each bend moves at the given SOC, shape (n, BENDS): nothing at the ends."""
+    waves = np.arange(1, BENDS + 1)
+    return np.asarray(np.sin(np.pi * waves * np.clip(soc, 0.0, 1.0)[:, None]))
 
 
 def bounds_of(lay: Layout, charge_As: float) -> tuple[FloatArray, FloatArray]:
