@@ -67,7 +67,8 @@ class Refused(NamedTuple):
     """When the fit is refused.
 
     ``off_V``: a model that is as far off an own log is no result, if the plain one is off by less
-    than a ``half`` of it. ``above``: SOC below which the OCV is too steep to compare models.
+    than a ``half`` of it; a plain one that is as far off all logs is none either. ``above``: SOC
+    below which the OCV is too steep to compare models.
     """
 
     off_V: float = 0.1
@@ -295,7 +296,8 @@ def _compared(judged: Sequence[JudgedLog], blocks: FloatArray) -> PlainCompariso
         if not x.left_out and x.fit_V > REFUSED.off_V and x.plain_V < REFUSED.half * x.fit_V
     ]
     reason = ""
-    if gain.high < 0.0 and gain.gain < -NEEDED.gain:
+    surely = gain.high < 0.0 and gain.gain < -NEEDED.gain
+    if surely and gain.before_V < REFUSED.off_V:
         reason = _said(" over its own logs and those left out of it", gain.after_V, gain.before_V)
     elif far:
         worst = max(far, key=lambda x: x.fit_V)
