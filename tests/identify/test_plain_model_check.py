@@ -91,7 +91,7 @@ def test_a_fit_that_is_spoilt_is_refused_and_the_plain_model_handed_out(
     assert float(model.slow_error_V(0.5)) < 0.05, "its error is of what it left out itself"
 
 
-def test_a_small_loss_that_is_sure_is_enough(made, monkeypatch):
+def test_a_loss_of_millivolts_that_is_sure_is_enough(made, monkeypatch):
     monkeypatch.setattr(pipeline, "fit_with_effects", spoilt(pipeline.fit_with_effects, 0.02))
     found = identify_cell(made, SETTINGS)
     assert found.plain.gain[1] < 0.0

@@ -27,7 +27,7 @@ from cellwise.fit.problem import evidence_of
 from cellwise.fit.rows import NO_SURFACE, BaseOcv, FitLog, inverse_K, prepare_log
 from cellwise.identify.assemble import monotone, own_model, temperatures_of
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
-from cellwise.identify.effect_selection import NEEDED, JointFit
+from cellwise.identify.effect_selection import JointFit
 from cellwise.identify.identification import JudgedLog, PlainComparison
 from cellwise.identify.joint_fit import QUICK_ROWS
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
@@ -66,11 +66,14 @@ class Plain(NamedTuple):
 class Refused(NamedTuple):
     """When the fit is refused.
 
-    ``off_V``: a model that is as far off an own log is no result, if the plain one is off by less
-    than a ``half`` of it; a plain one that is as far off all logs is none either. ``above``: SOC
-    below which the OCV is too steep to compare models.
+    ``loss``: of the RMSE against the plain one's; what both do on the logs of one kit says of other
+    logs no more than a factor of 1.5 (one deviation). ``off_V``: a model that is as far off an own
+    log is no result, if the plain one is off by less than a ``half`` of it; a plain one that is as
+    far off all logs is none either. ``above``: SOC below which the OCV is too steep to compare
+    models.
     """
 
+    loss: float = 0.5
     off_V: float = 0.1
     half: float = 0.5
     above: float = 0.05
@@ -237,7 +240,7 @@ def check_against_plain(checked: CheckedLogs, fit: JointFit, folds: Sequence[Fol
     """Judge a fit against the plain model, on its own logs and on what was left out of it.
 
     Each log counts once as its own and once as left out, however long. The plain one is handed out
-    where it is better by more than what is a reason for a parameter, and surely so, with tenths of
+    where the fit is worse by more than such a comparison scatters, and surely worse, with tenths of
     SOC drawn again; or where the fit is far off a log that it follows.
 
     Parameters
@@ -296,7 +299,7 @@ def _compared(judged: Sequence[JudgedLog], blocks: FloatArray) -> PlainCompariso
         if not x.left_out and x.fit_V > REFUSED.off_V and x.plain_V < REFUSED.half * x.fit_V
     ]
     reason = ""
-    surely = gain.high < 0.0 and gain.gain < -NEEDED.gain
+    surely = gain.high < 0.0 and gain.gain < -REFUSED.loss
     if surely and gain.before_V < REFUSED.off_V:
         reason = _said(" over its own logs and those left out of it", gain.after_V, gain.before_V)
     elif far:
