@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell.effects import SurfaceSoc
 from cellwise.fit.rows import FitLog
 from cellwise.fit.unknowns import FitSettings
 from cellwise.identify.effect_selection import (
     NEEDED,
+    JointFit,
     every_second_load,
     fit_with_effects,
     held_out,
 )
+from cellwise.identify.joint_fit import JointLogs
+from cellwise.identify.stated_error import leave_out
 from fit_cases import (
     CAPACITY_AH,
     Truth,
@@ -116,3 +120,20 @@ def test_one_drive_of_each_temperature_with_several_is_held_out():
     cold = [replace(item, temperature_C=0.0) for item in logs[1:]]
     assert held_out([*logs, *cold]) == (3, 6)
     assert held_out([*logs, cold[0]]) == (3,)
+
+
+def test_what_is_left_out_in_turn_is_fitted_with_the_effects_of_the_model(monkeypatch):
+    joint = joint_logs(logs_of(), cells_like(), FitSettings(branches=2))
+    result = joint.fit(joint.logs, joint.settings, quick=3)
+    effect = SurfaceSoc(0.05, 300.0)
+    below = tuple(replace(item, surface=effect) for item in joint.logs)
+    fit = JointFit(joint, result, (), (effect,), below, joint.settings)
+    fitted = []
+
+    def fit_quickly(self, logs, *args, **kwargs):
+        fitted.extend(logs)
+        return result
+
+    monkeypatch.setattr(JointLogs, "fit", fit_quickly)
+    assert len(leave_out(fit)) > 1
+    assert all(item.surface == effect for item in fitted)
