@@ -8,7 +8,6 @@ it has to say.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -51,7 +50,7 @@ from cellwise.identify.stated_error import stated_error
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
-UNKNOWN_TEMPERATURE_K = 8.0  # by how much the temperature of one log and another differ
+UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
 
 
 @one_blas_thread
@@ -132,8 +131,7 @@ def _fitted(
     fit = fit_with_effects(joint)
     say("error")
     posterior = joint.posterior(fit.result, fit.logs, fit.settings)
-    share = math.hypot(float(np.median(posterior.ln_r_std)), _of_unknown_temperature(checked))
-    error = stated_error(fit).with_slow(posterior.ocv_std_V, share)
+    error = stated_error(fit, posterior, _of_unknown_temperature(checked))
     model = replace(fit.model, error=error, posterior=posterior)
     if not settings.refine:  # pulses are of the capacity as it was measured
         model = replace(model, capacity_Ah=capacity.capacity_Ah)

@@ -15,6 +15,7 @@ import numpy as np
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.fit.model_error import (
     MIDDLE,
@@ -34,10 +35,15 @@ MOST_FOLDS = 4
 STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
 
 
-def stated_error(fit: JointFit) -> ModelError:
+def stated_error(fit: JointFit, posterior: Posterior, other_share: float = 0.0) -> ModelError:
     """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
 
-    But where no load has been at a SOC, tests at constant current are all there is to go by.
+    But where no load has been at a SOC, tests at constant current are all there is to go by; and
+    where no log could be left out whole, what the posterior leaves open is the least.
+
+    Parameters
+    ----------
+    other_share : float       by which the resistances may be another log's, that no log can show
     """
     joint, model = fit.joint, fit.model
     logs = joint.as_found(fit.result)
@@ -47,7 +53,15 @@ def stated_error(fit: JointFit) -> ModelError:
         if item.compare is not None
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
-    error = estimate_model_error(_held_out(fit, logs), others, unseen)
+    folds, whole = _folds(logs, joint.capacity_Ah)
+    error = estimate_model_error(_held_out(fit, logs, folds), others, unseen)
+    open_V, open_share = np.zeros(POINTS), 0.0
+    if not whole:
+        grid = np.linspace(0.0, 1.0, POINTS)
+        open_V = np.sqrt(np.maximum(posterior.ocv_std_V**2 - error.at(grid) ** 2, 0.0))
+        left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
+        open_share = math.sqrt(max(left_open, 0.0))
+    error = error.with_slow(open_V, math.hypot(open_share, other_share))
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         # One activation for all of them: colder, another process limits, and may have none or two.
@@ -73,11 +87,13 @@ def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
     return max(math.sqrt(float(np.mean(slope * slope))) for slope in (slopes[0], slopes[-1]))
 
 
-def _held_out(fit: JointFit, logs: Sequence[FitLog]) -> list[ResidualLog]:
+def _held_out(
+    fit: JointFit, logs: Sequence[FitLog], folds: Sequence[dict[int, BoolArray]]
+) -> list[ResidualLog]:
     """Residuals of every load at its own rate, of a model that was fitted without it."""
     parts: dict[int, list[ResidualLog]] = {}
     capacity_Ah = fit.joint.capacity_Ah
-    for fold in _folds(logs, capacity_Ah):
+    for fold in folds:
         kept = [_without(item, fold.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
         result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
@@ -116,8 +132,8 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
     return ResidualLog(of("time_s"), of("soc"), of("drop_V"), of("residual_V"), warm)
 
 
-def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
-    """Of each fold the logs left out and the rows of them that are, shape (n,)."""
+def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> tuple[list[dict[int, BoolArray]], bool]:
+    """Of each fold the logs left out and the rows of them that are, shape (n,); whether all are."""
     loads = [k for k, item in enumerate(logs) if item.compare is None]
     drives = [k for k in loads if logs[k].skewed]
     if len(drives) > 1:
@@ -128,15 +144,16 @@ def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArr
             turn = turns[warm] = turns.get(warm, -1) + 1
             folds[turn % MOST_FOLDS][k] = np.ones(len(logs[k].log), dtype=np.bool_)
         if len(turns) == 1 or max(turns.values()) > 0:
-            return [fold for fold in folds if fold]
+            return [fold for fold in folds if fold], True
     if drives and len(loads) > len(drives):
-        return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
+        return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives], True
     # Where one log is left out the next one is not: no stretch is left out of all.
     stretch = [
         (np.floor(logs[k].soc(capacity_Ah) / STRETCH_SOC) + turn) % 2
         for turn, k in enumerate(loads)
     ]
-    return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
+    parts = [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
+    return parts, False
 
 
 def _warm_C(item: FitLog) -> float:
