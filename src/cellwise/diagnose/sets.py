@@ -18,7 +18,7 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
-from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, fit
+from cellwise.diagnose.fit.coordinate_fit import Fit, Frozen, Tolerances, fit
 from cellwise.diagnose.fit.priors import USUAL, needs_activation, starts_to_try, widened_for
 from cellwise.diagnose.odds import NAMING, Rarity, Weighed, probability_of, weigh
 from cellwise.typing import FloatArray
@@ -56,7 +56,7 @@ class Explanation:
     causes: tuple[Cause, ...]
     fit: Fit
     scale: float
-    prior: Prior
+    prior: Tolerances
     found: Prediction
 
     @property
@@ -155,7 +155,7 @@ class Explanations:
 
         def fitted(
             scale: float, coordinates: Coordinates, z: Mapping[str, float], steps: int, here: Frozen
-        ) -> tuple[Fit, Prior]:
+        ) -> tuple[Fit, Tolerances]:
             wide = widened_for(start.prior, cause, coordinates, evidence)
             objective = fits.stated.times(scale)
             return fit(objective, coordinates, wide, z, steps, here, moving), wide
@@ -183,7 +183,7 @@ class Explanations:
             self.tried[one.key] = one
 
     def _explained(
-        self, causes: tuple[Cause, ...], found: Fit, scale: float, prior: Prior, near: Frozen
+        self, causes: tuple[Cause, ...], found: Fit, scale: float, prior: Tolerances, near: Frozen
     ) -> Explanation:
         found = self.fits.complete(found, scale, prior)
         likely = self.fits.explained(found, scale, prior, causes, near)
@@ -201,7 +201,7 @@ def physical(one: Explanation) -> bool:
 
 
 def could_explain(
-    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Prior, frozen: Frozen
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Tolerances, frozen: Frozen
 ) -> dict[str, float]:
     """Nats that every cause would gain at most by one Gauss-Newton step from a fit.
 
@@ -211,7 +211,7 @@ def could_explain(
     """
     evidence = fits.evidence
     shapes: dict[int, Coordinates] = {}
-    tried: list[tuple[Cause, int, Prior]] = []
+    tried: list[tuple[Cause, int, Tolerances]] = []
     for cause in (f for c in causes for f in forms_of(c, base.coordinates, evidence.alone)):
         of_cause = {id(s): s for s, _ in starts_to_try(cause, base.coordinates, evidence)}
         shapes |= of_cause
@@ -225,9 +225,9 @@ def could_explain(
         names = [n for n in new if n not in frozen.names]
         place |= {(key, n): len(place) + j for j, n in enumerate(names)}
         parts.append(evidence.jacobian(shaped, base.z, names))
-    normal, gradient = fits.stated.normal(base.voltage_V, np.column_stack(parts))
+    gradient, normal = fits.stated.normal(base.voltage_V, np.column_stack(parts))
 
-    def gain(key: int, wide: Prior) -> float:
+    def gain(key: int, wide: Tolerances) -> float:
         at = [place.get((key, n), place.get((0, n), -1)) for n in wide.names]
         return _gain(normal[np.ix_(at, at)], gradient[at], wide, base.z)
 
@@ -240,13 +240,13 @@ def could_explain(
     return found
 
 
-def _gain(normal: FloatArray, gradient: FloatArray, prior: Prior, z: Mapping[str, float]) -> float:
+def _gain(
+    normal: FloatArray, gradient: FloatArray, prior: Tolerances, z: Mapping[str, float]
+) -> float:
     """Nats that the best step of some coordinates gains, under their prior."""
-    weight, away = prior.precision(), prior.away(z)
-    pull = gradient - weight @ away
     # What the prior costs at the start is not gained by a cause that widens it.
-    start = 0.5 * float(away @ weight @ away)
-    return 0.5 * float(pull @ np.linalg.solve(normal + weight, pull)) - start
+    known = prior.prior()
+    return -known.with_rows(prior.point(z), 0.0, gradient, normal).lowest(known.free)[0]
 
 
 @dataclass(frozen=True)

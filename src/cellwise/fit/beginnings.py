@@ -116,8 +116,9 @@ def _try(
     problem = Problem(
         [item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, TRIALS.rows
     )
-    theta, _, normal = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
-    std = float(np.sqrt(problem.covariance(normal)[lay.start, lay.start]))
+    theta, _, rows = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
+    normal = problem.normal_equations(theta, rows)
+    std = float(np.sqrt(problem.prior.covariance(normal.matrix)[lay.start, lay.start]))
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
 
 

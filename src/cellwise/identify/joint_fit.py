@@ -17,9 +17,10 @@ from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
-from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog, PreparedLog
 from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
@@ -283,9 +284,7 @@ def _beginnings(
     return cells, notices, found
 
 
-def _begun(
-    item: FitLog, found: Beginning | None, role: str, scaled: bool
-) -> tuple[FitLog, str]:
+def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> tuple[FitLog, str]:
     """A log with its start: as stated, full, or open around the most probable.
 
     ``scaled``: a low-rate test beside it says what full is, and what the cell holds.
