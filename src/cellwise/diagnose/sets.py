@@ -21,7 +21,6 @@ from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
 from cellwise.diagnose.fit.coordinate_fit import Fit, Frozen, Tolerances, fit
 from cellwise.diagnose.fit.priors import USUAL, needs_activation, starts_to_try, widened_for
 from cellwise.diagnose.odds import NAMING, Rarity, Weighed, probability_of, weigh
-from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
 
@@ -229,7 +228,10 @@ def could_explain(
 
     def gain(key: int, wide: Tolerances) -> float:
         at = [place.get((key, n), place.get((0, n), -1)) for n in wide.names]
-        return _gain(normal[np.ix_(at, at)], gradient[at], wide, base.z)
+        known = wide.prior()
+        # What the prior costs at the start is not gained by a cause that widens it.
+        rows = 0.0, gradient[at], normal[np.ix_(at, at)]
+        return -known.with_rows(wide.point(base.z), *rows).lowest(known.free)[0]
 
     none = gain(0, prior)
     left, errors = fits.squares(base)
@@ -238,15 +240,6 @@ def could_explain(
         nats = fits.known.gained(left, 2.0 * max(gain(key, wide) - none, 0.0), errors)
         found[cause.name] = max(found.get(cause.name, 0.0), nats)
     return found
-
-
-def _gain(
-    normal: FloatArray, gradient: FloatArray, prior: Tolerances, z: Mapping[str, float]
-) -> float:
-    """Nats that the best step of some coordinates gains, under their prior."""
-    # What the prior costs at the start is not gained by a cause that widens it.
-    known = prior.prior()
-    return -known.with_rows(prior.point(z), 0.0, gradient, normal).lowest(known.free)[0]
 
 
 @dataclass(frozen=True)

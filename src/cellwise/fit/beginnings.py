@@ -116,8 +116,7 @@ def _try(
     problem = Problem(
         [item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, TRIALS.rows
     )
-    theta, _, rows = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
-    normal = problem.normal_equations(theta, rows)
+    theta, _, normal, _ = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
     std = float(np.sqrt(problem.prior.covariance(normal.matrix)[lay.start, lay.start]))
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
 

@@ -58,15 +58,6 @@ class Evidence(NamedTuple):
 EVIDENCE = Evidence()
 
 
-class _Rows(NamedTuple):
-    """What the logs cost, its gradient and Gauss-Newton matrix, and the residuals of every log."""
-
-    cost: float
-    gradient: FloatArray
-    matrix: FloatArray
-    residuals: tuple[FloatArray, ...]
-
-
 class Problem:
     """The posterior of the unknowns, given logs and a prior.
 
@@ -198,8 +189,8 @@ class Problem:
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
         return cost, gradient, jacobian.T @ jacobian, r
 
-    def rows(self, theta: FloatArray) -> _Rows:
-        """Everything that an iteration needs of the logs, which run side by side."""
+    def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
+        """What the logs say, and the residuals of each; the logs run side by side."""
         matrix = np.zeros((theta.size, theta.size))
         gradient = np.zeros(theta.size)
         cost = 0.0
@@ -211,22 +202,25 @@ class Problem:
                 gradient[places] += g
                 matrix[np.ix_(places, places)] += m
                 residuals.append(r)
-        return _Rows(cost, gradient, matrix, tuple(residuals))
+        return Normal(cost, gradient, matrix), tuple(residuals)
 
-    def normal_equations(self, theta: FloatArray, rows: _Rows | None = None) -> Normal:
-        """Cost, gradient and matrix of the posterior; ``rows`` where they are known."""
-        return self.prior.with_rows(theta, *(rows or self.rows(theta))[:3])
+    def normal_equations(self, theta: FloatArray) -> Normal:
+        """Cost, gradient and matrix of logs and prior."""
+        return self.prior.with_rows(theta, *self.rows(theta)[0])
 
-    def minimise(self, theta: FloatArray, iterations: int) -> tuple[FloatArray, int, _Rows]:
-        """The most probable unknowns near a point, steps, and the logs there."""
+    def minimise(
+        self, theta: FloatArray, iterations: int
+    ) -> tuple[FloatArray, int, Normal, tuple[FloatArray, ...]]:
+        """The most probable unknowns near a point, steps, logs and prior there, and residuals."""
 
-        def cost_of(theta: FloatArray) -> tuple[float, _Rows]:
-            rows = self.rows(theta)
-            return rows.cost, rows
+        def cost_of(theta: FloatArray) -> tuple[float, tuple[Normal, tuple[FloatArray, ...]]]:
+            seen = self.rows(theta)
+            return seen[0].cost, seen
 
         search = Search(iterations, largest_step=LARGEST_STEP)
-        found = minimise(self.prior, cost_of, lambda _, r: r[1:3], theta, search, self.inside)
-        return found.theta, found.steps, found.seen
+        found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
+        rows, residuals = found.seen
+        return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
 
     def log_evidence(self, normal: Normal) -> float:
         """Log of the marginal likelihood, Laplace, up to what is equal for every prior.

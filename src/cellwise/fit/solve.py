@@ -176,19 +176,19 @@ def fit_logs(
     theta = problem.inside(prior.mean if theta is None else theta)
     steps = 0
     for share in PASSES:
-        theta, done, rows = problem.minimise(theta, max(3, int(share * iterations)))
+        theta, done, _, residuals = problem.minimise(theta, max(3, int(share * iterations)))
         steps += done
-        problem.judge(theta, rows.residuals)
-    rows = problem.rows(theta)
-    normal = problem.normal_equations(theta, rows)
+        problem.judge(theta, residuals)
+    rows, residuals = problem.rows(theta)
+    normal = problem.prior.with_rows(theta, *rows)
     return FitResult(
         layout=layout,
         theta=theta,
         covariance=problem.prior.covariance(normal.matrix),
         base=base,
         capacity_Ah=capacity_Ah,
-        rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in rows.residuals),
-        residual_V=rows.residuals,
+        rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
+        residual_V=residuals,
         logs=problem.logs,
         reference_C=reference_C,
         level_V=problem.level_V,

@@ -9,13 +9,12 @@ cost: the marginal likelihood (Laplace).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
-from cellwise.diagnose.causes.coordinates import Coordinates, step_of
+from cellwise.diagnose.causes.coordinates import Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.noise import Objective, normal_of
 from cellwise.diagnose.fit.rows import FITTED, START, Evidence
 from cellwise.fit.solver import UNDAMPED, Prior, Search, minimise
@@ -210,41 +209,38 @@ def complete(objective: Objective, found: Fit, tolerances: Tolerances) -> Fit:
     z, inputs = dict(found.z), found.coordinates.inputs(found.z)
     voltage, soc = found.voltage_V.copy(), found.soc.copy()
     for k, (log, rows) in enumerate(evidence.each()):
-        first = int(np.sum(log.role == START))
-        if first:
-            mean = tolerances.mean.get(name := f"soc0:{k}", 0.0)
-            mean += sum(by * z.get(n, 0.0) for n, by in tolerances.read.get(name, {}).items())
-            ends = tolerances.low[name], tolerances.high[name]
-            precision = np.array([[tolerances.std[name] ** -2.0]])
-            prior = Prior(np.array([mean]), precision, np.ones(1, dtype=np.bool_), *ends)
-            begins = slice(rows.start, rows.start + first)
-            of_log = partial(evidence.of_log, k, inputs, scored=first)
-            z[name] = _start(objective, begins, prior, z, name, of_log)
+        if first := int(np.sum(log.role == START)):
+            part = slice(rows.start, rows.start + first)
+            z[f"soc0:{k}"] = _start(objective, tolerances, k, part, inputs, z)
             voltage[rows], soc[rows] = evidence.of_log(k, inputs, z)
     return replace(found, z=z, voltage_V=voltage, soc=soc)
 
 
 def _start(
     objective: Objective,
-    begins: slice,
-    prior: Prior,
+    tolerances: Tolerances,
+    k: int,
+    part: slice,
+    inputs: KernelInputs,
     z: Values,
-    name: str,
-    simulate: Callable[[Values], Simulated],
 ) -> float:
-    """What the rows with which a log begins say of its start."""
-    measured, step = objective.evidence.voltage_V, step_of("soc0")
-    rows = np.zeros(measured.size, dtype=np.bool_)
-    rows[begins] = True
+    """What a part of a log's rows, its first ones, says of its start; all else as it is."""
+    evidence, name, step = objective.evidence, f"soc0:{k}", step_of("soc0")
+    mean = tolerances.mean.get(name, 0.0)
+    mean += sum(by * z.get(n, 0.0) for n, by in tolerances.read.get(name, {}).items())
+    bounds = tolerances.low, tolerances.high
+    prior = Tolerances({name: tolerances.std[name]}, {name: mean}, *bounds).prior()
+    rows = np.zeros(evidence.rows, dtype=np.bool_)
+    rows[part] = True
 
     def simulated(soc0: float) -> FloatArray:
-        voltage = np.zeros(measured.size)
-        voltage[begins] = simulate({**z, name: soc0})[0]
+        voltage = np.zeros(evidence.rows)
+        voltage[part], _ = evidence.of_log(k, inputs, {**z, name: soc0}, part.stop - part.start)
         return voltage
 
     def cost_of(at: FloatArray) -> tuple[float, FloatArray]:
         here = simulated(float(at[0]))
-        return -float(np.sum(objective.terms(measured - here)[begins])), here
+        return -float(np.sum(objective.terms(evidence.voltage_V - here)[part])), here
 
     def normal(at: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray]:
         slope = (simulated(float(at[0]) + step) - here) / step
