@@ -20,8 +20,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.files import embedded_folder
-from cellwise.fit.problem import Prior
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
 from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,

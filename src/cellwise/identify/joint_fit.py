@@ -19,9 +19,10 @@ from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
-from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog, PreparedLog
 from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
