@@ -184,10 +184,11 @@ class CellClass:
 class ModelPrior:
     """One model as the prior: of this cell before, or of a cell of its kind.
 
-    Its ``error`` says how far another cell may be from it.
+    Its ``error`` says how far another cell may be from it, times ``error_scale``.
     """
 
     model: CellModel
+    error_scale: float = 1.0
 
     @property
     def name(self) -> str:
@@ -213,7 +214,7 @@ class ModelPrior:
 
     def ocv_covariance(self, soc: FloatArray) -> FloatArray:
         """Of the OCV at some SOC, shape (n, n) [V^2]."""
-        size = np.maximum(self.model.error.at(soc), SAME_CELL.ocv_V)
+        size = np.maximum(self.error_scale * self.model.error.at(soc), SAME_CELL.ocv_V)
         apart = np.abs(np.subtract.outer(soc, soc))
         return np.asarray(np.outer(size, size) * np.exp(-apart / SAME_CELL.soc))
 
@@ -222,7 +223,7 @@ class ModelPrior:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity."""
         rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
-        share = max(self.model.error.shown_share(), SAME_CELL.ln_r)
+        share = max(self.error_scale * self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
         shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))
         x = inverse_K(grid_C, HOME_C)
@@ -353,4 +354,8 @@ def prior_of(
             std[at : at + BENDS] = SPREAD.bend_soc / np.arange(1, BENDS + 1)
     known = np.flatnonzero(std)
     precision[known, known], free[known] = 1.0 / std[known] ** 2, True
+    if settings.ln_resistance_std > 0.0:
+        held = precision @ lay.resistances()
+        stiffness = settings.ln_resistance_std**-2 + lay.resistances() @ held
+        precision -= np.outer(held, held) / stiffness  # Sherman and Morrison
     return Prior(mean, precision, free)
