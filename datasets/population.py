@@ -106,7 +106,7 @@ def balanced(
 
 @cache
 def ends(name: str) -> tuple[float, ...]:
-    """Filling of the negative electrode at empty and full, of the positive one at full and empty."""
+    """Filling of the negative electrode at empty and full, of the positive at full and empty."""
     import pybamm
 
     found = pybamm.lithium_ion.get_min_max_stoichiometries(pybamm.ParameterValues(name))
