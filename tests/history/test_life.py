@@ -14,8 +14,8 @@ from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.history.life import life_of
+from cellwise.history.log_health import changed_model, log_health
 from cellwise.history.trend import Deviations, trend_of
-from cellwise.history.window_fit import changed_model, fit_window
 from cellwise.logs import CellLog, write_log
 
 FRESH = stock_model("nca-18650")
@@ -91,7 +91,7 @@ def test_another_rate_is_no_age():
 
 @pytest.mark.parametrize(("share", "scale"), [(1.0, 1.0), (0.9, 1.0), (0.9, 1.4)])
 def test_a_drive_shows_both_within_its_band(share, scale):
-    fit = fit_window(FRESH, drive(share, scale))
+    fit = log_health(FRESH, drive(share, scale))
     capacity = share * FRESH.capacity_Ah
     assert abs(fit.capacity_Ah - capacity) < 3.0 * fit.capacity_std_Ah
     assert abs(fit.capacity_Ah - capacity) < 0.03 * capacity

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,17 @@ from cellwise.typing import FloatArray
 
 POINTS = 21  # over an even SOC grid
 CAPACITY = "capacity_Ah"  # name of its direction
+
+
+class CellDraw(NamedTuple):
+    """By how much one cell differs from the model.
+
+    ln of its capacity; OCV [V] and ln of every resistance, both over an even SOC grid, (21,).
+    """
+
+    ln_capacity: float
+    ocv_V: FloatArray
+    ln_r: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +68,11 @@ class Posterior:
     def ln_r_std(self) -> FloatArray:
         """Deviation of ln of the resistances over an even SOC grid, shape (21,)."""
         return np.asarray(np.linalg.norm(self.ln_r.T @ self.factor, axis=1))
+
+    def draw(self, rng: np.random.Generator) -> CellDraw:
+        """One of the cells that the logs may have been of."""
+        moved = self.factor @ rng.standard_normal(len(self.directions))
+        return CellDraw(float(moved @ self.ln_capacity), moved @ self.ocv_V, moved @ self.ln_r)
 
     def with_capacity_std(self, std: float) -> Posterior:
         """The same where others say what the capacity is, to so much of its ln; 0: exactly."""

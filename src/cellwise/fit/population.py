@@ -20,8 +20,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.files import embedded_folder
-from cellwise.fit.problem import Prior
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
 from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,
@@ -43,6 +43,7 @@ class Spread(NamedTuple):
     Parameters
     ----------
     along, across_V : float       of an OCV: by so much SOC, and by so many volts
+    full_share, full_soc : float  share of ``along`` that is left at full, all of it so far below
     rest : float                  share of that which is of short range, over ``rest_soc``
     soc : float                   over how much SOC OCVs differ alike
     least_ln, shape_ln : float    of a table of logarithms: its level, its shape
@@ -57,6 +58,8 @@ class Spread(NamedTuple):
 
     along: float = 0.025
     across_V: float = 0.015
+    full_share: float = 0.25
+    full_soc: float = 0.1
     rest: float = 0.3
     rest_soc: float = 0.05
     soc: float = 0.3
@@ -124,7 +127,9 @@ class CellClass:
         n = len(self.ocv_V)
         mean = self.ocv_V.mean(axis=0)
         slope = np.interp(soc, SOC, np.gradient(mean, SOC))
-        size = np.hypot(SPREAD.along * slope, SPREAD.across_V)
+        # Full is where the charger's voltage is reached: there curves are alike along the SOC.
+        near_full = np.minimum(1.0, SPREAD.full_share + (1.0 - soc) / SPREAD.full_soc)
+        size = np.hypot(SPREAD.along * near_full * slope, SPREAD.across_V)
         apart = np.abs(np.subtract.outer(soc, soc))
         alike = (1.0 - SPREAD.rest) * np.exp(-0.5 * (apart / SPREAD.soc) ** 2)
         alike += SPREAD.rest * np.exp(-apart / SPREAD.rest_soc)
@@ -179,10 +184,11 @@ class CellClass:
 class ModelPrior:
     """One model as the prior: of this cell before, or of a cell of its kind.
 
-    Its ``error`` says how far another cell may be from it.
+    Its ``error`` says how far another cell may be from it, times ``error_scale``.
     """
 
     model: CellModel
+    error_scale: float = 1.0
 
     @property
     def name(self) -> str:
@@ -208,7 +214,7 @@ class ModelPrior:
 
     def ocv_covariance(self, soc: FloatArray) -> FloatArray:
         """Of the OCV at some SOC, shape (n, n) [V^2]."""
-        size = np.maximum(self.model.error.at(soc), SAME_CELL.ocv_V)
+        size = np.maximum(self.error_scale * self.model.error.at(soc), SAME_CELL.ocv_V)
         apart = np.abs(np.subtract.outer(soc, soc))
         return np.asarray(np.outer(size, size) * np.exp(-apart / SAME_CELL.soc))
 
@@ -217,7 +223,7 @@ class ModelPrior:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean (temperatures x n) and covariance of a table's logarithm, R times capacity."""
         rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
-        share = max(self.model.error.shown_share(), SAME_CELL.ln_r)
+        share = max(self.error_scale * self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
         shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))
         x = inverse_K(grid_C, HOME_C)
@@ -348,4 +354,8 @@ def prior_of(
             std[at : at + BENDS] = SPREAD.bend_soc / np.arange(1, BENDS + 1)
     known = np.flatnonzero(std)
     precision[known, known], free[known] = 1.0 / std[known] ** 2, True
+    if settings.ln_resistance_std > 0.0:
+        held = precision @ lay.resistances()
+        stiffness = settings.ln_resistance_std**-2 + lay.resistances() @ held
+        precision -= np.outer(held, held) / stiffness  # Sherman and Morrison
     return Prior(mean, precision, free)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cellwise.cell.posterior import CAPACITY, POINTS, Posterior
-from cellwise.fit.problem import Prior
 from cellwise.fit.solve import FitResult
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
+from cellwise.fit.unknowns import Layout
 from cellwise.typing import FloatArray
 
 OCV_MODES, RESISTANCE_MODES = 8, 5
@@ -23,8 +24,8 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     grid = np.linspace(0.0, 1.0, POINTS)
     ocv = np.zeros((POINTS, lay.size))
     ocv[:, : lay.knots_ocv] = _dense(grid, OCV_KNOTS)
-    ln_r = _whole_resistance(result, grid)
-    before = _covariance(prior)
+    ln_r = whole_resistance(lay, result.theta, grid)[1]
+    before = prior.covariance()
     held = lay.capacity
     names, maps, rows = [], [], []
     if prior.free[held]:
@@ -55,13 +56,6 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     )
 
 
-def _covariance(prior: Prior) -> FloatArray:
-    free = np.flatnonzero(prior.free)
-    found = np.zeros_like(prior.precision)
-    found[np.ix_(free, free)] = np.linalg.inv(prior.precision[np.ix_(free, free)])
-    return found
-
-
 def _dense(soc: FloatArray, knots: FloatArray) -> FloatArray:
     """Spline values as a matrix, shape (soc, splines)."""
     rows = spline_rows(soc, knots)
@@ -71,17 +65,19 @@ def _dense(soc: FloatArray, knots: FloatArray) -> FloatArray:
     return found
 
 
-def _whole_resistance(result: FitResult, soc: FloatArray) -> FloatArray:
-    """Derivative of ln of the sum of all resistances, mean over temperatures, (soc, unknowns)."""
-    lay = result.layout
+def whole_resistance(
+    lay: Layout, theta: FloatArray, soc: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithm of the whole resistance, mean over temperatures; its derivative, (soc, size)."""
     splines = _dense(soc, TABLE_KNOTS)
-    found = np.zeros((soc.size, lay.size))
+    logarithm, slopes = np.zeros(soc.size), np.zeros((soc.size, lay.size))
     places = [lay.r0, *(lay.r(j) for j in range(lay.branches))]
     for k in range(lay.temperatures):
         at = [p + k * lay.knots for p in places]
-        values = [np.exp(splines @ result.theta[a : a + lay.knots]) for a in at]
+        values = [np.exp(splines @ theta[a : a + lay.knots]) for a in at]
         whole = np.sum(values, axis=0)
+        logarithm += np.log(whole) / lay.temperatures
         for a, value in zip(at, values, strict=True):
             share = (value / whole)[:, None] * splines / lay.temperatures
-            found[:, a : a + lay.knots] += share
-    return found
+            slopes[:, a : a + lay.knots] += share
+    return logarithm, slopes

@@ -38,6 +38,7 @@ class FitSettings:
     skew : bool                 a sampling delay of the logs that may have one
     charge_transfer : bool      the asinh law of the fast branch, from ``asinh_per_V`` on
     own_activation_std_K : float      of each resistance and time constant beside the common one
+    ln_resistance_std : float   of ln of a factor that all resistances have in common
     """
 
     branches: int = 3
@@ -47,6 +48,7 @@ class FitSettings:
     charge_transfer: bool = False
     own_activation_std_K: float = 0.0
     asinh_per_V: float = 4.0
+    ln_resistance_std: float = 0.0
 
 
 class Layout(NamedTuple):
@@ -94,6 +96,13 @@ class Layout(NamedTuple):
     def tables(self) -> Iterator[int]:
         """First coefficient of every table of logarithms."""
         yield from range(self.r0, self.m, self.block)
+
+    def resistances(self) -> FloatArray:
+        """1 where an unknown is ln of a resistance, 0 elsewhere, shape (size,)."""
+        found = np.zeros(self.size)
+        for at in (self.r0, *map(self.r, range(self.branches))):
+            found[at : at + self.block] = 1.0
+        return found
 
     def of_temperatures(self, count: int, logs: int) -> Layout:
         """The layout of some neighbouring temperatures and as many logs."""

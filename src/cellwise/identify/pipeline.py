@@ -9,7 +9,6 @@ it has to say.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -53,7 +52,7 @@ from cellwise.identify.stated_error import leave_out, stated_error
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
-UNKNOWN_TEMPERATURE_K = 8.0  # by how much the temperature of one log and another differ
+UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
 
 
 @one_blas_thread
@@ -137,8 +136,7 @@ def _fitted(
     fit = fit_with_effects(joint)
     say("error")
     posterior = joint.posterior(fit.result, fit.logs, fit.settings)
-    ocv_std_V = posterior.ocv_std_V
-    share = math.hypot(float(np.median(posterior.ln_r_std)), _of_unknown_temperature(checked))
+    left_open = posterior
     folds = leave_out(fit)
     model, comparison = fit.model, None
     if settings.refine:
@@ -148,7 +146,7 @@ def _fitted(
         if comparison.reason:
             model, folds = check.model, check.folds
             posterior = posterior.as_wide_as_the_prior()
-    error = stated_error(fit, model, folds).with_slow(ocv_std_V, share)
+    error = stated_error(fit, model, folds, left_open, _of_unknown_temperature(checked))
     model = replace(model, error=error, posterior=posterior)
     if not settings.refine:  # pulses are of the capacity as it was measured
         model = replace(model, capacity_Ah=capacity.capacity_Ah)

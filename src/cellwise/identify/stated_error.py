@@ -16,6 +16,7 @@ import numpy as np
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.fit.model_error import (
     MIDDLE,
@@ -42,15 +43,24 @@ class Fold(NamedTuple):
     residuals: dict[int, ResidualLog]
 
 
-def stated_error(fit: JointFit, model: CellModel, folds: Sequence[Fold]) -> ModelError:
+def stated_error(
+    fit: JointFit,
+    model: CellModel,
+    folds: Sequence[Fold],
+    posterior: Posterior,
+    other_share: float = 0.0,
+) -> ModelError:
     """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
 
-    But where no load has been at a SOC, tests at constant current are all there is to go by.
+    But where no load has been at a SOC, tests at constant current are all there is to go by; and
+    where no log could be left out whole, what the posterior leaves open is the least.
 
     Parameters
     ----------
     model : CellModel             of all logs of the fit
     folds : sequence of Fold      what models of its kind leave of what they have not seen
+    other_share : float           by which the resistances may be another log's, that no log can
+                                  show
     """
     joint = fit.joint
     others = [
@@ -60,6 +70,13 @@ def stated_error(fit: JointFit, model: CellModel, folds: Sequence[Fold]) -> Mode
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
     error = estimate_model_error(list(left_out_logs(folds).values()), others, unseen)
+    open_V, open_share = np.zeros(POINTS), 0.0
+    if not all(rows.all() for fold in folds for rows in fold.rows.values()):
+        grid = np.linspace(0.0, 1.0, POINTS)
+        open_V = np.sqrt(np.maximum(posterior.ocv_std_V**2 - error.at(grid) ** 2, 0.0))
+        left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
+        open_share = math.sqrt(max(left_open, 0.0))
+    error = error.with_slow(open_V, math.hypot(open_share, other_share))
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         # One activation for all of them: colder, another process limits, and may have none or two.
@@ -143,7 +160,7 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
 
 
 def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
-    """Of each fold the logs left out and the rows of them that are, shape (n,)."""
+    """Of each fold the logs left out and the rows of them that are, shape (n,); whether all are."""
     loads = [k for k, item in enumerate(logs) if item.compare is None]
     drives = [k for k in loads if logs[k].skewed]
     if len(drives) > 1:
