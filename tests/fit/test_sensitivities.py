@@ -8,9 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import BaseOcv, FitLog, PreparedLog, choose_rows, prepare_log
 from cellwise.fit.sensitivity_kernels import voltage_and_jacobian
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import SKEW_UNIT_S, Layout, layout_of, scalars_of
 from cellwise.logs.cell_log import CellLog
 

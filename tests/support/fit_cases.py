@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellwise.fit.population import SOC, TABLES, CellClass, prior_of
-from cellwise.fit.problem import Prior
 from cellwise.fit.rows import FitLog
 from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import TABLE_KNOTS, greville
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.identification import Start

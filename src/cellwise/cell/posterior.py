@@ -96,6 +96,10 @@ class Posterior:
             ocv_V=np.concatenate((none, rest.ocv_V)), ln_r=np.concatenate((none, rest.ln_r)),
         )  # fmt: skip
 
+    def as_wide_as_the_prior(self) -> Posterior:
+        """The same directions where the logs said nothing of them."""
+        return replace(self, factor=np.eye(len(self.directions)))
+
     @classmethod
     def of_dict(cls, data: Any) -> Posterior:
         """Back from JSON values.

@@ -116,8 +116,8 @@ def _try(
     problem = Problem(
         [item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, TRIALS.rows
     )
-    theta, _, normal = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
-    std = float(np.sqrt(problem.covariance(normal)[lay.start, lay.start]))
+    theta, _, normal, _ = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
+    std = float(np.sqrt(problem.prior.covariance(normal.matrix)[lay.start, lay.start]))
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
 
 

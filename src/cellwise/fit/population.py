@@ -20,8 +20,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.files import embedded_folder
-from cellwise.fit.problem import Prior
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
 from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,
@@ -43,6 +43,7 @@ class Spread(NamedTuple):
     Parameters
     ----------
     along, across_V : float       of an OCV: by so much SOC, and by so many volts
+    full_share, full_soc : float  share of ``along`` that is left at full, all of it so far below
     rest : float                  share of that which is of short range, over ``rest_soc``
     soc : float                   over how much SOC OCVs differ alike
     least_ln, shape_ln : float    of a table of logarithms: its level, its shape
@@ -57,6 +58,8 @@ class Spread(NamedTuple):
 
     along: float = 0.025
     across_V: float = 0.015
+    full_share: float = 0.25
+    full_soc: float = 0.1
     rest: float = 0.3
     rest_soc: float = 0.05
     soc: float = 0.3
@@ -124,7 +127,9 @@ class CellClass:
         n = len(self.ocv_V)
         mean = self.ocv_V.mean(axis=0)
         slope = np.interp(soc, SOC, np.gradient(mean, SOC))
-        size = np.hypot(SPREAD.along * slope, SPREAD.across_V)
+        # Full is where the charger's voltage is reached: there curves are alike along the SOC.
+        near_full = np.minimum(1.0, SPREAD.full_share + (1.0 - soc) / SPREAD.full_soc)
+        size = np.hypot(SPREAD.along * near_full * slope, SPREAD.across_V)
         apart = np.abs(np.subtract.outer(soc, soc))
         alike = (1.0 - SPREAD.rest) * np.exp(-0.5 * (apart / SPREAD.soc) ** 2)
         alike += SPREAD.rest * np.exp(-apart / SPREAD.rest_soc)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cellwise.cell.posterior import CAPACITY, POINTS, Posterior
-from cellwise.fit.problem import Prior
 from cellwise.fit.solve import FitResult
+from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
 from cellwise.fit.unknowns import Layout
 from cellwise.typing import FloatArray
@@ -25,7 +25,7 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     ocv = np.zeros((POINTS, lay.size))
     ocv[:, : lay.knots_ocv] = _dense(grid, OCV_KNOTS)
     ln_r = whole_resistance(lay, result.theta, grid)[1]
-    before = _covariance(prior)
+    before = prior.covariance()
     held = lay.capacity
     names, maps, rows = [], [], []
     if prior.free[held]:
@@ -54,13 +54,6 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
         np.array([m[2] for m in maps]),
         name,
     )
-
-
-def _covariance(prior: Prior) -> FloatArray:
-    free = np.flatnonzero(prior.free)
-    found = np.zeros_like(prior.precision)
-    found[np.ix_(free, free)] = np.linalg.inv(prior.precision[np.ix_(free, free)])
-    return found
 
 
 def _dense(soc: FloatArray, knots: FloatArray) -> FloatArray:

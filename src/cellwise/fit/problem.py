@@ -1,23 +1,23 @@
-"""Cost, gradient and Gauss-Newton matrix of a fit, its Levenberg-Marquardt, and its posterior."""
+"""What logs say of the unknowns of a fit: cost, gradient, Gauss-Newton matrix, evidence."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
 from os import cpu_count
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from cellwise.fit.rows import ROWS, BaseOcv, FitLog, PreparedLog, prepare_log
 from cellwise.fit.sensitivity_kernels import LogRows, voltage_and_jacobian
+from cellwise.fit.solver import Normal, Prior, Search, minimise
 from cellwise.fit.splines import SplineRows, spline_values
 from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scalars_of
-from cellwise.typing import BoolArray, FloatArray, IndexArray
+from cellwise.typing import FloatArray, IndexArray
 
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 
@@ -58,31 +58,6 @@ class Evidence(NamedTuple):
 EVIDENCE = Evidence()
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """A normal distribution of the unknowns; those that are not ``free`` keep their mean.
-
-    Parameters
-    ----------
-    mean : (size,) float
-    precision : (size, size) float      inverse of the covariance, of the free ones
-    free : (size,) bool
-    """
-
-    mean: FloatArray
-    precision: FloatArray
-    free: BoolArray
-
-
-class _Normal(NamedTuple):
-    """Cost, gradient, Gauss-Newton matrix, and the residuals of every log."""
-
-    cost: float
-    gradient: FloatArray
-    matrix: FloatArray
-    residuals: tuple[FloatArray, ...]
-
-
 class Problem:
     """The posterior of the unknowns, given logs and a prior.
 
@@ -113,19 +88,20 @@ class Problem:
         self.logs = tuple(
             prepare_log(item, base, capacity_Ah, reference_C, grid_C, most_rows) for item in logs
         )
-        self.base, self.prior, self.layout = base, prior, layout
+        self.base, self.layout = base, layout
         self.charge_As = 3600.0 * capacity_Ah
         self.layouts = tuple(layout.of_temperatures(log.temperatures, 1) for log in self.logs)
         self.places: tuple[IndexArray, ...] = tuple(
             layout.part(log.first_temperature, log.temperatures, k)
             for k, log in enumerate(self.logs)
         )
-        self.low, self.high = bounds_of(layout, self.charge_As)
+        low, high = bounds_of(layout, self.charge_As)
         for k, log in enumerate(self.logs):
             # Nowhere beyond full or empty, as far as a counter and a capacity are sure of that.
             at = layout.start + k
-            self.low[at] = min(0.0, max(-log.soc.min(), -log.soc[0]))
-            self.high[at] = max(0.0, 1.0 - log.soc.max())
+            low[at] = min(0.0, max(-log.soc.min(), -log.soc[0]))
+            high[at] = max(0.0, 1.0 - log.soc.max())
+        self.prior = replace(prior, low=low, high=high)
         self.numbers = np.array([evidence_of(log) for log in self.logs])
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
@@ -213,8 +189,8 @@ class Problem:
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
         return cost, gradient, jacobian.T @ jacobian, r
 
-    def normal_equations(self, theta: FloatArray) -> _Normal:
-        """Everything that an iteration needs; the logs run side by side."""
+    def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
+        """What the logs say, and the residuals of each; the logs run side by side."""
         matrix = np.zeros((theta.size, theta.size))
         gradient = np.zeros(theta.size)
         cost = 0.0
@@ -226,69 +202,40 @@ class Problem:
                 gradient[places] += g
                 matrix[np.ix_(places, places)] += m
                 residuals.append(r)
-        away = theta - self.prior.mean
-        held = self.prior.precision @ away
-        return _Normal(
-            cost + 0.5 * float(away @ held),
-            gradient - held,
-            matrix + self.prior.precision,
-            tuple(residuals),
-        )
+        return Normal(cost, gradient, matrix), tuple(residuals)
 
-    def minimise(self, theta: FloatArray, iterations: int) -> tuple[FloatArray, int, _Normal]:
-        """Levenberg-Marquardt with bounds by projection."""
-        free = np.flatnonzero(self.prior.free)
-        now = self.normal_equations(theta)
-        damping = 1e-3
-        for step in range(iterations):
-            # What lies at a bound and would leave it stays.
-            held = ((theta <= self.low) & (now.gradient < 0)) | (
-                (theta >= self.high) & (now.gradient > 0)
-            )
-            moving = free[~held[free]]
-            system = now.matrix[np.ix_(moving, moving)].copy()
-            system.flat[:: system.shape[0] + 1] *= 1.0 + damping
-            move = np.zeros(theta.size)
-            move[moving] = cho_solve(cho_factor(system), now.gradient[moving])
-            trial = self.inside(theta + np.clip(move, -LARGEST_STEP, LARGEST_STEP))
-            new = self.normal_equations(trial)
-            if new.cost < now.cost:
-                gain = now.cost - new.cost
-                theta, now = trial, new
-                damping = max(damping / 5.0, 1e-9)
-                if gain < 1e-3 * max(1.0, 0.1 * now.cost):
-                    return theta, step + 1, now
-            else:
-                damping *= 8.0
-                if damping > 1e6:
-                    return theta, step + 1, now
-        return theta, iterations, now
+    def normal_equations(self, theta: FloatArray) -> Normal:
+        """Cost, gradient and matrix of logs and prior."""
+        return self.prior.with_rows(theta, *self.rows(theta)[0])
 
-    def covariance(self, normal: _Normal) -> FloatArray:
-        """Laplace: the inverse of the Gauss-Newton matrix; zero of what is not free."""
-        free = np.flatnonzero(self.prior.free)
-        found = np.zeros_like(normal.matrix)
-        system = normal.matrix[np.ix_(free, free)]
-        found[np.ix_(free, free)] = cho_solve(cho_factor(system), np.eye(free.size))
-        return found
+    def minimise(
+        self, theta: FloatArray, iterations: int
+    ) -> tuple[FloatArray, int, Normal, tuple[FloatArray, ...]]:
+        """The most probable unknowns near a point, steps, logs and prior there, and residuals."""
 
-    def log_evidence(self, normal: _Normal) -> float:
+        def cost_of(theta: FloatArray) -> tuple[float, tuple[Normal, tuple[FloatArray, ...]]]:
+            seen = self.rows(theta)
+            return seen[0].cost, seen
+
+        search = Search(iterations, largest_step=LARGEST_STEP)
+        found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
+        rows, residuals = found.seen
+        return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
+
+    def log_evidence(self, normal: Normal) -> float:
         """Log of the marginal likelihood, Laplace, up to what is equal for every prior.
 
         An error of the SOC is one for the whole log, not one for each of its rows: it widens what a
         row may be, and is left out of what the rows are divided by.
         """
-        free = np.flatnonzero(self.prior.free)
-        after = np.linalg.slogdet(normal.matrix[np.ix_(free, free)])[1]
-        before = np.linalg.slogdet(self.prior.precision[np.ix_(free, free)])[1]
         each = zip(self.numbers, self.apart_V, strict=True)
         sizes = sum(float(n * np.mean(np.log(size))) for n, size in each)
-        return -normal.cost - sizes - 0.5 * float(after - before)
+        return -normal.cost - sizes + self.prior.ln_kept(normal.matrix)
 
     def inside(self, theta: FloatArray) -> FloatArray:
         """Project on the bounds: positive sizes, time constants in order at every knot."""
         lay = self.layout
-        theta = np.clip(theta, self.low, self.high)
+        theta = self.prior.inside(theta)
         for j in range(1, lay.branches):
             # B-splines are positive and sum to one: ordered coefficients give ordered tables.
             faster, slower = (theta[at : at + lay.block] for at in (lay.tau(j - 1), lay.tau(j)))

@@ -4,7 +4,7 @@ Pulses of ten seconds cannot see slow dynamics, and a table read off single puls
 over a drive. So all tables are fitted at once to the voltage of whole logs at all temperatures, as
 splines over SOC: ln R and ln tau (positive by construction) at each temperature, straight over 1/T
 in between and held straight beyond what the data show; a correction of the OCV; capacity, starts
-and scalars. Levenberg-Marquardt with analytic sensitivities, held by a prior over cells.
+and scalars. Analytic sensitivities; held by a prior over cells.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellwise.cell.effects import BRANCH_ACTIVATIONS, TemperatureDependence
-from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import BEYOND, ROWS, BaseOcv, FitLog, PreparedLog, inverse_K
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, SKEW_UNIT_S, Layout
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
@@ -175,18 +176,19 @@ def fit_logs(
     theta = problem.inside(prior.mean if theta is None else theta)
     steps = 0
     for share in PASSES:
-        theta, done, normal = problem.minimise(theta, max(3, int(share * iterations)))
+        theta, done, _, residuals = problem.minimise(theta, max(3, int(share * iterations)))
         steps += done
-        problem.judge(theta, normal.residuals)
-    normal = problem.normal_equations(theta)
+        problem.judge(theta, residuals)
+    rows, residuals = problem.rows(theta)
+    normal = problem.prior.with_rows(theta, *rows)
     return FitResult(
         layout=layout,
         theta=theta,
-        covariance=problem.covariance(normal),
+        covariance=problem.prior.covariance(normal.matrix),
         base=base,
         capacity_Ah=capacity_Ah,
-        rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in normal.residuals),
-        residual_V=normal.residuals,
+        rmse_V=tuple(float(np.sqrt(np.mean(r * r))) for r in residuals),
+        residual_V=residuals,
         logs=problem.logs,
         reference_C=reference_C,
         level_V=problem.level_V,

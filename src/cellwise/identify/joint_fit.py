@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,15 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
+from cellwise.cell.stock import stock_model
 from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
-from cellwise.fit.problem import Prior, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog, PreparedLog
 from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows
@@ -170,9 +173,6 @@ def gather_logs(
     """
     parts = grouped_by_temperature(checked.tests, checked.low_rate, checked.default_C)
     grid = np.array(sorted(parts))
-    known = settings.prior
-    of_model = None if known is None or "stock" in known.provenance else ModelPrior(known)
-    reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     items, starts, roles, notices = [], [], [], []
     for temperature_C in grid:
         tests = parts[float(temperature_C)]
@@ -203,24 +203,58 @@ def gather_logs(
             "Give a longer log, or check its columns.",
         )
     say("starts")
-    cells, chosen, begun = _beginnings(items, roles, capacity, settings, of_model)
-    if of_model is not None:
-        grid = of_model.grid_C
-        reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
-    scaled = bool(checked.tests.ocv)
-    for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], begin = _begun(item, found, roles[k], scaled)
-        notices += [begin] if begin else []
-    begins = iter(items)
-    starts = [s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts]
+    joint = partial(
+        _joint_logs, tuple(items), tuple(roles), tuple(starts), tuple(notices), capacity, settings,
+        scaled=bool(checked.tests.ocv),
+    )  # fmt: skip
+    known, of_model = settings.prior, None
+    stock = known is not None and "stock" in known.provenance
+    left_out = {stock_model(name).name for name in settings.without_lineage}
+    if known is not None and not (stock and known.name in left_out):
+        one = ModelPrior(known)
+        of_model = joint(one, one.grid_C)
+        if not stock:
+            return of_model
+    of_class = joint(_class_of(items, roles, capacity, settings), grid)
+    if of_model is None:
+        return of_class
+    # A stock model is of one cell: the logs say whether they are of such a cell, or of its class.
+    both = [j.fit(j.logs, j.settings, quick=QUICK_ITERATIONS) for j in (of_class, of_model)]
+    return of_model if both[1].log_evidence > both[0].log_evidence else of_class
+
+
+def _joint_logs(
+    items: Sequence[FitLog],
+    roles: Sequence[str],
+    starts: Sequence[Start],
+    notices: Sequence[str],
+    capacity: MeasuredCapacity,
+    settings: IdentifySettings,
+    cells: CellPrior,
+    grid_C: FloatArray,
+    *,
+    scaled: bool,
+) -> JointLogs:
+    """Logs with their starts by a prior; ``scaled``: a low-rate test says what full is."""
+    found = [
+        _begun(item, _begins(item, role, cells, capacity) if item.log.soc0 is None else None,
+               role, scaled)
+        for item, role in zip(items, roles, strict=True)
+    ]  # fmt: skip
+    logs = tuple(item for item, _ in found)
+    begins = iter(logs)
     fit = FitSettings(
         branches=settings.branches,
         hysteresis=cells.name == "lfp" if settings.hysteresis is None else settings.hysteresis,
         ln_capacity_std=capacity.ln_std,
-        skew=any(item.skewed for item in items),
+        skew=any(item.skewed for item in logs),
     )
-    return JointLogs(tuple(items), tuple(starts), cells, fit, capacity.capacity_Ah, reference, grid,
-                     (*chosen, *notices))  # fmt: skip
+    return JointLogs(
+        logs, tuple(s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts),
+        cells, fit, capacity.capacity_Ah,
+        float(grid_C[int(np.argmin(np.abs(grid_C - REFERENCE_C)))]), grid_C,
+        (*notices, *(said for _, said in found if said)),
+    )  # fmt: skip
 
 
 def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool) -> FitLog:
@@ -241,51 +275,38 @@ def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
     return f"only {moved:.2%} of the capacity moved" if moved < ROLES.least_moved else ""
 
 
-def _beginnings(
+def _begins(item: FitLog, role: str, cells: CellPrior, capacity: MeasuredCapacity) -> Beginning:
+    """Where a log of unknown start begins by itself."""
+    test = role in ("ocv", "capacity")
+    charged, rows = 0.0, discharge_rows(item.log)
+    if test and rows.any():
+        charged = float(item.log.counted_charge_Ah()[int(np.argmax(rows))])
+    full = ROLES.test_full if test else ROLES.drive_full
+    return find_beginning(
+        item, cells, capacity.capacity_Ah, capacity.ln_std, item.temperature_C or REFERENCE_C,
+        full, charged,
+    )  # fmt: skip
+
+
+def _class_of(
     items: Sequence[FitLog],
     roles: Sequence[str],
     capacity: MeasuredCapacity,
     settings: IdentifySettings,
-    of_model: ModelPrior | None,
-) -> tuple[CellPrior, list[str], list[Beginning | None]]:
-    """The class of the cell, and where each log of unknown start begins by itself."""
+) -> CellPrior:
+    """The class of the cell: as stated, else the more probable one by the log that moves most."""
     classes = {c.name: c for c in cell_classes(frozenset(settings.without_lineage))}
-    chemistry = settings.chemistry or (settings.prior.chemistry if settings.prior else "")
-    stated = class_of(chemistry)
-
-    def begins(item: FitLog, role: str, cells: CellPrior) -> Beginning:
-        test = role in ("ocv", "capacity")
-        charged, rows = 0.0, discharge_rows(item.log)
-        if test and rows.any():
-            charged = float(item.log.counted_charge_Ah()[int(np.argmax(rows))])
-        full = ROLES.test_full if test else ROLES.drive_full
-        return find_beginning(
-            item, cells, capacity.capacity_Ah, capacity.ln_std, item.temperature_C or REFERENCE_C,
-            full, charged,
-        )  # fmt: skip
-
-    notices: list[str] = []
-    cells: CellPrior
-    if of_model is not None:
-        cells = of_model
-    elif stated:
-        cells = classes[stated]
-    else:
-        most = max(range(len(items)), key=lambda k: float(np.ptp(items[k].log.counted_charge_Ah())))
-        tried = {n: begins(items[most], roles[most], c) for n, c in classes.items()}
-        best = max(tried, key=lambda n: tried[n].ln_evidence)
-        cells = classes[best]
-    open_ = [item.log.soc0 is None for item in items]
-    found = [
-        begins(item, role, cells) if unknown else None
-        for item, role, unknown in zip(items, roles, open_, strict=True)
-    ]
-    return cells, notices, found
+    stated = class_of(settings.chemistry or (settings.prior.chemistry if settings.prior else ""))
+    if stated:
+        return classes[stated]
+    most = max(range(len(items)), key=lambda k: float(np.ptp(items[k].log.counted_charge_Ah())))
+    return max(
+        classes.values(),
+        key=lambda c: _begins(items[most], roles[most], c, capacity).ln_evidence,
+    )
 
 
-def _begun(
-    item: FitLog, found: Beginning | None, role: str, scaled: bool
-) -> tuple[FitLog, str]:
+def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> tuple[FitLog, str]:
     """A log with its start: as stated, full, or open around the most probable.
 
     ``scaled``: a low-rate test beside it says what full is, and what the cell holds.

@@ -1,6 +1,7 @@
 """Laboratory tests or drives in, CellModel out: the line of stations.
 
-    logs -> capacity -> starts -> fit -> effects -> error -> OCV, pulses -> own logs -> model
+    logs -> capacity -> starts -> fit -> effects -> error -> plain model -> OCV, pulses
+         -> own logs -> model
 
 Each station takes the record of the one before and gives its own, with what it found wrong and what
 it has to say.
@@ -8,7 +9,6 @@ it has to say.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -47,11 +47,12 @@ from cellwise.identify.own_logs import (
     own_log_notices,
     simulate_back,
 )
-from cellwise.identify.stated_error import stated_error
+from cellwise.identify.plain_model_check import check_against_plain
+from cellwise.identify.stated_error import leave_out, stated_error
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
-UNKNOWN_TEMPERATURE_K = 8.0  # by how much the temperature of one log and another differ
+UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
 
 
 @one_blas_thread
@@ -94,7 +95,8 @@ def identify_cell(
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
     found = own_log_notices(own)
     check_serves(error.rmse_V, wrong)
-    contradictory = in_order(wrong)
+    first = fitted.plain.notice if fitted.plain is not None else ""
+    contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
     said = (*capacity.notices, *fitted.notices, *checked.notices)
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
     seconds = time.perf_counter() - began
@@ -103,6 +105,7 @@ def identify_cell(
         "cellwise_version": version("cellwise"),
         "capacity": {"choice": capacity.choice, "choices_Ah": choices},
         **fitted.provenance,
+        "plain_model": None if fitted.plain is None else fitted.plain.to_dict(),
         "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }
@@ -120,6 +123,7 @@ def identify_cell(
         notices=tuple(dict.fromkeys((*contradictory, *in_order(found, said), *reasons))),
         seconds=seconds,
         contradictions=contradictory,
+        plain=fitted.plain,
     )
 
 
@@ -132,9 +136,18 @@ def _fitted(
     fit = fit_with_effects(joint)
     say("error")
     posterior = joint.posterior(fit.result, fit.logs, fit.settings)
-    share = math.hypot(float(np.median(posterior.ln_r_std)), _of_unknown_temperature(checked))
-    error = stated_error(fit).with_slow(posterior.ocv_std_V, share)
-    model = replace(fit.model, error=error, posterior=posterior)
+    left_open = posterior
+    folds = leave_out(fit)
+    model, comparison = fit.model, None
+    if settings.refine:
+        say("plain model")
+        check = check_against_plain(checked, fit, folds)
+        comparison = check.comparison
+        if comparison.reason:
+            model, folds = check.model, check.folds
+            posterior = posterior.as_wide_as_the_prior()
+    error = stated_error(fit, model, folds, left_open, _of_unknown_temperature(checked))
+    model = replace(model, error=error, posterior=posterior)
     if not settings.refine:  # pulses are of the capacity as it was measured
         model = replace(model, capacity_Ah=capacity.capacity_Ah)
     starts = fit.starts
@@ -156,7 +169,7 @@ def _fitted(
             for g in pulses.groups
         ),
         measured_soc=curve.points_soc,
-        decided=fit.decided,
+        decided=() if comparison and comparison.reason else fit.decided,
         choices_Ah={"fitted": model.capacity_Ah},
         provenance={
             "ocv": {"source": curve.source, "notes": list(curve.notes)},
@@ -172,6 +185,7 @@ def _fitted(
         },
         contradictions=(*wrong, *pulses.contradictions, *other_capacities(starts)),
         notices=(*said, *pulses.notices, *joint.notices),
+        plain=comparison,
     )
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.fit.model_error import (
     MIDDLE,
@@ -34,20 +36,47 @@ MOST_FOLDS = 4
 STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
 
 
-def stated_error(fit: JointFit) -> ModelError:
+class Fold(NamedTuple):
+    """Of each log left out the rows that are, and what a model fitted without them leaves there."""
+
+    rows: dict[int, BoolArray]
+    residuals: dict[int, ResidualLog]
+
+
+def stated_error(
+    fit: JointFit,
+    model: CellModel,
+    folds: Sequence[Fold],
+    posterior: Posterior,
+    other_share: float = 0.0,
+) -> ModelError:
     """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
 
-    But where no load has been at a SOC, tests at constant current are all there is to go by.
+    But where no load has been at a SOC, tests at constant current are all there is to go by; and
+    where no log could be left out whole, what the posterior leaves open is the least.
+
+    Parameters
+    ----------
+    model : CellModel             of all logs of the fit
+    folds : sequence of Fold      what models of its kind leave of what they have not seen
+    other_share : float           by which the resistances may be another log's, that no log can
+                                  show
     """
-    joint, model = fit.joint, fit.model
-    logs = joint.as_found(fit.result)
+    joint = fit.joint
     others = [
         residual_log(own_model(model, math.exp(item.ln_sample)), item)
-        for item in logs
+        for item in joint.as_found(fit.result)
         if item.compare is not None
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
-    error = estimate_model_error(_held_out(fit, logs), others, unseen)
+    error = estimate_model_error(list(left_out_logs(folds).values()), others, unseen)
+    open_V, open_share = np.zeros(POINTS), 0.0
+    if not all(rows.all() for fold in folds for rows in fold.rows.values()):
+        grid = np.linspace(0.0, 1.0, POINTS)
+        open_V = np.sqrt(np.maximum(posterior.ocv_std_V**2 - error.at(grid) ** 2, 0.0))
+        left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
+        open_share = math.sqrt(max(left_open, 0.0))
+    error = error.with_slow(open_V, math.hypot(open_share, other_share))
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
         # One activation for all of them: colder, another process limits, and may have none or two.
@@ -73,20 +102,34 @@ def activation_beyond_K(model: CellModel, grid_C: FloatArray) -> float:
     return max(math.sqrt(float(np.mean(slope * slope))) for slope in (slopes[0], slopes[-1]))
 
 
-def _held_out(fit: JointFit, logs: Sequence[FitLog]) -> list[ResidualLog]:
+def leave_out(fit: JointFit) -> tuple[Fold, ...]:
     """Residuals of every load at its own rate, of a model that was fitted without it."""
-    parts: dict[int, list[ResidualLog]] = {}
+    logs = tuple(
+        replace(item, surface=done.surface)
+        for item, done in zip(fit.joint.as_found(fit.result), fit.logs, strict=True)
+    )
     capacity_Ah = fit.joint.capacity_Ah
-    for fold in _folds(logs, capacity_Ah):
-        kept = [_without(item, fold.get(k), capacity_Ah) for k, item in enumerate(logs)]
+    found = []
+    for rows in _folds(logs, capacity_Ah):
+        kept = [_without(item, rows.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
         result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
-        for k, rows in fold.items():
-            own = own_model(model, math.exp(logs[k].ln_sample))
-            part = residual_log(own, logs[k], rows)
+        parts = {
+            k: residual_log(own_model(model, math.exp(logs[k].ln_sample)), logs[k], part)
+            for k, part in rows.items()
+        }
+        found.append(Fold(rows, parts))
+    return tuple(found)
+
+
+def left_out_logs(folds: Sequence[Fold]) -> dict[int, ResidualLog]:
+    """What was left of every log that was left out, its stretches together."""
+    parts: dict[int, list[ResidualLog]] = {}
+    for fold in folds:
+        for k, part in fold.residuals.items():
             parts.setdefault(k, []).append(part)
-    return [_joined(each) for each in parts.values()]
+    return {k: _joined(each) for k, each in parts.items()}
 
 
 def residual_log(model: CellModel, item: FitLog, rows: BoolArray | None = None) -> ResidualLog:
@@ -117,7 +160,7 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
 
 
 def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
-    """Of each fold the logs left out and the rows of them that are, shape (n,)."""
+    """Of each fold the logs left out and the rows of them that are, shape (n,); whether all are."""
     loads = [k for k, item in enumerate(logs) if item.compare is None]
     drives = [k for k in loads if logs[k].skewed]
     if len(drives) > 1:

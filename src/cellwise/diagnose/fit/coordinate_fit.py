@@ -1,4 +1,4 @@
-"""Bayesian least squares in the coordinates of :mod:`cellwise.diagnose.causes.coordinates`.
+"""The one fit with the coordinates of :mod:`cellwise.diagnose.causes.coordinates` as its unknowns.
 
 Every coordinate is always in the fit, held near zero by what a good laboratory leaves uncertain
 (its *tolerance*); a cause is a coordinate with a wide prior. So a small error of identification
@@ -11,36 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import lsq_linear
 
-from cellwise.diagnose.causes.coordinates import Coordinates, step_of
+from cellwise.diagnose.causes.coordinates import Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.noise import Objective, normal_of
 from cellwise.diagnose.fit.rows import FITTED, START, Evidence
+from cellwise.fit.solver import UNDAMPED, Prior, Search, minimise
 from cellwise.typing import FloatArray
 
 Values = Mapping[str, float]
-
-
-class Solving(NamedTuple):
-    """Gauss-Newton: ``iterations`` at most, until a step gains less than ``converged`` [nats].
-
-    ``halvings`` are the shares of a step that are tried until one is better.
-    """
-
-    iterations: int = 7
-    converged: float = 0.02
-    halvings: tuple[float, ...] = (1.0, 0.4, 0.15, 0.05, 0.01)
-
-
-SOLVING = Solving()
+Simulated = tuple[FloatArray, FloatArray]  # voltage [V] and SOC
+SEARCH = Search(iterations=7, least_gain=0.02, damping=UNDAMPED)  # less than it separates no causes
 
 
 @dataclass(frozen=True)
-class Prior:
+class Tolerances:
     """Mean and standard deviation of every coordinate in a fit, with bounds.
 
     ``cross`` (m, m) are covariances between the coordinates ``linked``, zero on its diagonal: what
@@ -68,7 +54,7 @@ class Prior:
         low: Values,
         high: Values,
         read: Mapping[str, Values] | None = None,
-    ) -> Prior:
+    ) -> Tolerances:
         """The prior with some coordinates widened, and what those make of the starts' readings."""
         more = read or {}
         return replace(
@@ -95,14 +81,20 @@ class Prior:
         own = 2.0 * np.eye(len(names)) - shear(names, self.read)
         return np.asarray(own.T @ precision @ own)
 
-    def box(self) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the coordinates, in the order of ``names``."""
-        low = np.array([self.low.get(n, -np.inf) for n in self.names])
-        return low, np.array([self.high.get(n, np.inf) for n in self.names])
+    def prior(self) -> Prior:
+        """As the fit takes it, in the order of ``names``."""
+        names = self.names
+        return Prior(
+            np.array([self.mean.get(n, 0.0) for n in names]),
+            self.precision(),
+            np.ones(len(names), dtype=np.bool_),
+            np.array([self.low.get(n, -np.inf) for n in names]),
+            np.array([self.high.get(n, np.inf) for n in names]),
+        )
 
-    def away(self, z: Values) -> FloatArray:
-        """The way from the mean, in the order of ``names``."""
-        return np.array([z.get(n, 0.0) - self.mean.get(n, 0.0) for n in self.names])
+    def point(self, z: Values) -> FloatArray:
+        """A point in the order of ``names``; 0 where it says nothing."""
+        return np.array([z.get(n, 0.0) for n in self.names])
 
 
 def shear(names: Sequence[str], read: Mapping[str, Values]) -> FloatArray:
@@ -168,22 +160,19 @@ NOTHING_KNOWN = Frozen((), np.empty((0, 0)))
 def fit(
     objective: Objective,
     coordinates: Coordinates,
-    prior: Prior,
+    tolerances: Tolerances,
     start: Values,
-    iterations: int = SOLVING.iterations,
+    iterations: int = SEARCH.iterations,
     frozen: Frozen = NOTHING_KNOWN,
     moving: Sequence[str] = (),
 ) -> Fit:
-    """Most likely point under the prior, by damped Gauss-Newton.
+    """Most likely point under the tolerances.
 
     Only the logs that have rows to fit are simulated; :func:`complete` adds the others. With
     ``frozen`` only the derivatives by ``moving`` and by the starts are computed at every point.
     """
-    train = objective.fitted
+    train, names, prior = objective.fitted, tolerances.names, tolerances.prior()
     evidence = train.evidence
-    names, weight, (low, high) = prior.names, prior.precision(), prior.box()
-    mean = np.array([prior.mean.get(n, 0.0) for n in names])
-    x = np.clip(np.array([start.get(n, mean[k]) for k, n in enumerate(names)]), low, high)
     kept = [k for k, n in enumerate(names) if n in frozen.names and n not in moving]
     fresh = [k for k in range(len(names)) if k not in kept]
     rows = (evidence.role == FITTED) & evidence.known
@@ -194,87 +183,68 @@ def fit(
     def point(at: FloatArray) -> dict[str, float]:
         return dict(zip(names, map(float, at), strict=True))
 
-    def cost_of(at: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        voltage, soc = evidence.simulate(coordinates, point(at))
-        terms = train.terms(evidence.voltage_V - voltage)
-        penalty = 0.5 * float((at - mean) @ weight @ (at - mean))
-        value = penalty - float(np.sum(terms[rows]))
-        return (value if math.isfinite(value) else math.inf), voltage, soc
+    def cost_of(at: FloatArray) -> tuple[float, Simulated]:
+        seen = evidence.simulate(coordinates, point(at))
+        return -float(np.sum(train.terms(evidence.voltage_V - seen[0])[rows])), seen
 
-    cost, voltage, soc = cost_of(x)
-    normal = weight.copy()
-    for _ in range(iterations):
-        jacobian = evidence.jacobian(coordinates, point(x), [names[k] for k in fresh])
-        columns = np.column_stack((np.nan_to_num(evidence.voltage_V - voltage), jacobian))
+    def normal(at: FloatArray, seen: Simulated) -> tuple[FloatArray, FloatArray]:
+        jacobian = evidence.jacobian(coordinates, point(at), [names[k] for k in fresh])
+        columns = np.column_stack((np.nan_to_num(evidence.voltage_V - seen[0]), jacobian))
         white[:, [0, *(1 + k for k in fresh)]] = train.scaled(columns)
-        normal, gradient = normal_of(white, rows, train.clip)
-        normal, gradient = normal + weight, gradient - weight @ (x - mean)
-        step = _bounded_step(normal, gradient, x, low, high)
-        expected = float(gradient @ step) / 2
-        for share in SOLVING.halvings:
-            trial = np.clip(x + share * step, low, high)
-            value, v, s = cost_of(trial)
-            if value < cost:
-                break
-        else:
-            break
-        gained = cost - value
-        x, cost, voltage, soc = trial, value, v, s
-        if min(gained, expected) < SOLVING.converged:
-            break
-    covariance = np.asarray(np.linalg.pinv(normal), dtype=np.float64)
-    ln_det = float(np.linalg.slogdet(normal)[1]) - float(np.linalg.slogdet(weight)[1])
+        return normal_of(white, rows, train.clip)
+
+    x = prior.inside(np.array([start.get(n, prior.mean[k]) for k, n in enumerate(names)]))
+    found = minimise(prior, cost_of, normal, x, SEARCH._replace(iterations=iterations))
     missing = np.full(objective.evidence.rows - evidence.rows, np.nan)
-    voltage, soc = np.concatenate((voltage, missing)), np.concatenate((soc, missing))
-    evidence_ln = -cost - 0.5 * ln_det
-    return Fit(point(x), tuple(names), covariance, evidence_ln, voltage, soc, coordinates)
+    voltage, soc = (np.concatenate((values, missing)) for values in found.seen)
+    matrix = found.normal.matrix
+    covariance, ln_evidence = prior.covariance(matrix), prior.ln_kept(matrix) - found.cost
+    z = point(found.theta)
+    return Fit(z, tuple(names), covariance, ln_evidence, voltage, soc, coordinates)
 
 
-def complete(objective: Objective, found: Fit, prior: Prior) -> Fit:
+def complete(objective: Objective, found: Fit, tolerances: Tolerances) -> Fit:
     """The fit with the held-out logs simulated, each from where its first part says it starts."""
     evidence = objective.evidence
     z, inputs = dict(found.z), found.coordinates.inputs(found.z)
     voltage, soc = found.voltage_V.copy(), found.soc.copy()
     for k, (log, rows) in enumerate(evidence.each()):
-        first = int(np.sum(log.role == START))
-        if not first:
-            continue
-        name, step = f"soc0:{k}", step_of("soc0")
-        mean = prior.mean.get(name, 0.0)
-        mean += sum(by * z.get(n, 0.0) for n, by in prior.read.get(name, {}).items())
-        begins = np.zeros(evidence.rows, dtype=bool)
-        begins[rows.start : rows.start + first] = True
-        for _ in range(SOLVING.iterations):
-            here, moved = (
-                evidence.of_log(k, inputs, {**z, name: z[name] + s}, first)[0] for s in (0.0, step)
-            )
-            whole, slope = np.zeros(evidence.rows), np.zeros((evidence.rows, 1))
-            whole[begins], slope[begins, 0] = here, (moved - here) / step
-            normal, gradient = objective.normal(whole, slope, begins)
-            pull = float(gradient[0]) - (z[name] - mean) / prior.std[name] ** 2
-            at = z[name] + pull / (float(normal[0, 0]) + prior.std[name] ** -2)
-            at = min(max(at, prior.low[name]), prior.high[name])
-            z[name], change = at, abs(at - z[name])
-            if change < step:
-                break
-        voltage[rows], soc[rows] = evidence.of_log(k, inputs, z)
+        if first := int(np.sum(log.role == START)):
+            part = slice(rows.start, rows.start + first)
+            z[f"soc0:{k}"] = _start(objective, tolerances, k, part, inputs, z)
+            voltage[rows], soc[rows] = evidence.of_log(k, inputs, z)
     return replace(found, z=z, voltage_V=voltage, soc=soc)
 
 
-def _bounded_step(
-    normal: FloatArray, gradient: FloatArray, x: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """The Gauss-Newton step that is best within the bounds.
+def _start(
+    objective: Objective,
+    tolerances: Tolerances,
+    k: int,
+    part: slice,
+    inputs: KernelInputs,
+    z: Values,
+) -> float:
+    """What a part of a log's rows, its first ones, says of its start; all else as it is."""
+    evidence, name, step = objective.evidence, f"soc0:{k}", step_of("soc0")
+    mean = tolerances.mean.get(name, 0.0)
+    mean += sum(by * z.get(n, 0.0) for n, by in tolerances.read.get(name, {}).items())
+    bounds = tolerances.low, tolerances.high
+    prior = Tolerances({name: tolerances.std[name]}, {name: mean}, *bounds).prior()
+    rows = np.zeros(evidence.rows, dtype=np.bool_)
+    rows[part] = True
 
-    Cutting the free step off at the bounds would leave the other coordinates where they make up
-    for what was cut; so the quadratic is minimised inside the box (bounded least squares).
-    """
-    size = 1.0 / np.sqrt(np.diag(normal))
-    root = np.linalg.cholesky(normal * np.outer(size, size) + 1e-10 * np.eye(x.size))
-    target = solve_triangular(root, gradient * size, lower=True)
-    ends = ((low - x) / size, (high - x) / size)
-    free = cho_solve((root, True), gradient * size)
-    if np.all((free >= ends[0]) & (free <= ends[1])):
-        return np.asarray(free * size)
-    found = lsq_linear(root.T, target, ends, method="bvls", max_iter=4 * x.size)
-    return np.asarray(found.x * size)
+    def simulated(soc0: float) -> FloatArray:
+        voltage = np.zeros(evidence.rows)
+        voltage[part], _ = evidence.of_log(k, inputs, {**z, name: soc0}, part.stop - part.start)
+        return voltage
+
+    def cost_of(at: FloatArray) -> tuple[float, FloatArray]:
+        here = simulated(float(at[0]))
+        return -float(np.sum(objective.terms(evidence.voltage_V - here)[part])), here
+
+    def normal(at: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray]:
+        slope = (simulated(float(at[0]) + step) - here) / step
+        return objective.normal(here, slope[:, None], rows)
+
+    first = prior.inside(np.array([z[name]]))
+    return float(minimise(prior, cost_of, normal, first, SEARCH).theta[0])
