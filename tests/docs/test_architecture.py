@@ -43,7 +43,7 @@ MAY_IMPORT = {
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "fit", "identify", "estimate"},
     "pack": BASE | {"logs", "cell", "identify", "estimate", "diagnose"},
-    "history": BASE | {"logs", "cell", "identify", "estimate"},
+    "history": BASE | {"logs", "cell", "fit"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS | {"printing"},
     "studies": BASE | TOOLS,

@@ -110,6 +110,22 @@ def test_a_model_that_errs_more_is_a_wider_prior():
     assert np.median(np.sqrt(np.diag(wide) / np.diag(narrow))) == pytest.approx(2.0, rel=0.1)
 
 
+def test_a_common_factor_of_the_resistances_adds_to_what_each_may_be():
+    log, soc = log_of(pulse_current(levels=1), Truth())
+    logs = [FitLog(log, soc[0], soc0_std=0.01)]
+    cells = cells_like(1.0)
+    each, lay = prior_for(logs, cells, FitSettings(branches=2))
+    common, _ = prior_for(logs, cells, FitSettings(branches=2, ln_resistance_std=0.5))
+    free = np.ix_(each.free, each.free)
+    u = lay.resistances()[each.free]  # of R0 and two branches
+    assert u.sum() == 3 * lay.block
+    np.testing.assert_allclose(
+        np.linalg.inv(common.precision[free]),
+        np.linalg.inv(each.precision[free]) + 0.25 * np.outer(u, u),
+        atol=1e-4,
+    )
+
+
 def test_what_a_fit_does_not_have_is_not_free():
     log = FitLog(log_of(pulse_current(1), TRUTH)[0], 1.0)
     prior, lay = prior_for([log], cells_like(), FitSettings(branches=2))

@@ -14,7 +14,7 @@ from cellwise.cell.stock import named_model
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import replay
-from cellwise.fit.posterior import posterior_of
+from cellwise.fit.posterior import posterior_of, whole_resistance
 from cellwise.fit.splines import OCV_KNOTS, spline_rows, spline_values
 from cellwise.fit.unknowns import FitSettings
 from fit_cases import CURVED, cells_like, fit_of, prior_for, two_logs
@@ -50,6 +50,27 @@ def test_logs_that_say_nothing_give_the_prior_back(silent):
     np.testing.assert_allclose(posterior.factor, np.eye(posterior.std.size), atol=1e-4)
     assert posterior.capacity_std == pytest.approx(0.05, rel=1e-3)
     assert posterior.prior == "made"
+
+
+def test_the_whole_resistance_is_that_of_all_branches_and_has_its_derivative(known):
+    lay, theta = known[0].layout, known[0].theta
+    soc = np.array([0.1, 0.47, 0.9])
+    whole, slopes = whole_resistance(lay, theta, soc)
+    doubled = whole_resistance(lay, theta + np.log(2.0) * lay.resistances(), soc)[0]
+    np.testing.assert_allclose(doubled - whole, np.log(2.0), atol=1e-12)
+    for k in np.flatnonzero(lay.resistances()):
+        step = 1e-6 * np.eye(lay.size)[k]
+        there = whole_resistance(lay, theta + step, soc)[0]
+        np.testing.assert_allclose((there - whole) / 1e-6, slopes[:, k], atol=1e-5)
+
+
+def test_a_draw_scatters_as_the_posterior_says(known):
+    rng = np.random.default_rng(4)
+    posterior = known[2]
+    ln_capacity, ocv_V, ln_r = zip(*(posterior.draw(rng) for _ in range(4000)), strict=True)
+    assert np.std(ln_capacity) == pytest.approx(posterior.capacity_std, rel=0.06)
+    np.testing.assert_allclose(np.std(ocv_V, axis=0), posterior.ocv_std_V, rtol=0.1)
+    np.testing.assert_allclose(np.std(ln_r, axis=0), posterior.ln_r_std, rtol=0.1)
 
 
 def test_directions_hold_nearly_all_of_the_priors_ocv(silent):
