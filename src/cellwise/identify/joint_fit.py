@@ -209,8 +209,7 @@ def gather_logs(
         reference = float(grid[int(np.argmin(np.abs(grid - REFERENCE_C)))])
     scaled = bool(checked.tests.ocv)
     for k, (item, found) in enumerate(zip(items, begun, strict=True)):
-        items[k], begin = _begun(item, found, roles[k], scaled)
-        notices += [begin] if begin else []
+        items[k] = _begun(item, found, roles[k], scaled)
     begins = iter(items)
     starts = [s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts]
     fit = FitSettings(
@@ -283,9 +282,7 @@ def _beginnings(
     return cells, notices, found
 
 
-def _begun(
-    item: FitLog, found: Beginning | None, role: str, scaled: bool
-) -> tuple[FitLog, str]:
+def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> FitLog:
     """A log with its start: as stated, full, or open around the most probable.
 
     ``scaled``: a low-rate test beside it says what full is, and what the cell holds.
@@ -296,14 +293,13 @@ def _begun(
         past = 0.0 if soc0 > 0.99 else past_V
         return replace(
             item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
-        ), ""
+        )
     if found.full > 0.5:
         # Full as a charger leaves it, or elsewhere as far as its voltages leave that open.
         full_std = ROLES.drive_std if role == "drive" else ROLES.full_std
         left_open = 0.0 if scaled else max(found.std**2 - TRIALS.full_std**2, 0.0)
         std = float(np.sqrt(full_std**2 + left_open))
         item = replace(item, soc0=found.soc, soc0_std=std)
-        return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
-    said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
+        return replace(item, h0=start_hysteresis(found.soc))
     item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)
-    return replace(item, h0=start_hysteresis(found.soc)), said
+    return replace(item, h0=start_hysteresis(found.soc))
