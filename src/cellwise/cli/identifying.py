@@ -33,6 +33,7 @@ from cellwise.cell.stock import named_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.identify import Identification, IdentifySettings, identify_cell
 from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
+from cellwise.identify.fit_notices import start_notices
 from cellwise.logs.stated import check_temperature
 
 
@@ -102,5 +103,7 @@ def print_identification(found: Identification) -> None:
     printing.say(
         "valid for " + ", ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items())
     )
-    printing.say_notices(n for n in found.notices if n not in found.contradictions)
+    # Where the logs begin stands in the table.
+    above = (*found.contradictions, *start_notices(found.own_logs))
+    printing.say_notices(n for n in found.notices if n not in above)
     printing.say(f"{found.seconds:.1f} s")

@@ -236,12 +236,11 @@ def _joint_logs(
     scaled: bool,
 ) -> JointLogs:
     """Logs with their starts by a prior; ``scaled``: a low-rate test says what full is."""
-    found = [
+    logs = tuple(
         _begun(item, _begins(item, role, cells, capacity) if item.log.soc0 is None else None,
                role, scaled)
         for item, role in zip(items, roles, strict=True)
-    ]  # fmt: skip
-    logs = tuple(item for item, _ in found)
+    )  # fmt: skip
     begins = iter(logs)
     fit = FitSettings(
         branches=settings.branches,
@@ -253,7 +252,7 @@ def _joint_logs(
         logs, tuple(s if s.left_out else s._replace(soc0=next(begins).soc0) for s in starts),
         cells, fit, capacity.capacity_Ah,
         float(grid_C[int(np.argmin(np.abs(grid_C - REFERENCE_C)))]), grid_C,
-        (*notices, *(said for _, said in found if said)),
+        tuple(notices),
     )  # fmt: skip
 
 
@@ -306,7 +305,7 @@ def _class_of(
     )
 
 
-def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> tuple[FitLog, str]:
+def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> FitLog:
     """A log with its start: as stated, full, or open around the most probable.
 
     ``scaled``: a low-rate test beside it says what full is, and what the cell holds.
@@ -317,14 +316,13 @@ def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> tu
         past = 0.0 if soc0 > 0.99 else past_V
         return replace(
             item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
-        ), ""
+        )
     if found.full > 0.5:
         # Full as a charger leaves it, or elsewhere as far as its voltages leave that open.
         full_std = ROLES.drive_std if role == "drive" else ROLES.full_std
         left_open = 0.0 if scaled else max(found.std**2 - TRIALS.full_std**2, 0.0)
         std = float(np.sqrt(full_std**2 + left_open))
         item = replace(item, soc0=found.soc, soc0_std=std)
-        return replace(item, h0=start_hysteresis(found.soc)), f"'{item.log.name}' begins full"
-    said = f"'{item.log.name}' begins at SOC {found.soc:.2f} +- {2 * found.std:.2f} by its voltages"
+        return replace(item, h0=start_hysteresis(found.soc))
     item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)
-    return replace(item, h0=start_hysteresis(found.soc)), said
+    return replace(item, h0=start_hysteresis(found.soc))

@@ -26,6 +26,7 @@ from cellwise.fit.population import SPREAD
 from cellwise.identify.assemble import plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
 from cellwise.identify.effect_selection import fit_with_effects
+from cellwise.identify.fit_notices import fit_notices, poor_fit, start_notices
 from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
     REFERENCE_C,
@@ -84,9 +85,7 @@ def identify_cell(
     say("capacity")
     capacity = measure_capacity(checked, settings)
     fitted = _fitted(checked, capacity, settings, say)
-    model = replace(
-        fitted.model, name=settings.name, chemistry=settings.chemistry or fitted.model.chemistry
-    )
+    model = replace(fitted.model, name=settings.name)
     wrong = [*checked.contradictions, *capacity.contradictions, *fitted.contradictions]
     check_possible(model, wrong)
     say("validation on its own logs")
@@ -94,10 +93,11 @@ def identify_cell(
     used = [o for o in own if o.used]
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
     found = own_log_notices(own)
+    wrong += poor_fit(own)
     check_serves(error.rmse_V, wrong)
     first = fitted.plain.notice if fitted.plain is not None else ""
     contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
-    said = (*capacity.notices, *fitted.notices, *checked.notices)
+    said = (*capacity.notices, *fitted.notices, *start_notices(own), *checked.notices)
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
     seconds = time.perf_counter() - began
     choices = {**capacity.choices_Ah, **fitted.choices_Ah}
@@ -159,9 +159,8 @@ def _fitted(
         model = _pulses_alone(pulses.groups, curve, model)
     sets = [s for g in pulses.groups for s in g.pulse_sets]
     results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
-    low, high = _window(checked.tests)
     return Fitted(
-        model=replace(model, voltage_min_V=low, voltage_max_V=high),
+        model=_stated_of(model, checked.tests, settings),
         ocv=curve,
         starts=starts,
         temperatures=tuple(
@@ -184,7 +183,7 @@ def _fitted(
             ],
         },
         contradictions=(*wrong, *pulses.contradictions, *other_capacities(starts)),
-        notices=(*said, *pulses.notices, *joint.notices),
+        notices=(*said, *pulses.notices, *joint.notices, *fit_notices(posterior, checked)),
         plain=comparison,
     )
 
@@ -217,13 +216,22 @@ def _curve(
     return measured
 
 
-def _window(tests: TestLogs) -> tuple[float | None, float | None]:
-    """The voltage window that the laboratory tests kept to [V]."""
-    levels = [x.voltage_V for x in (*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc))]
-    if not levels:
-        return None, None
-    every = np.concatenate(levels)
-    return round(float(np.nanmin(every)), 2), round(float(np.nanmax(every)), 2)
+def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) -> CellModel:
+    """With chemistry and voltage window: as stated, else as of the model that was the prior.
+
+    A prior's window is widened to hold every log; without one it is what laboratory tests kept to.
+    """
+    prior = settings.prior
+    kept = [*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc)]
+    low = min((float(np.nanmin(x.voltage_V)) for x in kept), default=None)
+    high = max((float(np.nanmax(x.voltage_V)) for x in kept), default=None)
+    if prior is not None and prior.voltage_min_V is not None:
+        low = min(prior.voltage_min_V, *(float(np.nanmin(x.voltage_V)) for x in tests.logs()))
+    if prior is not None and prior.voltage_max_V is not None:
+        high = max(prior.voltage_max_V, *(float(np.nanmax(x.voltage_V)) for x in tests.logs()))
+    low, high = (None if v is None else round(v, 2) for v in (low, high))
+    chemistry = settings.chemistry or ("" if prior is None else prior.chemistry)
+    return replace(model, chemistry=chemistry, voltage_min_V=low, voltage_max_V=high)
 
 
 def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, model: CellModel) -> CellModel:

@@ -174,11 +174,12 @@ def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArr
             return [fold for fold in folds if fold]
     if drives and len(loads) > len(drives):
         return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
-    # Where one log is left out the next one is not: no stretch is left out of all.
-    stretch = [
-        (np.floor(logs[k].soc(capacity_Ah) / STRETCH_SOC) + turn) % 2
-        for turn, k in enumerate(loads)
-    ]
+    # Where one log is left out the next one is not: no stretch is left out of all. Of a log that
+    # moves little the stretches are shorter, so that something stays.
+    soc = [logs[k].soc(capacity_Ah) for k in loads]
+    most = max((float(np.nanmax(s) - np.nanmin(s)) for s in soc), default=0.0)
+    wide = min(STRETCH_SOC, 0.25 * most) or STRETCH_SOC
+    stretch = [(np.floor(s / wide) + turn) % 2 for turn, s in enumerate(soc)]
     return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
 
 

@@ -92,7 +92,7 @@ def test_a_cold_cell_of_cut_drives_alone_states_how_badly_their_starts_are_known
         begun[name] = soc[first]
     notices = run_json("identify", *given, "-o", str(tmp_path / "m.json"))["notices"]
     for name, true in begun.items():
-        said = rf"'{name}[^']*' begins at SOC ([\d.]+) \(fitted .* ([\d.]+)\)"
+        said = rf"'{name}[^']*' begins at SOC ([\d.]+) \+- ([\d.]+) by its voltages"
         soc0, two_std = map(float, next(m for n in notices if (m := re.search(said, n))).groups())
         assert abs(soc0 - true) < two_std, f"{name}: {soc0} +- {two_std}, true {true:.3f}"
         assert two_std > 0.05
