@@ -143,7 +143,7 @@ def _fitted(
     curve, wrong, said = _curve(checked, model)
     pulses = fit_all_pulses(checked, curve, model.capacity_Ah, settings, begun)
     if not settings.refine:
-        model = _pulses_alone(pulses.groups, curve, model)
+        model = _pulses_alone(pulses.groups, curve, model.capacity_Ah)
     sets = [s for g in pulses.groups for s in g.pulse_sets]
     results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
     return Fitted(
@@ -220,8 +220,8 @@ def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) ->
     return replace(model, chemistry=chemistry, voltage_min_V=low, voltage_max_V=high)
 
 
-def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, model: CellModel) -> CellModel:
-    """The pulses' tables as they are, as the papers take them.
+def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float) -> CellModel:
+    """The pulses' tables as they are, as the papers take them: their error is not the fit's.
 
     Raises
     ------
@@ -235,5 +235,4 @@ def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, model: CellModel) ->
             "an HPPC log with pulses, or refinement",
             "Leave out `refine=False`.",
         )
-    plain = plain_model(tables, curve, model.capacity_Ah, [g.temperature_C for g in groups])
-    return replace(plain, error=model.error)
+    return plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])
