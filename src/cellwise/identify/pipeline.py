@@ -92,7 +92,7 @@ def identify_cell(
     used = [o for o in own if o.used]
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
     found = own_log_notices(own)
-    wrong += poor_fit(own)
+    wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
     contradictory = in_order(wrong)
     said = (*capacity.notices, *fitted.notices, *start_notices(own), *checked.notices)
