@@ -93,7 +93,7 @@ def identify_cell(
     used = [o for o in own if o.used]
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
     found = own_log_notices(own)
-    wrong += poor_fit(own)
+    wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
     first = fitted.plain.notice if fitted.plain is not None else ""
     contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
@@ -156,7 +156,7 @@ def _fitted(
     curve, wrong, said = _curve(checked, model)
     pulses = fit_all_pulses(checked, curve, model.capacity_Ah, settings, begun)
     if not settings.refine:
-        model = _pulses_alone(pulses.groups, curve, model)
+        model = _pulses_alone(pulses.groups, curve, model.capacity_Ah)
     sets = [s for g in pulses.groups for s in g.pulse_sets]
     results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
     return Fitted(
@@ -234,8 +234,8 @@ def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) ->
     return replace(model, chemistry=chemistry, voltage_min_V=low, voltage_max_V=high)
 
 
-def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, model: CellModel) -> CellModel:
-    """The pulses' tables as they are, as the papers take them.
+def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float) -> CellModel:
+    """The pulses' tables as they are, as the papers take them: their error is not the fit's.
 
     Raises
     ------
@@ -249,5 +249,4 @@ def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, model: CellModel) ->
             "an HPPC log with pulses, or refinement",
             "Leave out `refine=False`.",
         )
-    plain = plain_model(tables, curve, model.capacity_Ah, [g.temperature_C for g in groups])
-    return replace(plain, error=model.error)
+    return plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])
