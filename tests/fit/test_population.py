@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.stock import stock_model, stock_names
+from cellwise.errors import InputError
 from cellwise.fit.population import SOC, ModelPrior, cell_classes, class_of
 from cellwise.fit.rows import FitLog
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
@@ -38,9 +39,9 @@ def test_a_lineage_that_is_left_out_has_no_member(lineage):
     assert len(left.ocv_V) < len(whole[own].ocv_V)
 
 
-def test_a_name_that_is_no_lineage_leaves_all():
-    for one, other in zip(cell_classes(), cell_classes(frozenset({"nobody"})), strict=True):
-        np.testing.assert_array_equal(one.ocv_V, other.ocv_V)
+def test_a_name_that_is_no_lineage_is_refused_with_those_there_are():
+    with pytest.raises(InputError, match=r"nobody.*nmc-18650"):
+        cell_classes(frozenset({"nobody"}))
 
 
 @pytest.mark.parametrize("cells", cell_classes(), ids=lambda c: c.name)

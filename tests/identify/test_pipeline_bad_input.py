@@ -239,5 +239,5 @@ def test_a_log_whose_start_is_unknown_has_it_fitted(hppc, low_rate):
 def test_a_log_that_moves_more_than_the_cell_holds_makes_no_model(hppc, drive):
     # A model is made only if it would serve: this one is hundreds of millivolts off.
     twice = replace(drive, current_A=2.5 * drive.current_A, name="too much")
-    with pytest.raises(InputError, match=r"mV off its own logs; 'too much' moves 3\.8\d* Ah"):
+    with pytest.raises(InputError, match=r"mV off its own logs; .*'too much'"):
         run(pulses(hppc, drive=((twice, None),)))

@@ -106,28 +106,34 @@ class Problem:
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
         self.apart_V: tuple[FloatArray, ...] = ()
+        self.bends_V: tuple[FloatArray, ...] = ()
         self.judge_sizes(self.inside(prior.mean))
 
     def judge_sizes(self, theta: FloatArray) -> None:
-        """Standard deviation of every compared row, and without what the SOC's error does [V]."""
+        """Standard deviation of every compared row, and without what the SOC's error does [V].
+
+        And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
+        """
         found = [self.exposed(k, theta) for k in range(len(self.logs))]
-        self.apart_V = tuple(np.hypot(self.level_V, self.share * drop) for drop, _ in found)
+        self.apart_V = tuple(np.hypot(self.level_V, self.share * drop) for drop, *_ in found)
         self.sizes_V = tuple(
-            np.hypot(apart, steep) for apart, (_, steep) in zip(self.apart_V, found, strict=True)
+            np.hypot(apart, steep) for apart, (_, steep, _) in zip(self.apart_V, found, strict=True)
         )
+        self.bends_V = tuple(bends for *_, bends in found)
 
     def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
         """Take the size of the residuals, and how many independent errors every log holds."""
         exposed = [self.exposed(k, theta) for k in range(len(self.logs))]
-        squares = [np.concatenate(x) for x in (residuals, *zip(*exposed, strict=True))]
+        drops, steep, _ = zip(*exposed, strict=True)
+        squares = [np.concatenate(x) for x in (residuals, drops, steep)]
         weight = np.concatenate(
             [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
         )
         self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
         self.judge_sizes(theta)
 
-    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Polarisation of a log's compared rows, and what an error of the SOC is in volts [V]."""
+    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a log's compared rows: polarisation, what an error of the SOC does, bends [V]."""
         log, lay = self.logs[index], self.layouts[index]
         own = theta[self.places[index]]
         rows = log.moved(
@@ -141,7 +147,7 @@ class Problem:
         along = np.full(soc.size, EVIDENCE.soc)
         if not log.item.low_rate:  # it defines both ends
             along += EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
-        return ocv - log.measured_V, along * slope
+        return ocv - log.measured_V, along * slope, bends_of(soc) * slope[:, None]
 
     def evaluate(
         self, index: int, theta: FloatArray, *, slopes: bool = True
@@ -157,11 +163,9 @@ class Problem:
         voltage_and_jacobian(rows, cell, lay, log.item.h0, skewed, own, jacobian, voltage)
         residual = log.measured_V - voltage[rows.evaluate]
         if log.item.low_rate:
-            soc = log.soc[0] + own[lay.start] - rows.used_soc[rows.evaluate]
-            bends = bends_of(soc) * self._slope(rows, own[: lay.knots_ocv])[:, None]
-            residual -= bends @ own[lay.bend :]
+            residual -= self.bends_V[index] @ own[lay.bend :]
             if slopes:
-                jacobian[:, lay.bend :] = bends
+                jacobian[:, lay.bend :] = self.bends_V[index]
         return residual, jacobian
 
     @staticmethod

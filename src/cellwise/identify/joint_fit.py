@@ -14,7 +14,6 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
-from cellwise.cell.stock import stock_model
 from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
@@ -207,20 +206,13 @@ def gather_logs(
         _joint_logs, tuple(items), tuple(roles), tuple(starts), tuple(notices), capacity, settings,
         scaled=bool(checked.tests.ocv),
     )  # fmt: skip
-    known, of_model = settings.prior, None
-    stock = known is not None and "stock" in known.provenance
-    left_out = {stock_model(name).name for name in settings.without_lineage}
-    if known is not None and not (stock and known.name in left_out):
+    known = settings.prior
+    if known is not None and "stock" not in known.provenance:
         one = ModelPrior(known)
-        of_model = joint(one, one.grid_C)
-        if not stock:
-            return of_model
-    of_class = joint(_class_of(items, roles, capacity, settings), grid)
-    if of_model is None:
-        return of_class
-    # A stock model is of one cell: the logs say whether they are of such a cell, or of its class.
-    both = [j.fit(j.logs, j.settings, quick=QUICK_ITERATIONS) for j in (of_class, of_model)]
-    return of_model if both[1].log_evidence > both[0].log_evidence else of_class
+        return joint(one, one.grid_C)
+    # A stock model is one cell of its class: by the evidence it would be preferred for its narrow
+    # prior alone, and was for cells of another maker.
+    return joint(_class_of(items, roles, capacity, settings), grid)
 
 
 def _joint_logs(

@@ -53,7 +53,7 @@ def stated_error(
     """What a filter under load must expect: loads that a fit has left out, low-rate tests do not.
 
     But where no load has been at a SOC, tests at constant current are all there is to go by; and
-    where no log could be left out whole, what the posterior leaves open is the least.
+    what the posterior leaves open is the least.
 
     Parameters
     ----------
@@ -70,12 +70,10 @@ def stated_error(
     ]
     unseen = unseen_shares(model, [s.log for s in joint.used])
     error = estimate_model_error(list(left_out_logs(folds).values()), others, unseen)
-    open_V, open_share = np.zeros(POINTS), 0.0
-    if not all(rows.all() for fold in folds for rows in fold.rows.values()):
-        grid = np.linspace(0.0, 1.0, POINTS)
-        open_V = np.sqrt(np.maximum(posterior.ocv_std_V**2 - error.at(grid) ** 2, 0.0))
-        left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
-        open_share = math.sqrt(max(left_open, 0.0))
+    grid = np.linspace(0.0, 1.0, POINTS)
+    open_V = np.sqrt(np.maximum(posterior.ocv_std_V**2 - error.at(grid) ** 2, 0.0))
+    left_open = float(np.median(posterior.ln_r_std)) ** 2 - error.shown_share() ** 2
+    open_share = math.sqrt(max(left_open, 0.0))
     error = error.with_slow(open_V, math.hypot(open_share, other_share))
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
     if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
