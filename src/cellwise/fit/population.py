@@ -72,7 +72,7 @@ class Spread(NamedTuple):
     activation_std_K: float = 2000.0
     temperature_ln: float = 1.0
     gap: float = 0.8
-    bend_soc: float = 0.01
+    bend_soc: float = 0.02
 
 
 class SameCell(NamedTuple):
