@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -86,6 +86,12 @@ class Prior:
         """What rows say at a point, and the prior."""
         held = self.precision @ (theta - self.mean)
         return Normal(cost + self.cost(theta), gradient - held, matrix + self.precision)
+
+    def held(self, place: int, value: float) -> Prior:
+        """With one unknown known."""
+        mean, free = self.mean.copy(), self.free.copy()
+        mean[place], free[place] = value, False
+        return replace(self, mean=mean, free=free)
 
     def inside(self, theta: FloatArray) -> FloatArray:
         """The nearest point within the bounds."""
