@@ -42,7 +42,13 @@ TRIED = Tried()
 
 
 class WeighedCapacity(NamedTuple):
-    """Ln of the capacity, its median and the deviation from it, the unknowns there, and how they follow it."""
+    """A capacity, and the other unknowns there.
+
+    Parameters
+    ----------
+    median, std : float       of its logarithm, and the deviation from the median
+    theta, slope : (size,) float      all unknowns there, and how they follow the capacity
+    """
 
     median: float
     std: float

@@ -37,8 +37,8 @@ class CapacitySpread(NamedTuple):
 
     rated: float = 0.1
     pulses: float = 0.02
-    measured: float = 0.004
-    chosen: float = 0.004
+    measured: float = 0.001
+    chosen: float = 0.001
 
 
 class _PulseTest(NamedTuple):
