@@ -1,9 +1,11 @@
-"""The capacity by its marginal likelihood, every other unknown integrated out.
+"""How far a capacity is open, beyond what the quadratic at the fit says.
 
-Where the capacity is open, the most probable unknowns together do not have the most probable
-capacity. Near empty the OCV is steep and every table is open: a fit that lets the log end there
-finds a peak that is high and narrow. So the others are fitted at each of several capacities, and
-each is weighed by the volume that its logs leave them (Laplace), as starts are.
+Near empty the OCV is steep and every table open: a fit that lets a log end there finds a valley
+that is narrow, and beside it others that are hardly worse. So the other unknowns are fitted at each
+of several capacities, and each is weighed by the likelihood that it reaches (profile likelihood;
+Murphy and van der Vaart 2000, doi:10.1080/01621459.2000.10474219), trusted as that of a start is.
+The volume that is left of the prior does not weigh here: it is mostly that of tables at SOC where
+no log has been, where the prior is wide on purpose, and would prefer a cell that is never emptied.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.fit.beginnings import TRIALS
 from cellwise.fit.problem import Problem
 from cellwise.fit.solve import FitResult
 from cellwise.threads import one_blas_thread
@@ -41,38 +44,22 @@ class Tried(NamedTuple):
 TRIED = Tried()
 
 
-class WeighedCapacity(NamedTuple):
-    """A capacity, and the other unknowns there.
-
-    Parameters
-    ----------
-    median, std : float       of its logarithm, and the deviation from the median
-    theta, slope : (size,) float      all unknowns there, and how they follow the capacity
-    """
-
-    median: float
-    std: float
-    theta: FloatArray
-    slope: FloatArray
-
-
 @one_blas_thread
-def weigh_capacities(problem: Problem, fit: FitResult) -> WeighedCapacity:
-    """Weigh capacities around that of a fit by their marginal likelihood.
+def deviation_of_capacity(problem: Problem, fit: FitResult) -> float:
+    """Deviation of ln of the capacity from that of a fit, by the profile of its likelihood.
 
-    Each is fitted from its neighbour, upwards and downwards again, and has the better of both: on
-    the way into another valley a few steps do not arrive.
+    Each capacity is fitted from its neighbour, upwards and downwards again, and has the better of
+    both: on the way into another valley a few steps do not arrive.
     """
     place = problem.layout.capacity
     first = problem.prior
     mean, precision = float(first.mean[place]), float(first.precision[place, place])
     taken = float(fit.theta[place])
     low, high = (float(np.asarray(bound)[place]) for bound in (first.low, first.high))
-    evidence: dict[int, float] = {}
-    thetas: dict[int, FloatArray] = {}
+    weights: dict[int, float] = {}
 
     def weigh(k: int, theta: FloatArray) -> FloatArray:
-        """Fit the others at the k-th capacity, keep them where they are the better ones."""
+        """The others at the k-th capacity, from a neighbour's."""
         value = taken + TRIED.step * k
         problem.prior = first.held(place, value)
         problem.level_V, problem.share = fit.level_V, fit.share
@@ -83,51 +70,34 @@ def weigh_capacities(problem: Problem, fit: FitResult) -> WeighedCapacity:
             problem.judge_sizes(theta)
             theta, *_ = problem.minimise(theta, TRIED.iterations)
         problem.judge_sizes(theta)
-        found = problem.log_evidence(problem.normal_equations(theta))
+        found = -TRIALS.trust * problem.normal_equations(theta).cost
         found -= 0.5 * precision * (value - mean) ** 2
-        if found > evidence.get(k, -np.inf):
-            evidence[k], thetas[k] = found, theta
+        weights[k] = max(found, weights.get(k, found))
         return theta
 
-    def open_at(k: int) -> bool:
+    def open_beyond(k: int) -> bool:
         """Whether the next capacity is to be tried, too."""
-        inside = -TRIED.below <= TRIED.step * k <= TRIED.above
-        probable = evidence[k] > max(evidence.values()) - TRIED.nats
-        value = taken + TRIED.step * (k + np.sign(k))
-        possible = low <= value <= high
-        return bool((inside or probable) and possible)
+        near = -TRIED.below <= TRIED.step * k <= TRIED.above
+        probable = weights[k] > max(weights.values()) - TRIED.nats
+        return (near or probable) and low <= taken + TRIED.step * (k + np.sign(k)) <= high
 
     theta, k = weigh(0, fit.theta), 1
-    while open_at(k - 1):
+    while open_beyond(k - 1):
         theta, k = weigh(k, theta), k + 1
     k -= 2
-    while k >= 0 or open_at(k + 1):
+    while k >= 0 or open_beyond(k + 1):
         theta, k = weigh(k, theta), k - 1
-    for j in range(k + 2, 1):
-        theta = weigh(j, theta)
+    for again in range(k + 2, 1):
+        theta = weigh(again, theta)
     problem.prior = first
-    places = sorted(evidence)
-    grid = taken + TRIED.step * np.array(places)
-    each = np.array([evidence[k] for k in places])
-    weight = np.exp(each - each.max())
-    weight /= weight.sum()
-    # Between two valleys the mean is improbable, the median is in one of them.
-    edges = np.append(grid, grid[-1] + TRIED.step) - 0.5 * TRIED.step
-    median = float(np.interp(0.5, np.concatenate(([0.0], np.cumsum(weight))), edges))
+    away = TRIED.step * np.array(list(weights))
+    weight = np.exp(np.array(list(weights.values())) - max(weights.values()))
     # Between two capacities any may be.
-    std = float(np.sqrt(weight @ (grid - median) ** 2 + TRIED.step**2 / 12.0))
-    nearest = thetas[places[int(np.argmin(np.abs(grid - median)))]].copy()
-    nearest[place] = median
-    return WeighedCapacity(median, std, nearest, _slope(problem, nearest, place))
+    return float(np.sqrt(weight @ away**2 / weight.sum() + TRIED.step**2 / 12.0))
 
 
-def _slope(problem: Problem, theta: FloatArray, place: int) -> FloatArray:
-    """How the other unknowns follow one that is moved, by the quadratic at a point."""
-    problem.judge_sizes(theta)
-    matrix = problem.normal_equations(theta).matrix
-    others = problem.prior.free.copy()
-    others[place] = False
-    slope = np.zeros(theta.size)
-    slope[others] = -np.linalg.solve(matrix[np.ix_(others, others)], matrix[others, place])
-    slope[place] = 1.0
-    return slope
+def opened(covariance: FloatArray, place: int, std: float) -> FloatArray:
+    """A covariance with another deviation of one unknown, which the others follow as before."""
+    variance = float(covariance[place, place])
+    along = covariance[:, place] / variance
+    return np.asarray(covariance + (std**2 - variance) * np.outer(along, along))

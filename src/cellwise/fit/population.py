@@ -342,7 +342,7 @@ def prior_of(
     std[lay.skew] = 1.0 if settings.skew else 0.0
     if settings.charge_transfer:
         mean[lay.asinh], std[lay.asinh] = settings.asinh_per_V / ASINH_UNIT_PER_V, 1.0
-    mean[lay.capacity], std[lay.capacity] = settings.ln_capacity, settings.ln_capacity_std
+    std[lay.capacity] = settings.ln_capacity_std
     for k, item in enumerate(logs):
         mean[lay.sample + k], std[lay.sample + k] = item.ln_sample, item.sample_std
         std[lay.start + k] = item.soc0_std

@@ -34,8 +34,7 @@ class FitSettings:
     ----------
     branches : int              2, or 3 with the slow branch
     hysteresis : bool           M(soc) and gamma
-    ln_capacity, ln_capacity_std : float      ln of the capacity over the one that the SOC is
-                                counted over
+    ln_capacity_std : float     of ln of the capacity that the SOC is counted over
     skew : bool                 a sampling delay of the logs that may have one
     charge_transfer : bool      the asinh law of the fast branch, from ``asinh_per_V`` on
     own_activation_std_K : float      of each resistance and time constant beside the common one
@@ -44,7 +43,6 @@ class FitSettings:
 
     branches: int = 3
     hysteresis: bool = False
-    ln_capacity: float = 0.0
     ln_capacity_std: float = 0.0
     skew: bool = False
     charge_transfer: bool = False

@@ -6,7 +6,7 @@ is. It is part of the model where it is better there, by more than a share, and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -58,8 +58,7 @@ SURFACE = (0.06, 300.0, 2500.0)
 class JointFit:
     """The fit of all logs, the effects that were tried, and what the model has of them.
 
-    ``logs`` and ``settings`` are those of the fit, the accepted effects in them; ``settled`` the
-    settings with the capacity known, for fits of parts of the logs.
+    ``logs`` and ``settings`` are those of the fit, the accepted effects in them.
     """
 
     joint: JointLogs
@@ -68,7 +67,6 @@ class JointFit:
     effects: tuple[Effect, ...]
     logs: tuple[FitLog, ...]
     settings: FitSettings
-    settled: FitSettings
 
     @property
     def model(self) -> CellModel:
@@ -129,7 +127,8 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
     if not split.held:
         result = joint.fit(joint.logs, joint.settings, first.theta)
-        return _settled(joint, result, decided, (), joint.logs, joint.settings)
+        result = joint.with_open_capacity(result, joint.logs, joint.settings)
+        return JointFit(joint, result, tuple(decided.values()), (), joint.logs, joint.settings)
     best = _tried(joint, split, joint.settings, theta=first.theta)
     # What was refused is tried again once something else was accepted: two may need each other.
     while candidates:
@@ -151,20 +150,8 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
         candidates = tuple(refused) if best is not before else ()
     logs = _with_surface(joint.logs, best.effects)
     result = joint.fit(logs, best.settings, best.result.theta)
-    return _settled(joint, result, decided, best.effects, logs, best.settings)
-
-
-def _settled(
-    joint: JointLogs,
-    result: FitResult,
-    decided: Mapping[str, Decided],
-    effects: tuple[Effect, ...],
-    logs: tuple[FitLog, ...],
-    settings: FitSettings,
-) -> JointFit:
-    """The fit, at the capacity that its logs make most probable."""
-    there, settled = joint.at_its_capacity(result, logs, settings)
-    return JointFit(joint, there, tuple(decided.values()), effects, logs, settings, settled)
+    result = joint.with_open_capacity(result, logs, best.settings)
+    return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
 
 
 def _with_surface(logs: Sequence[FitLog], effects: Sequence[Effect]) -> tuple[FitLog, ...]:

@@ -16,7 +16,7 @@ from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
-from cellwise.fit.capacity import TRIED, weigh_capacities
+from cellwise.fit.capacity import TRIED, deviation_of_capacity, opened
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Problem
@@ -105,21 +105,19 @@ class JointLogs:
             most_rows=QUICK_ROWS if quick else None, iterations=quick or 40,
         )  # fmt: skip
 
-    def at_its_capacity(
+    def with_open_capacity(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
-    ) -> tuple[FitResult, FitSettings]:
-        """The fit at the median of its capacity, where the logs leave it open; and so settled."""
+    ) -> FitResult:
+        """A fit whose covariance says how far its capacity is open."""
         lay, items = result.layout, tuple(logs)
-        if result.theta_std[lay.capacity] < TRIED.known:
-            return result, settings
+        quadratic = float(result.theta_std[lay.capacity])
+        if quadratic < TRIED.known:
+            return result
         prior = self._prior(settings, lay, items)
         problem = Problem(items, self.cells.base(), prior, lay, self.capacity_Ah, self.grid_C,
                           self.reference_C, QUICK_ROWS)  # fmt: skip
-        found = weigh_capacities(problem, result)
-        settled = replace(settings, ln_capacity=found.median, ln_capacity_std=0.0)
-        there = self.fit(items, settled, found.theta)
-        along = found.std * found.slope
-        return replace(there, covariance=there.covariance + np.outer(along, along)), settled
+        std = max(deviation_of_capacity(problem, result), quadratic)
+        return replace(result, covariance=opened(result.covariance, lay.capacity, std))
 
     def residuals(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings

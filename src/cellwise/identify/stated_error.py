@@ -111,7 +111,7 @@ def leave_out(fit: JointFit) -> tuple[Fold, ...]:
     for rows in _folds(logs, capacity_Ah):
         kept = [_without(item, rows.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
-        result = fit.joint.fit(left, fit.settled, fit.result.theta, quick=QUICK_ITERATIONS)
+        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         parts = {
             k: residual_log(own_model(model, math.exp(logs[k].ln_sample)), logs[k], part)

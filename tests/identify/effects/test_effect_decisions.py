@@ -127,7 +127,7 @@ def test_what_is_left_out_in_turn_is_fitted_with_the_effects_of_the_model(monkey
     result = joint.fit(joint.logs, joint.settings, quick=3)
     effect = SurfaceSoc(0.05, 300.0)
     below = tuple(replace(item, surface=effect) for item in joint.logs)
-    fit = JointFit(joint, result, (), (effect,), below, joint.settings, joint.settings)
+    fit = JointFit(joint, result, (), (effect,), below, joint.settings)
     fitted = []
 
     def fit_quickly(self, logs, *args, **kwargs):
