@@ -29,7 +29,7 @@ class Tried(NamedTuple):
     step, below, above : float    of ln of the capacity; further where that is still probable
     nats : float                  so much less is improbable
     known : float                 a deviation of less is no question
-    rounds, iterations : int      at each capacity; between rounds the rows are weighed anew
+    rounds, iterations : int      at each capacity; between rounds the rows are weighed again
     """
 
     step: float = 0.02
