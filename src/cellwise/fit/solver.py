@@ -155,8 +155,9 @@ def minimise(
     for steps in range(1, search.iterations + 1):
         normal = prior.with_rows(theta, rows, *normal_of(theta, seen))
         least = max(search.least_gain, search.least_share * cost)
-        low = np.maximum(prior.low - theta, -search.largest_step)
-        high = np.minimum(prior.high - theta, search.largest_step)
+        # What `inside` has put beyond a bound, since an order goes before it, stays there.
+        low = np.minimum(np.maximum(prior.low - theta, -search.largest_step), 0.0)
+        high = np.maximum(np.minimum(prior.high - theta, search.largest_step), 0.0)
         gain, harder = 0.0, 2.0
         while not gain > 0.0:
             step = bounded_step(normal, prior.free, low, high, damping)
