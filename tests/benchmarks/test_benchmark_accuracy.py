@@ -66,15 +66,11 @@ def test_unknown_part_is_refused(main, capsys):
     assert "name at least one of" in capsys.readouterr().err
 
 
-NEAR_EMPTY = ("drive_p25_hwfta", "drive_p25_us06", "drive_p25_cycle_4", "SOC, mean")
-
-
 @pytest.mark.slow
 def test_measured_cells_meet_their_targets(real_data):
     figures = measure(accuracy.PARTS, ["panasonic", "leaf"], print)
     missed = [f"{f.group}: {f.who} = {f.value}" for f in figures if f.passed is False]
-    # Near empty, where the C/20 that the SOC refers to gave 4 % more charge than the loads of other
-    # days (docs/decisions/0009-where-the-fit-stands.md): HWFTa, US06 and cycle 4.
-    assert [m for m in missed if not any(k in m for k in NEAR_EMPTY)] == []
-    assert len(missed) <= 8
-    assert sum(f.passed is True for f in figures) >= 23
+    # 0.75 %: it recovers from a rest at 7 % SOC that is 0.2 V off, see docs/measured.md.
+    assert [m for m in missed if "SOC RMSE after 300 s, drive_p25_cycle_4" not in m] == []
+    assert len(missed) <= 1
+    assert sum(f.passed is True for f in figures) >= 30

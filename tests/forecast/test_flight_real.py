@@ -59,5 +59,5 @@ def test_the_band_covers_a_cell_that_warms_by_forty_kelvin(real_data):
         inside += list((low - sample_s <= truth[later]) & (truth[later] <= high + sample_s))
         missed += list((found.remaining_s - truth)[later] / truth[later])
         sigma += list((high - low) / 4 / truth[later])
-    assert np.mean(inside) >= 0.88  # 93 % before the one fit
+    assert np.mean(inside) >= 0.93
     assert np.sqrt(np.mean(np.square(sigma))) <= 2 * np.sqrt(np.mean(np.square(missed)))

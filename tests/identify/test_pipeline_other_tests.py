@@ -73,18 +73,10 @@ CASES = {
 
 
 LONG = ("C/10, 10 %", "C/2, 10 %, 1 h")
-MISSES = "C/10, 10 %"
-MISSED = pytest.mark.xfail(strict=True, reason="12.4 mV, 7.8 asked: its steps show no fast branch")
 
 
 @pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(c, marks=[pytest.mark.slow, *([MISSED] if c == MISSES else [])])
-        if c in LONG
-        else c
-        for c in CASES
-    ],
+    "case", [pytest.param(c, marks=[pytest.mark.slow] if c in LONG else []) for c in CASES]
 )
 def test_drives_are_missed_by_hardly_more_than_with_pulses(case, drives, of_pulses):
     # A cell that climbs from empty has its capacity found, and was never seen full.
@@ -122,7 +114,7 @@ def test_a_stated_start_is_where_an_incremental_test_begins(drives, of_pulses):
     off = np.log(found.model.capacity_Ah / 3.0)
     assert abs(off) < 2.5 * found.model.posterior.capacity_std, "a part of the range is no capacity"
     assert any("is no capacity" in n for n in found.notices)
-    assert missed_V(found, drives) < (WORSE + 0.1) * of_pulses  # 1.52 times
+    assert missed_V(found, drives) < WORSE * of_pulses
 
 
 @pytest.mark.slow

@@ -129,8 +129,7 @@ def test_a_log_cut_where_a_load_has_just_ended_says_how_sure_its_start_is(
         soc0 = run_json("replay", "--model", model, "--estimator", "coulomb", path)["soc0"]
         assert soc0["how"].startswith("rest of"), soc0
         sizes.append(abs(soc0["value"] - truth) / soc0["std"])
-    # 10 of 12 before the one fit: two lie at 2.0 and 2.1 now, one at 6.
-    assert np.count_nonzero(np.array(sizes) < 2.1) >= 11, sizes
+    assert np.count_nonzero(np.array(sizes) < 2.0) >= 10, sizes
 
 
 @pytest.mark.slow

@@ -107,14 +107,10 @@ def loss(real_data, cell, name, estimator):
     return rmse(estimator) - rmse("coulomb")
 
 
-# What a case loses instead, in points of SOC.
-MORE_OF = {"samsung": 0.0055, "lipo": 0.022}  # pulses of another sample; a capacity open by 6 %
-
-
 @pytest.mark.parametrize("estimator", ["ekf", "ukf"])
 @pytest.mark.parametrize(("cell", "name"), CASES)
 def test_from_a_known_start(real_data, cell, name, estimator):
-    assert loss(real_data, cell, name, estimator) < MORE_OF.get(cell, MORE)
+    assert loss(real_data, cell, name, estimator) < MORE
 
 
 @pytest.mark.parametrize(("cell", "name"), CASES)
