@@ -113,7 +113,7 @@ def outcome(one: Try, data: Path) -> tuple[bool, str]:
             code = cellwise(arguments)
     if code == 0:
         found = json.loads(out.getvalue())
-        by = found["prior"]["name"] if found["prior"] else "its tests"
+        by = found["posterior"]["prior"] if found["posterior"] else "its pulses"
         said = "" if one.no_use == "" else " (a model of nothing)"
         return not one.no_use, f"model by {by}, {1e3 * found['fit']['rmse_V']:.1f} mV{said}"
     return bool(one.no_use) and code == 2, err.getvalue().strip().splitlines()[-1]

@@ -29,9 +29,8 @@ from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.checked_logs import check_logs
+from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import measure_capacity
-from cellwise.identify.measured_ocv import measure_ocv
-from cellwise.identify.prior.from_prior import needs_prior
 from cellwise.logs import CellLog, inspect_log, read_log
 
 TEMPERATURE = re.compile(r"_([np])(\d\d)(?=_|\.|$|rise)")
@@ -131,15 +130,9 @@ def as_tests(logs: tuple[CellLog, ...], role: str | None = None) -> TestLogs:
 
 
 def checks(tests: TestLogs, settings: IdentifySettings) -> None:
-    """What `identify` checks before its fit; the fit too where that begins with a refusal."""
+    """What `identify` checks before its fit."""
     checked = check_logs(tests, settings)
-    capacity = measure_capacity(checked, settings)
-    if settings.prior is not None or needs_prior(tests, settings):
-        return
-    try:
-        measure_ocv(checked, capacity.capacity_Ah)
-    except InputError:
-        identify_cell(tests, settings)
+    gather_logs(checked, measure_capacity(checked, settings), settings, lambda _: None)
 
 
 def alone(cell: Cell, log: CellLog) -> None:

@@ -240,6 +240,7 @@ def stock(name: str, model: CellModel, recipe: Recipe, spread: Mapping[str, floa
             correlation_s=LASTS_S,
             resistance_share=float(np.hypot(spread["ln_resistance"], model.error.shown_share())),
         ),
+        posterior=None,  # the spread of its kind says more
         provenance={
             "cellwise_version": model.provenance.get("cellwise_version", ""),
             "stock": {
@@ -271,9 +272,10 @@ def thinned(model: CellModel) -> CellModel:
         return rounded(np.exp(out) if logarithm else out)
 
     ocv = table(model.ocv_V, False)
+    others: dict[str, Any] = {n: table(getattr(model, n), True) for n in TABLES if n != "ocv_V"}
     return replace(
         model,
-        **{name: table(getattr(model, name), True) for name in TABLES if name != "ocv_V"},
+        **others,
         ocv_V=np.maximum.accumulate(ocv, axis=1),
         temperature_C=model.temperature_C[kept],
         effects=tuple(thin_effect(e, table) for e in model.effects if not isinstance(e, TimeSkew)),

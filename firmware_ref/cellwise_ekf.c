@@ -782,7 +782,7 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
         tilt(x, p, w, flow);
     }
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
-        add_variance(x, c->soc_walk);
+        add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(flow)));
     }
 }
 

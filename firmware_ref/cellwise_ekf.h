@@ -62,6 +62,7 @@ typedef struct {
 typedef struct {
     float soc_per_A; /* SOC that 1 A takes in one step */
     float soc_walk; /* variance that SOC gains in one step */
+    float capacity_walk; /* and per ampere, by a capacity that may be off */
     float current_variance_A2; /* of the current sensor */
     float fixed_V2; /* of the voltage sensor */
     float ocv_soc2; /* of the OCV along the SOC axis */

@@ -2,9 +2,9 @@
 
 python -m benchmarks.ablation.identify [--keep DIR] [--only "trend,bends"] [--list]
 
-A switch sets names within modules; nothing of it is in the package. With a rule off, each cell is
-identified again up to the joint fit; where OCV, capacity and pulses are as before nothing
-can have changed, else the joint fit follows, and logs that took no part are simulated.
+A switch sets names within modules; nothing of it is in the package. With a rule off, capacity, OCV
+and pulses of each cell are measured again; where they are as before nothing can have changed, else
+the fit follows, and logs that took no part are simulated.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ import numpy as np
 from benchmarks.ablation.identify_rules import RULES, Rule
 from benchmarks.measured_data import HOW, REPOSITORY, data_folder
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.identify import pipeline
+from cellwise.identify.checked_logs import check_logs
+from cellwise.identify.fitted_pulses import fit_all_pulses
 from cellwise.identify.hppc import phases
+from cellwise.identify.measured_capacity import measure_capacity
+from cellwise.identify.measured_ocv import measure_ocv
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.stated import Stated
 
@@ -129,10 +132,6 @@ def tests_of(case: Case) -> TestLogs:
     )
 
 
-class _FitReached(Exception):  # noqa: N818
-    """Raised in place of the joint fit, with all that it would begin from."""
-
-
 @contextmanager
 def thrown(names: tuple[tuple[str, str, Any], ...]) -> Iterator[None]:
     """Names within modules set for a while."""
@@ -151,21 +150,18 @@ def thrown(names: tuple[tuple[str, str, Any], ...]) -> Iterator[None]:
 
 
 def begin_of(case: Case) -> str:
-    """All that the joint fit begins from, as one line: capacity, OCV and its notes, pulses."""
-
-    def reached(*arguments: Any) -> None:
-        raise _FitReached(arguments)
-
+    """All that is measured without the fit, as one line: capacity, OCV and its notes, pulses."""
     settings = IdentifySettings(nominal_Ah=case.nominal_Ah)
-    with thrown(((pipeline.__name__, "gather_logs", reached),)):
-        try:
-            identify_cell(tests_of(case), settings)
-        except _FitReached as fit:
-            groups, ocv, capacity, _ = fit.args[0]
-        except InputError as error:
-            return str(error)
+    try:
+        checked = check_logs(tests_of(case), settings)
+        capacity = measure_capacity(checked, settings).capacity_Ah
+        ocv, *_ = measure_ocv(checked, capacity)
+        full = {id(log): InitialSoc(1.0, 0.01, "full") for log, _ in checked.tests.hppc}
+        pulses = fit_all_pulses(checked, ocv, capacity, settings, full)
+    except InputError as error:
+        return str(error)
     figures = [capacity, *ocv.voltage_V]
-    for group in groups:
+    for group in pulses.groups:
         for one in group.pulse_sets:
             figures += [x for f in one.fits for x in (*f.value, *f.error)]
             figures += [one.anchor.soc, *(ord(p.quality[0]) + p.start for p in one.pulses)]

@@ -28,9 +28,10 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.cell.stock import stock_model
-from cellwise.identify import Identification
-from cellwise.identify.prior.corrections import UsualDifference
-from cellwise.identify.prior.update import Evidence
+from cellwise.fit.model_error import polarisation_V
+from cellwise.fit.problem import EVIDENCE
+from cellwise.identify import Identification, effect_selection
+from cellwise.identify.joint_fit import ROLES
 from cellwise.logs import CellLog
 from cellwise.typing import FloatArray
 
@@ -183,7 +184,7 @@ def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
 
 @dataclass(frozen=True)
 class Rule:
-    """What is off: names within modules below ``cellwise.identify``, and the cells it can touch."""
+    """What is off: names within modules below ``cellwise``, and the cells it can touch."""
 
     name: str
     names: tuple[tuple[str, Any], ...] = ()
@@ -193,58 +194,50 @@ class Rule:
     def places(self) -> tuple[tuple[str, str, Any], ...]:
         """Module, name and value of each."""
         ways = ((path.rsplit(".", 1), value) for path, value in self.names)
-        return tuple((f"cellwise.identify.{way[0]}", way[1], value) for way, value in ways)
+        return tuple((f"cellwise.{way[0]}", way[1], value) for way, value in ways)
 
 
 def _without(name: str) -> Callable[..., Any]:
     """The candidates of the effects' station but one."""
-    from cellwise.identify.refinement import effects
-
-    candidates = effects._candidates
+    candidates = effect_selection._candidates
     return lambda joint: tuple(n for n in candidates(joint) if n != name)
 
 
-SEVERAL = ("Panasonic, five temperatures", "LG, constant currents", "Leaf cell, pulses")
 TRIED = ("Panasonic, five temperatures", "LG, constant currents", "A123 without -15 degC")
-PRIORS = tuple(name for name in CELLS if name.startswith("prior"))
-FIT, EFFECTS, PRIOR = "refinement.joint_fit", "refinement.effects", "prior.update"
+FIT, LIKELIHOOD = "identify.joint_fit", "fit.problem"
+CANDIDATES = "identify.effect_selection._candidates"
 RULES: tuple[Rule, ...] = (
     Rule("nothing"),
-    Rule("a log that is fitted worse counts less", ((f"{FIT}.BALANCE", 0.0),), SEVERAL),
-    Rule("smoother with several temperatures", ((f"{FIT}.SMOOTH_OF_SEVERAL", 0.01),), SEVERAL),
     Rule(
-        "hysteresis in the fit",
-        ((f"{FIT}.HYSTERESIS_FROM_V", np.inf),),
-        ("A123, four scripts", "A123 without -15 degC"),
-    ),
-    Rule(
-        "capacity tests keep their own",
-        ((f"{FIT}.keep_own_capacity", lambda *_: False),),
+        "a test of the capacity keeps its own",
+        ((f"{FIT}.ROLES", ROLES._replace(capacity_std=0.0)),),
         ("Panasonic, pulses and two drives",),
     ),
-    Rule("charge_transfer", ((f"{EFFECTS}._candidates", _without("charge_transfer")),), TRIED),
-    Rule("surface_soc", ((f"{EFFECTS}._candidates", _without("surface_soc")),), TRIED),
     Rule(
-        "own activations", ((f"{EFFECTS}._candidates", _without("temperature_dependence")),), TRIED
+        "roles as evidence of a full start",
+        ((f"{FIT}.ROLES", ROLES._replace(test_full=0.1, drive_full=0.1)),),
     ),
-    Rule("prior, robust", ((f"{PRIOR}.OF_A_LOG", Evidence(robust=1e6)),), PRIORS),
+    Rule("charge_transfer", ((CANDIDATES, _without("charge_transfer")),), TRIED),
+    Rule("surface_soc", ((CANDIDATES, _without("surface_soc")),), TRIED),
+    Rule("own activations", ((CANDIDATES, _without("temperature_dependence")),), TRIED),
+    Rule("robust", ((f"{LIKELIHOOD}.EVIDENCE", EVIDENCE._replace(robust=1e6)),)),
     Rule(
-        "prior, one error in five minutes",
-        ((f"{PRIOR}.OF_A_LOG", Evidence(memory_s=1e-3)),),
-        PRIORS,
+        "one error in five minutes",
+        ((f"{LIKELIHOOD}.EVIDENCE", EVIDENCE._replace(memory_s=1e-3)),),
     ),
     Rule(
-        "prior, activation",
-        (("prior.corrections.USUAL", UsualDifference(activation_K=1e-3)),),
-        PRIORS,
+        "one error in two per cent of SOC",
+        ((f"{LIKELIHOOD}.EVIDENCE", EVIDENCE._replace(cell_soc=1e-4)),),
+    ),
+    Rule(
+        "no fit better than two logs are alike",
+        ((f"{LIKELIHOOD}.EVIDENCE", EVIDENCE._replace(least_V=5e-4)),),
     ),
 )
 
 
 def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[float]]:
     """Mean squares stated and measured in each band above 15 % SOC [V^2]."""
-    from cellwise.identify.refinement.model_error import polarisation_V
-
     simulation = simulate(model, log, start_of(model, log, soc0))
     known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
     warm = known_temperature_C(model, log)[known]

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,8 @@ class Result:
 
 def estimator_of(switch: Switch, name: str, case: Case) -> Estimator:
     """The filter with the switch's fields."""
-    noise = replace(Noise.of_model(case.model), **switch.noise)
+    changed: dict[str, Any] = dict(switch.noise)
+    noise = replace(Noise.of_model(case.model), **changed)
     if name == "adaptive":
         return Adaptive(case.model, noise, replace(AdaptiveSettings(), **switch.settings))
     return make_estimator(name, case.model, noise)

@@ -44,7 +44,7 @@ def _times(made: Any, folder: Path, say: Progress) -> list[Figure]:
                 if when == "cold"
                 else f"process that runs on; its first run took {run['runs'][0]['tables_s']:.1f}"
             )
-            whole = f"with refinement and check {first['model_s']:.1f} s"
+            whole = f"with error, pulses and check {first['model_s']:.1f} s"
             start = f"import {run['import_s']:.1f} s more"
             figures.append(
                 Figure(
@@ -60,7 +60,7 @@ def _times(made: Any, folder: Path, say: Progress) -> list[Figure]:
                 figures.append(
                     Figure(
                         group,
-                        f"{form}, warm, refined model",
+                        f"{form}, warm, whole model",
                         first["model_s"],
                         "s",
                         target=TARGET_S,

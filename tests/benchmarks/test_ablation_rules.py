@@ -6,9 +6,15 @@ from importlib import import_module
 
 import pytest
 from benchmarks.ablation.identify_rules import RULES
+from benchmarks.ablation.joint_fit import RULES as RULES_OF_THE_FIT
+
+SWITCHES = [
+    *((rule.name, rule.names) for rule in RULES),
+    *((rule.name, rule.places) for rule in RULES_OF_THE_FIT),
+]
 
 
-@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.name)
-def test_every_switch_names_something_that_is_there(rule):
-    for module, name, off in rule.names:
+@pytest.mark.parametrize("names", [n for _, n in SWITCHES], ids=[n for n, _ in SWITCHES])
+def test_every_switch_names_something_that_is_there(names):
+    for module, name, off in names:
         assert getattr(import_module(module), name) is not off

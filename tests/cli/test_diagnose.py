@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellwise.cell.model_file import read_model
+from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.model_file import read_model, write_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.diagnose.causes.catalogue import CAUSES
@@ -215,17 +216,21 @@ def test_the_model_of_the_user_stays_when_the_folder_cannot_be_written(bench, re
 
 @pytest.mark.slow
 def test_what_only_repeats_its_prior_comes_last(real_data, run_json, capsys, tmp_path):
-    """A drive at 0 degC by tests at 25 degC: it finds few of the law's thirteen numbers."""
+    """A drive at 0 degC, the model of 25 degC without its law: few of thirteen numbers count."""
     folder, model = real_data / "panasonic_18650pf", str(tmp_path / "warm.json")
     tests = ("--hppc", str(folder / "hppc_p25.csv.gz"), "--ocv", str(folder / "ocv_c20_p25.csv.gz"))
     run_json("identify", *tests, "--nominal-ah", "2.9", "-o", model)
+    found = read_model(model)  # from the logs' few kelvin and the prior it has a law already
+    bare = [e for e in found.effects if not isinstance(e, TemperatureDependence)]
+    write_model(replace(found, effects=tuple(bare)), model)
     drive = str(folder / "drive_p00_us06.csv.gz")
     asked = ("diagnose", "--model", model, drive, "--soc0", "1", "--cause")
     (cause,) = run_json(*asked, "temperature_dependence")["causes"]
     folded = cause["prior_only"]
     assert 0 < len(folded) < len(cause["parameters"])
     assert main([*asked, "temperature_dependence"]) == 0
-    first, _, last = capsys.readouterr().out.partition("of which these logs say no more")
+    said, _, last = capsys.readouterr().out.partition("of which these logs say no more")
+    first = said.partition("what competes")[0]  # after the causes, before what was tried
     for name in cause["parameters"]:
         assert (f"{name} " in first) != (name in folded), name
         assert (f"{name} " in last) == (name in folded), name

@@ -34,15 +34,25 @@ def test_little_known_is_said_by_the_deviation(run_json, flight, tmp_path):
     assert np.median(std) > 0.02
 
 
-def test_identify_with_a_prior_marks_what_is_the_priors(run_json, flight, tmp_path):
+def test_identify_with_a_stock_model_says_what_its_class_leaves_open(run_json, flight, tmp_path):
     out = tmp_path / "model.json"
     found = run_json("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nmc-18650",
                 "-o", str(out), "--report", str(tmp_path / "page.html"))  # fmt: skip
-    assert found["prior"]["name"] == "nmc-18650"
-    assert found["prior"]["from_prior"]["soc"]
+    assert found["posterior"]["prior"] == "population of layered cells"
     model = read_model(out)
-    assert model.provenance["prior"]["seen"] == found["prior"]["seen"]
-    assert model.ocv_V.min() > 2.4
+    assert model.posterior.directions == tuple(found["posterior"]["directions"])
+    assert 0.01 < model.posterior.capacity_std < 0.1  # of a rating, less than it was
+    low, high = model.validity.soc
+    soc = np.linspace(0.0, 1.0, model.posterior.ocv_std_V.size)
+    seen = (soc > low) & (soc < high)
+    assert model.posterior.ocv_std_V[seen].mean() < model.posterior.ocv_std_V[~seen].mean()
+
+
+def test_a_lineage_that_is_left_out_is_said(run_json, flight, tmp_path):
+    found = run_json("identify", "--drive", flight, "--nominal-ah", "5", "--prior", "nmc-18650",
+                "--without-lineage", "nmc-18650", "--without-lineage", "lmo-pouch",
+                "-o", str(tmp_path / "model.json"))  # fmt: skip
+    assert found["posterior"]["prior"].endswith("without lmo-pouch, nmc-18650")
 
 
 def test_data_list_shows_them(run_json):

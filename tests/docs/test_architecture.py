@@ -13,7 +13,18 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
-TOOLS = {"logs", "cell", "identify", "estimate", "forecast", "diagnose", "pack", "history", "data"}
+TOOLS = {
+    "logs",
+    "cell",
+    "fit",
+    "identify",
+    "estimate",
+    "forecast",
+    "diagnose",
+    "pack",
+    "history",
+    "data",
+}
 MAY_IMPORT = {
     "errors": set(),
     "typing": set(),
@@ -26,12 +37,13 @@ MAY_IMPORT = {
     "logs": BASE,
     "cell": BASE | {"logs"},
     "printing": BASE | {"cell", "estimate"},
-    "identify": BASE | {"logs", "cell"},
+    "fit": BASE | {"logs", "cell"},
+    "identify": BASE | {"logs", "cell", "fit"},
     "estimate": BASE | {"logs", "cell"},
     "forecast": BASE | {"logs", "cell", "estimate"},
-    "diagnose": BASE | {"logs", "cell", "identify", "estimate"},
+    "diagnose": BASE | {"logs", "cell", "fit", "identify", "estimate"},
     "pack": BASE | {"logs", "cell", "identify", "estimate", "diagnose"},
-    "history": BASE | {"logs", "cell", "identify", "estimate"},
+    "history": BASE | {"logs", "cell", "fit"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS | {"printing"},
     "studies": BASE | TOOLS,

@@ -35,7 +35,7 @@ CAPABILITIES = (
                f"{DOOR}::test_a_held_out_drive_and_its_soc"),
     Capability("a fast discharge of pulses and a slow one", "identify/test_pipeline_real.py",
                f"{DOOR}::test_a_fast_discharge_of_pulses_and_a_slow_one"),
-    Capability("a month of a car holds for others", "identify/prior/test_prior_real.py",
+    Capability("a month of a car holds for others", "identify/test_one_drive_real.py",
                f"{DOOR}::test_a_month_of_a_car_holds_for_the_next"),
     Capability("nobody of a healthy pack is accused", "pack/test_leaf_pack.py",
                f"{DOOR}::test_nobody_of_a_healthy_pack_is_accused"),

@@ -17,7 +17,7 @@ from cellwise.errors import InputError, MachineError
 from cellwise.fleet import HistoryTask, PackTask, run_fleet
 from cellwise.fleet.store import read_prepared
 from cellwise.history.life import life_of
-from cellwise.history.window_fit import changed_model
+from cellwise.history.log_health import changed_model
 from cellwise.logs import CellLog, read_log, write_log
 from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns

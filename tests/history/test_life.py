@@ -14,8 +14,8 @@ from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.history.life import life_of
+from cellwise.history.log_health import changed_model, log_health
 from cellwise.history.trend import Deviations, trend_of
-from cellwise.history.window_fit import changed_model, fit_window
 from cellwise.logs import CellLog, write_log
 
 FRESH = stock_model("nca-18650")
@@ -91,7 +91,7 @@ def test_another_rate_is_no_age():
 
 @pytest.mark.parametrize(("share", "scale"), [(1.0, 1.0), (0.9, 1.0), (0.9, 1.4)])
 def test_a_drive_shows_both_within_its_band(share, scale):
-    fit = fit_window(FRESH, drive(share, scale))
+    fit = log_health(FRESH, drive(share, scale))
     capacity = share * FRESH.capacity_Ah
     assert abs(fit.capacity_Ah - capacity) < 3.0 * fit.capacity_std_Ah
     assert abs(fit.capacity_Ah - capacity) < 0.03 * capacity
@@ -99,6 +99,33 @@ def test_a_drive_shows_both_within_its_band(share, scale):
     unseen = 0.3 * (1.0 - fit.covered)
     assert unseen < fit.capacity_std_Ah / fit.capacity_Ah < unseen + 0.03
     assert abs(fit.resistance_scale - scale) < 3.0 * fit.resistance_std + 0.01
+
+
+def test_cells_beside_their_model_lie_within_the_band():
+    """Another OCV in the middle, each resistance by itself: no fit of three numbers covers that."""
+    rng = np.random.default_rng(3)
+    off, stated = [], []
+    for k in range(12):
+        share, scale = rng.uniform(0.78, 1.0), np.exp(rng.uniform(-0.1, 0.6))
+        aged = changed_model(FRESH, np.log(share), np.log(scale))
+        waves = np.sin(np.pi * np.outer([1.0, 2.0, 3.0], aged.soc))
+        ocv = np.maximum.accumulate(aged.ocv_V + rng.normal(0.0, 0.004, 3) @ waves, axis=1)
+        r0, r1, r2 = np.exp(rng.normal(0.0, 0.1, 3))
+        cell = replace(
+            aged, ocv_V=ocv, r0_ohm=r0 * aged.r0_ohm, r1_ohm=r1 * aged.r1_ohm,
+            r2_ohm=r2 * aged.r2_ohm,
+        )  # fmt: skip
+        log = drive(1.0, seed=k)
+        seen = simulate(cell, log, 0.95).voltage_V + rng.normal(0.0, 0.001, len(log))
+        fit = log_health(FRESH, replace(log, voltage_V=seen).part(0, len(log) - 600 * (k % 6)))
+        off.append(np.log(fit.capacity_Ah / cell.capacity_Ah))
+        # What a window cannot see at all is in the deviation; the log's own part is beside it.
+        unseen = 0.3 * (1.0 - fit.covered)
+        stated.append([fit.capacity_std_Ah / fit.capacity_Ah, unseen])
+    off, (whole, unseen) = np.array(off), np.array(stated).T
+    assert np.all(np.abs(off) < 2.0 * whole)
+    assert np.sqrt(np.mean(whole**2 - unseen**2)) > 0.5 * np.sqrt(np.mean(off**2))
+    assert np.sqrt(np.mean(off**2)) < 0.05
 
 
 def test_the_band_of_a_trend_covers_what_made_it():

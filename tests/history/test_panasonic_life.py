@@ -64,8 +64,9 @@ def test_capacity_lies_between_what_tests_and_rests_tell(fresh, logs):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="2.79 +- 0.18 Ah beyond 2.35 to 2.72: each drive of the aged cell is fitted 0.1 to 0.3 "
-    "Ah too high, since what its warming and the cold cost is not told from the fade",
+    reason="2.90 +- 0.24 Ah, of which 2.35 to 2.72 is not covered: drives of the aged cell are "
+    "fitted 0.1 to 0.4 Ah too high, since what its warming and the cold cost is not told from the "
+    "fade",
 )
 def test_capacity_lies_there_without_the_last_tests(fresh, logs):
     assert judged(fresh, logs, WITHOUT_LAST_TESTS) == (True, True)

@@ -113,7 +113,7 @@ def test_another_capacity_than_the_nominal_one_is_said_with_both(hppc):
 
 
 def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
-    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
+    other = scaled(load_dataset("nmc_cap_c5"), 1.3, "other")
     tests = together((hppc,), ocv=(low_rate,), capacity=(other,))
     found = identify_cell(tests, QUICK)
     print_identification(found)
@@ -121,6 +121,16 @@ def test_the_command_says_it_in_its_first_line(hppc, low_rate, capsys):
     assert first.startswith("  ! ")
     assert "'other'" in first
     assert not any(line == first for line in rest)
+
+
+def test_a_capacity_test_of_far_more_charge_is_said_first_and_moves_nothing(hppc, low_rate):
+    """It keeps a capacity of its own; what the others say of the cell stays."""
+    other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
+    found = identify_cell(together((hppc,), ocv=(low_rate,), capacity=(other,)), QUICK)
+    assert "'other' moves" in found.notices[0]
+    assert found.model.capacity_Ah == pytest.approx(found.capacities["rate:C/20"], rel=5e-3)
+    of_others = [o for o in found.own_logs if o.simulation.log.name != "other"]
+    assert max(o.simulation.metrics.rmse_V for o in of_others) < 0.03
 
 
 def first_said(tests, settings):

@@ -17,7 +17,7 @@ from rich_cell import Logger, drive, gitt, hppc, low_rate, rich_nmc, run
 
 CELL = rich_nmc(3.0)
 SETTINGS = IdentifySettings(nominal_Ah=3.0)
-WORSE = 1.5
+WORSE, CLIMBING = 1.5, 2.5
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,9 @@ LONG = ("C/10, 10 %", "C/2, 10 %, 1 h")
     "case", [pytest.param(c, marks=[pytest.mark.slow] if c in LONG else []) for c in CASES]
 )
 def test_drives_are_missed_by_hardly_more_than_with_pulses(case, drives, of_pulses):
-    assert missed_V(identified(*CASES[case]), drives) < WORSE * of_pulses
+    # A cell that climbs from empty has its capacity found, and was never seen full.
+    most = WORSE if "up from empty" not in case else CLIMBING
+    assert missed_V(identified(*CASES[case]), drives) < most * of_pulses
 
 
 @pytest.mark.parametrize(
@@ -109,7 +111,8 @@ def test_pulses_with_short_rests_only_beside_a_low_rate_test(period_s, drives, o
 def test_a_stated_start_is_where_an_incremental_test_begins(drives, of_pulses):
     log = run(CELL, gitt(CELL)[:-4], 0.95, Logger(1.0), seed=3, name="part").log
     found = identify_cell(TestLogs(hppc=((replace(log, soc0=0.95), None),)), SETTINGS)
-    assert found.model.capacity_Ah == 3.0, "a part of the range is no capacity"
+    off = np.log(found.model.capacity_Ah / 3.0)
+    assert abs(off) < 2.5 * found.model.posterior.capacity_std, "a part of the range is no capacity"
     assert any("is no capacity" in n for n in found.notices)
     assert missed_V(found, drives) < WORSE * of_pulses
 
@@ -135,12 +138,10 @@ def test_ocv_of_another_sample_is_said_with_the_numbers():
     assert found.contradictions == found.notices[:1] == (said,)
 
 
-def test_a_script_that_finishes_a_charge_with_small_steps_takes_no_part():
+def test_a_script_that_finishes_a_charge_with_small_steps_spoils_nothing(drives, of_pulses):
     low = run(CELL, low_rate(CELL), 1.0, Logger(10.0), seed=1, name="ocv").log
     steps = [(0.0, 600.0), *([(-0.1, 600.0), (0.1, 500.0)] * 5), (0.0, 600.0)]
     finish = run(CELL, steps, 0.99, Logger(1.0), seed=2, name="finish").log
     found = identified(hppc(CELL), ocv=(low, finish))
-    assert any(
-        "'finish' left out of the refinement: its discharge moves" in n for n in found.notices
-    )
     assert all("'ocv' left out" not in n for n in found.notices)
+    assert missed_V(found, drives) < WORSE * of_pulses

@@ -31,7 +31,7 @@ def resting(log):
 
 def at_rest(model, differences, log):
     """Errors of every cell's voltage [V] in the rests of one pack log, and their lengths [s]."""
-    (low, high), *_ = model.provenance["prior"]["seen"]["soc"]
+    low, high = model.validity.soc
     mean, found, lengths = mean_cell(model, log.mean), [], []
     for part in range(int(mean.part.max()) + 1):
         rows = np.flatnonzero(mean.part == part)

@@ -26,6 +26,7 @@ from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
+from cellwise.cell.posterior import Posterior
 from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
 from cellwise.plotting import Line, Panel, Plottable, Summarised
@@ -69,6 +70,7 @@ class CellModel(Plottable, Summarised):
     effects : tuple of Effect      extensions, at most one of a kind
     charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
     error : ModelError             voltage error on every time scale, from loads no fit has seen
+    posterior : Posterior or None  what the fit left open; the error holds it already
     validity : Validity            SOC, temperature and current that its data covered
     voltage_min_V, voltage_max_V : float or None   the cell's limits
     name, chemistry : str
@@ -92,6 +94,7 @@ class CellModel(Plottable, Summarised):
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
     error: ModelError = field(default_factory=ModelError)
+    posterior: Posterior | None = None
     validity: Validity = UNKNOWN
     voltage_min_V: float | None = None
     voltage_max_V: float | None = None
@@ -202,15 +205,25 @@ class CellModel(Plottable, Summarised):
 
     @property
     def capacity_std_Ah(self) -> float:
-        """Standard deviation of the capacity of the cell it is for [Ah], as its provenance says."""
-        for key in ("history", "prior"):
-            stated = self.provenance.get(key)
-            if isinstance(stated, Mapping) and "capacity_std_Ah" in stated:
-                return float(stated["capacity_std_Ah"])
+        """Standard deviation of the capacity of the cell it is for [Ah].
+
+        By its posterior, else by what its provenance says.
+        """
+        if self.posterior is not None and self.posterior.capacity_std > 0.0:
+            return self.posterior.capacity_std * self.capacity_Ah
+        history = self.provenance.get("history")
+        if isinstance(history, Mapping) and "capacity_std_Ah" in history:
+            return float(history["capacity_std_Ah"])
         stock = self.provenance.get("stock")
         if isinstance(stock, Mapping) and "spread" in stock:
             return float(stock["spread"]["soc"]) * self.capacity_Ah
         return CAPACITY_STD * self.capacity_Ah
+
+    @property
+    def capacity_share(self) -> float:
+        """By what share of it the cell in use may hold more or less, one deviation."""
+        fitted = 0.0 if self.posterior is None else self.posterior.capacity_std
+        return max(CAPACITY_STD, fitted)
 
     def effect(self, kind: type[E]) -> E:
         """The model's effect of one kind, or its neutral value."""

@@ -177,7 +177,10 @@ class ModelError:
         return self.persistent_share * (self.weights[-1] / slow if slow > 0.0 else 1.0)
 
     def with_slow(self, std_V: FloatArray, share: float) -> ModelError:
-        """With as much more in the slowest process: over an even SOC grid [V], and a share."""
+        """With as much more in the slowest process: over an even SOC grid [V], and a share.
+
+        It comes back at the same SOC in every log.
+        """
         points = max(len(std_V), len(self.std_V[-1][0]))
         grid = np.linspace(0.0, 1.0, points)
 
@@ -185,13 +188,17 @@ class ModelError:
             return np.interp(grid, np.linspace(0.0, 1.0, len(row)), row)
 
         tables = np.array([[wide(row) for row in table] for table in self.std_V])
+        before, more = float(np.mean(tables[-1] ** 2)), float(np.mean(wide(tuple(std_V)) ** 2))
         tables[-1] = np.hypot(tables[-1], wide(tuple(std_V)))
+        comes_back = self.persistent_share * before + more
+        persistent = comes_back / (before + more) if more > 0.0 else self.persistent_share
         own, charge = self.shares(), self.shares(-1.0)
         return replace(
             self,
             std_V=_tuples(tables.tolist()),
             share=(*own[:-1], math.hypot(own[-1], share)),
             charge_share=(*charge[:-1], math.hypot(charge[-1], share)),
+            persistent_share=persistent,
         )
 
     def to_dict(self) -> dict[str, Any]:

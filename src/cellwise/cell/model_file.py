@@ -17,6 +17,7 @@ from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
 from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
+from cellwise.cell.posterior import Posterior
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
@@ -64,6 +65,7 @@ RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
     """The model as plain JSON values, every number at full precision."""
+    posterior = {} if model.posterior is None else {"posterior": model.posterior.to_dict()}
     validity = {"validity": model.validity.to_dict()} if model.validity.known else {}
     return {
         "schema_version": SCHEMA_VERSION,
@@ -79,6 +81,7 @@ def model_to_dict(model: CellModel) -> dict[str, Any]:
         **{name: getattr(model, name).tolist() for name in TABLES},
         "effects": [_effect_to_dict(e) for e in model.effects],
         "error": {k: v for k, v in model.error.to_dict().items() if v is not None and v != ()},
+        **posterior,
         **validity,
         "provenance": dict(model.provenance),
     }
@@ -134,6 +137,7 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
             effects=tuple(_effect_from_dict(e, where) for e in data["effects"]),
             charge_efficiency=_number(data["charge_efficiency"]),
             error=_record(ModelError, data["error"], f"the error of {where}", "soc"),
+            posterior=_maybe(Posterior.of_dict, data.get("posterior")),
             validity=_record(Validity, data.get("validity", {}), f"the validity of {where}"),
             voltage_min_V=_maybe(_number, data["voltage_min_V"]),
             voltage_max_V=_maybe(_number, data["voltage_max_V"]),

@@ -34,6 +34,7 @@ from cellwise.cell.plausibility.notice import (
     in_order,
     outside_notices,
     soc_notices,
+    stated_error_V,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
@@ -123,12 +124,30 @@ class Simulation(Plottable, Tabular):
         """RMSE over the rows whose simulated SOC is above 0.1 [V]."""
         return error_metrics(self.error_V[self.soc > 0.1]).rmse_V
 
+    @property
+    def band_V(self) -> float:
+        """RMS of the deviation that the model states of its voltage along the log [V].
+
+        Its error, in which the OCV and the resistances that its fit left open are, and its
+        capacity, off by which the SOC is the more off the more charge has flowed. NaN without a
+        model.
+        """
+        if self.model is None:
+            return math.nan
+        stated_V = stated_error_V(self.model, self.log, self.soc, self.voltage_V)
+        fitted = self.model.posterior
+        off = 0.0 if fitted is None else fitted.capacity_std * (self.soc - self.soc0)
+        ocv_V = self.model.ocv_at(self.model.usual_temperature_C)
+        slope_V = np.interp(self.soc, self.model.soc, np.gradient(ocv_V, self.model.soc))
+        return float(np.sqrt(np.mean(stated_V**2 + (slope_V * off) ** 2)))
+
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
         above = self.rmse_above_10pct_V
         return {
             **metrics_to_dict(self.metrics),
             "rmse_above_10pct_V": above if np.isfinite(above) else None,
+            "band_V": self.band_V if np.isfinite(self.band_V) else None,
             "bands": [
                 {"soc": [b.soc_low, b.soc_high], **metrics_to_dict(b.metrics)} for b in self.bands
             ],

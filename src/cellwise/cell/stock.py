@@ -99,7 +99,7 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
 
     Cells in parallel are one larger cell: every resistance and the thermal resistance become
     smaller by the ratio of the capacities, a self-discharge current larger; OCV, time constants and
-    everything in volts stay.
+    everything in volts stay. What a fit left open of the capacity is of the other one.
 
     Parameters
     ----------
@@ -119,11 +119,13 @@ def scaled_model(model: CellModel, capacity_Ah: float) -> CellModel:
         low, high = validity.current_A
         validity = replace(validity, current_A=(low / share, high / share))
     wider = model.with_resistances(share)
+    fitted = model.posterior  # its capacity was another one
     return replace(
         wider,
         capacity_Ah=float(capacity_Ah),
         effects=tuple(_scaled(e, share) for e in wider.effects),
         validity=validity,
+        posterior=None if fitted is None else fitted.with_capacity_std(0.0),
         provenance={**model.provenance, "scaled_from_Ah": float(model.capacity_Ah)},
     )
 

@@ -229,5 +229,8 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         ("to", lambda row: millivolt(row[1].ci95_V[1])),
         ("rows", lambda row: f"{row[1].samples:,}"),
     )
-    printing.say(f"RMSE above 10 % SOC: {millivolt(found.rmse_above_10pct_V)} mV")
+    printing.say(
+        f"RMSE above 10 % SOC: {millivolt(found.rmse_above_10pct_V)} mV; the model states "
+        f"{millivolt(found.band_V)} mV (one deviation)"
+    )
     printing.say_notices(n for n in notices if n not in first)

@@ -8,8 +8,9 @@ cellwise identify: laboratory tests to a model
     --nominal-ah X  rated capacity
     --capacity-choice C  nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 [the slowest
         complete discharge]
-    --prior MODEL  a stock model (`cellwise data list`) or a model file of such a cell: scaled to
-        the capacity, and corrected as far as the logs determine
+    --prior MODEL  a stock model (`cellwise data list`), which stands for its class, or a model file
+        of this cell or its kind: corrected as far as the logs determine
+    --without-lineage NAME...  a stock model that is left out of what is known of cells, for judging
     --method varpro|segments|pso=varpro  of the pulses
     --tables spline|cubic=spline  over SOC
     --no-refine  keep the tables of the single pulses
@@ -32,7 +33,7 @@ from cellwise.cell.stock import named_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.identify import Identification, IdentifySettings, identify_cell
 from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
-from cellwise.identify.own_logs import start_notices
+from cellwise.identify.fit_notices import start_notices
 from cellwise.logs.stated import check_temperature
 
 
@@ -53,6 +54,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
         hysteresis={"auto": None, "on": True, "off": False}[arguments.hysteresis],
         temperature_C=arguments.temperature_c,
         prior=None if arguments.prior is None else named_model(arguments.prior),
+        without_lineage=tuple(arguments.without_lineage or ()),
         name=arguments.name or "",
         chemistry=arguments.chemistry or "",
     )

@@ -34,7 +34,7 @@ from cellwise.diagnose.causes.coordinates import (
     Coordinates,
 )
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit
+from cellwise.diagnose.fit.coordinate_fit import Fit
 from cellwise.diagnose.fit.rows import FITTED, Evidence, shifted_current
 from cellwise.diagnose.result import LogRun, judged_runs
 from cellwise.diagnose.sets import Outcome

@@ -12,12 +12,12 @@ from scipy.special import fdtri
 from cellwise.arguments import number, shown
 from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, Cause
-from cellwise.diagnose.fit.least_squares import Fit
+from cellwise.diagnose.fit.coordinate_fit import Fit
 from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
-from cellwise.identify.refinement.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes
 from cellwise.logs.cell_log import CellLog, check_is_log
 
 Logs = CellLog | Sequence[CellLog]

@@ -25,7 +25,7 @@ from cellwise.cell.simulate import simulate_rows, start_hysteresis
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
-from cellwise.diagnose.fit.least_squares import Fit, shear
+from cellwise.diagnose.fit.coordinate_fit import Fit, shear
 from cellwise.diagnose.fit.priors import GOOD, start_readings
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.sets import Explanation, Outcome
@@ -89,7 +89,7 @@ def limits(
     """Limits of every cause; ``least`` is the evidence that is asked for [nats]."""
     names = list(dict.fromkeys([*fits.prior.names, *(n for c in causes for n in _keys(fits, c))]))
     jacobian = fits.evidence.jacobian(base.coordinates, base.z, names)
-    normal, _ = fits.stated.times(scale).normal(base.voltage_V, jacobian)
+    _, normal = fits.stated.times(scale).normal(base.voltage_V, jacobian)
     # A start that was read from a rest is read elsewhere where the OCV or the sensor is off.
     turned = shear(names, start_readings(names, fits.coordinates, fits.evidence))
     tolerance = np.array([fits.prior.std.get(n, SHOWN.neutral_std) for n in names])

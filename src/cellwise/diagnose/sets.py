@@ -18,10 +18,9 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
-from cellwise.diagnose.fit.least_squares import Fit, Frozen, Prior, fit
+from cellwise.diagnose.fit.coordinate_fit import Fit, Frozen, Tolerances, fit
 from cellwise.diagnose.fit.priors import USUAL, needs_activation, starts_to_try, widened_for
 from cellwise.diagnose.odds import NAMING, Rarity, Weighed, probability_of, weigh
-from cellwise.typing import FloatArray
 
 Progress = Callable[[float, str], None]
 
@@ -56,7 +55,7 @@ class Explanation:
     causes: tuple[Cause, ...]
     fit: Fit
     scale: float
-    prior: Prior
+    prior: Tolerances
     found: Prediction
 
     @property
@@ -155,7 +154,7 @@ class Explanations:
 
         def fitted(
             scale: float, coordinates: Coordinates, z: Mapping[str, float], steps: int, here: Frozen
-        ) -> tuple[Fit, Prior]:
+        ) -> tuple[Fit, Tolerances]:
             wide = widened_for(start.prior, cause, coordinates, evidence)
             objective = fits.stated.times(scale)
             return fit(objective, coordinates, wide, z, steps, here, moving), wide
@@ -183,7 +182,7 @@ class Explanations:
             self.tried[one.key] = one
 
     def _explained(
-        self, causes: tuple[Cause, ...], found: Fit, scale: float, prior: Prior, near: Frozen
+        self, causes: tuple[Cause, ...], found: Fit, scale: float, prior: Tolerances, near: Frozen
     ) -> Explanation:
         found = self.fits.complete(found, scale, prior)
         likely = self.fits.explained(found, scale, prior, causes, near)
@@ -201,7 +200,7 @@ def physical(one: Explanation) -> bool:
 
 
 def could_explain(
-    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Prior, frozen: Frozen
+    fits: CauseFits, causes: Sequence[Cause], base: Fit, prior: Tolerances, frozen: Frozen
 ) -> dict[str, float]:
     """Nats that every cause would gain at most by one Gauss-Newton step from a fit.
 
@@ -211,7 +210,7 @@ def could_explain(
     """
     evidence = fits.evidence
     shapes: dict[int, Coordinates] = {}
-    tried: list[tuple[Cause, int, Prior]] = []
+    tried: list[tuple[Cause, int, Tolerances]] = []
     for cause in (f for c in causes for f in forms_of(c, base.coordinates, evidence.alone)):
         of_cause = {id(s): s for s, _ in starts_to_try(cause, base.coordinates, evidence)}
         shapes |= of_cause
@@ -225,11 +224,14 @@ def could_explain(
         names = [n for n in new if n not in frozen.names]
         place |= {(key, n): len(place) + j for j, n in enumerate(names)}
         parts.append(evidence.jacobian(shaped, base.z, names))
-    normal, gradient = fits.stated.normal(base.voltage_V, np.column_stack(parts))
+    gradient, normal = fits.stated.normal(base.voltage_V, np.column_stack(parts))
 
-    def gain(key: int, wide: Prior) -> float:
+    def gain(key: int, wide: Tolerances) -> float:
         at = [place.get((key, n), place.get((0, n), -1)) for n in wide.names]
-        return _gain(normal[np.ix_(at, at)], gradient[at], wide, base.z)
+        known = wide.prior()
+        # What the prior costs at the start is not gained by a cause that widens it.
+        rows = 0.0, gradient[at], normal[np.ix_(at, at)]
+        return -known.with_rows(wide.point(base.z), *rows).lowest(known.free)[0]
 
     none = gain(0, prior)
     left, errors = fits.squares(base)
@@ -238,15 +240,6 @@ def could_explain(
         nats = fits.known.gained(left, 2.0 * max(gain(key, wide) - none, 0.0), errors)
         found[cause.name] = max(found.get(cause.name, 0.0), nats)
     return found
-
-
-def _gain(normal: FloatArray, gradient: FloatArray, prior: Prior, z: Mapping[str, float]) -> float:
-    """Nats that the best step of some coordinates gains, under their prior."""
-    weight, away = prior.precision(), prior.away(z)
-    pull = gradient - weight @ away
-    # What the prior costs at the start is not gained by a cause that widens it.
-    start = 0.5 * float(away @ weight @ away)
-    return 0.5 * float(pull @ np.linalg.solve(normal + weight, pull)) - start
 
 
 @dataclass(frozen=True)

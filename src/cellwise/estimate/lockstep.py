@@ -146,7 +146,7 @@ def plain_step(
     t = transition(cell, point, flow_A, dt_s)
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
     over = Interval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
-    p = with_noise(decayed(old.p, t), noise, s, over, 0.0)
+    p = with_noise(decayed(old.p, t), noise, s, over, 0.0, tables.cell.charge_As)
     x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)

@@ -30,6 +30,7 @@ class NoiseScalars(NamedTuple):
 
     current_A: float
     soc_per_sqrt_s: float
+    capacity_soc: float  # variance of the counted charge per SOC that flows
     wander_per_sqrt_s: float  # what of it is no offset, where an offset is a hypothesis
     branch_share: float
     charge_share: float
@@ -86,6 +87,8 @@ class Noise:
     offset_share : float      how far off the current may be for hours, as a share of 1C: EKF
                               and UKF weigh whether it is, and what voltages say against the
                               count is within the stated deviation; 0: the count is right
+    capacity_share : float    by what share the model's capacity may be off: over a full discharge
+                              the counted charge is off by as much
     current_limit_A, voltage_low_V, voltage_high_V : float
                               readings beyond are the sensor's fault and count as missing
     """
@@ -111,6 +114,7 @@ class Noise:
     voltage_low_V: float = -1e6
     voltage_high_V: float = 1e6
     charge_factor: float = 1.0
+    capacity_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -141,6 +145,7 @@ class Noise:
             slow_half_s=memory.half_s,
             lasting_share=model.error.lasting_share,
             branch_share=model.error.whole_share(),
+            capacity_share=0.0 if model.posterior is None else model.posterior.capacity_std,
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
             current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
             voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
@@ -155,6 +160,7 @@ class Noise:
         return NoiseScalars(
             **shared,
             soc_per_sqrt_s=per_sqrt_s,
+            capacity_soc=float(self.capacity_share**2),
             wander_per_sqrt_s=per_sqrt_s * (WANDERS if self.offset_share > 0.0 else 1.0),
             charge_share=float(self.branch_share * self.charge_factor),
             early_s=float(half_s * min(self.slow_first_s / max(self.slow_s, 1e-9), 1.0)),

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.cell.equations import CellState
-from cellwise.cell.model import CAPACITY_STD, CellModel
+from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.ahead_kernels import Away, Going, Uncertain, through
@@ -178,7 +178,7 @@ def forecast_plan(
     above: float = 0.0,
     cutoff_V: float | None = None,
     row: int | None = None,
-    capacity_std: float = CAPACITY_STD,
+    capacity_std: float | None = None,
 ) -> Outcome:
     """Where plans end from a moment of a replay, and the chance to end above a SOC.
 
@@ -192,7 +192,8 @@ def forecast_plan(
     above : float               SOC to end at or above, 0..1
     cutoff_V : float or None    as :func:`cellwise.forecast.remaining.cutoff_of`
     row : int or None           of the log, from which the plans begin; None: its last
-    capacity_std : float        of the cell's capacity about the model's, as a share
+    capacity_std : float or None      of the cell's capacity about the model's, as a share; None:
+                                as the model states
 
     Raises
     ------
@@ -205,7 +206,10 @@ def forecast_plan(
     cutoff = cutoff_of(model, cutoff_V)
     at = len(replay.log) - 1 if row is None else row
     state, go, soc_std = state_at(model, replay, at, cutoff)
-    begins = state, soc_std, uncertain_of(model)._replace(capacity_std=capacity_std)
+    uncertain = uncertain_of(model)
+    if capacity_std is not None:
+        uncertain = uncertain._replace(capacity_std=capacity_std)
+    begins = state, soc_std, uncertain
     draws = _draws()
     scale = mean_powers(plans, draws[:, 5])
     which = np.minimum((draws[:, 4] * len(plans)).astype(np.int64), len(plans) - 1)

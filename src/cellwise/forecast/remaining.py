@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.cell.model import CAPACITY_STD, CellModel
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import place_of, size_of
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
@@ -51,7 +51,7 @@ class Forecast(NamedTuple):
     """Remaining time and energy at one moment, with bands of two standard deviations.
 
     A band holds what is not known of the SOC, how far the model's voltage may come to lie off what
-    it is off by now, how the cell may warm, and that it has the model's capacity to CAPACITY_STD.
+    it is off by now, how the cell may warm, and that it has the model's capacity to its share.
     It takes the load to stay.
 
     ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
@@ -352,7 +352,7 @@ def uncertain_of(model: CellModel) -> Uncertain:
     """What is not known of a cell ahead of its present SOC."""
     error = model.error
     memory_soc = error.correlation_soc or USUAL_MEMORY_SOC
-    return Uncertain(error.whole_share(), memory_soc, validity_scalars(model), CAPACITY_STD)
+    return Uncertain(error.whole_share(), memory_soc, validity_scalars(model), model.capacity_share)
 
 
 def cutoff_of(model: CellModel, given: float | None) -> float:

@@ -12,9 +12,9 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
+from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
 from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles, longest_stretch
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
-from cellwise.history.window_fit import PER_KELVIN, WindowFit, changed_model, fit_window
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
 from cellwise.typing import FloatArray
@@ -159,7 +159,12 @@ class Life:
             "resistance_std": self.resistance[1],
             "logs": [one.log.name for one in self.logs],
         }
-        return replace(aged, provenance={**self.model.provenance, "history": about})
+        fitted, std = self.model.posterior, self.capacity_std_Ah / self.capacity_Ah
+        return replace(
+            aged,
+            posterior=None if fitted is None else fitted.with_capacity_std(std),
+            provenance={**self.model.provenance, "history": about},
+        )
 
     @property
     def resistance(self) -> tuple[float, float]:
@@ -287,7 +292,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     far_off: list[str] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
-        fit = fit_window(model, log) if one is None or not found else None
+        fit = log_health(model, log) if one is None or not found else None
         if fit is not None and fit.far_off and not anyway:
             far_off.append(fit.far_off)
             references.clear()
@@ -367,7 +372,7 @@ def _by_stretch(
     )
 
 
-def _by_fit(model: CellModel, log: CellLog, fit: WindowFit) -> LogOfLife:
+def _by_fit(model: CellModel, log: CellLog, fit: LogHealth) -> LogOfLife:
     return LogOfLife(
         log=log,
         capacity_Ah=fit.capacity_Ah,

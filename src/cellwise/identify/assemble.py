@@ -1,4 +1,4 @@
-"""From a refinement to a CellModel: tables on the grid, effects, standard errors."""
+"""From a fit to a CellModel: tables on the grid, effects, standard errors."""
 
 from __future__ import annotations
 
@@ -18,37 +18,28 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.model import CellModel, ModelTables
+from cellwise.fit.rows import BEYOND
+from cellwise.fit.solve import FitResult
+from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows, spline_values
+from cellwise.fit.unknowns import LEAST_RATIO
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.refinement.layout import LEAST_RATIO, StartTables
-from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.refinement.refine_data import BEYOND
-from cellwise.identify.refinement.splines import (
-    OCV_KNOTS,
-    TABLE_KNOTS,
-    spline_rows,
-    spline_values,
-)
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
 from cellwise.typing import FloatArray
 
 
 class _Kept(NamedTuple):
-    """What of a refinement becomes part of a model."""
+    """What of a fit becomes part of a model."""
 
     rise_V: float = 1e-6  # per grid step, so that the OCV can be inverted everywhere
     m_V: float = 1e-4  # less is no hysteresis
     skew_s: float = 0.005  # less is no delay
     step_K: float = 5.0  # at 5,000 K and -20 degC a line is within 1 % of the exponential
-    # More than a cell of the same kind, hysteresis and temperature leave is said.
-    ocv_move_V: float = 0.03
 
 
 KEPT = _Kept()
 
 
-def refined_model(
-    result: RefineResult, start: StartTables, capacity_Ah: float, skewed: bool, hot: bool
-) -> CellModel:
+def fitted_model(result: FitResult, skewed: bool, hot: bool) -> CellModel:
     """The fitted tables and effects as a model.
 
     With several temperatures it has a row of tables at least every five kelvin, because a model is
@@ -60,13 +51,13 @@ def refined_model(
     hot : bool         a temperature was measured
     """
     rows = [result.at(t) for t in temperatures_of(result)]
-    tables = [refined_tables(row, start) for row in rows]
+    tables = [fitted_tables(row) for row in rows]
     stacked = ModelTables(*(np.array(t) for t in zip(*tables, strict=True)))
     return CellModel(
-        capacity_Ah,
+        result.fitted_Ah,
         **stacked._asdict(),
         temperature_C=np.array([row.grid_C[0] for row in rows]),
-        effects=refined_effects(result, rows, skewed, hot),
+        effects=fitted_effects(result, rows, skewed, hot),
     )
 
 
@@ -77,7 +68,7 @@ def own_model(model: CellModel, capacity_scale: float) -> CellModel:
     return replace(model, capacity_Ah=capacity_scale * model.capacity_Ah)
 
 
-def temperatures_of(result: RefineResult) -> FloatArray:
+def temperatures_of(result: FitResult) -> FloatArray:
     """Temperatures at which the model has rows: the grid's, steps between, and what was seen.
 
     Beyond the grid a row is added where logs were warmer or colder by more than a kelvin.
@@ -97,7 +88,7 @@ def temperatures_of(result: RefineResult) -> FloatArray:
     return np.concatenate(rows)
 
 
-def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
+def fitted_tables(result: FitResult) -> ModelTables:
     """The fitted tables of one temperature on the grid."""
     grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
@@ -106,7 +97,7 @@ def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
     # In order at the temperatures of the grid; carried on beyond them they might cross.
     tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
     return ModelTables(
-        ocv_V=monotone(start.ocv(grid) + correction),
+        ocv_V=monotone(result.base.rows(grid)[0] + correction),
         r0_ohm=_table(result, lay.r0),
         r1_ohm=_table(result, lay.r(0)),
         tau1_s=tau1,
@@ -115,16 +106,16 @@ def refined_tables(result: RefineResult, start: StartTables) -> ModelTables:
     )
 
 
-def _table(result: RefineResult, at: int) -> FloatArray:
+def _table(result: FitResult, at: int) -> FloatArray:
     """A table of logarithms on the grid."""
     rows = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), TABLE_KNOTS)
     return np.asarray(np.exp(spline_values(rows, result.theta[at : at + result.layout.knots])))
 
 
-def refined_effects(
-    result: RefineResult, rows: Sequence[RefineResult], skewed: bool, hot: bool
+def fitted_effects(
+    result: FitResult, rows: Sequence[FitResult], skewed: bool, hot: bool
 ) -> tuple[Effect, ...]:
-    """Effects that the refinement fitted; see :func:`refined_model`."""
+    """Effects that were fitted; see :func:`fitted_model`."""
     lay = rows[0].layout
     found: list[Effect] = []
     if lay.branches == 3:
@@ -161,21 +152,6 @@ def plain_model(
     return CellModel(capacity_Ah, *stacked, temperature_C=np.array(temperature_C))
 
 
-def moved_ocv_notice(result: RefineResult) -> tuple[str, ...]:
-    """Whether the logs contradict the OCV they were given: mostly a wrong initial SOC."""
-    seen = np.concatenate([p.soc[p.rows.evaluate] for p in result.logs])
-    soc = np.linspace(max(seen.min(), 0.1), min(seen.max(), 0.9), 81)
-    rows = spline_rows(soc, OCV_KNOTS)
-    moved = spline_values(rows, result.theta[: result.layout.knots_ocv])
-    size = float(np.sqrt(np.mean(moved**2)))
-    if size <= KEPT.ocv_move_V:
-        return ()
-    return (
-        f"the logs under load would have the OCV moved by {1e3 * size:.0f} mV RMS: check at which "
-        "SOC they begin, and whether OCV and logs are of one cell and temperature",
-    )
-
-
 def monotone(voltage_V: FloatArray) -> FloatArray:
     """Nearest OCV that never falls with SOC (isotonic regression), with a least rise per step."""
     level = np.asarray(isotonic_regression(voltage_V).x)
@@ -183,8 +159,8 @@ def monotone(voltage_V: FloatArray) -> FloatArray:
     return np.concatenate(([level[0]], level[0] + np.cumsum(steps)))
 
 
-def table_summary(result: RefineResult) -> dict[str, Any]:
-    """What the provenance says of a refinement; standard errors: median over the knots of a table.
+def table_summary(result: FitResult) -> dict[str, Any]:
+    """What the provenance says of a fit; standard errors: median over the knots of a table.
 
     Those of resistances, time constants and gamma are shares, of OCV and hysteresis volts.
     """
@@ -203,5 +179,5 @@ def table_summary(result: RefineResult) -> dict[str, Any]:
         },
         "knots_soc": TABLE_KNOTS.tolist(),
         "iterations": result.iterations,
-        "residual_sigma_V": result.sigma_V,
+        "residual_level_V": result.level_V,
     }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import VOLT_PER_KELVIN, CheckedLogs, grouped_by_temperature
@@ -18,7 +19,6 @@ from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import cut_pulse
-from cellwise.identify.soc_anchor import anchor_soc
 from cellwise.identify.tables import PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
 
@@ -48,9 +48,13 @@ class FittedPulses:
 
 
 def fit_all_pulses(
-    checked: CheckedLogs, ocv: OcvCurve, capacity_Ah: float, settings: IdentifySettings
+    checked: CheckedLogs,
+    ocv: OcvCurve,
+    capacity_Ah: float,
+    settings: IdentifySettings,
+    starts: Mapping[int, InitialSoc],
 ) -> FittedPulses:
-    """Fit the healthy pulses of every HPPC log.
+    """Fit the healthy pulses of every HPPC log; ``starts`` of each log, by its ``id``.
 
     Raises
     ------
@@ -59,9 +63,11 @@ def fit_all_pulses(
     parts = grouped_by_temperature(checked.tests, checked.low_rate, checked.default_C)
     groups = []
     for temperature_C, part in parts.items():
-        sets = tuple(_pulse_set(log, ocv, capacity_Ah, settings) for log, _ in part.hppc)
+        sets = tuple(
+            _pulse_set(log, ocv, capacity_Ah, settings, starts[id(log)]) for log, _ in part.hppc
+        )
         fits = [f for s in sets for f in s.fits]
-        if part.hppc and not fits and not part.drive:
+        if part.hppc and not fits and not settings.refine:
             raise InputError(
                 pulse_counts(part),
                 "a healthy pulse after a rest that moves less than a third of the charge",
@@ -74,10 +80,13 @@ def fit_all_pulses(
 
 
 def _pulse_set(
-    log: CellLog, ocv: OcvCurve, capacity_Ah: float, settings: IdentifySettings
+    log: CellLog,
+    ocv: OcvCurve,
+    capacity_Ah: float,
+    settings: IdentifySettings,
+    anchor: InitialSoc,
 ) -> PulseSet:
     pulses = find_pulses(log)
-    anchor = anchor_soc(log, ocv, capacity_Ah, 0.0)
     soc = anchor.soc - log.counted_charge_Ah() / capacity_Ah
     rng = np.random.default_rng(0)  # one for all: alike draws of a swarm would err alike
     fitted, fits = [], []

@@ -14,12 +14,12 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
+from cellwise.fit.solve import FitResult
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
-from cellwise.identify.refinement.refine import RefineResult
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Panel, Plottable, Summarised
@@ -56,6 +56,7 @@ class IdentifySettings:
     hysteresis: bool | None = None
     temperature_C: float | None = None
     prior: CellModel | None = None
+    without_lineage: tuple[str, ...] = ()
     name: str = ""
     chemistry: str = ""
 
@@ -167,7 +168,7 @@ class TemperatureResult:
 
     temperature_C: float
     pulse_sets: tuple[PulseSet, ...]
-    refinement: RefineResult | None
+    refinement: FitResult | None
 
 
 class Start(NamedTuple):
@@ -198,6 +199,54 @@ class Decided:
         return vars(self)
 
 
+class JudgedLog(NamedTuple):
+    """RMSE of the fit and of the plain model over one log, fitted on it or without it [V]."""
+
+    log: str
+    left_out: bool
+    fit_V: float
+    plain_V: float
+
+
+class PlainComparison(NamedTuple):
+    """The fit against a plain model of the same logs.
+
+    ``fit_V``, ``plain_V``: RMSE over all own logs and all that were left out, each of the same
+    weight [V]; ``gain`` the 95 % interval of what the fit gains; ``reason``: why the plain model
+    is handed out, empty where the fit is.
+    """
+
+    fit_V: float
+    plain_V: float
+    gain: tuple[float, float]
+    logs: tuple[JudgedLog, ...]
+    reason: str
+
+    @property
+    def notice(self) -> str:
+        """What a person must read first; empty where the fit is handed out."""
+        if not self.reason:
+            return ""
+        return (
+            f"{self.reason}: the plain one is handed out (low-rate curve, R0, two branches, no "
+            "effects, a wide posterior). A fault of the fit or of the logs: please report it"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As the command prints it."""
+        return {
+            "handed_out": "plain" if self.reason else "fit",
+            "fit_rmse_V": self.fit_V,
+            "plain_rmse_V": self.plain_V,
+            "gain": list(self.gain),
+            "logs": [
+                {"log": x.log, "left_out": x.left_out, "fit_rmse_V": x.fit_V,
+                 "plain_rmse_V": x.plain_V}
+                for x in self.logs
+            ],
+        }  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """What a fit gives, of laboratory tests or from a prior: the model and where it comes from.
@@ -216,6 +265,7 @@ class Fitted:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     contradictions: tuple[Notice, ...] = ()
     notices: tuple[str, ...] = ()
+    plain: PlainComparison | None = None
 
 
 Role = Literal["hppc", "ocv", "capacity", "drive"]
@@ -266,7 +316,8 @@ class Identification(Plottable, Summarised):
     """A model and all that led to it.
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
-    what a person must read before the figures.
+    what a person must read before the figures, after why the plain model is handed out, if it is.
+    ``plain`` is how it compares with the fit; None of pulses alone.
     """
 
     model: CellModel
@@ -281,6 +332,7 @@ class Identification(Plottable, Summarised):
     notices: tuple[str, ...]
     seconds: float
     contradictions: tuple[str, ...] = ()
+    plain: PlainComparison | None = None
 
     @property
     def simulations(self) -> tuple[Simulation, ...]:
@@ -333,9 +385,10 @@ class Identification(Plottable, Summarised):
             },
             "temperatures_C": [t.temperature_C for t in self.temperatures],
             "own_logs": [o.to_dict() for o in self.own_logs],
+            "plain_model": None if self.plain is None else self.plain.to_dict(),
             "effects": self._effects(),
             "validity": self.model.validity.to_dict(),
-            "prior": self.model.provenance.get("prior"),
+            "posterior": None if self.model.posterior is None else self.model.posterior.to_dict(),
             "error": self.model.error.to_dict(),
             "notices": list(self.notices),
             "seconds": self.seconds,

@@ -29,15 +29,16 @@ class CapacityLimits(NamedTuple):
 
 
 class CapacitySpread(NamedTuple):
-    """Standard deviation of ln(capacity) where a fit may still move it.
+    """Standard deviation of ln(capacity) beforehand, where a fit may still move it.
 
-    Of a cell in use whose rating is known; measured at a rate whose share of the whole the prior's
-    resistances have to say; the nominal one where it was chosen by name.
+    Of a cell in use whose rating is known; of a pulse test that is taken for whole; measured by a
+    capacity test; the nominal one where it was chosen by name.
     """
 
     rated: float = 0.1
-    measured: float = 0.02
-    chosen: float = 0.01
+    pulses: float = 0.02
+    measured: float = 0.001
+    chosen: float = 0.001
 
 
 class _PulseTest(NamedTuple):
@@ -95,7 +96,8 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     notices.extend(f"capacity test {t.left_out}" for t in usable if not t.complete)
     choices = capacity_choices(usable, nominal, total, temperature_C=checked.default_C)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
-    ln_std = SPREAD.measured if choice != "nominal" else SPREAD.rated
+    of_choice = {"nominal": SPREAD.rated, "hppc-total": SPREAD.pulses}
+    ln_std = of_choice.get(choice, SPREAD.measured)
     if settings.capacity_choice == "nominal":
         ln_std = SPREAD.chosen
     found = [

@@ -115,12 +115,6 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     return found
 
 
-def start_notices(own: Sequence[OwnLog]) -> list[str]:
-    """Where logs of a model that comes from a prior begin: nobody measured their OCV."""
-    begun = ((o.simulation.log.name, o.start) for o in own)
-    return [f"'{n}' begins at SOC {s.soc:.3f} +- {2 * s.std:.3f} ({s.how})" for n, s in begun]
-
-
 def other_capacities(starts: Sequence[Start]) -> list[Notice]:
     """Logs of a cell that held clearly more or less than that of the others."""
     found = []

@@ -1,10 +1,10 @@
 """Laboratory tests or drives in, CellModel out: the line of stations.
 
-    logs -> capacity -> OCV -> pulses -> joint fit -> effects -> error -> own logs -> model
+    logs -> capacity -> starts -> fit -> effects -> error -> plain model -> OCV, pulses
+         -> own logs -> model
 
 Each station takes the record of the one before and gives its own, with what it found wrong and what
-it has to say. Where the logs see too little of a cell, the stations from OCV to error give way to
-one: the update of a prior.
+it has to say.
 """
 
 from __future__ import annotations
@@ -16,25 +16,30 @@ from importlib.metadata import version
 
 import numpy as np
 
+from cellwise.cell.equations import ZERO_CELSIUS_K
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import RANGE_V, Notice, in_order
+from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.errors import InputError
-from cellwise.identify.assemble import moved_ocv_notice, plain_model, table_summary
+from cellwise.fit.population import SPREAD
+from cellwise.identify.assemble import plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
+from cellwise.identify.effect_selection import fit_with_effects
+from cellwise.identify.fit_notices import fit_notices, poor_fit, start_notices
 from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
-    Decided,
+    REFERENCE_C,
     Fitted,
     Identification,
     IdentifySettings,
-    Start,
     TemperatureResult,
     TestLogs,
 )
+from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
 from cellwise.identify.measured_ocv import measure_ocv
-from cellwise.identify.ocv.curve import OcvCurve
+from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
 from cellwise.identify.own_logs import (
     check_possible,
     check_serves,
@@ -42,17 +47,13 @@ from cellwise.identify.own_logs import (
     other_capacities,
     own_log_notices,
     simulate_back,
-    start_notices,
 )
-from cellwise.identify.prior.from_prior import fit_prior, needs_prior
-from cellwise.identify.refinement.effects import fit_with_effects
-from cellwise.identify.refinement.joint_fit import gather_logs
-from cellwise.identify.refinement.refine import RefineResult
-from cellwise.identify.refinement.stated_error import stated_error
-from cellwise.identify.soc_anchor import anchor_soc
+from cellwise.identify.plain_model_check import check_against_plain
+from cellwise.identify.stated_error import leave_out, stated_error
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
+UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
 
 
 @one_blas_thread
@@ -83,18 +84,8 @@ def identify_cell(
     tests = checked.tests
     say("capacity")
     capacity = measure_capacity(checked, settings)
-    if settings.prior is not None or needs_prior(tests, settings):
-        fitted = fit_prior(checked, capacity, settings, say)
-    else:
-        try:
-            fitted = _of_tests(checked, capacity, settings, say)
-        except InputError as short:
-            if not settings.refine:
-                raise
-            fitted = _of_what_there_is(checked, capacity, settings, say, short)
-    model = replace(
-        fitted.model, name=settings.name, chemistry=settings.chemistry or fitted.model.chemistry
-    )
+    fitted = _fitted(checked, capacity, settings, say)
+    model = replace(fitted.model, name=settings.name)
     wrong = [*checked.contradictions, *capacity.contradictions, *fitted.contradictions]
     check_possible(model, wrong)
     say("validation on its own logs")
@@ -102,11 +93,11 @@ def identify_cell(
     used = [o for o in own if o.used]
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
     found = own_log_notices(own)
+    wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
-    contradictory = in_order(wrong)
-    said = (*capacity.notices, *fitted.notices, *checked.notices)
-    if "prior" in fitted.provenance:
-        said = (*said, *start_notices(own))
+    first = fitted.plain.notice if fitted.plain is not None else ""
+    contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
+    said = (*capacity.notices, *fitted.notices, *start_notices(own), *checked.notices)
     reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
     seconds = time.perf_counter() - began
     choices = {**capacity.choices_Ah, **fitted.choices_Ah}
@@ -114,6 +105,7 @@ def identify_cell(
         "cellwise_version": version("cellwise"),
         "capacity": {"choice": capacity.choice, "choices_Ah": choices},
         **fitted.provenance,
+        "plain_model": None if fitted.plain is None else fitted.plain.to_dict(),
         "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }
@@ -131,52 +123,55 @@ def identify_cell(
         notices=tuple(dict.fromkeys((*contradictory, *in_order(found, said), *reasons))),
         seconds=seconds,
         contradictions=contradictory,
+        plain=fitted.plain,
     )
 
 
-def _of_tests(
+def _fitted(
     checked: CheckedLogs, capacity: MeasuredCapacity, settings: IdentifySettings, say: Progress
 ) -> Fitted:
-    """OCV, pulses and fit of tests that show all that a model needs."""
-    say("OCV")
-    ocv = measure_ocv(checked, capacity.capacity_Ah)
-    say("pulses")
-    pulses = fit_all_pulses(checked, ocv.curve, capacity.capacity_Ah, settings)
-    wrong, said = (*ocv.contradictions, *pulses.contradictions), (*ocv.notices, *pulses.notices)
-    results: dict[float, RefineResult] = {}
-    decided: tuple[Decided, ...] = ()
+    """The fit of all logs, its error, and the pulses and OCV that a person wants to see."""
+    joint = gather_logs(checked, capacity, settings, say)
+    say("fit")
+    fit = fit_with_effects(joint)
+    say("error")
+    posterior = joint.posterior(fit.result, fit.logs, fit.settings)
+    left_open = posterior
+    folds = leave_out(fit)
+    model, comparison = fit.model, None
     if settings.refine:
-        say("refinement")
-        joint = gather_logs(pulses.groups, ocv.curve, capacity.capacity_Ah, settings)
-        fit = fit_with_effects(joint)
-        model, starts, decided = (
-            replace(fit.model, error=stated_error(fit)),
-            fit.starts,
-            fit.decided,
-        )
-        results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
-        wrong = (*wrong, *other_capacities(starts))
-        said = (*said, *fit.joint.notices, *moved_ocv_notice(fit.of_loads()))
-    else:
-        model, starts = _pulses_alone(checked, pulses.groups, ocv.curve, capacity.capacity_Ah)
+        say("plain model")
+        check = check_against_plain(checked, fit, folds)
+        comparison = check.comparison
+        if comparison.reason:
+            model, folds = check.model, check.folds
+            posterior = posterior.as_wide_as_the_prior()
+    error = stated_error(fit, model, folds, left_open, _of_unknown_temperature(checked))
+    model = replace(model, error=error, posterior=posterior)
+    if not settings.refine:  # pulses are of the capacity as it was measured
+        model = replace(model, capacity_Ah=capacity.capacity_Ah)
+    starts = fit.starts
+    say("OCV and pulses")
+    begun = {id(s.log): InitialSoc(s.soc0, 0.01, "as the fit has it") for s in starts}
+    curve, wrong, said = _curve(checked, model)
+    pulses = fit_all_pulses(checked, curve, model.capacity_Ah, settings, begun)
+    if not settings.refine:
+        model = _pulses_alone(pulses.groups, curve, model.capacity_Ah)
     sets = [s for g in pulses.groups for s in g.pulse_sets]
-    # The voltage window that the laboratory tests kept to.
-    tests = checked.tests
-    levels = [x.voltage_V for x in (*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc))]
-    low, high = (round(float(end(np.concatenate(levels))), 2) if levels else None
-                 for end in (np.nanmin, np.nanmax))  # fmt: skip
+    results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
     return Fitted(
-        model=replace(model, voltage_min_V=low, voltage_max_V=high),
-        ocv=ocv.curve,
+        model=_stated_of(model, checked.tests, settings),
+        ocv=curve,
         starts=starts,
         temperatures=tuple(
-            TemperatureResult(g.temperature_C, g.pulse_sets, results.get(g.temperature_C))
+            TemperatureResult(g.temperature_C, g.pulse_sets, results[g.temperature_C])
             for g in pulses.groups
         ),
-        measured_soc=ocv.curve.points_soc,
-        decided=decided,
+        measured_soc=curve.points_soc,
+        decided=() if comparison and comparison.reason else fit.decided,
+        choices_Ah={"fitted": model.capacity_Ah},
         provenance={
-            "ocv": {"source": ocv.curve.source, "notes": list(ocv.curve.notes)},
+            "ocv": {"source": curve.source, "notes": list(curve.notes)},
             "pulses": {
                 "method": settings.method,
                 "tables": settings.tables,
@@ -187,15 +182,60 @@ def _of_tests(
                 {"temperature_C": t, **table_summary(result)} for t, result in results.items()
             ],
         },
-        contradictions=wrong,
-        notices=said,
+        contradictions=(*wrong, *pulses.contradictions, *other_capacities(starts)),
+        notices=(*said, *pulses.notices, *joint.notices, *fit_notices(posterior, checked)),
+        plain=comparison,
     )
 
 
-def _pulses_alone(
-    checked: CheckedLogs, groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float
-) -> tuple[CellModel, tuple[Start, ...]]:
-    """The pulses' tables as they are, as the papers take them; where each log begins.
+def _of_unknown_temperature(checked: CheckedLogs) -> float:
+    """By what share the resistances may be another log's, where nobody measured a temperature.
+
+    Rooms and seasons differ by some kelvin, and resistances follow with their activation.
+    """
+    tests = checked.tests
+    stated = any(warm is not None for _, warm in (*tests.hppc, *tests.drive))
+    if stated or any(log.temperature_C is not None for log in tests.logs()):
+        return 0.0
+    kelvin = REFERENCE_C + ZERO_CELSIUS_K
+    return SPREAD.activation_K * UNKNOWN_TEMPERATURE_K / kelvin**2
+
+
+def _curve(
+    checked: CheckedLogs, model: CellModel
+) -> tuple[OcvCurve, tuple[Notice, ...], tuple[str, ...]]:
+    """The OCV as a test measured it; where none did, the model's."""
+    try:
+        measured = measure_ocv(checked, model.capacity_Ah)
+    except InputError:
+        at = model.at_temperature(checked.default_C)
+        curve = curve_from_points(
+            at.soc, at.ocv_V[0], capacity_Ah=model.capacity_Ah, source="the fit"
+        )
+        return replace(curve, points_soc=np.empty(0)), (), ()
+    return measured
+
+
+def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) -> CellModel:
+    """With chemistry and voltage window: as stated, else as of the model that was the prior.
+
+    A prior's window is widened to hold every log; without one it is what laboratory tests kept to.
+    """
+    prior = settings.prior
+    kept = [*tests.capacity, *tests.ocv, *(log for log, _ in tests.hppc)]
+    low = min((float(np.nanmin(x.voltage_V)) for x in kept), default=None)
+    high = max((float(np.nanmax(x.voltage_V)) for x in kept), default=None)
+    if prior is not None and prior.voltage_min_V is not None:
+        low = min(prior.voltage_min_V, *(float(np.nanmin(x.voltage_V)) for x in tests.logs()))
+    if prior is not None and prior.voltage_max_V is not None:
+        high = max(prior.voltage_max_V, *(float(np.nanmax(x.voltage_V)) for x in tests.logs()))
+    low, high = (None if v is None else round(v, 2) for v in (low, high))
+    chemistry = settings.chemistry or ("" if prior is None else prior.chemistry)
+    return replace(model, chemistry=chemistry, voltage_min_V=low, voltage_max_V=high)
+
+
+def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float) -> CellModel:
+    """The pulses' tables as they are, as the papers take them: their error is not the fit's.
 
     Raises
     ------
@@ -209,36 +249,4 @@ def _pulses_alone(
             "an HPPC log with pulses, or refinement",
             "Leave out `refine=False`.",
         )
-    model = plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])
-    resistance = float(np.median(model.r0_ohm + model.r1_ohm))
-    anchors = {id(s.log): s.anchor for g in groups for s in g.pulse_sets}
-    starts = []
-    for log in checked.tests.logs():
-        fitted = id(log) in anchors
-        anchor = anchors[id(log)] if fitted else anchor_soc(log, curve, capacity_Ah, resistance)
-        starts.append(Start(log, anchor.soc, None, "" if fitted else "not part of the fit"))
-    return model, tuple(starts)
-
-
-def _of_what_there_is(
-    checked: CheckedLogs,
-    capacity: MeasuredCapacity,
-    settings: IdentifySettings,
-    say: Progress,
-    short: InputError,
-) -> Fitted:
-    """A prior updated on tests that show too little, with what they do not show said first.
-
-    It counts as a contradiction: a model that is far from such tests is refused.
-
-    Raises
-    ------
-    InputError        what the tests lack, where no prior fits them either
-    """
-    try:
-        fitted = fit_prior(checked, capacity, settings, say)
-    except InputError:
-        hint = f"{short.action} Or start from a model of such a cell: `prior=NAME`."
-        raise InputError(short.found, short.expected, hint) from None
-    said = f"the tests alone give no model ({short.found}): it is a prior, updated on them"
-    return replace(fitted, contradictions=(*fitted.contradictions, Notice(RANGE_V, said)))
+    return plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])

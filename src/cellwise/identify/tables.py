@@ -9,14 +9,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.identify.pulse_fit.circuit import PulseFit
-from cellwise.identify.refinement.splines import (
+from cellwise.fit.splines import (
     TABLE_KNOTS,
     curvature_penalty,
     greville,
     spline_rows,
     spline_values,
 )
+from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]

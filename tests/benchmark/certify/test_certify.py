@@ -13,6 +13,7 @@ from cellwise.benchmark.certify import Limits, Sensor, certify, lives, read_expo
 from cellwise.benchmark.certify import run as certify_run
 from cellwise.benchmark.certify.virtual_cells import Spread, aged, draw_cell
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cli import main
 from cellwise.errors import InputError
 
@@ -128,6 +129,52 @@ def test_age_takes_capacity_and_adds_resistance(folder):
     )
     assert np.mean([np.mean(c.r0_ohm / model.r0_ohm) for c in cells]) == pytest.approx(2.0, rel=0.1)
     for c in cells:  # the charge is counted between the same two voltages
+        assert c.ocv_V[:, [0, -1]] == pytest.approx(model.ocv_V[:, [0, -1]], abs=1e-9)
+
+
+def test_a_capacity_that_is_known_worse_widens_the_certificate(of_capacity_std, monkeypatch):
+    """New cells without faults, the same for both but for what the fit left open of their capacity.
+
+    On aged and faulty cells age and fault are all there is to see: a filter that knows its capacity
+    to be open follows the voltage more closely, and is no worse there.
+    """
+    new = replace(Spread(), faded=0.0, resistance_grown=0.0, slipped_soc=0.0)
+    monkeypatch.setattr(
+        lives, "draw_cell", lambda cell, k, *asked: draw_cell(cell, 2 * k, *asked[:-1], new)
+    )
+    sure, unsure = (
+        certify(read_export(of_capacity_std(std)), 24, 30.0, sensor=PERFECT, physics=0).to_dict()
+        for std in (0.004, 0.05)
+    )
+    assert unsure["soc_error"]["rmse"] > 1.1 * sure["soc_error"]["rmse"]
+    assert unsure["soc_error"]["p95"] > 1.1 * sure["soc_error"]["p95"]
+
+
+def test_drawn_cells_have_the_posteriors_spread(folder):
+    """Capacity, OCV in the middle and resistance scatter as the posterior says; the ends stay."""
+    model = replace(read_export(folder).model, error=ModelError.of_white_and_slow(0.0, 0.0))
+    one, none = np.ones(POINTS), np.zeros(POINTS)
+    factor = np.array([[0.5, 0.0, 0.0], [0.4, 0.8, 0.0], [0.0, -0.3, 0.6]])
+    fitted = Posterior(
+        ("capacity_Ah", "ocv_mode_1", "resistance_mode_1"),
+        factor,
+        np.array([0.08, 0.0, 0.0]),
+        np.array([none, 0.010 * one, none]),
+        np.array([none, none, 0.2 * one]),
+    )
+    drawn = replace(model, posterior=fitted)
+    cells = [aged(drawn, 0.0, np.random.default_rng(k), SAME) for k in range(2000)]
+    middle = model.points // 2
+    capacity = np.log([c.capacity_Ah / model.capacity_Ah for c in cells])
+    ocv_V = np.array([c.ocv_V[0, middle] - model.ocv_V[0, middle] for c in cells])
+    ln_r = np.log([c.r0_ohm[0, middle] / model.r0_ohm[0, middle] for c in cells])
+    wanted = np.array([0.08, 0.010, 0.2])[:, None] * factor
+    found = np.cov([capacity, ocv_V, ln_r])
+    size = np.sqrt(np.diag(wanted @ wanted.T))
+    np.testing.assert_allclose(
+        found / np.outer(size, size), wanted @ wanted.T / np.outer(size, size), atol=0.1
+    )
+    for c in cells[:20]:
         assert c.ocv_V[:, [0, -1]] == pytest.approx(model.ocv_V[:, [0, -1]], abs=1e-9)
 
 

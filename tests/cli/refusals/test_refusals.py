@@ -74,9 +74,8 @@ def test_a_bad_model_is_refused(refused, bad_model, drive):
 
 
 @pytest.mark.slow
-def test_a_log_that_never_rests_gives_no_model_of_its_own_and_that_is_said_first(
-    run_json, tmp_path
-):
+def test_a_log_that_never_rests_gives_what_a_population_leaves_open_and_says_so(run_json, tmp_path):
+    """Where its OCV ends it does not show, nor its capacity: these are the prior's, and open."""
     t = np.arange(3000.0)
     wave = 2.0 + np.sin(t / 20.0)
     path = tmp_path / "busy.csv"
@@ -84,7 +83,11 @@ def test_a_log_that_never_rests_gives_no_model_of_its_own_and_that_is_said_first
     np.savetxt(path, rows, delimiter=",", header=TIDY.strip(), comments="")
     found = run_json("identify", "--hppc", str(path), "--nominal-ah", "3", "-o",
                      str(tmp_path / "m.json"))  # fmt: skip
-    assert found["notices"][0].startswith("the tests alone give no model (no pulse")
+    assert found["notices"][0].startswith("'busy' ")
+    assert any("hardly anything of the OCV at SOC" in notice for notice in found["notices"])
+    assert found["pulses"]["healthy"] == 0
+    assert found["posterior"]["prior"].startswith("population of")
+    assert found["posterior"]["std"][found["posterior"]["directions"].index("capacity_Ah")] > 0.1
 
 
 def test_a_swapped_sign_is_refused_and_the_way_out_works(refused, run_json, tmp_path):

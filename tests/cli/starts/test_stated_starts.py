@@ -85,7 +85,7 @@ def test_fleet_takes_it_of_every_log(run_json, model, middle, tmp_path):
 
 
 @pytest.mark.slow
-def test_no_stated_log_is_left_out_of_the_refinement(run_json, tmp_path):
+def test_no_stated_log_is_left_out_of_the_fit(run_json, tmp_path):
     """A drive that begins under load, where its voltage says nothing of SOC."""
     drive = load_dataset("nmc_drive_b").part(0, 9000)
     truth = 1.0
@@ -98,7 +98,10 @@ def test_no_stated_log_is_left_out_of_the_refinement(run_json, tmp_path):
         "--drive", f"{path}@temperature_C=25,soc0={begun:.4f}", "-o", out,
     )  # fmt: skip
     assert "cold" in found["fit"]["logs"]
-    assert any("'cold' begins at SOC" in n and "stated" in n for n in found["notices"])
+    assert not any("left out" in n for n in found["notices"])
+    own = next(o for o in found["own_logs"] if o["log"] == "cold")
+    assert (own["used"], own["soc0_how"]) == (True, "stated")
+    assert own["soc0"] == pytest.approx(begun, abs=1e-4)
     write_model(read_model(out), tmp_path / "again.json")
 
 
@@ -144,5 +147,5 @@ def test_a_drive_of_unknown_start_takes_part_from_where_it_began(run_json, tmp_p
     )  # fmt: skip
     assert "cut" in found["fit"]["logs"]
     (said,) = [n for n in found["notices"] if "'cut' begins at SOC" in n]
-    assert "fitted with the tables" in said
+    assert "by its voltages" in said
     assert float(said.split("SOC ")[1].split()[0]) == pytest.approx(truth, abs=0.02), said

@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.noise import (
     independent_errors,
     share_claimed,
 )
-from cellwise.identify.refinement.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes
 from cellwise.logs.cell_log import CellLog
 
 ROWS = 4001

@@ -13,7 +13,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
-from cellwise.diagnose.fit.least_squares import Prior
+from cellwise.diagnose.fit.coordinate_fit import Tolerances
 from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import gather
 from cellwise.logs.cell_log import CellLog
@@ -66,7 +66,7 @@ def test_a_start_that_was_given_was_not_read():
 def test_the_prior_is_that_of_the_reading():
     """Start = its reading + 2 x offset: their covariance by hand."""
     read = {"soc0:0": {"offset_V": 2.0}}
-    prior = Prior({"soc0:0": 0.1, "offset_V": 0.3}, {}, {}, {}, read=read)
+    prior = Tolerances({"soc0:0": 0.1, "offset_V": 0.3}, {}, {}, {}, read=read)
     expected = [[0.1**2 + (2.0 * 0.3) ** 2, 2.0 * 0.3**2], [2.0 * 0.3**2, 0.3**2]]
     np.testing.assert_allclose(np.linalg.inv(prior.precision()), expected, rtol=1e-9)
 

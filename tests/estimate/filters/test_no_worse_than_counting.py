@@ -15,8 +15,8 @@ import pytest
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
+from cellwise.fit.model_error import polarisation_V
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
-from cellwise.identify.refinement.model_error import polarisation_V
 from cellwise.logs import read_log
 from measured_models import AT_ITS_BOUND, missed, rmse
 
@@ -69,14 +69,7 @@ def from_known(model, logs, name):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-@pytest.mark.parametrize(
-    "tag",
-    missed(
-        CHAMBER_C,
-        p25="0.43 points in cycle 3, all within its band",
-        p00="0.59 points in cycle 1, whose slow error is 34 mV, twice what is stated",
-    ),
-)
+@pytest.mark.parametrize("tag", CHAMBER_C)
 def test_from_a_known_start(nca, tag, name):
     model, drives = nca
     counted = from_known(model, drives[tag], "coulomb")
@@ -116,8 +109,6 @@ FOLLOWED = {f"{tag} {name}": (tag, name) for tag in CHAMBER_C for name in ("ekf"
         FOLLOWED,
         **{
             "n10 ukf": f"about as counting in one drive: {AT_ITS_BOUND}",
-            "n20 ekf": "1.08 times counting in one drive",
-            "n20 ukf": "1.27 times counting in one drive",
         },
     ),
 )
@@ -136,7 +127,15 @@ def test_an_offset_of_3_per_cent_of_1c_is_followed_from_a_known_start(nca, case)
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-@pytest.mark.parametrize("tag", missed(CHAMBER_C, n20="88 % (both) of the rows"))
+@pytest.mark.parametrize(
+    "tag",
+    missed(
+        CHAMBER_C,
+        p00="90 % of the rows (held before the one fit)",
+        n10="77 % of the rows (held before the one fit)",
+        n20="85 % of the rows",
+    ),
+)
 def test_from_a_known_start_the_band_holds_an_offset_of_3_per_cent_of_1c(nca, tag, name):
     """A start that is known and a current that is wrong: the voltages contradict the count."""
     model, drives = nca
@@ -205,9 +204,10 @@ def test_the_band_holds_the_truth(middle, tag, name):
     missed(
         CHAMBER_C,
         p25=f"2.04 times: {AT_ITS_BOUND}",
-        p10="4.1 times",
-        n10="2.8 times",
-        n20="2.5 times",
+        p10="2.4 times",
+        p00="2.35 times (held before the one fit)",
+        n10="2.3 times",
+        n20="2.1 times",
     ),
 )
 def test_the_band_is_no_wider_than_twice_the_error(middle, tag):
@@ -252,6 +252,8 @@ def test_the_stated_error_is_the_measured_one_in_every_band(bands):
         CHAMBER_C,
         p25="1.8 in the slowest band: the final model is better than those of the left-out drives",
         p10=f"1.45: {AT_ITS_BOUND}",
+        p00="1.8 in the slowest band",
+        n20="0.66 in the band of 100 s",
     ),
 )
 def test_so_it_is_at_each_temperature(bands, tag):

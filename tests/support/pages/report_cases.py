@@ -13,6 +13,9 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
+from cellwise.fit.rows import BaseOcv
+from cellwise.fit.solve import FitResult
+from cellwise.fit.unknowns import layout_of
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.identification import (
@@ -23,8 +26,6 @@ from cellwise.identify.identification import (
 )
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
-from cellwise.identify.refinement.layout import RefineSettings, layout_of
-from cellwise.identify.refinement.refine import RefineResult
 from cellwise.logs.cell_log import CellLog
 
 CAPACITY_AH = 3.0
@@ -117,20 +118,25 @@ def pulse_fit(pulse, soc, method="varpro"):
 
 
 def refinement(branches=3):
-    layout = layout_of(RefineSettings(branches))
+    layout = layout_of(branches, hysteresis=False)
     std = np.full(layout.size, 0.2)
     std[layout.r0 : layout.r0 + layout.knots] = R0_ERROR
     std[layout.r(0) : layout.r(0) + layout.knots] = R1_ERROR
     std[layout.tau(0) : layout.tau(0) + layout.knots] = TAU1_ERROR
-    return RefineResult(
+    return FitResult(
         layout=layout,
         theta=np.zeros(layout.size),
-        theta_std=std,
+        covariance=np.diag(std**2),
+        base=BaseOcv(ocv_V(np.linspace(0.0, 1.0, 201))),
+        capacity_Ah=CAPACITY_AH,
         rmse_V=(0.01,),
         residual_V=(np.zeros(3),),
         logs=(),
         reference_C=25.0,
-        sigma_V=0.01,
+        level_V=0.01,
+        share=0.03,
+        numbers=np.array([50.0]),
+        log_evidence=0.0,
         iterations=3,
         seconds=0.1,
         grid_C=np.array([25.0]),

@@ -211,8 +211,8 @@ GROUP_COLUMNS = (
 )
 MADE = (
     "Virtual cells are the exported model, varied and aged: capacity, each resistance, OCV, "
-    "hysteresis, temperature law. What the equivalent circuit itself gets wrong is in them only as "
-    "large as the model says.",
+    "hysteresis, temperature law; what the model's fit left open is drawn, too. What the "
+    "equivalent circuit itself gets wrong is in them only as large as the model says.",
     "Cells of porous electrodes (PyBaMM's SPMe, kinetics and transport of Chen2020), where there "
     "are any, have the OCV, the capacity and the pulses of such a cell, after one second and ten "
     "minutes at half charge; how they answer to everything else is physics. They have no "

@@ -14,6 +14,7 @@ from cellwise.benchmark.faults import Fault
 from cellwise.benchmark.records import check_ranges, record, within
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
+from cellwise.cell.posterior import POINTS, CellDraw
 from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
@@ -161,6 +162,8 @@ def with_sensor(
 def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread) -> CellModel:
     """A sample of the cell after a part of its life, off by what the model says of its error too.
 
+    What the model's fit left open is drawn from its posterior: capacity, OCV, resistances.
+
     Parameters
     ----------
     age : float       0 new, 1 at the end of life
@@ -172,16 +175,20 @@ def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread)
     )
     slip = spread.slipped_soc * age * n()
     left = model.soc + 4.0 * slip * model.soc * (1.0 - model.soc)
-    off_V = spread.model_error * _lasting_error_V(model, rng)
+    fitted = _fitted_cell(model, rng)
+    off_V = fitted.ocv_V + spread.model_error * _lasting_error_V(model, rng)
     ocv = np.array([np.interp(left, model.soc, row) for row in model.ocv_V]) + off_V
-    r0, r1, r2, r3 = (grown * math.exp(spread.branch * n()) for _ in range(4))
+    grown_at = grown * np.exp(fitted.ln_r)
+    r0, r1, r2, r3 = (grown_at * math.exp(spread.branch * n()) for _ in range(4))
     slow = model.effect(SlowDiffusion)
     law = model.effect(TemperatureDependence)
     hysteresis = model.effect(Hysteresis)
     m_V = np.asarray(hysteresis.m_V) + abs(spread.hysteresis_V * n())
     truth = replace(
         model,
-        capacity_Ah=model.capacity_Ah * (1.0 - fade) * math.exp(spread.capacity * n()),
+        capacity_Ah=model.capacity_Ah
+        * (1.0 - fade)
+        * math.exp(fitted.ln_capacity + spread.capacity * n()),
         ocv_V=np.maximum.accumulate(ocv, axis=1),
         r0_ohm=model.r0_ohm * r0,
         r1_ohm=model.r1_ohm * r1,
@@ -201,16 +208,34 @@ LARGEST_RATE = 1.0  # of a mission's mean current, in C
 REGENERATION = 0.15  # of the time of a drive
 
 
+def _fitted_cell(model: CellModel, rng: np.random.Generator) -> CellDraw:
+    """One of the cells that the model may have been of, over the model's SOC."""
+    if model.posterior is None:
+        return CellDraw(0.0, np.zeros(model.points), np.zeros(model.points))
+    one = model.posterior.draw(rng)
+    grid = np.linspace(0.0, 1.0, POINTS)
+    ocv_V = _inside(model.soc, USUAL_LENGTH_SOC) * np.interp(model.soc, grid, one.ocv_V)
+    return CellDraw(one.ln_capacity, ocv_V, np.interp(model.soc, grid, one.ln_r))
+
+
+def _inside(soc: FloatArray, length: float) -> FloatArray:
+    """From 0 at the ends of the charge, which are defined by their voltages, to 1 within."""
+    return np.asarray(np.minimum(np.minimum(soc, 1.0 - soc) / length, 1.0))
+
+
 def _lasting_error_V(model: CellModel, rng: np.random.Generator) -> FloatArray:
     """An error that lasts, drawn from the model's own statement of it, shape (1, points).
 
-    None at the ends of the charge, which are defined by their voltages.
+    Without what its posterior leaves of the OCV, which the statement holds and `_fitted_cell` has.
     """
     length = model.error.correlation_soc or USUAL_LENGTH_SOC
     gap = (model.soc[:, None] - model.soc[None, :]) / length
     smooth = np.linalg.cholesky(np.exp(-0.5 * gap**2) + 1e-6 * np.eye(model.points))
-    inside = np.minimum(np.minimum(model.soc, 1.0 - model.soc) / length, 1.0)
-    size_V = inside * model.error.at(model.soc) * math.sqrt(model.error.lasting_share)
+    lasting_V = model.error.at(model.soc) * math.sqrt(model.error.lasting_share)
+    if model.posterior is not None:
+        fitted_V = np.interp(model.soc, np.linspace(0.0, 1.0, POINTS), model.posterior.ocv_std_V)
+        lasting_V = np.sqrt(np.maximum(lasting_V**2 - fitted_V**2, 0.0))
+    size_V = _inside(model.soc, length) * lasting_V
     return np.asarray(size_V * (smooth @ rng.standard_normal(model.points)))[None, :]
 
 

@@ -15,19 +15,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.diagnose.causes.catalogue import Cause, kept_coordinates
 from cellwise.diagnose.causes.coordinates import MEASURED_NAMES, Coordinates
-from cellwise.diagnose.fit.least_squares import NOTHING_KNOWN, Fit, Frozen, Prior, complete, fit
+from cellwise.diagnose.fit.coordinate_fit import (
+    NOTHING_KNOWN,
+    Fit,
+    Frozen,
+    Tolerances,
+    complete,
+    fit,
+)
 from cellwise.diagnose.fit.noise import STATED, KnownScale, Objective, stated_objective
 from cellwise.diagnose.fit.priors import calibrated, ln_size, tolerances, widened_for
 from cellwise.diagnose.fit.rests import RestVoltages, rest_voltages
 from cellwise.diagnose.fit.rows import Evidence
-from cellwise.typing import BoolArray, FloatArray
+from cellwise.typing import FloatArray
 
 
 class Averaged(NamedTuple):
@@ -67,7 +74,7 @@ class CauseFits:
 
     evidence: Evidence
     coordinates: Coordinates
-    prior: Prior
+    prior: Tolerances
     rests: RestVoltages
     seed: int
     known: KnownScale = field(default_factory=KnownScale)
@@ -106,11 +113,11 @@ class CauseFits:
             found = fit(self.stated.times(scale), self.coordinates, self.prior, found.z, 4)
         return self.complete(found, scale, self.prior), scale
 
-    def complete(self, found: Fit, scale: float, prior: Prior) -> Fit:
+    def complete(self, found: Fit, scale: float, prior: Tolerances) -> Fit:
         """The fit with the held-out logs simulated from where their first part says."""
         return complete(self.stated.times(scale), found, prior)
 
-    def frozen(self, found: Fit, prior: Prior) -> Frozen:
+    def frozen(self, found: Fit, prior: Tolerances) -> Frozen:
         """Derivatives at a fit, for those that stay near it."""
         names = tuple(prior.names)
         return Frozen(names, self.evidence.jacobian(found.coordinates, found.z, names))
@@ -126,14 +133,14 @@ class CauseFits:
         )
         return self.complete(found, scale, prior)
 
-    def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Prior:
+    def widened_for(self, causes: Iterable[Cause], coordinates: Coordinates) -> Tolerances:
         """The tolerances, widened for all of the causes."""
         prior = self.prior
         for cause in causes:
             prior = widened_for(prior, cause, coordinates, self.evidence)
         return prior
 
-    def scale(self, found: Fit, prior: Prior) -> float:
+    def scale(self, found: Fit, prior: Tolerances) -> float:
         """How many times the stated error a fit leaves on all rows."""
         return self.known.scale(*self.squares(self.complete(found, 1.0, prior)))
 
@@ -147,7 +154,7 @@ class CauseFits:
         self,
         found: Fit,
         scale: float,
-        prior: Prior,
+        prior: Tolerances,
         causes: Iterable[Cause],
         near: Frozen = NOTHING_KNOWN,
     ) -> Prediction:
@@ -166,25 +173,26 @@ class CauseFits:
         )
         jacobian = near.jacobian_near(found, evidence, [*free, *evidence.starts()])
         rows, residual = evidence.known, evidence.voltage_V - found.voltage_V
-        normal, gradient = objective.normal(found.voltage_V, jacobian)
+        gradient, normal = objective.normal(found.voltage_V, jacobian)
         squares = float(np.sum(objective.squares(residual)[rows]))
         plain = float(np.sum(objective.terms(residual)[rows])) + 0.5 * squares
         count = float(np.sum(objective.errors[rows]))
-        x, away = np.array([found.z[n] for n in prior.names]), prior.away(found.z)
-        low, high = prior.box()
-        inside = (x > low) & (x < high)
+        x, known = prior.point(found.z), prior.prior()
+        inside = (x > known.low) & (x < known.high)
         scalable = np.array([n not in free and ":" not in n for n in prior.names])
-        precision = prior.precision()
-        weights = [
-            precision * np.outer(w, w) for w in (np.where(scalable, 1 / s, 1) for s in OVER.shares)
+        widths = [np.where(scalable, 1.0 / s, 1.0) for s in OVER.shares]
+        priors = [
+            replace(known, free=inside, precision=known.precision * np.outer(w, w)) for w in widths
         ]
         totals: list[float] = []
         best = -math.inf, 1.0, jacobian[:, 0]
         for times in _times(scale):
             r, ln_scale = times**-2.0, self.known.ln_density(times * scale)
             here = plain - 0.5 * r * squares - count * math.log(times) + ln_scale
-            for weight in weights:
-                value, step = _density(here, r * normal, r * gradient, weight, away, inside)
+            for one in priors:
+                both = one.with_rows(x, -here, r * gradient, r * normal)
+                cost, step = both.lowest(inside)
+                value = one.ln_kept(both.matrix) - cost
                 totals.append(value)
                 if value > best[0]:
                     best = value, times, jacobian @ step
@@ -212,22 +220,3 @@ def _times(scale: float) -> FloatArray:
     """Scales to try, in units of the one that the fit leaves: from what is stated on."""
     most = OVER.beyond * max(scale, 1.0)
     return np.asarray(np.exp(np.arange(0.0, math.log(most), OVER.scale_step)) / scale)
-
-
-def _density(
-    plain: float,
-    normal: FloatArray,
-    gradient: FloatArray,
-    weight: FloatArray,
-    away: FloatArray,
-    inside: BoolArray,
-) -> tuple[float, FloatArray]:
-    """Ln density of rows and prior, integrated over the coordinates inside their bounds."""
-    both = (normal + weight)[np.ix_(inside, inside)]
-    pull = (gradient - weight @ away)[inside]
-    step = np.zeros(away.size)
-    step[inside] = np.linalg.solve(both, pull)
-    value = plain - 0.5 * float(away @ weight @ away) + 0.5 * float(pull @ step[inside])
-    value -= 0.5 * float(np.linalg.slogdet(both)[1])
-    value += 0.5 * float(np.linalg.slogdet(weight[np.ix_(inside, inside)])[1])
-    return value, step

@@ -22,7 +22,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.rows import SPLIT, Evidence
-from cellwise.identify.refinement.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -123,7 +123,7 @@ class Objective:
         """How many independent errors every row counts for."""
         return self.weight + self.fast_weight
 
-    def bands(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def scaled(self, columns: FloatArray) -> FloatArray:
         """What is slow of columns (rows, P), and what is fast, in units of what may be wrong.
 
         Each row as much as it counts. Within a window the fast part adds up to zero: the squares
@@ -135,11 +135,6 @@ class Objective:
             slow = mean * (known * np.sqrt(self.weight) / self.size_V)[:, None]
             fast = (columns - mean) * (np.sqrt(self.fast_weight) / self.fast_V)[:, None]
         fast[~known] = 0.0
-        return slow, fast
-
-    def scaled(self, columns: FloatArray) -> FloatArray:
-        """Both bands of columns (rows, P) in units of what may be wrong."""
-        slow, fast = self.bands(columns)
         slow += fast
         return slow
 
@@ -158,7 +153,7 @@ class Objective:
     def normal(
         self, simulated_V: FloatArray, jacobian: FloatArray, rows: BoolArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Normal matrix (P, P) and gradient (P,) of the known ``rows`` about a simulation."""
+        """Gradient (P,) and normal matrix (P, P) of the known ``rows`` about a simulation."""
         residual = np.nan_to_num(self.evidence.voltage_V - simulated_V)
         white = self.scaled(np.column_stack((residual, jacobian)))
         known = self.evidence.known if rows is None else rows & self.evidence.known
@@ -166,12 +161,12 @@ class Objective:
 
 
 def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and gradient of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
+    """Gradient and normal matrix of scaled rows [e, J], residuals beyond ``clip`` held (Huber)."""
     used = white[rows]
     size = np.maximum(np.abs(used[:, :1]), clip)
     used *= np.sqrt(clip / size)
     every = used.T @ used
-    return every[1:, 1:], every[1:, 0]
+    return every[1:, 0], every[1:, 1:]
 
 
 def stated_objective(

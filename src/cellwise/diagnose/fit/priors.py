@@ -26,7 +26,7 @@ from cellwise.diagnose.causes.coordinates import (
     Coordinates,
     step_of,
 )
-from cellwise.diagnose.fit.least_squares import Fit, Prior
+from cellwise.diagnose.fit.coordinate_fit import Fit, Tolerances
 from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.typing import FloatArray
@@ -87,7 +87,7 @@ AGE = {
 CLASS = {"ln_gain": (0.02, 0.2), "offset_V": (0.005, 0.05)}
 
 
-def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
+def tolerances(coordinates: Coordinates, evidence: Evidence) -> Tolerances:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
@@ -124,10 +124,10 @@ def tolerances(coordinates: Coordinates, evidence: Evidence) -> Prior:
         first = log.start.beginning or log.start
         std[name] = max(first.std, GOOD.soc0_std)
         mean[name] = first.soc - log.start.soc
-    return _bounded(Prior(std, mean, {}, {}))
+    return _bounded(Tolerances(std, mean, {}, {}))
 
 
-def _bounded(prior: Prior) -> Prior:
+def _bounded(prior: Tolerances) -> Tolerances:
     """Tolerances are bounded: they end at some standard deviations."""
     low, high = (
         {n: prior.mean.get(n, 0.0) + way * GOOD.ends * s for n, s in prior.std.items()}
@@ -136,7 +136,9 @@ def _bounded(prior: Prior) -> Prior:
     return replace(prior, low=low, high=high)
 
 
-def widened_for(prior: Prior, cause: Cause, coordinates: Coordinates, evidence: Evidence) -> Prior:
+def widened_for(
+    prior: Tolerances, cause: Cause, coordinates: Coordinates, evidence: Evidence
+) -> Tolerances:
     """The prior with a cause's coordinates as wide as a fault may be."""
     model = coordinates.model
     std: dict[str, float] = {}
@@ -183,7 +185,7 @@ def needs_activation(coordinates: Coordinates) -> bool:
     return coordinates.model.temperature_C.size == 1 and abs(known) < 300.0
 
 
-def calibrated(prior: Prior, found: Fit) -> Prior:
+def calibrated(prior: Tolerances, found: Fit) -> Tolerances:
     """Tolerances about what a fit of a baseline made of them, with the correlations that it leaves.
 
     Same cell, same instruments: what else could be off has shown there too.
@@ -266,7 +268,7 @@ def start_readings(
     return found
 
 
-def ln_size(z: Mapping[str, float], names: Iterable[str], prior: Prior) -> float:
+def ln_size(z: Mapping[str, float], names: Iterable[str], prior: Tolerances) -> float:
     """Ln of how much likelier the sizes of causes are than the prior of the fit says.
 
     Parameters

@@ -150,6 +150,7 @@ class FilterpyFilter(FilterOfModel):
         a = np.array([getattr(t, s.decay) for s in BRANCHES])
         g = np.array([getattr(t, s.drive) if s.drive else 0.0 for s in CELL])
         walk = noise.soc_per_sqrt_s**2 * now.dt_s
+        walk += noise.capacity_soc * abs(now.flow_A) * now.dt_s / self.cell.charge_As
         branch = (share_at(noise, now.flow_A) * now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])

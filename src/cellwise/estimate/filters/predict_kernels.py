@@ -95,7 +95,12 @@ def over_interval(
 @inline
 @unrolled
 def with_noise(
-    p: Covariance, noise: NoiseScalars, s: Sample, now: Interval, no_voltage_s: float
+    p: Covariance,
+    noise: NoiseScalars,
+    s: Sample,
+    now: Interval,
+    no_voltage_s: float,
+    charge_As: float,
 ) -> Covariance:
     """What an interval adds: by the current sensor, a gap, the resistances, SOC's own wandering.
 
@@ -108,6 +113,8 @@ def with_noise(
     lost = no_voltage_s > noise.hold_s
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
     q = noise.current_A * noise.current_A
+    # A capacity that is off puts every count off alike; over one discharge it adds up to as much.
+    flowed = noise.capacity_soc * abs(s.flow_A) * s.dt_s / charge_As
     share = share_at(noise, s.flow_A) * s.flow_A
     share = share * share + s.lost_A * s.lost_A
     return noisy(
@@ -115,7 +122,7 @@ def with_noise(
         t,
         q,
         q + s.gap_A2,
-        per_sqrt_s * per_sqrt_s * s.dt_s,
+        per_sqrt_s * per_sqrt_s * s.dt_s + flowed,
         Branches(*(share * point.r[i] * point.r[i] * (1.0 - t.a[i] * t.a[i]) for i in BRANCHES)),
     )
 
@@ -161,4 +168,4 @@ def by_tangents(
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(*(at.rise.row[i] * (1.0 - t.a[i]) * s.flow_A for i in BRANCHES))
         p = driven_by_soc(p, drives)
-    return end, with_noise(p, noise, s, now, no_voltage_s), at
+    return end, with_noise(p, noise, s, now, no_voltage_s, tables.cell.charge_As), at

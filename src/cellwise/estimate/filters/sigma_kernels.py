@@ -125,7 +125,7 @@ def by_points(
     p = decayed(without_outer(p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
-    p = with_noise(p, noise, s, now, no_voltage_s)
+    p = with_noise(p, noise, s, now, no_voltage_s, tables.cell.charge_As)
     x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     return x, p, tangent(point.ocv_slope_V, root if wide else 0.0)
 

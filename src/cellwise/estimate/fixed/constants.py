@@ -18,7 +18,7 @@ from cellwise.cell.effects import (
     TimeSkew,
 )
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.model import CAPACITY_STD, CellModel
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
@@ -81,6 +81,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
     return {
         "soc_per_A": per_A,
         "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
+        "capacity_walk": noise.capacity_share**2 * per_A,
         "current_variance_A2": noise.current_A**2,
         "lost_A2": lost_A**2,
         "lost_soc": per_A * lost_A,
@@ -227,7 +228,7 @@ def remaining_constants(model: CellModel, cutoff_V: float, dt_s: float) -> dict[
     return {
         "remaining_low_V": cutoff_V,
         "remaining_least_A": LEAST_LOAD_C * model.capacity_Ah,
-        "remaining_share": 2.0 * CAPACITY_STD,
+        "remaining_share": 2.0 * model.capacity_share,
         "step_s": dt_s,
     }
 

@@ -56,6 +56,7 @@ ROW = (
 CONSTANTS = (
     Field("soc_per_A", "SOC that 1 A takes in one step"),
     Field("soc_walk", "variance that SOC gains in one step"),
+    Field("capacity_walk", "and per ampere, by a capacity that may be off"),
     Field("current_variance_A2", "of the current sensor"),
     Field("fixed_V2", "of the voltage sensor"),
     Field("ocv_soc2", "of the OCV along the SOC axis"),

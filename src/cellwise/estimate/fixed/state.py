@@ -210,7 +210,7 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured
     if WIDE and w.spread > 0.0:
         tilt(x, p, w, flow)
     if positive_above(SOC_VARIANCE_MOST, x.ss):
-        add_variance(x, c.soc_walk)
+        add_variance(x, c.soc_walk + (c.capacity_walk * magnitude(flow)))
 
 
 @unrolled_by_option

@@ -19,8 +19,8 @@ import numpy as np
 from cellwise.cell.compiled import cached
 from cellwise.cell.equations.states import decay, relaxed
 from cellwise.errors import InputError
+from cellwise.fit.problem import independent_samples
 from cellwise.identify.pulse_fit.pulse_data import PulseData
-from cellwise.identify.refinement.problem import independent_samples
 from cellwise.typing import FloatArray
 
 # Sampling intervals closer than this share one exponential: float64 stamps of a log that runs

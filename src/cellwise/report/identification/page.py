@@ -59,6 +59,7 @@ EFFECTS = {
     "temperature_dependence": "an Arrhenius factor",
     "time_skew": "the sampling delay of the logger",
 }
+LEAST_CAPACITY_STD = 0.005  # of ln of it: a test of the whole charge measures it better
 NOT_JUDGED = (
     "Every log here took part in the fit: judge the model on another one "
     "(cellwise simulate, replay or diagnose)."
@@ -69,12 +70,10 @@ def identify_finding(identification: Identification) -> str:
     """What an identification found: the capacity, and the error on what it saw and did not see."""
     model = identification.model
     error = millivolt(identification.fit.rmse_V)
-    prior = model.provenance.get("prior")
     text = ampere_hours(model.capacity_Ah)
-    if isinstance(prior, Mapping):  # a model of another cell, as far as these logs corrected it
-        band = significant(2.0 * float(prior["capacity_std_Ah"]), 2)
-        size = significant(model.capacity_Ah)
-        text = f"{prior['name']}, updated: {size} ± {band}{SPACE}Ah"
+    if model.posterior is not None and model.posterior.capacity_std > LEAST_CAPACITY_STD:
+        band = significant(2.0 * model.capacity_std_Ah, 2)
+        text = f"{significant(model.capacity_Ah)} ± {band}{SPACE}Ah"
     text += f": {error} RMSE on its own {fitted_logs(identification)}"
     if unseen := unseen_drives(identification):
         worst = float(np.max([s.metrics.rmse_V for s in unseen]))

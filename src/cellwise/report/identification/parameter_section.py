@@ -9,8 +9,8 @@ import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion, effect_table
 from cellwise.cell.model import CellModel
+from cellwise.fit.splines import TABLE_KNOTS, greville
 from cellwise.identify.identification import REFERENCE_C, Identification, TemperatureResult
-from cellwise.identify.refinement.splines import TABLE_KNOTS, greville
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, paragraph, record_table
 from cellwise.report.page.numerals import celsius, listed, ohm_unit, percent, significant

@@ -1,0 +1,1 @@
+"""The one fit of a model to logs: unknowns, residual, likelihood, solution, posterior."""

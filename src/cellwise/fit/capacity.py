@@ -1,0 +1,103 @@
+"""How far a capacity is open, beyond what the quadratic at the fit says.
+
+Near empty the OCV is steep and every table open: a fit that lets a log end there finds a valley
+that is narrow, and beside it others that are hardly worse. So the other unknowns are fitted at each
+of several capacities, and each is weighed by the likelihood that it reaches (profile likelihood;
+Murphy and van der Vaart 2000, doi:10.1080/01621459.2000.10474219), trusted as that of a start is.
+The volume that is left of the prior does not weigh here: it is mostly that of tables at SOC where
+no log has been, where the prior is wide on purpose, and would prefer a cell that is never emptied.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.fit.beginnings import TRIALS
+from cellwise.fit.problem import Problem
+from cellwise.fit.solve import FitResult
+from cellwise.threads import one_blas_thread
+from cellwise.typing import FloatArray
+
+
+class Tried(NamedTuple):
+    """Which capacities are tried, around the one that a fit has found.
+
+    Parameters
+    ----------
+    step, below, above : float    of ln of the capacity; further where that is still probable
+    nats : float                  so much less is improbable
+    known : float                 a deviation of less is no question
+    rounds, iterations : int      at each capacity; between rounds the rows are weighed again
+    """
+
+    step: float = 0.02
+    below: float = 0.08
+    above: float = 0.16
+    nats: float = 6.0
+    known: float = 0.005
+    rounds: int = 2
+    iterations: int = 6
+
+
+TRIED = Tried()
+
+
+@one_blas_thread
+def deviation_of_capacity(problem: Problem, fit: FitResult) -> float:
+    """Deviation of ln of the capacity from that of a fit, by the profile of its likelihood.
+
+    Each capacity is fitted from its neighbour, upwards and downwards again, and has the better of
+    both: on the way into another valley a few steps do not arrive.
+    """
+    place = problem.layout.capacity
+    first = problem.prior
+    mean, precision = float(first.mean[place]), float(first.precision[place, place])
+    taken = float(fit.theta[place])
+    low, high = (float(np.asarray(bound)[place]) for bound in (first.low, first.high))
+    weights: dict[int, float] = {}
+
+    def weigh(k: int, theta: FloatArray) -> FloatArray:
+        """The others at the k-th capacity, from a neighbour's."""
+        value = taken + TRIED.step * k
+        problem.prior = first.held(place, value)
+        problem.level_V, problem.share = fit.level_V, fit.share
+        theta = theta.copy()
+        theta[place] = value
+        theta = problem.inside(theta)
+        for _ in range(TRIED.rounds):
+            problem.judge_sizes(theta)
+            theta, *_ = problem.minimise(theta, TRIED.iterations)
+        problem.judge_sizes(theta)
+        found = -TRIALS.trust * problem.normal_equations(theta).cost
+        found -= 0.5 * precision * (value - mean) ** 2
+        weights[k] = max(found, weights.get(k, found))
+        return theta
+
+    def open_beyond(k: int) -> bool:
+        """Whether the next capacity is to be tried, too."""
+        near = -TRIED.below <= TRIED.step * k <= TRIED.above
+        probable = weights[k] > max(weights.values()) - TRIED.nats
+        return (near or probable) and low <= taken + TRIED.step * (k + np.sign(k)) <= high
+
+    theta, k = weigh(0, fit.theta), 1
+    while open_beyond(k - 1):
+        theta, k = weigh(k, theta), k + 1
+    k -= 2
+    while k >= 0 or open_beyond(k + 1):
+        theta, k = weigh(k, theta), k - 1
+    for again in range(k + 2, 1):
+        theta = weigh(again, theta)
+    problem.prior = first
+    away = TRIED.step * np.array(list(weights))
+    weight = np.exp(np.array(list(weights.values())) - max(weights.values()))
+    # Between two capacities any may be.
+    return float(np.sqrt(weight @ away**2 / weight.sum() + TRIED.step**2 / 12.0))
+
+
+def opened(covariance: FloatArray, place: int, std: float) -> FloatArray:
+    """A covariance with another deviation of one unknown, which the others follow as before."""
+    variance = float(covariance[place, place])
+    along = covariance[:, place] / variance
+    return np.asarray(covariance + (std**2 - variance) * np.outer(along, along))

@@ -1,0 +1,302 @@
+"""What logs say of the unknowns of a fit: cost, gradient, Gauss-Newton matrix, evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from os import cpu_count
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize
+
+from cellwise.fit.rows import ROWS, BaseOcv, FitLog, PreparedLog, prepare_log
+from cellwise.fit.sensitivity_kernels import LogRows, voltage_and_jacobian
+from cellwise.fit.solver import Normal, Prior, Search, minimise
+from cellwise.fit.splines import SplineRows, spline_values
+from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scalars_of
+from cellwise.typing import FloatArray, IndexArray
+
+LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
+
+
+class Evidence(NamedTuple):
+    """What a residual may be, and how much a log says.
+
+    Parameters
+    ----------
+    least_V, least_share : float      two logs of one cell are not alike within less:
+                            temperature inside, relaxation, sensors [V]
+    most_share : float      of the polarisation: more is a wrong table, and no noise
+    first_V, first_share : float      before any fit, and of the polarisation
+    soc : float             error of the counted charge, and of the OCV along the SOC
+    empty_soc, near_soc : float    more of it under load near empty, where the last charge follows
+                            rate and temperature, over so much SOC
+    robust : float          a residual of more deviations counts linearly
+    fewest : float          independent errors of a log, however short
+    cell_soc, memory_s : float      tables are wrong alike over so much SOC, and for so long [s]
+    low_rate_cell_soc : float       what shifts a low-rate test shifts it over so much SOC alike
+    """
+
+    least_V: float = 0.004
+    least_share: float = 0.02
+    most_share: float = 0.04
+    first_V: float = 0.02
+    first_share: float = 0.1
+    soc: float = 0.002
+    empty_soc: float = 0.05
+    near_soc: float = 0.08
+    robust: float = 4.0
+    fewest: float = 4.0
+    cell_soc: float = 0.02
+    low_rate_cell_soc: float = 0.04
+    memory_s: float = 300.0
+
+
+EVIDENCE = Evidence()
+
+
+class Problem:
+    """The posterior of the unknowns, given logs and a prior.
+
+    A residual has one variance for all logs: of a level, a share of the polarisation, and an error
+    of the SOC where the OCV is steep (``level_V``, ``share``), found on the way. A log counts as so
+    many independent errors (``numbers``): a model is wrong for longer than a sample, and thousands
+    of rows are no thousand proofs.
+
+    Parameters
+    ----------
+    base : BaseOcv                    what the unknowns correct
+    capacity_Ah : float               that the SOC of the logs is counted over
+    grid_C : (temperatures,) float    with tables of their own, ascending
+    most_rows : int                   compared rows of one log at most
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[FitLog],
+        base: BaseOcv,
+        prior: Prior,
+        layout: Layout,
+        capacity_Ah: float,
+        grid_C: FloatArray,
+        reference_C: float,
+        most_rows: int = ROWS.most,
+    ) -> None:
+        self.logs = tuple(
+            prepare_log(item, base, capacity_Ah, reference_C, grid_C, most_rows) for item in logs
+        )
+        self.base, self.layout = base, layout
+        self.charge_As = 3600.0 * capacity_Ah
+        self.layouts = tuple(layout.of_temperatures(log.temperatures, 1) for log in self.logs)
+        self.places: tuple[IndexArray, ...] = tuple(
+            layout.part(log.first_temperature, log.temperatures, k)
+            for k, log in enumerate(self.logs)
+        )
+        low, high = bounds_of(layout, self.charge_As)
+        for k, log in enumerate(self.logs):
+            # Nowhere beyond full or empty, as far as a counter and a capacity are sure of that.
+            at = layout.start + k
+            low[at] = min(0.0, max(-log.soc.min(), -log.soc[0]))
+            high[at] = max(0.0, 1.0 - log.soc.max())
+        self.prior = replace(prior, low=low, high=high)
+        self.numbers = np.array([evidence_of(log) for log in self.logs])
+        self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
+        self.sizes_V: tuple[FloatArray, ...] = ()
+        self.apart_V: tuple[FloatArray, ...] = ()
+        self.bends_V: tuple[FloatArray, ...] = ()
+        self.judge_sizes(self.inside(prior.mean))
+
+    def judge_sizes(self, theta: FloatArray) -> None:
+        """Standard deviation of every compared row, and without what the SOC's error does [V].
+
+        And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
+        """
+        found = [self.exposed(k, theta) for k in range(len(self.logs))]
+        self.apart_V = tuple(np.hypot(self.level_V, self.share * drop) for drop, *_ in found)
+        self.sizes_V = tuple(
+            np.hypot(apart, steep) for apart, (_, steep, _) in zip(self.apart_V, found, strict=True)
+        )
+        self.bends_V = tuple(bends for *_, bends in found)
+
+    def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
+        """Take the size of the residuals, and how many independent errors every log holds."""
+        exposed = [self.exposed(k, theta) for k in range(len(self.logs))]
+        drops, steep, _ = zip(*exposed, strict=True)
+        squares = [np.concatenate(x) for x in (residuals, drops, steep)]
+        weight = np.concatenate(
+            [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
+        )
+        self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
+        self.judge_sizes(theta)
+
+    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of a log's compared rows: polarisation, what an error of the SOC does, bends [V]."""
+        log, lay = self.logs[index], self.layouts[index]
+        own = theta[self.places[index]]
+        rows = log.moved(
+            self.base, float(own[lay.start]), float(own[lay.capacity] + own[lay.sample])
+        )
+        shown = rows.evaluate
+        splines = SplineRows(rows.ocv.first[shown], rows.ocv.values[shown], rows.ocv.slopes[shown])
+        ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
+        slope = self._slope(rows, own[: lay.knots_ocv])
+        soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
+        along = np.full(soc.size, EVIDENCE.soc)
+        if not log.item.low_rate:  # it defines both ends
+            along += EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
+        return ocv - log.measured_V, along * slope, bends_of(soc) * slope[:, None]
+
+    def evaluate(
+        self, index: int, theta: FloatArray, *, slopes: bool = True
+    ) -> tuple[FloatArray, FloatArray]:
+        """Residual (measured minus model) and Jacobian of one log's compared rows and places."""
+        log, lay, own = self.logs[index], self.layouts[index], theta[self.places[index]]
+        ln_capacity = float(own[lay.capacity] + own[lay.sample])
+        rows = log.moved(self.base, float(own[lay.start]), ln_capacity)
+        jacobian = np.empty((log.compared if slopes else 0, lay.size))
+        voltage = np.empty(log.soc.size)
+        skewed = log.item.skewed
+        cell = scalars_of(lay, own, self.charge_As, skewed=skewed)
+        voltage_and_jacobian(rows, cell, lay, log.item.h0, skewed, own, jacobian, voltage)
+        residual = log.measured_V - voltage[rows.evaluate]
+        if log.item.low_rate:
+            residual -= self.bends_V[index] @ own[lay.bend :]
+            if slopes:
+                jacobian[:, lay.bend :] = self.bends_V[index]
+        return residual, jacobian
+
+    @staticmethod
+    def _slope(rows: LogRows, ocv: FloatArray) -> FloatArray:
+        """Slope of the OCV at the compared rows [V]."""
+        shown = rows.evaluate
+        splines = SplineRows(rows.ocv.first[shown], rows.ocv.slopes[shown], rows.ocv.slopes[shown])
+        return np.asarray(rows.base_slope_V[shown] + spline_values(splines, ocv))
+
+    def residuals(self, theta: FloatArray) -> tuple[FloatArray, ...]:
+        """Residuals of every log."""
+        each = range(len(self.logs))
+        return tuple(self.evaluate(i, theta, slopes=False)[0] for i in each)
+
+    def _one(
+        self, index: int, theta: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Cost, gradient, matrix and residual of one log."""
+        r, jacobian = self.evaluate(index, theta)
+        size, number = self.sizes_V[index], self.numbers[index]
+        root = np.sqrt(1.0 + (r / (EVIDENCE.robust * size)) ** 2)
+        w = number / (r.size * size**2 * root)
+        gradient = jacobian.T @ (w * r)
+        jacobian *= np.sqrt(w)[:, None]
+        cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
+        return cost, gradient, jacobian.T @ jacobian, r
+
+    def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
+        """What the logs say, and the residuals of each; the logs run side by side."""
+        matrix = np.zeros((theta.size, theta.size))
+        gradient = np.zeros(theta.size)
+        cost = 0.0
+        residuals = []
+        with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
+            found = pool.map(lambda i: self._one(i, theta), range(len(self.logs)))
+            for places, (part, g, m, r) in zip(self.places, found, strict=True):
+                cost += part
+                gradient[places] += g
+                matrix[np.ix_(places, places)] += m
+                residuals.append(r)
+        return Normal(cost, gradient, matrix), tuple(residuals)
+
+    def normal_equations(self, theta: FloatArray) -> Normal:
+        """Cost, gradient and matrix of logs and prior."""
+        return self.prior.with_rows(theta, *self.rows(theta)[0])
+
+    def minimise(
+        self, theta: FloatArray, iterations: int
+    ) -> tuple[FloatArray, int, Normal, tuple[FloatArray, ...]]:
+        """The most probable unknowns near a point, steps, logs and prior there, and residuals."""
+
+        def cost_of(theta: FloatArray) -> tuple[float, tuple[Normal, tuple[FloatArray, ...]]]:
+            seen = self.rows(theta)
+            return seen[0].cost, seen
+
+        search = Search(iterations, largest_step=LARGEST_STEP)
+        found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
+        rows, residuals = found.seen
+        return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
+
+    def log_evidence(self, normal: Normal) -> float:
+        """Log of the marginal likelihood, Laplace, up to what is equal for every prior.
+
+        An error of the SOC is one for the whole log, not one for each of its rows: it widens what a
+        row may be, and is left out of what the rows are divided by.
+        """
+        each = zip(self.numbers, self.apart_V, strict=True)
+        sizes = sum(float(n * np.mean(np.log(size))) for n, size in each)
+        return -normal.cost - sizes + self.prior.ln_kept(normal.matrix)
+
+    def inside(self, theta: FloatArray) -> FloatArray:
+        """Project on the bounds: positive sizes, time constants in order at every knot."""
+        lay = self.layout
+        theta = self.prior.inside(theta)
+        for j in range(1, lay.branches):
+            # B-splines are positive and sum to one: ordered coefficients give ordered tables.
+            faster, slower = (theta[at : at + lay.block] for at in (lay.tau(j - 1), lay.tau(j)))
+            np.maximum(slower, faster + math.log(LEAST_RATIO), out=slower)
+        return theta
+
+
+def evidence_of(log: PreparedLog) -> float:
+    """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC."""
+    shown = log.compared_soc
+    alike = EVIDENCE.low_rate_cell_soc if log.item.low_rate else EVIDENCE.cell_soc
+    cells = EVIDENCE.fewest + float(np.ptp(shown)) / alike
+    long = max(float(np.ptp(log.time_s)) / EVIDENCE.memory_s, EVIDENCE.fewest)
+    return min(cells, long) * log.item.weight
+
+
+def error_sizes(
+    residual_V: FloatArray, drop_V: FloatArray, steep_V: FloatArray, weight: FloatArray
+) -> tuple[float, float]:
+    """Level [V] and share of the polarisation that make the residuals most probable.
+
+    Normal errors of variance level^2 + (share drop)^2 + steep^2, large ones cut off.
+    """
+    square, drop2, steep2 = residual_V**2, drop_V**2, steep_V**2
+
+    def cost(logarithms: FloatArray) -> float:
+        level2, share2 = np.exp(2.0 * logarithms)
+        variance = level2 + share2 * drop2 + steep2
+        ratio = np.minimum(square / variance, EVIDENCE.robust**2)
+        return float(weight @ (np.log(variance) + ratio))
+
+    first = np.log([max(float(np.median(np.abs(residual_V))), EVIDENCE.least_V), 0.03])
+    low, high = np.log([EVIDENCE.least_V, EVIDENCE.least_share]), np.log([1.0, EVIDENCE.most_share])
+    found = minimize(cost, first, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
+                     options={"xatol": 0.02, "fatol": 0.01})  # fmt: skip
+    level, share = np.exp(found.x)
+    return float(level), float(share)
+
+
+def independent_samples(residual: FloatArray) -> float:
+    """Number of independent values that a correlated series holds.
+
+    n / (1 + 2 sum of autocorrelations), summed up to the first that is not positive.
+    """
+    n = residual.size
+    correlation = autocorrelation(residual - np.mean(residual), n // 2)
+    if n < 8 or correlation.size == 0:
+        return float(n)
+    end = int(np.argmax(correlation <= 0.0)) or correlation.size
+    return float(max(n / (1.0 + 2.0 * float(np.sum(correlation[1:end]))), 1.0))
+
+
+def autocorrelation(r: FloatArray, lags: int) -> FloatArray:
+    """Autocorrelation of an even series, shape (lags,); empty for one of zeros."""
+    power = float(r @ r)
+    if power == 0.0:
+        return np.empty(0)
+    size = 1 << (2 * r.size - 1).bit_length()
+    spectrum = np.fft.rfft(r, size)
+    return np.asarray(np.fft.irfft(spectrum * np.conj(spectrum), size)[:lags] / power)

@@ -1,0 +1,240 @@
+"""Simulated voltage and its analytic sensitivities over one log, in one pass of scalar code.
+
+Every sensitivity obeys the branch's own recursion with a source at the knots that are active:
+
+    v'  = rc_step(v, I, R, tau, dt)
+    S'  = a S + B R (1 - a) I              with respect to the spline coefficients of ln R
+    S'  = a S + B a dt/tau (v - R I)       with respect to those of ln tau
+    S'  = a S + (d ln R R (1 - a) I + d ln tau a dt/tau (v - R I)) ds       to the SOC of the row
+
+A start moves every row by as much (ds = 1), a larger capacity by what has flowed (ds = s_0 - s).
+
+Between temperatures ln R and ln tau are straight over 1/T, so that what lies between two of them is
+an activation energy. The equations are those of the cell, and so are their derivatives.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.compiled import cached
+from cellwise.cell.equations import (
+    charge_transfer,
+    hysteresis_decay,
+    hysteresis_step,
+    loaded_voltage,
+    polarisation,
+    rc_step,
+    seen_current,
+    thermal_factor,
+    transfer_resistance,
+)
+from cellwise.cell.point_kernels import CellScalars
+from cellwise.fit.splines import SplineRows
+from cellwise.fit.unknowns import (
+    ACTIVATION_UNIT_K,
+    ASINH_UNIT_PER_V,
+    SKEW_UNIT_S,
+    Layout,
+)
+from cellwise.typing import BoolArray, FloatArray, IndexArray
+
+OVERVOLTAGE_STEP = 1e-4
+SUPPORT = 4  # cubic B-splines: four are active at any SOC
+
+
+class LogRows(NamedTuple):
+    """What the kernel reads of one log, arrays over its kept rows.
+
+    ``row`` is the number of the first of the two temperatures between which a row lies, ``share``
+    how much of the way to the second it is, over 1/T; ``base_V`` and ``base_slope_V`` the OCV that
+    is corrected; ``used_soc`` what has flowed out, as SOC; ``evaluate`` marks the compared rows.
+    """
+
+    dt_s: FloatArray
+    current_A: FloatArray
+    inverse_K: FloatArray
+    row: IndexArray
+    share: FloatArray
+    tables: SplineRows
+    ocv: SplineRows
+    base_V: FloatArray
+    base_slope_V: FloatArray
+    used_soc: FloatArray
+    evaluate: BoolArray
+
+
+@cached(error_model="numpy", inline="always")
+def _value(
+    theta: FloatArray, at: int, basis: FloatArray, k: int, share: float, knots: int
+) -> float:
+    """A spline's value at row ``k``; ``at`` is its first active coefficient."""
+    here = 0.0
+    for q in range(SUPPORT):
+        here += basis[k, q] * theta[at + q]
+    if share != 0.0:
+        there = 0.0
+        for q in range(SUPPORT):
+            there += basis[k, q] * theta[at + knots + q]
+        here += share * (there - here)
+    return here
+
+
+@cached(error_model="numpy", nogil=True)
+def voltage_and_jacobian(
+    log: LogRows,
+    cell: CellScalars,
+    lay: Layout,
+    h0: float,
+    skewed: bool,
+    theta: FloatArray,
+    jacobian: FloatArray,
+    voltage_V: FloatArray,
+) -> None:
+    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, unknowns) of one log.
+
+    ``cell`` are the scalars of ``theta``, see `scalars_of`; without rows in ``jacobian`` none is
+    computed.
+    """
+    knots, branches, hysteresis = lay.knots, lay.branches, lay.hysteresis
+    block = lay.block
+    wanted = jacobian.shape[0] > 0
+    v = np.zeros(3)
+    for j in range(branches):
+        v[j] = theta[lay.past + j]
+    left_of_past = np.ones(branches)
+    sens_start = np.zeros(branches)
+    sens_capacity = np.zeros(branches)
+    sens = np.zeros((2 * branches, block))
+    sens_act = np.zeros(branches)
+    sens_tau_act = np.zeros(branches)
+    sens_skew = np.zeros(branches)
+    sens_asinh = 0.0
+    h = h0
+    h_gamma = 0.0
+    h_skew = 0.0
+    previous = log.current_A[0]
+    out = 0
+    for k in range(log.dt_s.size):
+        dt = log.dt_s[k]
+        seen = seen_current(cell, log.current_A[k], previous, dt)
+        slope = 0.0
+        if skewed and dt > 0.0 and cell.skew_s < dt:
+            slope = (previous - log.current_A[k]) / dt * SKEW_UNIT_S
+        previous = log.current_A[k]
+        x = log.inverse_K[k]
+        by_own = x * ACTIVATION_UNIT_K
+        share = log.share[k]
+        # Where the active coefficients of this row's temperature stand within a block.
+        f = log.row[k] * knots + log.tables.first[k]
+        for j in range(branches):
+            o_r = lay.r0 + block * (1 + 2 * j)
+            o_t = o_r + block
+            own = lay.own + 1 + 2 * j
+            r = math.exp(_value(theta, o_r + f, log.tables.values, k, share, knots))
+            r *= thermal_factor(cell.activation_K + theta[own] * ACTIVATION_UNIT_K, x)
+            tau = math.exp(_value(theta, o_t + f, log.tables.values, k, share, knots))
+            tau *= thermal_factor(theta[own + 1] * ACTIVATION_UNIT_K, x)
+            loaded_r = r
+            by_r = 1.0
+            by_asinh = 0.0
+            by_seen = 0.0
+            if j == 0 and cell.asinh_per_V != 0.0:
+                loaded_r = transfer_resistance(cell.asinh_per_V, r, seen)
+                # Chain rule through `charge_transfer`, whose slope is a difference.
+                u = cell.asinh_per_V * r * seen
+                near = OVERVOLTAGE_STEP * (1.0 + abs(u))
+                steep = (charge_transfer(u + near) - charge_transfer(u - near)) / (2.0 * near)
+                by_r = charge_transfer(u) + steep * u
+                by_asinh = steep * r * r * seen * ASINH_UNIT_PER_V
+                by_seen = steep * r * r * cell.asinh_per_V
+            left = math.exp(-dt / tau)
+            by_loaded = seen * (1.0 - left)
+            by_ln_r = by_loaded * by_r * r
+            by_ln_tau = dt / tau * left * (v[j] - loaded_r * seen)
+            left_of_past[j] *= left
+            if left < 1.0 and wanted:
+                for q in range(block):
+                    sens[2 * j, q] *= left
+                    sens[2 * j + 1, q] *= left
+            by_soc = by_ln_r * _value(theta, o_r + f, log.tables.slopes, k, share, knots)
+            by_soc += by_ln_tau * _value(theta, o_t + f, log.tables.slopes, k, share, knots)
+            sens_start[j] = left * sens_start[j] + by_soc
+            sens_capacity[j] = left * sens_capacity[j] + by_soc * log.used_soc[k]
+            for q in range(SUPPORT):
+                sens[2 * j, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_r
+                sens[2 * j + 1, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_tau
+                if share != 0.0:
+                    sens[2 * j, f + knots + q] += share * log.tables.values[k, q] * by_ln_r
+                    sens[2 * j + 1, f + knots + q] += share * log.tables.values[k, q] * by_ln_tau
+            sens_act[j] = left * sens_act[j] + by_ln_r * by_own
+            sens_tau_act[j] = left * sens_tau_act[j] + by_ln_tau * by_own
+            by_current = loaded_r * (1.0 - left) + by_loaded * by_seen
+            sens_skew[j] = left * sens_skew[j] + by_current * slope
+            if j == 0:
+                sens_asinh = left * sens_asinh + by_loaded * by_asinh
+            v[j] = rc_step(v[j], seen, loaded_r, tau, dt)
+        r0 = math.exp(_value(theta, lay.r0 + f, log.tables.values, k, share, knots))
+        r0 *= thermal_factor(cell.activation_K + theta[lay.own] * ACTIVATION_UNIT_K, x)
+        ocv = log.base_V[k]
+        of = log.ocv.first[k]
+        ocv += _value(theta, of, log.ocv.values, k, 0.0, 0)
+        m = 0.0
+        if hysteresis:
+            m = _value(theta, lay.m + f, log.tables.values, k, share, knots)
+            ah = hysteresis_decay(cell, seen, dt)
+            side = math.copysign(1.0, seen)
+            by_current = -cell.hysteresis_rate * side * dt / cell.charge_As * ah * (h + side)
+            h_gamma = ah * h_gamma + by_current * seen
+            h_skew = ah * h_skew + by_current * slope
+            h = hysteresis_step(h, ah, seen)
+        drop = polarisation(r0, seen, v[0], v[1] + v[2])
+        voltage_V[k] = loaded_voltage(ocv, m, h, drop)
+        if log.evaluate[k] and wanted:
+            row = jacobian[out]
+            row[:] = 0.0
+            for q in range(SUPPORT):
+                row[of + q] = log.ocv.values[k, q]
+                by_r0 = -log.tables.values[k, q] * seen * r0
+                by_m = log.tables.values[k, q] * h
+                row[lay.r0 + f + q] = (1.0 - share) * by_r0
+                if hysteresis:
+                    row[lay.m + f + q] = (1.0 - share) * by_m
+                if share != 0.0:
+                    row[lay.r0 + f + knots + q] = share * by_r0
+                    if hysteresis:
+                        row[lay.m + f + knots + q] = share * by_m
+            act = -seen * r0 * by_own
+            row[lay.own] = act
+            skw = -r0 * slope
+            for j in range(branches):
+                o_r = lay.r0 + block * (1 + 2 * j)
+                for q in range(block):
+                    row[o_r + q] = -sens[2 * j, q]
+                    row[o_r + block + q] = -sens[2 * j + 1, q]
+                act -= sens_act[j]
+                row[lay.own + 1 + 2 * j] = -sens_act[j]
+                row[lay.own + 2 + 2 * j] = -sens_tau_act[j]
+                skw -= sens_skew[j]
+            if hysteresis:
+                row[lay.gamma] = m * h_gamma
+                skw += m * h_skew
+            row[lay.activation] = act
+            row[lay.skew] = skw
+            row[lay.asinh] = -sens_asinh
+            along = log.base_slope_V[k] + _value(theta, of, log.ocv.slopes, k, 0.0, 0)
+            along -= seen * r0 * _value(theta, lay.r0 + f, log.tables.slopes, k, share, knots)
+            if hysteresis:
+                along += h * _value(theta, lay.m + f, log.tables.slopes, k, share, knots)
+            start, capacity = along, along * log.used_soc[k]
+            for j in range(branches):
+                start -= sens_start[j]
+                capacity -= sens_capacity[j]
+                row[lay.past + j] = -left_of_past[j]
+            row[lay.start] = start
+            row[lay.capacity] = capacity
+            row[lay.sample] = capacity
+            out += 1

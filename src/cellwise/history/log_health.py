@@ -1,0 +1,235 @@
+"""What one log shows of capacity and resistance: the one fit, a new cell's model as the prior."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from cellwise.cell.effects import Hysteresis, SurfaceSoc, TemperatureDependence
+from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
+from cellwise.cell.initial_soc.rest import REST_RATE
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.notice import FAR_OFF
+from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
+from cellwise.fit.beginnings import thinned
+from cellwise.fit.population import ModelPrior, prior_of
+from cellwise.fit.posterior import whole_resistance
+from cellwise.fit.rows import FitLog
+from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.unknowns import FitSettings, layout_of
+from cellwise.logs.cell_log import CellLog
+from cellwise.typing import FloatArray
+
+
+class Aged(NamedTuple):
+    """What may have become of a cell before its log: standard deviations.
+
+    ``error_scales``: how many times the new model's error the aged cell may be off that model, all
+    as probable before the log: a stock model states how far cells of its kind differ, and may be of
+    this very cell.
+    """
+
+    ln_capacity: float = 0.3
+    ln_resistance: float = 0.5
+    error_scales: tuple[float, ...] = (1.0, 0.3, 0.1)
+
+
+class FittedLog(NamedTuple):
+    """How a log is fitted.
+
+    Parameters
+    ----------
+    fewest_rows : int         with a voltage: fewer say nothing
+    rows, iterations : int    compared rows at most, steps at most
+    least_start_std : float   a start that its rest says is open by this at least: an error of the
+                              model that is alike everywhere moves it, too [SOC]
+    past_V : float            what each slow branch holds where a log begins under load
+    grid_K, narrow_K : float  tables of several temperatures are taken at most as far apart; within
+                              so little one is enough
+    """
+
+    fewest_rows: int = 20
+    rows: int = 400
+    iterations: int = 20
+    least_start_std: float = 0.02
+    past_V: float = 0.036
+    grid_K: float = 10.0
+    narrow_K: float = 1.0
+
+
+class PerKelvin(NamedTuple):
+    """Relative changes away from the one temperature that a model knows [1/K]."""
+
+    resistance: float = 0.02
+    capacity: float = 0.003
+
+
+AGED, FITTED, PER_KELVIN = Aged(), FittedLog(), PerKelvin()
+
+
+@dataclass(frozen=True, eq=False)
+class LogHealth:
+    """What one log says of the cell.
+
+    ``capacity_Ah``, ``resistance_scale`` (on the model's) with standard deviations; SOC at the
+    first and last row; ``covered`` the share of the SOC range that was seen; ``far_off`` says that
+    the log is many times as far off the fitted model as that states of itself.
+    """
+
+    capacity_Ah: float
+    capacity_std_Ah: float
+    resistance_scale: float
+    resistance_std: float
+    soc_start: float
+    soc_end: float
+    covered: float
+    far_off: str | None
+
+
+class _Fitted(NamedTuple):
+    """Means and deviations of ln capacity and ln resistance, start, covered share."""
+
+    mean: FloatArray
+    std: FloatArray
+    start: float
+    covered: float
+
+
+def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
+    """Fit start, capacity and resistance of one log; None: too few voltages.
+
+    Notes
+    -----
+    The model is the prior: its OCV and tables are unknowns that may be off by what it states of
+    itself, or by a part of that, weighed by the marginal likelihood; a common factor of all
+    resistances and the capacity may have aged. What the log cannot separate from the model's error
+    widens the deviation. So does the range that it does not cover, which may have aged by itself.
+    """
+    if int(np.count_nonzero(np.isfinite(log.voltage_V))) < FITTED.fewest_rows:
+        return None
+    item = _fit_log(model, log)
+    fitted = _mixture(model, item)
+    ln_capacity, ln_scale = map(float, fitted.mean)
+    start = float(np.clip(fitted.start, 0.0, 1.0))
+    aged = simulate(changed_model(model, ln_capacity, ln_scale), log, start)
+    # An error that is alike everywhere costs this fit little: far off is what the model itself is.
+    # So it is where no ageing would make the cell follow the log.
+    most = FAR_OFF.deviations * np.array([AGED.ln_capacity, AGED.ln_resistance])
+    impossible = bool(np.any(np.abs(fitted.mean) > most))
+    far_off = None
+    if impossible or aged.far_off is not None:
+        far_off = simulate(model, log, float(np.clip(item.soc0, 0.0, 1.0))).far_off
+    away_K = _away_K(model, log)
+    unseen = (1.0 - fitted.covered) * AGED.ln_capacity
+    capacity, scale = model.capacity_Ah * math.exp(ln_capacity), math.exp(ln_scale)
+    return LogHealth(
+        capacity_Ah=capacity,
+        capacity_std_Ah=capacity * math.hypot(fitted.std[0], PER_KELVIN.capacity * away_K, unseen),
+        resistance_scale=scale,
+        resistance_std=scale * math.hypot(fitted.std[1], PER_KELVIN.resistance * away_K),
+        soc_start=start,
+        soc_end=float(np.clip(aged.soc[-1], 0.0, 1.0)),
+        covered=fitted.covered,
+        far_off=far_off,
+    )
+
+
+def changed_model(model: CellModel, ln_capacity: float, ln_resistance: float) -> CellModel:
+    """The model of the cell as it has aged: another capacity, resistances by one factor."""
+    aged = model.with_resistances(math.exp(ln_resistance))
+    return replace(aged, capacity_Ah=model.capacity_Ah * math.exp(ln_capacity))
+
+
+def _fit_log(model: CellModel, log: CellLog) -> FitLog:
+    """The log, thinned, and what is known of its start."""
+    soc0, std = log.soc0, STATED_STD
+    if soc0 is None:
+        found = initial_soc(model, log, whole_log=True)
+        soc0, std = found.soc, max(found.std, FITTED.least_start_std)
+    rests = abs(float(log.known_current_A()[0])) < REST_RATE * model.capacity_Ah
+    return FitLog(
+        thinned(log),
+        soc0,
+        std,
+        h0=start_hysteresis(soc0),
+        temperature_C=float(known_temperature_C(model, log)[0]),
+        surface=model.effect(SurfaceSoc),
+        past_V=0.0 if rests else FITTED.past_V,
+    )
+
+
+def _mixture(model: CellModel, item: FitLog) -> _Fitted:
+    """One fit for each size of the model's error, weighed by how probable it makes the log."""
+    grid = _temperatures(model, item)
+    hysteresis = any(isinstance(e, Hysteresis) for e in model.effects)
+    lay = layout_of(3, hysteresis, int(grid.size), 1)
+    settings = FitSettings(
+        hysteresis=hysteresis,
+        ln_capacity_std=AGED.ln_capacity,
+        ln_resistance_std=AGED.ln_resistance,
+    )
+    fits: list[_Fitted] = []
+    evidence: list[float] = []
+    theta = None
+    for error_scale in AGED.error_scales:
+        cells = ModelPrior(model, error_scale)
+        prior = prior_of(cells, lay, (item,), model.capacity_Ah, grid, float(grid[0]), settings)
+        result = fit_logs(
+            (item,), cells.base(), prior, lay, capacity_Ah=model.capacity_Ah,
+            reference_C=float(grid[0]), grid_C=grid, theta=theta, most_rows=FITTED.rows,
+            iterations=FITTED.iterations,
+        )  # fmt: skip
+        theta = result.theta
+        fits.append(_aged(result, prior.mean))
+        evidence.append(result.log_evidence)
+    weight = np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    means, stds = np.array([f.mean for f in fits]), np.array([f.std for f in fits])
+    mean = weight @ means
+    return _Fitted(
+        mean,
+        np.sqrt(weight @ (stds**2 + (means - mean) ** 2)),
+        float(weight @ [f.start for f in fits]),
+        float(weight @ [f.covered for f in fits]),
+    )
+
+
+def _aged(result: FitResult, new: FloatArray) -> _Fitted:
+    """What became of the capacity, and of the whole resistance over the SOC that was seen."""
+    lay, soc = result.layout, np.clip(result.soc(0), 0.0, 1.0)
+    whole, slopes = whole_resistance(lay, result.theta, soc)
+    slope = slopes.mean(axis=0)
+    ln_scale = float(np.mean(whole - whole_resistance(lay, new, soc)[0]))
+    std = math.sqrt(float(slope @ result.covariance @ slope))
+    return _Fitted(
+        np.array([result.theta[lay.capacity], ln_scale]),
+        np.array([result.theta_std[lay.capacity], std]),
+        result.start(0)[0],
+        float(np.ptp(soc)),
+    )
+
+
+def _temperatures(model: CellModel, item: FitLog) -> FloatArray:
+    """At which the tables are unknowns [degC]: the model's one, or those of the log."""
+    if model.temperature_C.size == 1:
+        known = any(isinstance(e, TemperatureDependence) for e in model.effects)
+        here = model.effect(TemperatureDependence).reference_C if known else model.temperature_C[0]
+        return np.array([float(here)])
+    low, high = np.quantile(known_temperature_C(model, item.log), (0.02, 0.98))
+    if high - low < FITTED.narrow_K:
+        return np.array([0.5 * float(low + high)])
+    return np.linspace(low, high, 2 + int((high - low) / FITTED.grid_K))
+
+
+def _away_K(model: CellModel, log: CellLog) -> float:
+    """How far the log's mean temperature is from a model that knows one alone [K]."""
+    if log.temperature_C is None or not np.any(np.isfinite(log.temperature_C)):
+        return 0.0
+    several = any(isinstance(e, TemperatureDependence) for e in model.effects)
+    if several or model.temperature_C.size > 1:
+        return 0.0
+    warm = float(np.mean(known_temperature_C(model, log)))
+    return abs(warm - float(model.temperature_C[0]))

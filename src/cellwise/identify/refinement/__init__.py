@@ -1,1 +1,0 @@
-"""Tables fitted to whole logs."""
