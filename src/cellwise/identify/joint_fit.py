@@ -25,7 +25,7 @@ from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
 from cellwise.identify.assemble import fitted_model
-from cellwise.identify.capacity.half_cycles import discharge_rows
+from cellwise.identify.capacity.half_cycles import discharge_rows, find_half_cycles, join_logs
 from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
 from cellwise.identify.measured_capacity import MeasuredCapacity
@@ -45,7 +45,9 @@ class Roles(NamedTuple):
     open_std : float                  of a start that nobody knows [SOC]
     full_std, drive_std : float       of a full one, charged by a tester, by a charger
     capacity_std : float              of ln of what the cell of a capacity test holds over the
-                                      others': another sample or age
+                                      others', where its charge may well be theirs
+    rate_share : float                of the capacity that a test may give less for each C of its
+                                      rate: what is missing beyond is another sample's or age's
     past_rate : float                 mean load before a log that began anywhere [1/h]
     fewest_rows, least_moved : float  what says nothing: fewer rows, a smaller share of the capacity
     """
@@ -55,7 +57,8 @@ class Roles(NamedTuple):
     open_std: float = 0.3
     full_std: float = 0.0005
     drive_std: float = 0.004
-    capacity_std: float = 0.1
+    capacity_std: float = 0.02
+    rate_share: float = 0.1
     past_rate: float = 0.3
     fewest_rows: int = 10
     least_moved: float = 0.005
@@ -269,7 +272,22 @@ def _item(role: str, log: CellLog, at_C: float, capacity_Ah: float, scaled: bool
         return FitLog(log, 1.0, skewed=role == "drive", temperature_C=at_C)
     if role == "ocv":
         return FitLog(log, 1.0, compare=discharge_rows(log), temperature_C=at_C, low_rate=True)
-    return FitLog(log, 1.0, temperature_C=at_C, sample_std=ROLES.capacity_std if scaled else 0.0)
+    own_std = sample_std(log, capacity_Ah) if scaled else 0.0
+    return FitLog(log, 1.0, temperature_C=at_C, sample_std=own_std)
+
+
+def sample_std(log: CellLog, capacity_Ah: float) -> float:
+    """Deviation beforehand of ln of what the cell of a capacity test holds over the others'.
+
+    As large as what its charge has of more than they hold, or of less than its rate explains.
+    """
+    halves = find_half_cycles(join_logs(log))
+    if not halves:
+        return ROLES.capacity_std
+    most = max(halves, key=lambda h: abs(h.charge_Ah))
+    gives = float(np.log(abs(most.charge_Ah) / capacity_Ah))
+    explained = ROLES.rate_share * abs(most.main_current_A) / capacity_Ah
+    return float(np.hypot(ROLES.capacity_std, max(gives, -gives - explained, 0.0)))
 
 
 def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
