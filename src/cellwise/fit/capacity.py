@@ -1,8 +1,9 @@
-"""How far a capacity is open, beyond what the quadratic at the fit says.
+"""The capacity of a fit and how far it is open, beyond what the quadratic at its end says.
 
-Near empty the OCV is steep and every table open: a fit that lets a log end there finds a valley
-that is narrow, and beside it others that are hardly worse. So the other unknowns are fitted at each
-of several capacities, and each is weighed by the likelihood that it reaches (profile likelihood;
+Near empty the OCV is steep and every table open, and a row may be far off there. A fit holds what
+rows may be, step by step, so it does not pay for widening that: it lets logs end at empty, where
+much is forgiven. So the other unknowns are fitted at each of several capacities, and each is
+weighed by the likelihood that it reaches, with what the rows may be there (profile likelihood;
 Murphy and van der Vaart 2000, doi:10.1080/01621459.2000.10474219), trusted as that of a start is.
 The volume that is left of the prior does not weigh here: it is mostly that of tables at SOC where
 no log has been, where the prior is wide on purpose, and would prefer a cell that is never emptied.
@@ -42,11 +43,19 @@ class Tried(NamedTuple):
 
 
 TRIED = Tried()
+HELD = 1e-4  # deviation of ln of a capacity that the other unknowns are fitted at
+
+
+class OpenCapacity(NamedTuple):
+    """Ln of a capacity over the one that the logs are counted over: mean and deviation."""
+
+    mean: float
+    std: float
 
 
 @one_blas_thread
-def deviation_of_capacity(problem: Problem, fit: FitResult) -> float:
-    """Deviation of ln of the capacity from that of a fit, by the profile of its likelihood.
+def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
+    """The capacity by the profile of its likelihood, around that of a fit.
 
     Each capacity is fitted from its neighbour, upwards and downwards again, and has the better of
     both: on the way into another valley a few steps do not arrive.
@@ -70,7 +79,8 @@ def deviation_of_capacity(problem: Problem, fit: FitResult) -> float:
             problem.judge_sizes(theta)
             theta, *_ = problem.minimise(theta, TRIED.iterations)
         problem.judge_sizes(theta)
-        found = -TRIALS.trust * problem.normal_equations(theta).cost
+        cost = problem.normal_equations(theta).cost + problem.ln_sizes()
+        found = -TRIALS.trust * cost
         found -= 0.5 * precision * (value - mean) ** 2
         weights[k] = max(found, weights.get(k, found))
         return theta
@@ -90,10 +100,12 @@ def deviation_of_capacity(problem: Problem, fit: FitResult) -> float:
     for again in range(k + 2, 1):
         theta = weigh(again, theta)
     problem.prior = first
-    away = TRIED.step * np.array(list(weights))
+    at = taken + TRIED.step * np.array(list(weights))
     weight = np.exp(np.array(list(weights.values())) - max(weights.values()))
+    mean_ln = float(np.average(at, weights=weight))
     # Between two capacities any may be.
-    return float(np.sqrt(weight @ away**2 / weight.sum() + TRIED.step**2 / 12.0))
+    variance = float(np.average((at - mean_ln) ** 2, weights=weight)) + TRIED.step**2 / 12.0
+    return OpenCapacity(mean_ln, float(np.sqrt(variance)))
 
 
 def opened(covariance: FloatArray, place: int, std: float) -> FloatArray:

@@ -226,6 +226,11 @@ class Problem:
         rows, residuals = found.seen
         return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
 
+    def ln_sizes(self) -> float:
+        """What widening the rows costs: the logarithm of what each may be, as a log counts."""
+        each = zip(self.numbers, self.sizes_V, strict=True)
+        return sum(float(n * np.mean(np.log(size))) for n, size in each)
+
     def log_evidence(self, normal: Normal) -> float:
         """Log of the marginal likelihood, Laplace, up to what is equal for every prior.
 

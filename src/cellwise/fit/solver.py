@@ -93,6 +93,12 @@ class Prior:
         mean[place], free[place] = value, False
         return replace(self, mean=mean, free=free)
 
+    def near(self, place: int, value: float, std: float) -> Prior:
+        """With another distribution of one unknown that is independent of the others."""
+        mean, precision = self.mean.copy(), self.precision.copy()
+        mean[place], precision[place, place] = value, std**-2
+        return replace(self, mean=mean, precision=precision)
+
     def inside(self, theta: FloatArray) -> FloatArray:
         """The nearest point within the bounds."""
         return np.asarray(np.clip(theta, self.low, self.high))

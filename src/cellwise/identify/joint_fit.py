@@ -16,7 +16,7 @@ from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
-from cellwise.fit.capacity import TRIED, deviation_of_capacity, opened
+from cellwise.fit.capacity import HELD, TRIED, open_capacity, opened
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Problem
@@ -111,16 +111,25 @@ class JointLogs:
     def with_open_capacity(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
     ) -> FitResult:
-        """A fit whose covariance says how far its capacity is open."""
+        """A fit at the capacity of the profile of its likelihood, which says how open that is."""
         lay, items = result.layout, tuple(logs)
-        quadratic = float(result.theta_std[lay.capacity])
+        place = lay.capacity
+        quadratic = float(result.theta_std[place])
         if quadratic < TRIED.known:
             return result
         prior = self._prior(settings, lay, items)
         problem = Problem(items, self.cells.base(), prior, lay, self.capacity_Ah, self.grid_C,
                           self.reference_C, QUICK_ROWS)  # fmt: skip
-        std = max(deviation_of_capacity(problem, result), quadratic)
-        return replace(result, covariance=opened(result.covariance, lay.capacity, std))
+        found = open_capacity(problem, result)
+        theta = result.theta.copy()
+        theta[place] = found.mean
+        moved = fit_logs(
+            items, self.cells.base(), prior.near(place, found.mean, HELD), lay,
+            capacity_Ah=self.capacity_Ah, reference_C=self.reference_C, grid_C=self.grid_C,
+            theta=theta,
+        )  # fmt: skip
+        covariance = opened(moved.covariance, place, max(found.std, quadratic))
+        return replace(moved, covariance=covariance)
 
     def residuals(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
