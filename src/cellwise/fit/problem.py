@@ -237,8 +237,7 @@ class Problem:
         An error of the SOC is one for the whole log, not one for each of its rows: it widens what a
         row may be, and is left out of what the rows are divided by.
         """
-        each = zip(self.numbers, self.apart_V, strict=True)
-        sizes = sum(float(n * np.mean(np.log(size))) for n, size in each)
+        sizes = self.ln_sizes()
         return -normal.cost - sizes + self.prior.ln_kept(normal.matrix)
 
     def inside(self, theta: FloatArray) -> FloatArray:
