@@ -105,19 +105,18 @@ class Problem:
         self.numbers = np.array([evidence_of(log) for log in self.logs])
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
-        self.apart_V: tuple[FloatArray, ...] = ()
         self.bends_V: tuple[FloatArray, ...] = ()
         self.judge_sizes(self.inside(prior.mean))
 
     def judge_sizes(self, theta: FloatArray) -> None:
-        """Standard deviation of every compared row, and without what the SOC's error does [V].
+        """Standard deviation of every compared row [V].
 
         And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
         """
         found = [self.exposed(k, theta) for k in range(len(self.logs))]
-        self.apart_V = tuple(np.hypot(self.level_V, self.share * drop) for drop, *_ in found)
         self.sizes_V = tuple(
-            np.hypot(apart, steep) for apart, (_, steep, _) in zip(self.apart_V, found, strict=True)
+            np.sqrt(self.level_V**2 + (self.share * drop) ** 2 + steep**2)
+            for drop, steep, _ in found
         )
         self.bends_V = tuple(bends for *_, bends in found)
 
@@ -232,13 +231,8 @@ class Problem:
         return sum(float(n * np.mean(np.log(size))) for n, size in each)
 
     def log_evidence(self, normal: Normal) -> float:
-        """Log of the marginal likelihood, Laplace, up to what is equal for every prior.
-
-        An error of the SOC is one for the whole log, not one for each of its rows: it widens what a
-        row may be, and is left out of what the rows are divided by.
-        """
-        sizes = self.ln_sizes()
-        return -normal.cost - sizes + self.prior.ln_kept(normal.matrix)
+        """Log of the marginal likelihood, Laplace, up to what is equal for every prior."""
+        return -normal.cost - self.ln_sizes() + self.prior.ln_kept(normal.matrix)
 
     def inside(self, theta: FloatArray) -> FloatArray:
         """Project on the bounds: positive sizes, time constants in order at every knot."""
