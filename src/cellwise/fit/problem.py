@@ -105,6 +105,7 @@ class Problem:
         self.numbers = np.array([evidence_of(log) for log in self.logs])
         self.level_V, self.share = EVIDENCE.first_V, EVIDENCE.first_share
         self.sizes_V: tuple[FloatArray, ...] = ()
+        self.ends_V: tuple[FloatArray, ...] = ()
         self.bends_V: tuple[FloatArray, ...] = ()
         self.judge_sizes(self.inside(prior.mean))
 
@@ -114,16 +115,19 @@ class Problem:
         And what the bends of low-rate tests move, by the slopes of the OCV as it is now.
         """
         found = [self.exposed(k, theta) for k in range(len(self.logs))]
+        self.ends_V = tuple(
+            np.sqrt(self.level_V**2 + (self.share * drop) ** 2 + end**2) for drop, _, end, _ in found
+        )
         self.sizes_V = tuple(
-            np.sqrt(self.level_V**2 + (self.share * drop) ** 2 + steep**2)
-            for drop, steep, _ in found
+            np.hypot(size, steep) for size, (_, steep, _, _) in zip(self.ends_V, found, strict=True)
         )
         self.bends_V = tuple(bends for *_, bends in found)
 
     def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
         """Take the size of the residuals, and how many independent errors every log holds."""
         exposed = [self.exposed(k, theta) for k in range(len(self.logs))]
-        drops, steep, _ = zip(*exposed, strict=True)
+        drops, *others = zip(*exposed, strict=True)
+        steep = [np.hypot(along, end) for along, end in zip(*others[:2], strict=True)]
         squares = [np.concatenate(x) for x in (residuals, drops, steep)]
         weight = np.concatenate(
             [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
@@ -131,7 +135,7 @@ class Problem:
         self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
         self.judge_sizes(theta)
 
-    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, ...]:
         """Of a log's compared rows: polarisation, what an error of the SOC does, bends [V]."""
         log, lay = self.logs[index], self.layouts[index]
         own = theta[self.places[index]]
@@ -143,10 +147,11 @@ class Problem:
         ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
         slope = self._slope(rows, own[: lay.knots_ocv])
         soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
-        along = np.full(soc.size, EVIDENCE.soc)
-        if not log.item.low_rate:  # it defines both ends
-            along += EVIDENCE.empty_soc * np.exp(-soc / EVIDENCE.near_soc)
-        return ocv - log.measured_V, along * slope, bends_of(soc) * slope[:, None]
+        low_rate = log.item.low_rate  # it defines both ends
+        end = (0.0 if low_rate else EVIDENCE.empty_soc) * np.exp(-soc / EVIDENCE.near_soc)
+        return (
+            ocv - log.measured_V, EVIDENCE.soc * slope, end * slope, bends_of(soc) * slope[:, None]
+        )  # fmt: skip
 
     def evaluate(
         self, index: int, theta: FloatArray, *, slopes: bool = True
@@ -227,7 +232,7 @@ class Problem:
 
     def ln_sizes(self) -> float:
         """What widening the rows costs: the logarithm of what each may be, as a log counts."""
-        each = zip(self.numbers, self.sizes_V, strict=True)
+        each = zip(self.numbers, self.ends_V, strict=True)
         return sum(float(n * np.mean(np.log(size))) for n, size in each)
 
     def log_evidence(self, normal: Normal) -> float:
