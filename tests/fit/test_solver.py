@@ -95,3 +95,28 @@ def test_what_a_bound_cuts_off_the_others_no_longer_make_up_for():
     step = bounded_step(pull, ALL[:2], np.full(2, -1e9), np.array([1.0, 1e9]), 0.0)
     assert step[0] == 1.0
     assert step[1] == pytest.approx((-1.9 + 1.0) / (1.0 + 1e-3))
+
+
+def test_what_an_order_puts_beyond_a_bound_stays_there_and_the_others_are_fitted():
+    """As a slow branch that must be slower than another one at its own bound."""
+    a, y = linear(7)
+    high = np.array([np.inf, 0.3, np.inf, np.inf])
+    mean = np.array([0.5, 9.0, 0.0, 2.0])  # the second would go further up
+    prior = Prior(mean, PRIOR.precision, ALL, -np.inf, high)
+
+    def inside(theta):
+        theta = prior.inside(theta)
+        theta[1] = max(theta[1], 0.5)
+        return theta
+
+    def cost_of(at):
+        r = y - a @ at
+        return 0.5 * float(r @ r), r
+
+    found = minimise(prior, cost_of, lambda _, r: (a.T @ r, a.T @ a), inside(prior.mean), EXACT,
+                     inside)  # fmt: skip
+    assert found.theta[1] == 0.5
+    others = [0, 2, 3]
+    left = a.T @ (y - a @ found.theta) - PRIOR.precision @ (found.theta - mean)
+    assert left[1] > 0.0
+    assert left[others] == pytest.approx(0.0, abs=1e-6)

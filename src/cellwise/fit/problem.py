@@ -58,6 +58,19 @@ class Evidence(NamedTuple):
 EVIDENCE = Evidence()
 
 
+class Exposed(NamedTuple):
+    """What may move a log's compared rows, (m,) each [V].
+
+    ``drop`` : their polarisation; ``steep`` : what an error of the SOC does; ``end`` : what more of
+    it near empty does; ``bends`` : (m, BENDS) by so much of each bend of a low-rate test.
+    """
+
+    drop: FloatArray
+    steep: FloatArray
+    end: FloatArray
+    bends: FloatArray
+
+
 class Problem:
     """The posterior of the unknowns, given logs and a prior.
 
@@ -116,18 +129,18 @@ class Problem:
         """
         found = [self.exposed(k, theta) for k in range(len(self.logs))]
         self.ends_V = tuple(
-            np.sqrt(self.level_V**2 + (self.share * drop) ** 2 + end**2) for drop, _, end, _ in found
+            np.sqrt(self.level_V**2 + (self.share * x.drop) ** 2 + x.end**2) for x in found
         )
         self.sizes_V = tuple(
-            np.hypot(size, steep) for size, (_, steep, _, _) in zip(self.ends_V, found, strict=True)
+            np.hypot(size, x.steep) for size, x in zip(self.ends_V, found, strict=True)
         )
-        self.bends_V = tuple(bends for *_, bends in found)
+        self.bends_V = tuple(x.bends for x in found)
 
     def judge(self, theta: FloatArray, residuals: Sequence[FloatArray]) -> None:
         """Take the size of the residuals, and how many independent errors every log holds."""
         exposed = [self.exposed(k, theta) for k in range(len(self.logs))]
-        drops, *others = zip(*exposed, strict=True)
-        steep = [np.hypot(along, end) for along, end in zip(*others[:2], strict=True)]
+        drops = [x.drop for x in exposed]
+        steep = [np.hypot(x.steep, x.end) for x in exposed]
         squares = [np.concatenate(x) for x in (residuals, drops, steep)]
         weight = np.concatenate(
             [np.full(r.size, n / r.size) for r, n in zip(residuals, self.numbers, strict=True)]
@@ -135,8 +148,8 @@ class Problem:
         self.level_V, self.share = error_sizes(squares[0], squares[1], squares[2], weight)
         self.judge_sizes(theta)
 
-    def exposed(self, index: int, theta: FloatArray) -> tuple[FloatArray, ...]:
-        """Of a log's compared rows: polarisation, what an error of the SOC does, bends [V]."""
+    def exposed(self, index: int, theta: FloatArray) -> Exposed:
+        """What may move a log's compared rows."""
         log, lay = self.logs[index], self.layouts[index]
         own = theta[self.places[index]]
         rows = log.moved(
@@ -149,9 +162,8 @@ class Problem:
         soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
         low_rate = log.item.low_rate  # it defines both ends
         end = (0.0 if low_rate else EVIDENCE.empty_soc) * np.exp(-soc / EVIDENCE.near_soc)
-        return (
-            ocv - log.measured_V, EVIDENCE.soc * slope, end * slope, bends_of(soc) * slope[:, None]
-        )  # fmt: skip
+        bends = bends_of(soc) * slope[:, None]
+        return Exposed(ocv - log.measured_V, EVIDENCE.soc * slope, end * slope, bends)
 
     def evaluate(
         self, index: int, theta: FloatArray, *, slopes: bool = True
@@ -231,7 +243,11 @@ class Problem:
         return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
 
     def ln_sizes(self) -> float:
-        """What widening the rows costs: the logarithm of what each may be, as a log counts."""
+        """What widening the rows costs: the logarithm of what each may be, as a log counts.
+
+        An error of the SOC that is alike along a log is one, and not one for each of its rows: it
+        is left out. Near empty it is the rows' own.
+        """
         each = zip(self.numbers, self.ends_V, strict=True)
         return sum(float(n * np.mean(np.log(size))) for n, size in each)
 
