@@ -4,6 +4,14 @@
 
 #include "cellwise_ekf.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 extern const cellwise_model cellwise_cell;
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

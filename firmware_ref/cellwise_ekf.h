@@ -11,8 +11,9 @@
 
 #include "cell_table.h"
 
-#if defined(__FAST_MATH__)
-#error "cellwise_ekf: build without -ffast-math, -Ofast and -funsafe-math-optimizations"
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
+    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "cellwise_ekf: build without -ffast-math, -Ofast and the options that these stand for"
 #endif
 #if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
 #error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
@@ -21,6 +22,10 @@
 #define CELLWISE_NEEDS_TEMPERATURE \
     ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \
      (CELLWISE_VALIDITY > 1))
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 /* Status bits, the values of cellwise.Status in Python. */
 #define CELLWISE_CURRENT_INVALID 1u /* missing or not finite: the last valid current was held */
@@ -340,5 +345,9 @@ void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
  * for a state that is not sound, and for no cells. */
 void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
                          const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -6,6 +6,10 @@
 
 #include "cellwise_ekf.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* What a check found; 0: nothing. */
 #define CELLWISE_NOT_STORED 1u /* no magic number: never written, or erased */
 #define CELLWISE_OTHER_LAYOUT 2u /* written by a build with other options or another version */
@@ -48,6 +52,10 @@ void cellwise_keep_cells(cellwise_stored_cells *into, const cellwise_pack_cell *
  * 0: call cellwise_cells_init. */
 uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwise_pack_cell *cells,
                                 uint32_t count);
+#endif
+
+#ifdef __cplusplus
+}
 #endif
 
 #endif

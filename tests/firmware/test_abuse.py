@@ -73,6 +73,46 @@ def test_a_long_run_stays_sound(wide, tmp_path):
     assert done.returncode == 0, done.stdout
 
 
+UNSAFE = ("-ffast-math", "-funsafe-math-optimizations", "-ffinite-math-only", "-freciprocal-math")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+@pytest.mark.parametrize("option", UNSAFE)
+def test_what_breaks_the_arithmetic_does_not_compile(option, tmp_path):
+    write(tables_of("lean"), tmp_path)
+    done = subprocess.run(["gcc", "-c", option, "cellwise_ekf.c"], cwd=tmp_path,
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.returncode != 0
+    assert "build without -ffast-math" in done.stderr
+
+
+CPP = """#include "cellwise_cell.h"
+#include "cellwise_store.h"
+int main() {
+    cellwise_state x;
+    cellwise_stored kept;
+    cellwise_init(&cellwise_cell, &x, 0.5f, 0.1f);
+    cellwise_keep(&kept, &x);
+    return cellwise_restore(&x, &kept) == 0u ? 0 : 1;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")
+def test_a_program_in_cpp_links_the_c(tmp_path):
+    write(tables_of("lean"), tmp_path)
+    (tmp_path / "main.cpp").write_text(CPP)
+    sources = ("cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
+    for command in (
+        ["gcc", "-c", *STRICT_FLAGS, *sources],
+        ["g++", "-Wall", "-Wextra", "-Werror", "main.cpp",
+         *(name.replace(".c", ".o") for name in sources), "-o", "program"],
+        ["./program"],
+    ):  # fmt: skip
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr[:2000]
+
+
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="no cppcheck: make firmware")
 @pytest.mark.parametrize("case", ["lean", "full", "full pack"])
 def test_rules_are_kept_but_for_the_written_deviations(case, tmp_path):
