@@ -368,10 +368,10 @@ static void add_variance(cellwise_state *x, float value)
     add(&x->ss, &x->ss_carry, value);
 }
 
-/* Every entry in its range. */
+/* Every entry in its range. A variance of SOC is never 0: that is memory that was cleared. */
 static bool covariance_is_sound(const cellwise_state *x)
 {
-    if (!NOT_NEGATIVE(x->ss, LARGE)) {
+    if (!POSITIVE_WITHIN(x->ss, VARIANCE_FLOOR, LARGE)) {
         return false;
     }
     if (!SIZE_WITHIN(x->s1, LARGE)) {

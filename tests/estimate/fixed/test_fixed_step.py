@@ -123,6 +123,15 @@ def test_an_unsound_state_starts_anew_and_says_so():
     assert out["status"][0] & Status.STATE_RESET
 
 
+def test_cleared_memory_is_no_state():
+    """All bits 0: once an empty cell, known exactly."""
+    state = begun()
+    state.view(np.uint8)[:] = 0
+    out = STEPPER.rows(state, steady(1, 0.0, 3.7, start=1))
+    assert out["status"][0] & Status.STATE_RESET
+    assert out["soc_variance"][0] > 0.0
+
+
 def test_the_covariance_stays_positive():
     state = begun()
     for part in np.array_split(stress_samples(20_000, seed=1), 500):

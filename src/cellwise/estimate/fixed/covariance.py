@@ -40,11 +40,15 @@ def add_variance(x: State, value: float) -> None:
 
 @unrolled_by_option
 def covariance_is_sound(x: State) -> bool:
-    """Every entry in its range."""
+    """Every entry in its range. A variance of SOC is never 0: that is memory that was cleared."""
     for i, j in triangle(CELL):
         if i == j:
-            if not not_negative(x.p[i, j], LARGE):
-                return False
+            if i == SOC:
+                if not positive_within(x.p[i, j], VARIANCE_FLOOR, LARGE):
+                    return False
+            else:
+                if not not_negative(x.p[i, j], LARGE):
+                    return False
         else:
             if not size_within(x.p[i, j], LARGE):
                 return False
