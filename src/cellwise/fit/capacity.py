@@ -29,7 +29,7 @@ class Tried(NamedTuple):
     ----------
     step, below, above : float    of ln of the capacity; further where that is still probable
     nats : float                  so much less is improbable
-    known : float                 a deviation of less is no question
+    measured : float              a smaller deviation beforehand: a test has shown it
     rounds, iterations : int      at each capacity; between rounds the rows are weighed again
     """
 
@@ -37,7 +37,7 @@ class Tried(NamedTuple):
     below: float = 0.08
     above: float = 0.16
     nats: float = 6.0
-    known: float = 0.005
+    measured: float = 0.05
     rounds: int = 2
     iterations: int = 6
 

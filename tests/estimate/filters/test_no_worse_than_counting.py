@@ -69,7 +69,7 @@ def from_known(model, logs, name):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
-@pytest.mark.parametrize("tag", CHAMBER_C)
+@pytest.mark.parametrize("tag", missed(CHAMBER_C, p10="0.33 points in one drive"))
 def test_from_a_known_start(nca, tag, name):
     model, drives = nca
     counted = from_known(model, drives[tag], "coulomb")
@@ -108,6 +108,7 @@ FOLLOWED = {f"{tag} {name}": (tag, name) for tag in CHAMBER_C for name in ("ekf"
     missed(
         FOLLOWED,
         **{
+            "n10 ekf": "1.06 times counting in one drive",
             "n10 ukf": f"about as counting in one drive: {AT_ITS_BOUND}",
         },
     ),
