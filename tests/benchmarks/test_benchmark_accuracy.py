@@ -66,14 +66,14 @@ def test_unknown_part_is_refused(main, capsys):
     assert "name at least one of" in capsys.readouterr().err
 
 
-# 22.9 (18), 15.8 (12), 29.3 mV (25), 1.11, 0.74 % (0.6): where the C/20 gave 4 % more charge than
+# 22.9 (18), 15.8 (12), 29.3 mV (25), 1.00, 0.74 % (0.6): where the C/20 gave 4 % more charge than
 # the loads of other days, no OCV serves both below 15 % SOC (decision 0009).
 LABORATORY, DRIVEN = "laboratory tests alone", "laboratory tests + drives cycle 2, 3"
 SHORT = (
     f"{DRIVEN}: voltage RMSE above 10 % SOC, drive_p25_hwfta",
     f"{DRIVEN}: voltage RMSE above 10 % SOC, mean",
-    f"{DRIVEN}: SOC RMSE after 300 s, drive_p25_hwfta",
-    f"{DRIVEN}: SOC RMSE after 300 s, drive_p25_cycle_4",
+    f"{DRIVEN}: EKF from 70 % at full: SOC RMSE after 300 s, drive_p25_hwfta",
+    "SOC RMSE after 300 s, drive_p25_cycle_4",
     f"{LABORATORY}: voltage RMSE above 10 % SOC, drive_p25_hwfta",
 )
 
