@@ -6,6 +6,9 @@
 /* Constants of the algorithm. */
 #define SIXTH 0x1.555556p-3f /* 0.166667 */
 #define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
+#define THIRD 0x1.555556p-2f /* 0.333333 */
+#define FIFTH 0x1.99999ap-3f /* 0.2 */
+#define SEVENTH 0x1.24924ap-3f /* 0.142857 */
 #define LARGEST_FLOAT 0x1.fffffep+127f /* 3.40282e+38 */
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
@@ -38,9 +41,19 @@
 #define START_LOAD_SHARE 0.5f
 #define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more */
 #define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
-#define RESTART_POINTS 201u
-#define RESTART_STEP 0x1.47ae14p-8f /* 0.005 */
-#define RESTART_ROUNDING 0x1.179ecap-19f /* 2.08333e-06: of a SOC between two points: 1/200^2/12 */
+#define ALONE 0u /* a state that stands for itself, */
+#define COMPONENT 1u /* one of a bank, */
+#define CONTRADICTED 2u /* and one whose voltages have contradicted it for long */
+#define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
+#define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
+#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
+#define LOOKS 3u /* times that a past is looked at, each four times as long after the start */
+#define NEVER_LOOKED 0xFFFFFFFFu
+#define SQUARE_MOST 4.0f /* that a root is taken of */
+#define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
+#define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
+#define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06 */
+#define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
 #define POWER_TRIALS 8u
@@ -130,6 +143,24 @@ static NOINLINE float root(float square)
         r = 0.5f * (r + (scaled / r));
     }
     return r * unit;
+}
+
+/* ln(1 + z) for z >= 0, to 1e-5: halved until it is below 2, then the series of atanh. */
+static NOINLINE float log_of_more(float z)
+{
+    float y = 1.0f + ((z < LARGE) ? z : LARGE);
+    float whole = 0.0f;
+    for (uint32_t k = 0u; k < 21u; k++) {
+        if (y <= 2.0f) {
+            break;
+        }
+        y = 0.5f * y;
+        whole = whole + LN_2;
+    }
+    const float t = (y - 1.0f) / (y + 1.0f);
+    const float square = t * t;
+    const float series = 1.0f + (square * (THIRD + (square * (FIFTH + (square * SEVENTH)))));
+    return whole + ((2.0f * t) * series);
 }
 
 /* ---- lookup.py: Tables of the fixed step at one SOC, temperature and current. */
@@ -236,6 +267,28 @@ static void aged(const cellwise_state *x, const cellwise_place *at, cellwise_pla
     place->weight = at->weight;
     place->scale = at->scale * x->resistance_scale;
     place->lag = at->lag;
+}
+
+/* Temperature of the cell: what was measured last, and its own warming. */
+static float warmth_of(const cellwise_state *x)
+{
+    float warm_C = x->temperature_C;
+    warm_C = warm_C + x->heat_K;
+    return warm_C;
+}
+
+/* Where the cell's temperature lies between the tables. */
+static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
+{
+    const float warm_C = warmth_of(x);
+    cellwise_place here;
+    place_of(m, warm_C, &here);
+    under_surface(&m->constant, x, &here, warm_C, &here);
+    aged(x, &here, &here);
+    place->low = here.low;
+    place->weight = here.weight;
+    place->scale = here.scale;
+    place->lag = here.lag;
 }
 
 /* Lower point of the SOC interval that holds x, a SOC in units of the grid. */
@@ -552,6 +605,18 @@ static void column_of(const cellwise_state *x, const cellwise_point *p, float sl
     column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
 }
 
+/* The same where the slow branch itself is measured. */
+static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
+{
+    column->variance = 0.0f;
+    column->s = x->s3;
+    column->v1 = x->p13;
+    column->v2 = x->p23;
+    column->v3 = x->p33;
+    column->h = x->p3h;
+    column->variance = x->p33;
+}
+
 /* State + K innovation. */
 static void move(cellwise_state *x, const cellwise_column *d, float inverse, float innovation)
 {
@@ -632,7 +697,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
         return false;
     }
-    if (!SIZE_WITHIN(x->contradicted, 1.0f)) {
+    if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) {
         return false;
     }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) {
@@ -645,6 +710,9 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
         return false;
     }
     if (!SIZE_WITHIN(x->mean_V, LARGE)) {
+        return false;
+    }
+    if (!(NOT_NEGATIVE(x->error_V2, LARGE) && (x->in_bank <= CONTRADICTED))) {
         return false;
     }
     return covariance_is_sound(x);
@@ -686,6 +754,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->temperature_C = c->temperature_C;
     x->ss_carry = 0.0f;
     x->contradicted = 0.0f;
+    x->persistent = 0.0f;
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;
     x->repeats = 0u;
@@ -693,6 +762,10 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->no_voltage = 0u;
     x->per_capacity = 1.0f;
     x->resistance_scale = 1.0f;
+    x->cost = 0.0f;
+    x->weight = 1.0f;
+    x->error_V2 = 0.0f;
+    x->in_bank = ALONE;
     x->mean_V = 0.0f;
     x->cells_at = 0u;
     x->turn = 0u;
@@ -730,6 +803,11 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     x->v3_V = p->r3_ohm * flow;
     x->v3_carry_V = 0.0f;
     x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
+    if (x->in_bank == COMPONENT) {
+        /* What flowed for hours no first sample shows; it is looked at once more is known. */
+        const float wide_V = c->bank_A * p->r3_ohm;
+        x->p33 = x->p33 + (wide_V * wide_V);
+    }
 }
 
 /* Charge that leaves the cell in one step, in SOC. */
@@ -932,6 +1010,18 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
     }
 }
 
+/* What is stated of the SOC: P's variance, an error that stays, what voltages contradict. P
+ * trusted the errors as stated; where innovations show `mismatch` times as much, so much more
+ * may be wrong with the SOC. */
+static float stated_variance(const cellwise_state *x, float known)
+{
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        known = known * x->mismatch;
+    }
+    const float beside = (x->persistent * x->persistent) + (x->contradicted * x->contradicted);
+    return known + beside;
+}
+
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
  * memory which lost a bit has driven below zero is none: this step knows nothing, and the next
  * one re-initialises the state. */
@@ -954,7 +1044,7 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     }
     out->soc = x->soc;
     out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
-    out->soc_variance = out->soc_variance + (x->contradicted * x->contradicted);
+    out->soc_variance = stated_variance(x, out->soc_variance);
     return status;
 }
 
@@ -972,97 +1062,13 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
     return voltage;
 }
 
-/* SOC and its variance over the whole of 0..1, when a voltage contradicts the estimate. Every
- * SOC weighs as the estimate, widened, and the voltage, known to `variance`, say together.
- * Branches may hold what `held_A` would leave there. Beyond either end of the OCV that end is
- * meant. */
-static NOINLINE void search(const cellwise_model *m, const cellwise_place *place,
-                            cellwise_state *x, float seen, float voltage, float variance,
-    float held_A, float limit_V)
+/* The gate may have locked the truth out: anything is admitted, and the next voltage passes. */
+static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                  float seen)
 {
-    const float before = 1.0f / at_least(x->ss, RECOVERY_VARIANCE);
-    const float most_V2 = limit_V * limit_V;
-    float least = LARGE;
-    float total = 0.0f;
-    float first = 0.0f;
-    float second = 0.0f;
-    cellwise_point p;
-    look_up(m, place, 0.0f, seen, &p);
-    const float low = voltage_of(x, &p, p.r0_ohm * seen);
-    look_up(m, place, 1.0f, seen, &p);
-    const float high = voltage_of(x, &p, p.r0_ohm * seen);
-    const float target = (low < high) ? clip(voltage, low, high) : clip(voltage, high, low);
-    for (uint32_t k = 0u; k < RESTART_POINTS; k++) {
-        const float away = ((float)k * RESTART_STEP) - x->soc;
-        look_up(m, place, (float)k * RESTART_STEP, seen, &p);
-        float ohm2 = 0.0f;
-        ohm2 = ohm2 + (p.r1_ohm * p.r1_ohm);
-        ohm2 = ohm2 + (p.r2_ohm * p.r2_ohm);
-        ohm2 = ohm2 + (p.r3_ohm * p.r3_ohm);
-        const float held = (held_A * held_A) * ohm2;
-        float about = (variance + p.noise_V2) + ((held < most_V2) ? held : most_V2);
-        about = about + ((p.m_V * p.m_V) * x->phh);
-        const float off = target - voltage_of(x, &p, p.r0_ohm * seen);
-        const float cost = 0.5f * (((away * away) * before) + ((off * off) / about));
-        float weight = 1.0f / root(about);
-        if (cost < least) {
-            const float faded = vanishing(least - cost);
-            total = faded * total;
-            first = faded * first;
-            second = faded * second;
-            least = cost;
-        } else {
-            weight = vanishing(cost - least) * weight;
-        }
-        total = total + weight;
-        first = first + (weight * away);
-        second = second + (weight * (away * away));
-    }
-    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
-    if (total > 0.0f) {
-        const float mean = first / total;
-        const float square = (second / total) - (mean * mean);
-        if (WITHIN(mean, -1.0f, 1.0f) && WITHIN(square, -1.0f, 1.0f)) {
-            x->soc = clip(x->soc + mean, 0.0f, 1.0f);
-            x->soc_carry = 0.0f;
-            x->ss = at_least(square, 0.0f) + RESTART_ROUNDING;
-        }
-    }
-}
-
-/* The gate may have locked the truth out, or a first voltage at rest says more than is weighed.
- * Branches that have been followed may hold anything; under load the resistances may be what is
- * wrong, by as much as they are. */
-static NOINLINE void recover(const cellwise_model *m, const cellwise_place *place,
-                             cellwise_state *x, float seen, float voltage, float one_V2,
-    float polarisation_V)
-{
-    const cellwise_constants *const c = &m->constant;
-    float held_A = c->start_rest_A;
-    float limit_V = REST_LIMIT_V;
-    float variance = one_V2 + c->branch_variance_V2;
-    float kept1 = 0.0f;
-    float kept2 = 0.0f;
-    float kept3 = 0.0f;
-    if (x->evidence >= FIRST_VOLTAGE) {
-        held_A = c->recovery_A;
-        limit_V = LOAD_LIMIT_V;
-        variance = one_V2 + (polarisation_V * polarisation_V);
-        kept1 = x->v1_V * x->v1_V;
-        variance = variance + (kept1 + x->p11);
-        kept2 = x->v2_V * x->v2_V;
-        variance = variance + (kept2 + x->p22);
-        kept3 = x->v3_V * x->v3_V;
-        variance = variance + (kept3 + x->p33);
-    }
-    search(m, place, x, seen, voltage, variance, held_A, limit_V);
-    cellwise_point p;
-    look_up(m, place, x->soc, seen, &p);
-    forget_correlations(x);
-    x->p11 = admitted(c->branch_variance_V2, held_A * p.r1_ohm, limit_V) + kept1;
-    x->p22 = admitted(c->branch_variance_V2, held_A * p.r2_ohm, limit_V) + kept2;
-    x->p33 = admitted(c->branch_variance_V2, held_A * p.r3_ohm, limit_V) + kept3;
+    x->ss = RECOVERY_VARIANCE;
     x->evidence = FIRST_VOLTAGE;
+    guess_branches(c, x, p, seen);
 }
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
@@ -1190,25 +1196,21 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
 /* ---- step.py: One fixed step: predict over the interval that ends now, then use the voltage
  * read now. */
 
-/* A voltage beyond the gate, and recovery after too long a time of them in a row. A start that
- * is unsure of itself believes the first voltage at rest at once. */
-static uint32_t reject(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                       const cellwise_point *p, const cellwise_innovation *i, float seen,
-    float voltage, bool unsure)
+/* A voltage beyond the gate, and what follows too long a time of them in a row. With
+ * CELLWISE_BANK the state asks for a bank, which begins again over all of the SOC. */
+static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                       float seen)
 {
-    (void)p;
-    const cellwise_constants *const c = &m->constant;
     uint32_t status = CELLWISE_INNOVATION_REJECTED;
     x->rejections = x->rejections + 1u;
-    if (unsure) {
-        x->rejections = c->recovery_after;
-    }
     if (x->rejections >= c->recovery_after) {
         status = status | CELLWISE_GATE_RECOVERY;
         x->rejections = 0u;
         x->mismatch = 1.0f;
         x->contradicted = 0.0f;
-        recover(m, place, x, seen, voltage, i->one_V2, i->polarisation_V);
+        x->persistent = 0.0f;
+        x->in_bank = CONTRADICTED;
+        widen(c, x, p, seen);
     }
     return status;
 }
@@ -1237,11 +1239,27 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
     }
 }
 
+/* SOC error that an error of the model which stays has brought in, after a voltage with a gain.
+ * No further voltage averages it out: in the end the SOC is off by that error over the slope. */
+static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                    float slope_V, float gain)
+{
+    float square = p->noise_V2 - c->fixed_V2;
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        square = square * x->mismatch;
+    }
+    const float error_V = c->persistent * root((square < SQUARE_MOST) ? square : SQUARE_MOST);
+    const float kept = clip(1.0f - (gain * slope_V), 0.0f, 1.0f);
+    const float now = (kept * x->persistent) + (gain * error_V);
+    x->persistent = clip(now, -1.0f, 1.0f);
+}
+
 /* State and covariance after a voltage within the gate. What the innovations have lately shown
  * beyond their variance makes evidence weigh less. A first sample under load says more of the
  * load than of the SOC. */
-static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
-                 const cellwise_reading *s, const cellwise_innovation *i, float innovation)
+static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                 const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
+    float innovation)
 {
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
@@ -1253,6 +1271,7 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
         const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
         move(x, &i->column, inverse, innovation);
         narrow(x, &i->column, inverse);
+        persist(c, x, p, w->slope_V, i->column.s * inverse);
         if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
             contradict(c, x, w, s, i->one_V2, innovation);
         }
@@ -1263,44 +1282,72 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
     }
 }
 
-/* A voltage that is looked at: rejected, SOC searched for it, or used. */
-static uint32_t weigh(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                      const cellwise_point *p, const cellwise_slopes *w, const cellwise_reading *s,
-    const cellwise_innovation *i, float voltage, float innovation)
+/* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
+ * The variance of a voltage is that of the likeliest component, for all: one whose tables state
+ * a larger error must not explain everything. What a voltage says against a component counts as
+ * often as it moves the state: samples that share one error of the model are one. */
+static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                        const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float innovation)
 {
-    const cellwise_constants *const c = &m->constant;
+    if (!(x->error_V2 > 0.0f)) {
+        x->error_V2 = i->one_V2;
+    }
+    cellwise_shared shared;
+    shared_by(c, x, s->seen, &shared);
+    float weight = x->error_V2 * shared.above;
+    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
+        weight = weight * x->mismatch;
+    }
+    if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+        float off = innovation;
+        const float most = c->gate_square * i->variance_V2;
+        const float square = off * off;
+        if (POSITIVE_ABOVE(square, most)) {
+            off = off * root(most / square);
+        }
+        const float explained = i->explained_V2 * shared.below;
+        const float inverse = shared.below / (explained + weight);
+        x->cost = x->cost + (0.5f * (((off * off) * inverse) + log_of_more(explained / weight)));
+        move(x, &i->column, inverse, off);
+        narrow(x, &i->column, inverse);
+        persist(c, x, p, w->slope_V, i->column.s * inverse);
+    }
+    if (x->evidence < FIRST_VOLTAGE) {
+        x->evidence = FIRST_VOLTAGE;
+    }
+}
+
+/* A voltage that is looked at: rejected, or used. */
+static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                      const cellwise_slopes *w, const cellwise_reading *s,
+    const cellwise_innovation *i, float innovation)
+{
     const float square = innovation * innovation;
     const float most = c->gate_square * i->variance_V2;
     uint32_t status = 0u;
-    bool unsure = false;
-    bool bent = false;
-    /* The first voltage at rest of a start that is unsure of itself is looked for where the OCV
-     * bends too much for a slope. */
-    if ((w->spread > 0.0f) && (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(s->seen, c->rest_A)) {
-        unsure = true;
-        bent = ((3.0f * (w->bend_V * w->bend_V)) > i->one_V2) || (w->slope_V < c->flat_slope_V);
-    }
-    if (s->news == INTERVAL) {
-        float ratio = square / i->variance_V2;
-        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-        x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
-    }
-    if (POSITIVE_ABOVE(square, most)) {
-        status = reject(m, place, x, p, i, s->seen, voltage, unsure);
-    } else if (bent) {
-        recover(m, place, x, s->seen, voltage, i->one_V2, i->polarisation_V);
+    if (x->in_bank == COMPONENT) {
+        use_in_bank(c, x, p, w, s, i, innovation);
     } else {
-        fuse(c, x, w, s, i, innovation);
+        if (s->news == INTERVAL) {
+            float ratio = square / i->variance_V2;
+            ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
+            x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
+        }
+        if (POSITIVE_ABOVE(square, most)) {
+            status = reject(c, x, p, s->seen);
+        } else {
+            fuse(c, x, p, w, s, i, innovation);
+        }
     }
     return status;
 }
 
 /* Predicted voltage, innovation, and what follows from it. */
-static uint32_t correct(const cellwise_model *m, const cellwise_place *place, cellwise_state *x,
-                        const cellwise_point *p, const cellwise_slopes *w,
-    const cellwise_reading *s, float voltage, cellwise_output *out)
+static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                        const cellwise_slopes *w, const cellwise_reading *s, float voltage,
+    cellwise_output *out)
 {
-    const cellwise_constants *const c = &m->constant;
     uint32_t status = 0u;
     uint32_t away = x->no_voltage;
     if ((s->news == INTERVAL) && (away < COUNT_MOST)) {
@@ -1322,7 +1369,7 @@ static uint32_t correct(const cellwise_model *m, const cellwise_place *place, ce
                 away = 0u;
             }
             if (status == 0u) {
-                status = weigh(m, place, x, p, w, s, &i, voltage, innovation);
+                status = weigh(c, x, p, w, s, &i, innovation);
             }
         }
     }
@@ -1361,6 +1408,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     if (!is_sound(c, x)) {
         start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
         status = CELLWISE_STATE_RESET;
+        x->in_bank = CONTRADICTED;
     }
     cellwise_reading s;
     see(c, x, sample, status, &s);
@@ -1390,9 +1438,381 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         heat(c, x, p.r0_ohm, s.seen, s.flow);
     }
     const uint32_t beyond = outside(c, x, &s);
-    status = charge.status | correct(m, &place, x, &p, &w, &s, sample->voltage_V, out);
+    status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, out);
     status = status | finish(x, &s, charge.missing, sample->sequence, out);
     status = status | beyond;
+    out->status = status;
+    return status;
+}
+
+/* ---- bank.py: A start that nobody knows: filters side by side over the SOC, weighed by what
+ * they predict. */
+
+/* A component at its SOC: `width` wide, else as the estimate `first` is. */
+static void component_start(cellwise_state *a, cellwise_state *first, float soc, float width)
+{
+    const float away = soc - first->soc;
+    /* How sure a stated start is, is itself not sure: Student's t of four degrees of freedom. */
+    a->cost = 2.5f * log_of_more((away * away) / (4.0f * first->ss));
+    a->soc = soc;
+    a->soc_carry = 0.0f;
+    a->ss = width * width;
+    a->ss_carry = 0.0f;
+    forget_correlations(a);
+    if (a->evidence == NOT_BEGUN) {
+        a->h = (soc > 0.5f) ? 1.0f : -1.0f;
+    }
+    a->in_bank = COMPONENT;
+}
+
+/* After voltages that contradicted the estimate for long the branches may hold anything. */
+static void loosen(const cellwise_model *m, cellwise_state *x)
+{
+    const cellwise_constants *const c = &m->constant;
+    cellwise_place place;
+    place_now(m, x, &place);
+    cellwise_point p;
+    look_up(m, &place, x->soc, x->current_A, &p);
+    float kept = x->v1_V * x->v1_V;
+    x->p11 = admitted(c->branch_variance_V2, c->recovery_A * p.r1_ohm, LOAD_LIMIT_V) + kept;
+    kept = x->v2_V * x->v2_V;
+    x->p22 = admitted(c->branch_variance_V2, c->recovery_A * p.r2_ohm, LOAD_LIMIT_V) + kept;
+    kept = x->v3_V * x->v3_V;
+    x->p33 = admitted(c->branch_variance_V2, c->recovery_A * p.r3_ohm, LOAD_LIMIT_V) + kept;
+    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
+}
+
+/* Weights that add up to one; the likeliest component costs nothing. */
+static void weigh_components(cellwise_state *of, uint32_t count, float least)
+{
+    float total = 0.0f;
+    for (uint32_t k = 0u; k < count; k++) {
+        of[k + 1u].cost = of[k + 1u].cost - least;
+        of[k + 1u].weight = vanishing(of[k + 1u].cost);
+        if (of[k + 1u].cost > COST_MOST) {
+            of[k + 1u].cost = LARGE;
+            of[k + 1u].weight = 0.0f;
+        }
+        total = total + of[k + 1u].weight;
+    }
+    for (uint32_t k = 0u; k < count; k++) {
+        of[k + 1u].weight = of[k + 1u].weight / total;
+    }
+}
+
+/* Components over six deviations to either side of the estimate, within 0..1. */
+static void spread_out(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                       uint32_t count)
+{
+    (void)m;
+    const float reach = 6.0f * root(of[0u].ss);
+    const float low = clip(of[0u].soc - reach, 0.0f, 1.0f);
+    const float high = clip(of[0u].soc + reach, 0.0f, 1.0f);
+    const float apart = (high - low) / (float)count;
+    float least = LARGE;
+    for (uint32_t k = 0u; k < count; k++) {
+        of[k + 1u] = of[0u];
+        const float soc = low + (apart * ((float)k + 0.5f));
+        component_start(&of[k + 1u], &of[0u], soc, COMPONENT_WIDTH * apart);
+        if (of[k + 1u].cost < least) {
+            least = of[k + 1u].cost;
+            b->likeliest = k + 1u;
+        }
+    }
+    of[0u].in_bank = ALONE;
+    b->spread = 1u;
+    b->mismatch = of[0u].mismatch;
+    weigh_components(of, count, least);
+}
+
+/* The components' mean state, as a column. */
+static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *column)
+{
+    column->s = 0.0f;
+    column->v1 = 0.0f;
+    column->v2 = 0.0f;
+    column->v3 = 0.0f;
+    column->h = 0.0f;
+    for (uint32_t k = 0u; k < count; k++) {
+        column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
+        column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
+        column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
+        column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
+        column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
+    }
+    column->variance = 0.0f;
+}
+
+/* A state at the mean, with no covariance yet. */
+static void take_mean(cellwise_state *x, const cellwise_column *mean)
+{
+    x->soc = mean->s;
+    x->v1_V = mean->v1;
+    x->v2_V = mean->v2;
+    x->v3_V = mean->v3;
+    x->h = mean->h;
+    x->soc_carry = 0.0f;
+    x->v3_carry_V = 0.0f;
+    x->ss = 0.0f;
+    x->s1 = 0.0f;
+    x->s2 = 0.0f;
+    x->s3 = 0.0f;
+    x->sh = 0.0f;
+    x->p11 = 0.0f;
+    x->p12 = 0.0f;
+    x->p13 = 0.0f;
+    x->p1h = 0.0f;
+    x->p22 = 0.0f;
+    x->p23 = 0.0f;
+    x->p2h = 0.0f;
+    x->p33 = 0.0f;
+    x->p3h = 0.0f;
+    x->phh = 0.0f;
+    x->ss_carry = 0.0f;
+    x->persistent = 0.0f;
+    x->in_bank = ALONE;
+}
+
+/* What a component adds to the covariance of the state `x` at the mean. */
+static void collect(cellwise_state *x, cellwise_state *a)
+{
+    const float aways = a->soc - x->soc;
+    const float away1 = a->v1_V - x->v1_V;
+    const float away2 = a->v2_V - x->v2_V;
+    const float away3 = a->v3_V - x->v3_V;
+    const float awayh = a->h - x->h;
+    x->ss = x->ss + (a->weight * (a->ss + (aways * aways)));
+    x->s1 = x->s1 + (a->weight * (a->s1 + (aways * away1)));
+    x->s2 = x->s2 + (a->weight * (a->s2 + (aways * away2)));
+    x->s3 = x->s3 + (a->weight * (a->s3 + (aways * away3)));
+    x->sh = x->sh + (a->weight * (a->sh + (aways * awayh)));
+    x->p11 = x->p11 + (a->weight * (a->p11 + (away1 * away1)));
+    x->p12 = x->p12 + (a->weight * (a->p12 + (away1 * away2)));
+    x->p13 = x->p13 + (a->weight * (a->p13 + (away1 * away3)));
+    x->p1h = x->p1h + (a->weight * (a->p1h + (away1 * awayh)));
+    x->p22 = x->p22 + (a->weight * (a->p22 + (away2 * away2)));
+    x->p23 = x->p23 + (a->weight * (a->p23 + (away2 * away3)));
+    x->p2h = x->p2h + (a->weight * (a->p2h + (away2 * awayh)));
+    x->p33 = x->p33 + (a->weight * (a->p33 + (away3 * away3)));
+    x->p3h = x->p3h + (a->weight * (a->p3h + (away3 * awayh)));
+    x->phh = x->phh + (a->weight * (a->phh + (awayh * awayh)));
+    x->persistent = x->persistent + (a->weight * a->persistent);
+}
+
+/* The estimate: mean and covariance of the whole bank; the rest is the likeliest one's. */
+static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
+{
+    cellwise_column mean;
+    mean_of(of, count, &mean);
+    of[0u] = of[b->likeliest];
+    take_mean(&of[0u], &mean);
+    for (uint32_t k = 0u; k < count; k++) {
+        collect(&of[0u], &of[k + 1u]);
+    }
+    of[0u].mismatch = b->mismatch;
+    if (of[0u].ss <= WIDE_VARIANCE) {
+        b->spread = 0u;
+    }
+}
+
+/* What a load from full, or a charge from empty, has left in the slow branch at a SOC [V]. */
+static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place *place,
+                                   float mean_A, float soc)
+{
+    float before = 0.0f;
+    const float size = at_least(magnitude(mean_A), m->constant.least_use_A);
+    const float steps = PAST_PART / (m->constant.soc_per_A * size);
+    const float way = (mean_A >= 0.0f) ? (1.0f - soc) : soc;
+    const uint32_t points = (uint32_t)((way / PAST_PART) + 0.5f);
+    for (uint32_t k = 0u; k < points; k++) {
+        const float moved = (float)(k + 1u) * PAST_PART;
+        const float at = (mean_A >= 0.0f) ? (1.0f - moved) : moved;
+        cellwise_point p;
+        look_up(m, place, at, mean_A, &p);
+        const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
+        before = before + (risen(steps * p.gain3) * (end - before));
+    }
+    return before;
+}
+
+/* A load under which a log begins was there before: what it has left in the slow branch. Half of
+ * that, and a twentieth of a rate, may be otherwise. It is knowledge of the start that comes
+ * late: the slow branch has been followed from nothing known. */
+static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float since,
+                               float mean_A)
+{
+    cellwise_place place;
+    place_now(m, a, &place);
+    cellwise_point p;
+    look_up(m, &place, a->soc, mean_A, &p);
+    const float before = left_by_load(m, &place, mean_A, a->soc);
+    const float gone = risen(since * p.gain3);
+    float spread = (PAST_SPREAD * magnitude(before)) + (p.r3_ohm * m->constant.past_A);
+    spread = (1.0f - gone) * spread;
+    cellwise_column d;
+    column_of_slow_branch(a, &d);
+    const float variance = d.variance + ((spread * spread) + LEAST_PAST_V2);
+    const float off = ((gone * (p.r3_ohm * mean_A)) + ((1.0f - gone) * before)) - a->v3_V;
+    const float inverse = 1.0f / variance;
+    a->cost = a->cost + (0.5f * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)));
+    move(a, &d, inverse, off);
+    narrow(a, &d, inverse);
+}
+
+/* A longer mean of the load says more of the past: what that moves in the slow branch. */
+static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a, float since,
+                                      float mean_A, float before_A)
+{
+    cellwise_place place;
+    place_now(m, a, &place);
+    cellwise_point p;
+    look_up(m, &place, a->soc, mean_A, &p);
+    const float more = left_by_load(m, &place, mean_A, a->soc) -
+        left_by_load(m, &place, before_A, a->soc);
+    a->v3_V = a->v3_V + ((1.0f - risen(since * p.gain3)) * more);
+}
+
+/* The mean of the load since a start under load, and what it says of the past, three times. */
+static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                      uint32_t count, const cellwise_input *sample)
+{
+    const cellwise_constants *const c = &m->constant;
+    const uint32_t elapsed = sample->sequence - b->sequence;
+    b->sequence = sample->sequence;
+    if ((b->looks < LOOKS) && (elapsed == 1u)) {
+        b->since = b->since + 1u;
+        b->mean_A = b->mean_A + ((of[b->likeliest].current_A - b->mean_A) / (float)b->since);
+        if (b->since >= b->next_look) {
+            for (uint32_t k = 0u; k < count; k++) {
+                if (of[k + 1u].cost < LARGE) {
+                    if (b->looks == 0u) {
+                        know_past(m, &of[k + 1u], (float)b->since, b->mean_A);
+                    } else {
+                        know_past_better(m, &of[k + 1u], (float)b->since, b->mean_A, b->looked_A);
+                    }
+                }
+            }
+            b->looked_A = b->mean_A;
+            b->looks = b->looks + 1u;
+            b->next_look = b->next_look * 4u;
+        }
+    } else if (elapsed > 1u) { /* nobody knows what flowed */
+        b->looks = LOOKS;
+    } else {
+        /* as before */
+    }
+    if (b->looks == NEVER_LOOKED) {
+        b->looks = 0u;
+        b->next_look = c->look_steps;
+        if (SIZE_BELOW(of[b->likeliest].current_A, c->rest_A)) {
+            b->looks = LOOKS;
+        }
+    }
+}
+
+/* Every component by its own step, the likeliest first: all share what it says of the noise. */
+static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                                uint32_t count, const cellwise_input *sample, cellwise_output *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    float error_V2 = 0.0f;
+    uint32_t status = 0u;
+    float first_V = 0.0f;
+    float mean_V = 0.0f;
+    float square_V2 = 0.0f;
+    float variance_V2 = 0.0f;
+    for (uint32_t turn = 0u; turn < count; turn++) {
+        uint32_t k = b->likeliest;
+        if (turn > 0u) {
+            k = (turn <= (b->likeliest - 1u)) ? turn : (turn + 1u);
+        }
+        if (of[k].cost < LARGE) {
+            of[k].error_V2 = error_V2;
+            of[k].mismatch = b->mismatch;
+            const uint32_t said = cellwise_step(m, &of[k], sample, out);
+            if (turn == 0u) {
+                error_V2 = of[k].error_V2;
+                status = said;
+                first_V = out->voltage_V;
+            }
+            const float away_V = out->voltage_V - first_V;
+            mean_V = mean_V + (of[k].weight * away_V);
+            square_V2 = square_V2 + (of[k].weight * (away_V * away_V));
+            variance_V2 = variance_V2 + (of[k].weight * out->innovation_variance_V2);
+        }
+    }
+    out->voltage_V = first_V + mean_V;
+    out->innovation_variance_V2 = variance_V2 + at_least(square_V2 - (mean_V * mean_V), 0.0f);
+    out->innovation_V = 0.0f;
+    if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
+        out->innovation_V = sample->voltage_V - out->voltage_V;
+        float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
+        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
+        b->mismatch = b->mismatch + (c->lately * (ratio - b->mismatch));
+    }
+    return status;
+}
+
+/* The cost of the likeliest component. */
+static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t count)
+{
+    float least = of[b->likeliest].cost;
+    for (uint32_t k = 0u; k < count; k++) {
+        if (of[k + 1u].cost < least) {
+            least = of[k + 1u].cost;
+            b->likeliest = k + 1u;
+        }
+    }
+    return least;
+}
+
+/* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that
+ * are no such numbers give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                            uint32_t count, float soc, float soc_variance)
+{
+    const uint32_t status = cellwise_init(m, &of[0u], soc, soc_variance);
+    b->spread = 0u;
+    b->likeliest = 1u;
+    b->looks = NEVER_LOOKED;
+    b->since = 0u;
+    b->next_look = 0u;
+    b->sequence = 0u;
+    b->mean_A = 0.0f;
+    b->looked_A = 0.0f;
+    b->mismatch = 1.0f;
+    if ((count > 0u) && (of[0u].ss > WIDE_VARIANCE)) {
+        spread_out(m, b, of, count);
+    }
+    return status;
+}
+
+/* One time step of a bank of `count` components; the estimate is in `of[0]`. Returns the status
+ * bits, which are in `out` too. */
+uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                            uint32_t count, const cellwise_input *sample, cellwise_output *out)
+{
+    uint32_t status = 0u;
+    if (b->spread == 0u) {
+        status = cellwise_step(m, &of[0u], sample, out);
+        b->looks = LOOKS;
+        if ((count > 0u) && (of[0u].in_bank == CONTRADICTED)) {
+            loosen(m, &of[0u]);
+            spread_out(m, b, of, count);
+        } else if ((count > 0u) && (of[0u].ss > SPREAD_VARIANCE) &&
+                   (of[0u].evidence >= FIRST_VOLTAGE)) {
+            spread_out(m, b, of, count);
+        } else {
+            /* as before */
+        }
+    } else {
+        status = step_components(m, b, of, count, sample, out);
+        look_back(m, b, of, count, sample);
+        weigh_components(of, count, likeliest_of(b, of, count));
+        gather(b, of, count);
+    }
+    out->soc = of[0u].soc;
+    out->soc_variance = stated_variance(&of[0u], of[0u].ss);
     out->status = status;
     return status;
 }
@@ -1419,28 +1839,6 @@ typedef struct {
     float low_W;
     float current_A;
 } cellwise_way;
-
-/* Temperature of the cell: what was measured last, and its own warming. */
-static float warmth_of(const cellwise_state *x)
-{
-    float warm_C = x->temperature_C;
-    warm_C = warm_C + x->heat_K;
-    return warm_C;
-}
-
-/* Where the cell's temperature lies between the tables. */
-static void place_now(const cellwise_model *m, const cellwise_state *x, cellwise_place *place)
-{
-    const float warm_C = warmth_of(x);
-    cellwise_place here;
-    place_of(m, warm_C, &here);
-    under_surface(&m->constant, x, &here, warm_C, &here);
-    aged(x, &here, &here);
-    place->low = here.low;
-    place->weight = here.weight;
-    place->scale = here.scale;
-    place->lag = here.lag;
-}
 
 /* The cell's state, under no load yet. */
 static void as_it_is(const cellwise_state *x, cellwise_along *along)

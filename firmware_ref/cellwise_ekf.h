@@ -93,8 +93,11 @@ typedef struct {
     uint32_t hold_steps; /* samples for which a missing current is held */
     float lost_soc; /* deviation that SOC gains in one step after that */
     float frozen_V; /* how far a voltage must have moved to be called frozen */
-    float flat_slope_V; /* below it the OCV is flat for its kind */
     float recovery_A; /* what branches may hold after a lock-out */
+    float bank_A; /* what may have flowed for hours before a start under load, */
+    float past_A; /* and beside a load like it */
+    float least_use_A; /* a use takes no longer from full to empty */
+    uint32_t look_steps; /* until the past of a start under load is looked at */
     float charge_efficiency;
     float leak_soc; /* SOC that self-discharge takes in one step */
     float skew_share; /* of the previous current in what the voltage has seen */
@@ -104,6 +107,7 @@ typedef struct {
     float surface_gain; /* 1 - exp(-dt / time constant of the current it follows) */
     float surface_rate; /* dt / that time constant */
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
+    float persistent; /* share of the slow error that comes back at the same SOC */
     float drift_soc; /* that a current which is off moves in one step */
     float contradicted_share; /* dt / 600 s */
     float heat_K_per_W;
@@ -188,11 +192,16 @@ typedef struct {
     float slow_A; /* current that the particles' surface has followed */
     float temperature_C; /* last valid one */
     float contradicted; /* SOC that the voltages say is missing */
+    float persistent; /* SOC error by an error of the model that stays */
     float voltage_V; /* last valid one, */
     float frozen_A; /* the current when it came, */
     uint32_t repeats; /* and how often it has come since */
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
+    float cost; /* minus the logarithm of its likelihood, beside the likeliest */
+    float weight; /* share of the bank */
+    float error_V2; /* variance of one voltage that all components share */
+    uint32_t in_bank; /* 0: alone, 1: a component, 2: contradicted for long */
     float per_capacity; /* inverse of the share of the capacity that is left */
     float resistance_scale; /* of the resistances since */
     float mean_V; /* of the cells at their last sample, */
@@ -228,6 +237,29 @@ uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, fl
  * the status bits, which are in `out` too. */
 uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                        cellwise_output *out);
+
+/* A start that is not known: an array of states, the estimate and its components behind it. */
+typedef struct {
+    float mean_A; /* of the load since a start under load, */
+    float looked_A; /* and what it was at the last look */
+    float mismatch; /* running mean of squared innovation over variance */
+    uint32_t spread; /* 1: the components are stepped, 0: the estimate alone */
+    uint32_t likeliest; /* which component, from 1 on */
+    uint32_t since; /* steps since the start */
+    uint32_t looks; /* how often the past has been looked at */
+    uint32_t next_look; /* when it is next */
+    uint32_t sequence; /* of the last sample */
+} cellwise_bank;
+
+/* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that
+ * are no such numbers give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                            uint32_t count, float soc, float soc_variance);
+
+/* One time step of a bank of `count` components; the estimate is in `of[0]`. Returns the status
+ * bits, which are in `out` too. */
+uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                            uint32_t count, const cellwise_input *sample, cellwise_output *out);
 
 /* State of power, where it is compiled in. Never NaN, never infinite. */
 typedef struct {

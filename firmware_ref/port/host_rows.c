@@ -3,6 +3,11 @@
 
 void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
                    cellwise_output *out, uint32_t samples);
+#if CELLWISE_BANK
+void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwise_state *of,
+                        uint32_t count, const cellwise_input *in, cellwise_output *out,
+                        uint32_t samples);
+#endif
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
                         uint32_t count, cellwise_input *in, const float *voltage_V,
                         cellwise_output *out, uint32_t samples);
@@ -16,6 +21,17 @@ void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwis
         (void)cellwise_step(model, x, &in[k], &out[k]);
     }
 }
+
+#if CELLWISE_BANK
+void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwise_state *of,
+                        uint32_t count, const cellwise_input *in, cellwise_output *out,
+                        uint32_t samples)
+{
+    for (uint32_t k = 0u; k < samples; k++) {
+        (void)cellwise_bank_step(model, bank, of, count, &in[k], &out[k]);
+    }
+}
+#endif
 
 #if CELLWISE_CELLS
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,

@@ -24,6 +24,10 @@ from cellwise.printing.firmware import PUBLIC
 DECLARATIONS = """
 uint32_t cellwise_init(const void *model, void *x, float soc, float soc_variance);
 void cellwise_rows(const void *model, void *x, const void *in, void *out, uint32_t samples);
+uint32_t cellwise_bank_init(const void *model, void *bank, void *of, uint32_t count, float soc,
+                            float soc_variance);
+void cellwise_bank_rows(const void *model, void *bank, void *of, uint32_t count, const void *in,
+                        void *out, uint32_t samples);
 void cellwise_power(const void *model, const void *x, void *out);
 void cellwise_remaining(const void *model, const void *x, float load_A, bool holds_power,
                         void *out);

@@ -16,11 +16,16 @@ from cellwise.printing.chosen import FLOATS, note_of
 from cellwise.printing.text import broken, comment, float_literal
 
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
-ELEMENTS = {"Cells": "Cell", "Floats": "float", "Phases": "Phase"}  # of what is an array
+ELEMENTS = {
+    "States": "State",
+    "Cells": "Cell",
+    "Floats": "float",
+    "Phases": "Phase",
+}  # of what is an array
 READ = ("Model", "Constants", "Sample", "Phase", "Phases")  # and never changed
 RECORDS = {
     kind: ("const " if kind in READ else "") + layout.c_name(ELEMENTS.get(kind, kind))
-    for kind in ("Model", *layout.RECORDS, "Cells", "Phases")
+    for kind in ("Model", *layout.RECORDS, "States", "Cells", "Phases")
 } | {"Floats": "const float"}
 KEPT = ("State", "Cell")  # from step to step: const where nothing is changed
 # Done on bits in cellwise_float.h: macros, and functions.
@@ -42,7 +47,8 @@ class Program:
     """What the functions stand on.
 
     ``structs`` are the fields of every record and named tuple with their type, ``constants`` the
-    type and text of every name that is one, ``columns`` the fields of the table by column.
+    type and text of every name that is one, ``columns`` the fields of the table by column,
+    ``public`` how functions that others call are named there.
     """
 
     structs: dict[str, dict[str, str]]
@@ -51,6 +57,7 @@ class Program:
     sizes: dict[str, str]
     temperatures: bool = False
     functions: dict[str, Any] = field(default_factory=dict)
+    public: dict[str, str] = field(default_factory=dict)
 
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
@@ -107,8 +114,10 @@ class Function:
         """Kinds of records that it changes, itself or by what it calls."""
         found: set[str] = set()
         for node in ast.walk(self.node):
-            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-                found.add(self.parameters.get(ast.unparse(node.value), ""))
+            if isinstance(node, ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store):
+                of = node.value.value if isinstance(node.value, ast.Subscript) else node.value
+                kind = self.parameters.get(ast.unparse(of), "")
+                found.add(ELEMENTS.get(kind, kind))
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 called = self.program.functions.get(node.func.id)
                 found |= called.mutates if called else set()
@@ -247,6 +256,8 @@ class Function:
             if new:
                 self._say(f"cellwise_{kind.lower()} {name};", indent)
             self._say_call(value, indent, "&" + self.bare(target))
+        elif kind in RECORDS and not name:  # a record copied whole
+            self._say(f"{self.bare(target)} = {self.bare(value)};", indent)
         elif kind in RECORDS:
             self.pointers.add(name)
             self._say(f"{RECORDS[kind]} *const {name} = &{self.bare(value)};", indent, node.lineno)
@@ -263,7 +274,8 @@ class Function:
         if called is None or not isinstance(node, ast.Call):
             raise ValueError(f"no C for '{ast.unparse(node)}' in {self.node.name}")
         parts = [*map(self.argument, node.args), *more]
-        self._say(f"{called.node.name}({', '.join(parts)});", indent)
+        name = self.program.public.get(called.node.name, called.node.name)
+        self._say(f"{name}({', '.join(parts)});", indent)
 
     # ---- expressions ----
 
@@ -358,6 +370,7 @@ class Function:
             args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args[2:]]
             return f"{name.upper()}({', '.join(args)})"
         args = [self.argument(a) for a in node.args]
+        name = self.program.public.get(name, name)
         return f"{name.upper() if name in MACROS else name}({', '.join(args)})"
 
     def argument(self, node: ast.expr) -> str:

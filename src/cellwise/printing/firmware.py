@@ -30,6 +30,8 @@ READS = ("read", "rise")  # macros of cellwise_float.h
 PUBLIC = {
     "init": "cellwise_init",
     "step": "cellwise_step",
+    "start_bank": "cellwise_bank_init",
+    "step_bank": "cellwise_bank_step",
     "power": "cellwise_power",
     "remaining": "cellwise_remaining",
     "plan": "cellwise_plan",
@@ -42,6 +44,7 @@ PUBLIC = {
 }
 # What of these is there only with options.
 ASKED = {
+    **dict.fromkeys(("start_bank", "step_bank"), ("BANK",)),
     "power": ("POWER",),
     **dict.fromkeys(("remaining", "plan"), ("REMAINING",)),
     "set_health": ("HEALTH",),
@@ -125,6 +128,7 @@ def program(read: list[Source], options: Options) -> Program:
         columns={f.name.upper(): f.name for f in layout.ROW},
         sizes={f.name: size_of(f) for f in layout.CONSTANTS if f.size},
         temperatures=options.temperatures > 1,
+        public=PUBLIC,
     )
     for source in read:
         for node in source.tree.body:

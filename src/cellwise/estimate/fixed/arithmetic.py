@@ -31,8 +31,10 @@ Outlook: TypeAlias = Any
 Landing: TypeAlias = Any
 Phase: TypeAlias = Any
 Cell: TypeAlias = Any
+Bank: TypeAlias = Any
 CellOutput: TypeAlias = Any
-Cells: TypeAlias = Any  # arrays: of cells, floats, phases, samples, outputs
+States: TypeAlias = Any  # arrays: of states, cells, floats, phases, samples, outputs
+Cells: TypeAlias = Any
 Floats: TypeAlias = Any
 Phases: TypeAlias = Any
 Samples: TypeAlias = Any
@@ -52,8 +54,10 @@ WIDE = 0  # care of a SOC that is badly known, and of sensors
 VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its temperature
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
+BANK = 0  # components for a start that nobody knows
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
+THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
 LARGEST_FLOAT = F(float.fromhex("0x1.fffffep+127"))
 
 KNOW_NOTHING_SOC = F(0.5)
@@ -84,9 +88,19 @@ INTERVAL = U(2)  # and one that ends an interval
 START_LOAD_SHARE = F(0.5)
 REST_LIMIT_V = F(0.03)  # a rested branch holds no more
 LOAD_LIMIT_V = F(0.3)
-RESTART_POINTS = U(201)
-RESTART_STEP = F(1.0 / 200.0)
-RESTART_ROUNDING = F(1.0 / 200.0**2 / 12.0)  # of a SOC between two points: 1/200^2/12
+ALONE = U(0)  # a state that stands for itself,
+COMPONENT = U(1)  # one of a bank,
+CONTRADICTED = U(2)  # and one whose voltages have contradicted it for long
+SPREAD_VARIANCE = F(1.6e-3)  # beyond it a SOC is no longer known well enough for one filter
+COMPONENT_WIDTH = F(0.6)  # deviation of a component over the distance to the next
+COST_MOST = F(20.0)  # a component less likely than exp(-20) is given up
+LOOKS = U(3)  # times that a past is looked at, each four times as long after the start
+NEVER_LOOKED = U(0xFFFFFFFF)
+SQUARE_MOST = F(4.0)  # that a root is taken of
+PAST_PART = F(1.0 / 32.0)  # of the SOC: the way of a load before the start goes in such parts
+PAST_SPREAD = F(0.5)  # of what a load has left before the start may be otherwise
+LEAST_PAST_V2 = F(1e-6)
+LN_2 = F(math.log(2.0))
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
 FROZEN_READINGS = U(3)
 POWER_TRIALS = U(8)
@@ -230,3 +244,19 @@ def root(square: float) -> float:
     for _ in range(5):
         r = 0.5 * (r + (scaled / r))
     return r * unit
+
+
+@noinline
+def log_of_more(z: float) -> float:
+    """ln(1 + z) for z >= 0, to 1e-5: halved until it is below 2, then the series of atanh."""
+    y = 1.0 + (z if z < LARGE else LARGE)
+    whole = 0.0
+    for _ in range(21):
+        if y <= 2.0:
+            break
+        y = 0.5 * y
+        whole = whole + LN_2
+    t = (y - 1.0) / (y + 1.0)
+    square = t * t
+    series = 1.0 + (square * (THIRD + (square * (FIFTH + (square * SEVENTH)))))
+    return whole + ((2.0 * t) * series)

@@ -23,6 +23,7 @@ from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
 from cellwise.estimate.fixed.options import CellSettings, Options
+from cellwise.estimate.filters.past_kernels import LEAST_RATE, PAST_RATE
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.recovery_kernels import (
@@ -32,7 +33,6 @@ from cellwise.estimate.recovery_kernels import (
     START_REST_RATE,
 )
 from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
-from cellwise.estimate.slopes_kernels import FLAT_SHARE
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on bot
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 LEAST_CUTOFF_V = 0.1
+BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
+LOOK_S = 60.0  # of a load say what it was before; then four times as long, twice
 MONTH_S = 30.0 * 86_400.0
 # Rejected voltages until a cell's SOC is taken for unknown.
 FEWEST_TURNS, RECOVERY_S = 10, 60.0
@@ -88,7 +90,6 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "lost_walk": (per_A * lost_A) ** 2 * max(1.0, 2.0 * MISSING_S / dt_s),
         "hold_steps": steps_within(noise.hold_s, dt_s),
         "frozen_V": noise.frozen_V,
-        "flat_slope_V": FLAT_SHARE * float(model.ocv_V[0, -1] - model.ocv_V[0, 0]),
         "share_variance": noise.branch_share**2,
         "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
         "gate_square": noise.gate**2,
@@ -108,6 +109,10 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "fixed_V2": noise.voltage_V**2,
         "ocv_soc2": noise.ocv_soc**2,
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
+        "bank_A": BANK_RATE * model.capacity_Ah,
+        "past_A": PAST_RATE * model.capacity_Ah,
+        "least_use_A": LEAST_RATE * model.capacity_Ah,
+        "look_steps": int(np.ceil(LOOK_S / dt_s)),
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
@@ -120,6 +125,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "surface_gain": -np.expm1(-dt_s / surface.tau_s),
         "surface_rate": dt_s / surface.tau_s,
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
+        "persistent": float(np.sqrt(noise.lasting_share)),
         "drift_soc": noise.offset_share * dt_s / 3600.0,
         "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
         "heat_K_per_W": heating.rth_K_per_W,

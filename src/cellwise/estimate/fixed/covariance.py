@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, H, triangle
+from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, V3, H, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
@@ -156,6 +156,18 @@ def column_of(x: State, p: Point, slope: float) -> Column:
     for j in (H,):
         variance = variance + (p.m_V * c[j])
     variance = variance if variance > 0.0 else 0.0
+    return Column(variance, *(c[i] for i in CELL))
+
+
+@unrolled_by_option
+def column_of_slow_branch(x: State) -> Column:
+    """The same where the slow branch itself is measured."""
+    c: dict[Any, float] = {}
+    variance = 0.0
+    for i in CELL:
+        c[i] = x.p[i, V3] if THERE else 0.0
+    for i in (V3,):
+        variance = x.p[i, i]
     return Column(variance, *(c[i] for i in CELL))
 
 

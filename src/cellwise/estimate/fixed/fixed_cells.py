@@ -20,7 +20,7 @@ from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up
 from cellwise.estimate.fixed.state import is_sound
-from cellwise.estimate.power.fixed_power import Way, ending, one_way, place_now
+from cellwise.estimate.power.fixed_power import Way, ending, one_way
 from cellwise.estimate.status import (
     GATE_RECOVERY,
     INNOVATION_REJECTED,

@@ -198,7 +198,12 @@ class FixedStep:
         stepper = self.stepper(dt_s)
         samples = samples_of(self.model, log, dt_s)
         state = start_state(stepper, soc0, soc0_std)
-        out = stepper.rows(state, samples.records)[samples.row_sample]
+        if stepper.tables.options.bank:
+            first = state[0]
+            bank = stepper.start_bank(first["soc"], first["ss"])
+            out = stepper.bank_rows(*bank, samples.records)[samples.row_sample]
+        else:
+            out = stepper.rows(state, samples.records)[samples.row_sample]
         variance = out["innovation_variance_V2"].astype(np.float64)
         innovation = out["innovation_V"].astype(np.float64)
         innovation[(out["status"] & VOLTAGE_INVALID) != 0] = np.nan

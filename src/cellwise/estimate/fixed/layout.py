@@ -83,8 +83,11 @@ CONSTANTS = (
     Field("lost_soc", "deviation that SOC gains in one step after that", "WIDE"),
     Field("frozen_V", "how far a voltage must have moved to be called frozen", "WIDE"),
     Field("lost_walk", "variance that SOC gains in one step without a current", "not WIDE"),
-    Field("flat_slope_V", "below it the OCV is flat for its kind", "WIDE"),
-    Field("recovery_A", "what branches may hold after a lock-out", "WIDE"),
+    Field("recovery_A", "what branches may hold after a lock-out", "BANK"),
+    Field("bank_A", "what may have flowed for hours before a start under load,", "BANK"),
+    Field("past_A", "and beside a load like it", "BANK"),
+    Field("least_use_A", "a use takes no longer from full to empty", "BANK"),
+    Field("look_steps", "until the past of a start under load is looked at", "BANK", "u4"),
     Field("charge_efficiency", "", "EFFICIENCY"),
     Field("leak_soc", "SOC that self-discharge takes in one step", "LEAK"),
     Field("skew_share", "of the previous current in what the voltage has seen", "SKEW"),
@@ -95,6 +98,7 @@ CONSTANTS = (
     Field("surface_gain", "1 - exp(-dt / time constant of the current it follows)", "SURFACE"),
     Field("surface_rate", "dt / that time constant", "SURFACE"),
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
+    Field("persistent", "share of the slow error that comes back at the same SOC", "WIDE"),
     Field("drift_soc", "that a current which is off moves in one step", "WIDE"),
     Field("contradicted_share", "dt / 600 s", "WIDE"),
     Field("heat_K_per_W", "", "HEATING"),
@@ -168,11 +172,16 @@ def _state() -> tuple[Field, ...]:
         Field("slow_A", "current that the particles' surface has followed", "SURFACE"),
         Field("temperature_C", "last valid one", "WARM"),
         Field("contradicted", "SOC that the voltages say is missing", "WIDE"),
+        Field("persistent", "SOC error by an error of the model that stays", "WIDE"),
         Field("voltage_V", "last valid one,", "WIDE"),
         Field("frozen_A", "the current when it came,", "WIDE"),
         Field("repeats", "and how often it has come since", "WIDE", "u4"),
         Field("no_current", "steps without a valid one", "WIDE", "u4"),
         Field("no_voltage", "steps without one that could be used", "WIDE", "u4"),
+        Field("cost", "minus the logarithm of its likelihood, beside the likeliest", "BANK"),
+        Field("weight", "share of the bank", "BANK"),
+        Field("error_V2", "variance of one voltage that all components share", "BANK"),
+        Field("in_bank", "0: alone, 1: a component, 2: contradicted for long", "BANK", "u4"),
         Field("per_capacity", "inverse of the share of the capacity that is left", "HEALTH"),
         Field("resistance_scale", "of the resistances since", "HEALTH"),
         Field("mean_V", "of the cells at their last sample,", "CELLS"),
@@ -188,6 +197,17 @@ def _state() -> tuple[Field, ...]:
 RECORDS = {
     "Constants": CONSTANTS,
     "State": _state(),
+    "Bank": (
+        Field("mean_A", "of the load since a start under load,"),
+        Field("looked_A", "and what it was at the last look"),
+        Field("mismatch", "running mean of squared innovation over variance"),
+        Field("spread", "1: the components are stepped, 0: the estimate alone", "", "u4"),
+        Field("likeliest", "which component, from 1 on", "", "u4"),
+        Field("since", "steps since the start", "", "u4"),
+        Field("looks", "how often the past has been looked at", "", "u4"),
+        Field("next_look", "when it is next", "", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+    ),
     "Sample": (
         Field("current_A", "mean over the interval that ends now, positive on discharge"),
         Field("voltage_V", "now"),
@@ -284,7 +304,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, LANDING, CELL, CELL_OUTPUT = (
+BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, LANDING, CELL, CELL_OUTPUT = (
     _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
 )
 

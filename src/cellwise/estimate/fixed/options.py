@@ -89,7 +89,8 @@ class Options:
     without it the code is smaller. ``validity`` 1 watches SOC and current for what the
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
-    history gives, ``cells`` follows the cells of a pack beside the mean cell.
+    history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has components
+    for a start that nobody knows.
     """
 
     points: int
@@ -112,6 +113,7 @@ class Options:
     remaining: int = 0
     health: int = 0
     cells: int = 0
+    bank: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -175,6 +177,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         remaining=int(asked.remaining_V is not None),
         health=int(asked.health),
         cells=int(asked.cells is not None),
+        bank=int(asked.wide),
     )
 
 

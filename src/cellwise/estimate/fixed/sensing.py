@@ -138,6 +138,18 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
         x.slow_A = x.slow_A + (c.surface_gain * (s.flow - x.slow_A))
 
 
+def stated_variance(x: State, known: float) -> float:
+    """What is stated of the SOC: P's variance, an error that stays, what voltages contradict.
+
+    P trusted the errors as stated; where innovations show ``mismatch`` times as much, so much more
+    may be wrong with the SOC.
+    """
+    if positive_above(x.mismatch, 1.0):
+        known = known * x.mismatch
+    beside = (x.persistent * x.persistent) + (x.contradicted * x.contradicted)
+    return F(known + beside)
+
+
 def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:
     """Hold SOC within its bounds, remember the sample: the status of the clamp.
 
@@ -159,5 +171,5 @@ def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> in
     out.soc = x.soc
     out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE
     if WIDE:
-        out.soc_variance = out.soc_variance + (x.contradicted * x.contradicted)
+        out.soc_variance = stated_variance(x, out.soc_variance)
     return status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, H
+from cellwise.cell.description import BRANCHES, CARRIED, V3, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
@@ -46,7 +46,7 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
         return False
-    if WIDE and not size_within(x.contradicted, 1.0):
+    if WIDE and not (size_within(x.contradicted, 1.0) and size_within(x.persistent, LARGE)):
         return False
     if WIDE and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
@@ -55,6 +55,8 @@ def is_sound(c: Constants, x: State) -> bool:
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
         return False
     if CELLS and not size_within(x.mean_V, LARGE):
+        return False
+    if BANK and not (not_negative(x.error_V2, LARGE) and x.in_bank <= CONTRADICTED):
         return False
     return covariance_is_sound(x)
 
@@ -98,6 +100,7 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     if WIDE:
         x.ss_carry = 0.0
         x.contradicted = 0.0
+        x.persistent = 0.0
         x.voltage_V = 0.0
         x.frozen_A = 0.0
         x.repeats = U(0)
@@ -106,6 +109,11 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     if HEALTH:
         x.per_capacity = 1.0
         x.resistance_scale = 1.0
+    if BANK:
+        x.cost = 0.0
+        x.weight = 1.0
+        x.error_V2 = 0.0
+        x.in_bank = ALONE
     if CELLS:
         x.mean_V = 0.0
         x.cells_at = U(0)
@@ -148,6 +156,11 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
         if i in CARRIED:
             x.carry[i] = 0.0
         x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
+    if BANK and x.in_bank == COMPONENT:
+        # What flowed for hours no first sample shows; it is looked at once more is known.
+        for i in (V3,):
+            wide_V = c.bank_A * p.r[i]
+            x.p[i, i] = x.p[i, i] + (wide_V * wide_V)
 
 
 def taken(c: Constants, x: State, current: float) -> float:

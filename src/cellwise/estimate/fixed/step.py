@@ -11,14 +11,12 @@ from cellwise.estimate.fixed.innovation import (
     Innovation,
     innovate,
     outside,
-    recover,
     shared_by,
     watch_voltage,
     widen,
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
-    Place,
     Point,
     Slopes,
     aged,
@@ -39,34 +37,23 @@ from cellwise.estimate.status import (
 )
 
 
-def reject(
-    m: Model,
-    place: Place,
-    x: State,
-    p: Point,
-    i: Innovation,
-    seen: float,
-    voltage: float,
-    unsure: bool,
-) -> int:
-    """A voltage beyond the gate, and recovery after too long a time of them in a row.
+def reject(c: Constants, x: State, p: Point, seen: float) -> int:
+    """A voltage beyond the gate, and what follows too long a time of them in a row.
 
-    A start that is unsure of itself believes the first voltage at rest at once.
+    With CELLWISE_BANK the state asks for a bank, which begins again over all of the SOC.
     """
-    c = m.constant
     status = U(INNOVATION_REJECTED)
     x.rejections = U(x.rejections + 1)
-    if WIDE and unsure:
-        x.rejections = c.recovery_after
     if x.rejections >= c.recovery_after:
         status = U(status | GATE_RECOVERY)
         x.rejections = U(0)
         x.mismatch = 1.0
         if WIDE:
             x.contradicted = 0.0
-            recover(m, place, x, seen, voltage, i.one_V2, i.polarisation_V)
-        else:
-            widen(c, x, p, seen)
+            x.persistent = 0.0
+        if BANK:
+            x.in_bank = CONTRADICTED
+        widen(c, x, p, seen)
     return status
 
 
@@ -93,7 +80,23 @@ def contradict(
             x.contradicted = now
 
 
-def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovation: float) -> None:
+def persist(c: Constants, x: State, p: Point, slope_V: float, gain: float) -> None:
+    """SOC error that an error of the model which stays has brought in, after a voltage with a gain.
+
+    No further voltage averages it out: in the end the SOC is off by that error over the slope.
+    """
+    square = p.noise_V2 - c.fixed_V2
+    if positive_above(x.mismatch, 1.0):
+        square = square * x.mismatch
+    error_V = c.persistent * root(square if square < SQUARE_MOST else SQUARE_MOST)
+    kept = clip(1.0 - (gain * slope_V), 0.0, 1.0)
+    now = (kept * x.persistent) + (gain * error_V)
+    x.persistent = clip(now, -1.0, 1.0)
+
+
+def fuse(
+    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
+) -> None:
     """State and covariance after a voltage within the gate.
 
     What the innovations have lately shown beyond their variance makes evidence weigh less. A first
@@ -107,6 +110,8 @@ def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovatio
         inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
         move(x, i.column, inverse, innovation)
         narrow(x, i.column, inverse)
+        if WIDE:
+            persist(c, x, p, w.slope_V, i.column.s * inverse)
         if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
             contradict(c, x, w, s, i.one_V2, innovation)
     x.rejections = U(0)
@@ -114,48 +119,62 @@ def fuse(c: Constants, x: State, w: Slopes, s: Reading, i: Innovation, innovatio
         x.evidence = FIRST_VOLTAGE
 
 
+def use_in_bank(
+    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
+) -> None:
+    """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
+
+    The variance of a voltage is that of the likeliest component, for all: one whose tables state
+    a larger error must not explain everything. What a voltage says against a component counts as
+    often as it moves the state: samples that share one error of the model are one.
+    """
+    if not (x.error_V2 > 0.0):
+        x.error_V2 = i.one_V2
+    shared = shared_by(c, x, s.seen)
+    weight = x.error_V2 * shared.above
+    if positive_above(x.mismatch, 1.0):
+        weight = weight * x.mismatch
+    if s.news == INTERVAL or shared.above <= shared.below:
+        off = innovation
+        most = c.gate_square * i.variance_V2
+        square = off * off
+        if positive_above(square, most):
+            off = off * root(most / square)
+        explained = i.explained_V2 * shared.below
+        inverse = shared.below / (explained + weight)
+        x.cost = x.cost + (0.5 * (((off * off) * inverse) + log_of_more(explained / weight)))
+        move(x, i.column, inverse, off)
+        narrow(x, i.column, inverse)
+        persist(c, x, p, w.slope_V, i.column.s * inverse)
+    if x.evidence < FIRST_VOLTAGE:
+        x.evidence = FIRST_VOLTAGE
+
+
 def weigh(
-    m: Model,
-    place: Place,
-    x: State,
-    p: Point,
-    w: Slopes,
-    s: Reading,
-    i: Innovation,
-    voltage: float,
-    innovation: float,
+    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
 ) -> int:
-    """A voltage that is looked at: rejected, SOC searched for it, or used."""
-    c = m.constant
+    """A voltage that is looked at: rejected, or used."""
     square = innovation * innovation
     most = c.gate_square * i.variance_V2
     status = U(0)
-    unsure = False
-    bent = False
-    # The first voltage at rest of a start that is unsure of itself is looked for where the OCV
-    # bends too much for a slope.
-    if WIDE and w.spread > 0.0 and x.evidence < FIRST_VOLTAGE and size_below(s.seen, c.rest_A):
-        unsure = True
-        bent = (3.0 * (w.bend_V * w.bend_V)) > i.one_V2 or w.slope_V < c.flat_slope_V
-    if s.news == INTERVAL:
-        ratio = square / i.variance_V2
-        ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
-        x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
-    if positive_above(square, most):
-        status = reject(m, place, x, p, i, s.seen, voltage, unsure)
-    elif bent:
-        if WIDE:
-            recover(m, place, x, s.seen, voltage, i.one_V2, i.polarisation_V)
+    if BANK and x.in_bank == COMPONENT:
+        use_in_bank(c, x, p, w, s, i, innovation)
     else:
-        fuse(c, x, w, s, i, innovation)
+        if s.news == INTERVAL:
+            ratio = square / i.variance_V2
+            ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
+            x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
+        if positive_above(square, most):
+            status = reject(c, x, p, s.seen)
+        else:
+            fuse(c, x, p, w, s, i, innovation)
     return status
 
 
 def correct(
-    m: Model, place: Place, x: State, p: Point, w: Slopes, s: Reading, voltage: float, out: Output
+    c: Constants, x: State, p: Point, w: Slopes, s: Reading, voltage: float, out: Output
 ) -> int:
     """Predicted voltage, innovation, and what follows from it."""
-    c = m.constant
     status = U(0)
     if WIDE:
         away = x.no_voltage
@@ -176,7 +195,7 @@ def correct(
                 if status == U(0):
                     away = U(0)
             if status == U(0):
-                status = weigh(m, place, x, p, w, s, i, voltage, innovation)
+                status = weigh(c, x, p, w, s, i, innovation)
     if WIDE:
         if s.news != REPEATED:
             x.no_voltage = away
@@ -212,6 +231,8 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     if not is_sound(c, x):
         start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
         status = U(STATE_RESET)
+        if BANK:
+            x.in_bank = CONTRADICTED
     s = see(c, x, sample, status)
     place = place_of(m, s.temperature_C) if WARM else place_of(m, 0.0)
     charge = count_charge(c, x, s)
@@ -234,7 +255,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         if HEATING:
             heat(c, x, p.r0_ohm, s.seen, s.flow)
     beyond = outside(c, x, s) if VALIDITY else U(0)
-    status = U(charge.status | correct(m, place, x, p, w, s, sample.voltage_V, out))
+    status = U(charge.status | correct(c, x, p, w, s, sample.voltage_V, out))
     status = U(status | finish(x, s, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status

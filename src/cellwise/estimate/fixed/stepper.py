@@ -24,6 +24,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
     arithmetic,
+    bank,
     covariance,
     fixed_cells,
     innovation,
@@ -33,7 +34,9 @@ from cellwise.estimate.fixed import (
 )
 from cellwise.estimate.fixed import step as whole_step
 from cellwise.estimate.fixed.arithmetic import *
+from cellwise.estimate.fixed.bank import step_bank
 from cellwise.estimate.fixed.fixed_cells import cell_of, mean_voltage, step_cells
+from cellwise.estimate.fixed.layout import BANK as BANK_TYPE
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT, ROW, Model, row_names, state_type
 from cellwise.estimate.fixed.options import Options, flags_of
 from cellwise.estimate.fixed.step import step
@@ -43,6 +46,7 @@ from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
+COMPONENTS = 11  # of a bank: with 7 to 31 of them errors differ by less than their scatter
 # What a step may be made with: what it is, and how.
 MADE_WITH = {
     "power": (
@@ -66,6 +70,7 @@ STEP_MODULES = (
     sensing,
     innovation,
     whole_step,
+    bank,
     fixed_power,
     fixed_remaining,
     fixed_cells,
@@ -87,6 +92,14 @@ def rows(m: Model, x: State, samples: Samples, outputs: Outputs, count: int) -> 
     """Step every sample. Nothing is allocated."""
     for k in range(count):
         step(m, x, samples[k], outputs[k])
+
+
+def bank_rows(
+    m: Model, b: Bank, of: States, count: int, samples: Samples, outputs: Outputs, steps: int
+) -> None:
+    """Step every sample by a bank of ``count`` components."""
+    for k in range(steps):
+        step_bank(m, b, of, count, samples[k], outputs[k])
 
 
 def pack_rows(
@@ -120,10 +133,10 @@ def entry(constants: Any, table: Any, *handed: Any) -> Any:
     return inner(Model(constants[0], table), *handed)
 
 
-ARRAYS = ("Cells", "Floats", "Phases", "Samples", "Outputs")
+ARRAYS = ("States", "Cells", "Floats", "Phases", "Samples", "Outputs")
 FUNCTIONS = {
     f.__name__: f for module in STEP_MODULES for f in functions_of(module)
-} | {f.__name__: f for f in (rows, pack_rows, cells_of)}  # fmt: skip
+} | {f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of)}  # fmt: skip
 
 
 @lru_cache
@@ -135,6 +148,7 @@ def specialised(options: Options) -> dict[str, Any]:
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
+    absent |= set() if options.bank else {bank}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
@@ -212,6 +226,24 @@ class Stepper:
         if samples.size:
             samples = np.ascontiguousarray(samples, dtype=INPUT)
             self.call("rows", state, samples, outputs, samples.size)
+        return outputs
+
+    def start_bank(self, soc: float, soc_variance: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """A bank and its states: the estimate, and behind it COMPONENTS of them."""
+        one = np.zeros(1, dtype=BANK_TYPE)
+        states = np.zeros(1 + COMPONENTS, dtype=state_type(self.tables.options))
+        self.call("start_bank", one, states, COMPONENTS, soc, soc_variance)
+        return one, states
+
+    def bank_rows(
+        self, one: NDArray[Any], states: NDArray[Any], samples: NDArray[Any]
+    ) -> NDArray[Any]:
+        """Step every sample by a bank: records of OUTPUT, shape (samples,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            samples = np.ascontiguousarray(samples, dtype=INPUT)
+            count = states.size - 1
+            self.call("bank_rows", one, states, count, samples, outputs, samples.size)
         return outputs
 
     def pack_rows(

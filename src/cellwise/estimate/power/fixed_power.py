@@ -11,11 +11,10 @@ from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
     Place,
-    aged,
     depth_at,
     look_up,
-    place_of,
-    under_surface,
+    place_now,
+    warmth_of,
 )
 from cellwise.estimate.fixed.state import is_sound, taken
 
@@ -47,25 +46,6 @@ class Way(NamedTuple):
     power_W: float
     low_W: float
     current_A: float
-
-
-def warmth_of(x: State) -> float:
-    """Temperature of the cell: what was measured last, and its own warming."""
-    warm_C = x.temperature_C
-    if HEATING:
-        warm_C = warm_C + x.heat_K
-    return F(warm_C)
-
-
-def place_now(m: Model, x: State) -> Place:
-    """Where the cell's temperature lies between the tables."""
-    warm_C = warmth_of(x) if WARM else 0.0
-    here = place_of(m, warm_C) if WARM else place_of(m, 0.0)
-    if SURFACE:
-        here = under_surface(m.constant, x, here, warm_C)
-    if HEALTH:
-        here = aged(x, here)
-    return Place(here.low, here.weight, here.scale, here.lag)
 
 
 @unrolled_by_option
