@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, CELL, V3, H, triangle
+from cellwise.cell.description import BRANCHES, CARRIED, CELL, V3, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (

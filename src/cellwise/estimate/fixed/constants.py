@@ -22,8 +22,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
-from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.filters.past_kernels import LEAST_RATE, PAST_RATE
+from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.recovery_kernels import (

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.covariance import Column, column_of, forget_correlations
-from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place, Point, Slopes, look_up
+from cellwise.estimate.fixed.covariance import Column, column_of
+from cellwise.estimate.fixed.lookup import Point, Slopes
 from cellwise.estimate.fixed.sensing import Reading
-from cellwise.estimate.fixed.state import admitted, guess_branches
+from cellwise.estimate.fixed.state import guess_branches
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
 
 

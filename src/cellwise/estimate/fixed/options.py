@@ -89,8 +89,8 @@ class Options:
     without it the code is smaller. ``validity`` 1 watches SOC and current for what the
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
-    history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has components
-    for a start that nobody knows.
+    history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
+    components for a start that nobody knows.
     """
 
     points: int
