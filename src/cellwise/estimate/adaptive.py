@@ -16,6 +16,7 @@ from cellwise.estimate import status as bits
 from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters import kalman
 from cellwise.estimate.filters import kalman_kernels as kernels
+from cellwise.estimate.filters.bank_kernels import empty_bank
 from cellwise.estimate.filters.filter_state import TraceArrays
 from cellwise.estimate.filters.free_kernels import FreeRules, ResistanceRules
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState, adaptive_rows
@@ -335,9 +336,13 @@ class Adaptive(kalman.FilterOfModel):
         reading = kalman.reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernels.adaptive_step, f"the {self.name} step")
         out = self._room(1)
-        after = kernels.adaptive_step(
-            self._tables, self._noise, self._rules, self._unknown, state, reading, out
+        bank = kalman.bank_of(state.filter)
+        # fmt: off
+        free = kernels.adaptive_step(
+            self._tables, self._noise, self._rules, self._unknown, bank, state.free, reading, out
         )
+        # fmt: on
+        after = AdaptiveState(kalman.state_of(bank), free)
         known = self._parameters(out)
         numbers = [known[name][0].item() for name in AdaptiveInfo._fields if name in known]
         info = (*out.values[: layout.OUTPUTS, 0].tolist(), int(out.status[0]))
@@ -353,7 +358,11 @@ class Adaptive(kalman.FilterOfModel):
         rows, start = kalman.log_arrays(log), self.start(soc0, soc0_std)
         out = self._room(len(log))
         announce(adaptive_rows, f"the estimator '{self.name}'")
-        adaptive_rows(self._tables, self._noise, self._rules, start, self._unknown, rows, out)
+        # fmt: off
+        adaptive_rows(
+            self._tables, self._noise, self._rules, start, self._unknown, empty_bank(), rows, out
+        )
+        # fmt: on
         return AdaptiveTrace(
             **kalman.trace_fields(log, out),
             **self._parameters(out),

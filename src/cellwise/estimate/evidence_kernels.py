@@ -156,9 +156,8 @@ class Innovation(NamedTuple):
 
     ``state_variance`` is what the state's uncertainty explains of it, ``one`` the variance of a
     single voltage, ``free_variance`` what an offset or a capacity that is not known explains;
-    ``branches_V`` what the branches hold in absolute value. ``unsure`` says that the SOC is badly
-    known, ``bent`` that the voltage is no straight line over its band. One deviation of the offset
-    moves the voltage by ``of_offset_V``, all that is believed has moved it by ``followed_V``.
+    ``branches_V`` what the branches hold in absolute value. One deviation of the offset moves the
+    voltage by ``of_offset_V``, all that is believed has moved it by ``followed_V``.
     """
 
     predicted_V: float
@@ -168,8 +167,6 @@ class Innovation(NamedTuple):
     free_variance: float
     r0_ohm: float
     branches_V: float
-    unsure: bool
-    bent: bool
     of_offset_V: float
     followed_V: float
 
@@ -178,7 +175,7 @@ class Verdict(NamedTuple):
     """What becomes of a voltage.
 
     ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts, and
-    ``recover`` says that the SOC has to be searched for.
+    ``recover`` says that it has contradicted the estimate for long.
     """
 
     accepted: bool
@@ -205,11 +202,7 @@ def gate(
     mismatch: float,
     i: Innovation,
 ) -> Verdict:
-    """Gate, count, and weigh one innovation.
-
-    The first voltage of a resting cell is believed at once where the start is ``unsure`` of
-    itself, and searched for instead of weighed where the voltage is too ``bent`` over SOC.
-    """
+    """Gate, count, and weigh one innovation."""
     status = 0
     innovation_V = i.innovation_V
     variance = i.state_variance + (i.one + i.free_variance)
@@ -223,7 +216,6 @@ def gate(
     recover = False
     inverse = 0.0
     resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
-    first = i.unsure and resting and evidence_s < 0.0
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
         innovation_V = math.nan
@@ -236,17 +228,12 @@ def gate(
             status |= INNOVATION_REJECTED
             # Ten samples a second repeat one error: each counts for its time, at most for one.
             rejections += min(s.dt_s, 1.0)
-            if first:
-                rejections = noise.recovery_after
             if rejections >= noise.recovery_after - COUNT_ROUNDING:
                 status |= GATE_RECOVERY
                 recover = True
                 rejections = 0.0
                 mismatch = 1.0
                 evidence_s = 0.0
-        elif first and i.bent:
-            recover = True
-            evidence_s = 0.0
         else:
             accepted = True
             rejections = 0.0

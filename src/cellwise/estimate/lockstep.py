@@ -34,6 +34,7 @@ from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import gate
+from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread, state_in
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
 from cellwise.estimate.filters.drift_kernels import counted_on
 from cellwise.estimate.filters.filter_state import (
@@ -49,8 +50,8 @@ from cellwise.estimate.filters.filter_state import (
     EkfState,
     ekf_start,
 )
-from cellwise.estimate.filters.kalman import Ekf, check_state
-from cellwise.estimate.filters.kalman_kernels import kalman_step
+from cellwise.estimate.filters.kalman import BankState, Ekf, check_state
+from cellwise.estimate.filters.kalman_kernels import bank_or_alone
 from cellwise.estimate.filters.predict_kernels import Interval, with_noise
 from cellwise.estimate.filters.step_kernels import innovate, say
 from cellwise.estimate.filters.update_kernels import Predicted, update
@@ -120,7 +121,7 @@ def read_lane(
     soc = soc_step(cell, old.cell.soc, s.flow_A, s.dt_s)
     plain = s.status == 0 and math.isfinite(s.voltage_V) and math.isfinite(soc)
     plain &= (w.evidence_s >= 0.0) & (w.no_voltage_s == 0.0) & (w.no_current_s == 0.0)
-    plain &= (old.p.ss <= WIDE_VARIANCE) & (old.past.first_variance <= 0.0) & (s.no_warm_s <= 0.0)
+    plain &= (old.p.ss <= WIDE_VARIANCE) & (s.no_warm_s <= 0.0)
     plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.seen_A)
     work[PLAIN * LANES + lane] = 1.0 if plain else 0.0
     if plain:
@@ -152,7 +153,7 @@ def plain_step(
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(
         old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
-        old.watch.evidence_s, old.past, drift, None, followed, 0,
+        old.watch.evidence_s, drift, None, followed, 0,
     )
     # fmt: on
     i, seen = innovate(tables, noise, None, s, now)
@@ -184,10 +185,13 @@ def full_lane(
     lane: int,
     reading: Reading,
     work: FloatArray,
+    bank: FloatArray,
 ) -> None:
-    """The EKF's own step for one lane."""
-    state, info = kalman_step(tables, noise, None, start, get_state(block, lane), reading)
-    put_record(block, lane, LANES, state, True)
+    """The EKF's own step for one lane; ``bank`` is its memory while its components are stepped."""
+    if not is_spread(bank):
+        put_record(bank[0], 0, 1, get_state(block, lane), True)
+    info = bank_or_alone(tables, noise, None, start, bank, reading)
+    put_record(block, lane, LANES, state_in(bank, 0), True)
     put_info(work, lane, info)
 
 
@@ -216,6 +220,8 @@ def lockstep(
     voltage_V: FloatArray,
     temperature_C: FloatArray,
     gap: BoolArray,
+    banks: FloatArray,
+    spread: BoolArray,
     out: FloatArray,
     status: IntArray,
 ) -> int:
@@ -223,7 +229,7 @@ def lockstep(
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the samples have one value for
     each of the ``rules.cells``, ``out`` (OUTPUTS, cells) and ``status`` likewise. ``work`` is
-    scratch for one block.
+    scratch for one block; ``banks`` (cells, ...) are the components of cells that are ``spread``.
     """
     soc0, variance, hysteresis_variance, unknown_C, cells, dt_s = rules
     start = EkfStart(soc0, variance, hysteresis_variance, unknown_C)
@@ -236,6 +242,8 @@ def lockstep(
             at = first + k
             reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
             read_lane(tables, noise, start, get_state(block, k), reading, work, k)
+            if spread[at]:
+                work[PLAIN * LANES + k] = 0.0
         plain_block(tables, noise, block, work, dt_s)
         for k in range(lanes):
             at = first + k
@@ -243,7 +251,8 @@ def lockstep(
                 short += 1
             else:
                 reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
-                full_lane(tables, noise, start, block, k, reading, work)
+                full_lane(tables, noise, start, block, k, reading, work, banks[at])
+                spread[at] = is_spread(banks[at])
             for row in range(OUTPUTS):
                 out[row, at] = work[(OUT + row) * LANES + k]
             status[at] = int(work[STATUS * LANES + k])
@@ -251,10 +260,15 @@ def lockstep(
 
 
 class LockstepState(NamedTuple):
-    """What must be carried of ``cells`` cells; ``blocks`` holds them side by side."""
+    """What must be carried of ``cells`` cells; ``blocks`` holds them side by side.
+
+    ``banks`` is memory for the components of each cell, used where ``spread`` says so.
+    """
 
     blocks: FloatArray
     cells: int
+    banks: FloatArray
+    spread: BoolArray
 
 
 class LockstepInfo(NamedTuple):
@@ -332,7 +346,10 @@ class LockstepEkf:
             cells = np.flatnonzero(which.ravel() == k)
             row = ekf_start(self._ekf.start(*one), 0.0).row()
             fields[cells // LANES, :, cells % LANES] = row
-        return LockstepState(fields.ravel(), self.cells)
+        banks = np.zeros((self.cells, *empty_bank().shape))
+        return LockstepState(
+            fields.ravel(), self.cells, banks, np.zeros(self.cells, dtype=np.bool_)
+        )
 
     def step(
         self,
@@ -376,6 +393,8 @@ class LockstepEkf:
             self._scratch,
             *samples,
             gaps,
+            state.banks,
+            state.spread,
             self._out,
             self._status,
         )
@@ -384,6 +403,8 @@ class LockstepEkf:
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:
         """One cell's state as the EKF carries it."""
         block, lane = divmod(range(self.cells)[cell], LANES)
+        if state.spread[cell]:
+            return BankState.of_bank(state.banks[cell].copy())
         fields = state.blocks.reshape(-1, FIELDS, LANES)
         return EkfState.of_row(fields[block, :, lane])
 

@@ -8,12 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cellwise.cell.packed import fields_of
 from cellwise.errors import InputError
+from cellwise.estimate.filters.bank_kernels import empty_bank
 from cellwise.estimate.filters.filter_state import EkfState
+from cellwise.estimate.filters.kalman import BankState
 from cellwise.files import write_atomically
+from cellwise.typing import FloatArray
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 INFINITE = {"inf": math.inf, "-inf": -math.inf}
 MAY_BE_INFINITE = {"repeats", "rest_s"}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
@@ -26,7 +31,10 @@ def state_to_dict(state: EkfState, estimator: str = "ekf") -> dict[str, Any]:
     sample: nobody knows what has flowed meanwhile.
     """
     known = {"schema_version": SCHEMA_VERSION, "estimator": estimator}
-    return {**known, "state": _to_json(state)}
+    saved = {**known, "state": _to_json(state)}
+    if isinstance(state, BankState):
+        saved["bank"] = [[_to_json(value) for value in row] for row in state.bank.tolist()]
+    return saved
 
 
 def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfState:
@@ -44,7 +52,7 @@ def state_from_dict(saved: Mapping[str, Any], estimator: str = "ekf") -> EkfStat
             "Start again with init() where there is no such state.",
         )
     state: EkfState = _record("state", EkfState, saved.get("state"))
-    return state
+    return state if "bank" not in saved else BankState.of_bank(_bank(saved["bank"]))
 
 
 def write_state(state: EkfState, path: Path | str, estimator: str = "ekf") -> None:
@@ -74,6 +82,22 @@ def read_saved(path: Path | str) -> Mapping[str, Any]:
     if not isinstance(saved, Mapping):
         raise InputError(f"a {type(saved).__name__} in '{path}'", "a JSON object", "Start again.")
     return saved
+
+
+def _bank(rows: Any) -> FloatArray:
+    """The components of a saved state."""
+    bank = empty_bank()
+    try:
+        found = np.array([[np.nan if v is None else float(v) for v in row] for row in rows])
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != bank.shape:
+        raise InputError(
+            f"components of shape {found.shape} in a saved state",
+            f"numbers of shape {bank.shape}",
+            "Start again with init().",
+        )
+    return found
 
 
 def _to_json(value: Any) -> Any:

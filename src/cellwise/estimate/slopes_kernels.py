@@ -8,13 +8,12 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import CellTables, loaded
-from cellwise.cell.point_kernels import OCV, CellPoint
+from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.filters.covariance_kernels import Branches, no_branches
 
 WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
 SHORTEST_CHORD = 1e-6
-FLAT_SHARE = 0.25
 
 
 class Slopes(NamedTuple):
@@ -73,16 +72,3 @@ def slopes_at(
         spread,
         Branches(*((b.r[i] - a.r[i]) * per for i in BRANCHES)),
     )
-
-
-@inline
-def flat_slope(tables: CellTables) -> float:
-    """OCV slope below which the OCV is flat for its kind: a quarter of its mean slope [V]."""
-    table = tables.table
-    return FLAT_SHARE * float(table[0, table.shape[1] - 1, OCV] - table[0, 0, OCV])
-
-
-@inline
-def bends(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> bool:
-    """Whether the voltage is no straight line over SOC's band, or flat: too bent for a slope."""
-    return bend_V2 > one_V2 or at.slope_V < flat_slope(tables)

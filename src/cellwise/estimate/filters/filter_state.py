@@ -11,7 +11,6 @@ from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.covariance_kernels import Covariance, no_branches, uncorrelated
 from cellwise.estimate.filters.drift_kernels import Drift, drift_variance, no_drift
-from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.sensing_kernels import Watch, first_watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -32,8 +31,7 @@ class EkfState(NamedTuple):
     running mean of the squared innovations over the variance that the model alone explains;
     ``persistent`` is what a persistent error of the model may have brought into the SOC, one
     standard deviation; ``contradicted`` the SOC that the voltages have lately said is missing;
-    ``drift`` what a current that is off would have moved, and how far that is believed;
-    ``past`` what a start under load is looked at again with.
+    ``drift`` what a current that is off would have moved, and how far that is believed.
     """
 
     cell: CellState
@@ -44,7 +42,6 @@ class EkfState(NamedTuple):
     contradicted: float
     drift: Drift
     watch: Watch
-    past: Past
 
     @property
     def soc(self) -> float:
@@ -67,7 +64,7 @@ class EkfState(NamedTuple):
         # fmt: off
         return np.array((
             *self.cell, *self.p, self.rejections, self.mismatch, self.persistent,
-            self.contradicted, *self.drift, *self.watch, *self.past,
+            self.contradicted, *self.drift, *self.watch,
         ))
         # fmt: on
 
@@ -79,7 +76,7 @@ class EkfState(NamedTuple):
         return cls._make((
             CellState._make(v[:P_AT]), Covariance._make(v[P_AT:COUNTS_AT]),
             *v[COUNTS_AT:DRIFT_AT], Drift._make(v[DRIFT_AT:WATCH_AT]),
-            Watch._make(v[WATCH_AT:PAST_AT]), Past._make(v[PAST_AT:]),
+            Watch._make(v[WATCH_AT:]),
         ))
         # fmt: on
 
@@ -89,7 +86,6 @@ P_AT = len(CellState._fields)
 COUNTS_AT = P_AT + len(Covariance._fields)
 DRIFT_AT = COUNTS_AT + 4
 WATCH_AT = DRIFT_AT + len(Drift._fields)
-PAST_AT = WATCH_AT + len(Watch._fields)
 
 
 class EkfInfo(NamedTuple):
@@ -143,4 +139,4 @@ def ekf_start(start: EkfStart, current_A: float) -> EkfState:
     h = 1.0 if start.soc > 0.5 else -1.0
     p = uncorrelated(start.variance, no_branches(), start.hysteresis_variance)
     cell, watch = at_rest(start.soc, h), first_watch(current_A)
-    return EkfState(cell, p, 0.0, 1.0, 0.0, 0.0, no_drift(), watch, no_past())
+    return EkfState(cell, p, 0.0, 1.0, 0.0, 0.0, no_drift(), watch)

@@ -17,6 +17,7 @@ from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
+from cellwise.estimate.filters.bank_kernels import FIELDS, RECORD, empty_bank
 from cellwise.estimate.filters.filter_state import (
     EkfInfo,
     EkfStart,
@@ -71,6 +72,35 @@ class FilterOfModel:
         )
 
 
+class BankState(EkfState):
+    """The estimate of a bank: ``bank`` has its components, which a step goes on with."""
+
+    bank: FloatArray
+
+    @classmethod
+    def of_bank(cls, bank: FloatArray) -> BankState:
+        """The state whose numbers these are."""
+        state: BankState = cls._make(EkfState.of_row(bank[0, :FIELDS]))
+        state.bank = bank
+        return state
+
+
+def bank_of(state: EkfState) -> FloatArray:
+    """A state's memory: its components', or room for them."""
+    if isinstance(state, BankState):
+        return state.bank.copy()
+    bank = empty_bank()
+    bank[0, :FIELDS] = state.row()
+    return bank
+
+
+def state_of(bank: FloatArray) -> EkfState:
+    """What a step carries on: the estimate alone, or with its components."""
+    if bank[RECORD, 0] > 0.0:
+        return BankState.of_bank(bank)
+    return EkfState.of_row(bank[0, :FIELDS])
+
+
 class KalmanFilter(FilterOfModel):
     """A filter over SOC, branch voltages and hysteresis: with sigma points, or by derivatives."""
 
@@ -114,12 +144,12 @@ class KalmanFilter(FilterOfModel):
         check_state(state, EkfState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kalman_step_of_rows, f"the {self.name} step")
-        row, info = state.row(), np.empty(layout.OUTPUTS)
+        bank, info = bank_of(state), np.empty(layout.OUTPUTS)
         tables = self._tables
         status = kalman_step_of_rows(
-            tables.table, tables.grid_C, self._constants, self.sigma, row, *reading, info
+            tables.table, tables.grid_C, self._constants, self.sigma, bank, *reading, info
         )
-        return EkfState.of_row(row), EkfInfo._make((*info.tolist(), status))
+        return state_of(bank), EkfInfo._make((*info.tolist(), status))
 
     def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; the same steps in one compiled loop."""
@@ -127,7 +157,11 @@ class KalmanFilter(FilterOfModel):
         out = TraceArrays(np.empty((layout.OUTPUTS, n)), np.empty(n, dtype=np.int32))
         announce(kalman_rows, f"the estimator '{self.name}'")
         start, rows = self.start(soc0, soc0_std), log_arrays(log)
-        kalman_rows(self._tables, self._noise, self.sigma, start, self._unknown, rows, out)
+        # fmt: off
+        kalman_rows(
+            self._tables, self._noise, self.sigma, start, self._unknown, empty_bank(), rows, out
+        )
+        # fmt: on
         return Trace(**trace_fields(log, out))
 
 

@@ -5,10 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from cellwise.cell.compiled import inline, kernel, rows
+from cellwise.cell.compiled import inline, kernel, part, rows
 from cellwise.cell.equations import CellTables
 from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.estimate.filters.bank_kernels import (
+    begin_bank,
+    begins_again,
+    is_spread,
+    state_in,
+    step_bank,
+)
 from cellwise.estimate.filters.filter_state import (
     OUT_CHARGE,
     OUT_CHARGE_FREE,
@@ -34,11 +41,11 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known
+from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known, soc_found
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import NOT_BEGUN, Reading
 from cellwise.typing import FloatArray
 
 # Where the constants of a filter begin in their row: the cell, its noise, the start of the unknown.
@@ -46,18 +53,29 @@ NOISE_AT = size_of(CellScalars)
 UNKNOWN_AT = NOISE_AT + size_of(NoiseScalars)
 
 
-@kernel
-def kalman_step(
+@part
+def bank_or_alone(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
     start: EkfStart,
-    state: EkfState,
+    bank: FloatArray,
     reading: Reading,
-) -> tuple[EkfState, EkfInfo]:
-    """One step for other kernels; ``start`` re-initialises a state gone wrong."""
-    after, _, info = filter_step(tables, noise, sigma, None, start, state, None, reading)
-    return after, info
+) -> EkfInfo:
+    """One step of a bank in memory: of its components, or of the estimate alone."""
+    state = state_in(bank, 0)
+    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN:
+        begin_bank(bank, state)
+    if is_spread(bank):
+        return step_bank(tables, noise, sigma, start, bank, reading)
+    # fmt: off
+    state, _, info = filter_step(
+        tables, noise, sigma, None, start, state, None, reading
+    )
+    # fmt: on
+    if not begins_again(tables, bank, state, info.status):
+        put_record(bank[0], 0, 1, state, True)
+    return info
 
 
 @kernel
@@ -66,7 +84,7 @@ def kalman_step_of_rows(
     grid_C: FloatArray,
     constants: FloatArray,
     sigma: SigmaScalars | None,
-    state: FloatArray,
+    bank: FloatArray,
     current_A: float,
     voltage_V: float,
     temperature_C: float,
@@ -74,7 +92,7 @@ def kalman_step_of_rows(
     gap: bool,
     out: FloatArray,
 ) -> int:
-    """The same for online use, on rows of numbers: ``state`` goes on, ``out`` is the info.
+    """The same for online use, on rows of numbers: ``bank`` goes on, ``out`` is the info.
 
     Returns
     -------
@@ -84,9 +102,7 @@ def kalman_step_of_rows(
     noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
     unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
     reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
-    old = record_at(EkfState, state, 0, 1)
-    after, info = kalman_step(tables, noise, sigma, unknown, old, reading)
-    put_record(state, 0, 1, after, True)
+    info = bank_or_alone(tables, noise, sigma, unknown, bank, reading)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
 
@@ -146,15 +162,28 @@ def filter_rows(
     rules: FreeRules | None,
     first: EkfStart,
     start: EkfStart,
+    bank: FloatArray,
     log: LogArrays,
     out: TraceArrays,
 ) -> None:
-    """Every row of a log through one step each, from ``first``."""
+    """Every row of a log through one step each, from ``first``; ``bank`` is their memory."""
     state, free = ekf_start(first, log.current_A[0]), nothing_known(rules)
+    begin_bank(bank, state)
+    spread = is_spread(bank)
     offset_A = noise.offset_soc_per_s * tables.cell.charge_As
     for k in range(log.dt_s.size):
         reading = reading_of(log, k)
-        state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, reading)
+        if spread:
+            info = step_bank(tables, noise, sigma, start, bank, reading)
+            state, free = state_in(bank, 0), soc_found(free)
+            spread = is_spread(bank)
+        else:
+            # fmt: off
+            state, free, info = filter_step(
+                tables, noise, sigma, rules, start, state, free, reading
+            )
+            # fmt: on
+            spread = begins_again(tables, bank, state, info.status)
         put_info(out.values, k, info)
         put_free(rules, offset_A, out.values, k, state, free)
         out.status[k] = info.status
@@ -167,11 +196,12 @@ def kalman_rows(
     sigma: SigmaScalars | None,
     first: EkfStart,
     start: EkfStart,
+    bank: FloatArray,
     log: LogArrays,
     out: TraceArrays,
 ) -> None:
     """EKF or UKF over a log."""
-    filter_rows(tables, noise, sigma, None, first, start, log, out)
+    filter_rows(tables, noise, sigma, None, first, start, bank, log, out)
 
 
 class AdaptiveState(NamedTuple):
@@ -200,18 +230,27 @@ def adaptive_step(
     noise: NoiseScalars,
     rules: FreeRules,
     start: EkfStart,
-    state: AdaptiveState,
+    bank: FloatArray,
+    free: Free,
     reading: Reading,
     out: TraceArrays,
-) -> AdaptiveState:
-    """One step for online use; ``out`` is its one row."""
-    after, free, info = filter_step(
-        tables, noise, None, rules, start, state.filter, state.free, reading
-    )
+) -> Free:
+    """One step for online use; ``bank`` goes on, ``out`` is its one row."""
+    state = state_in(bank, 0)
+    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN:
+        begin_bank(bank, state)
+    after: Free | None = free
+    if is_spread(bank):
+        info = step_bank(tables, noise, None, start, bank, reading)
+        state, after = state_in(bank, 0), soc_found(free)
+    else:
+        state, after, info = filter_step(tables, noise, None, rules, start, state, free, reading)
+        if not begins_again(tables, bank, state, info.status):
+            put_record(bank[0], 0, 1, state, True)
     put_info(out.values, 0, info)
-    put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, after, free)
+    put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, state, after)
     out.status[0] = info.status
-    return AdaptiveState(after, free)  # type: ignore[arg-type]  # rules given, so not None
+    return after  # type: ignore[return-value]  # rules given, so not None
 
 
 @rows
@@ -221,8 +260,9 @@ def adaptive_rows(
     rules: FreeRules,
     first: EkfStart,
     start: EkfStart,
+    bank: FloatArray,
     log: LogArrays,
     out: TraceArrays,
 ) -> None:
     """The adaptive filter over a log; ``out.values`` (ADAPTIVE_OUTPUTS, rows)."""
-    filter_rows(tables, noise, None, rules, first, start, log, out)
+    filter_rows(tables, noise, None, rules, first, start, bank, log, out)

@@ -39,7 +39,7 @@ from cellwise.estimate.filters.predict_kernels import (
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes, flat_slope, tangent
+from cellwise.estimate.slopes_kernels import Slopes, tangent
 
 
 class SigmaScalars(NamedTuple):
@@ -60,14 +60,13 @@ class SigmaScalars(NamedTuple):
 class Voltage(NamedTuple):
     """The voltage's moments over the state: mean, covariance with every state, variance.
 
-    ``slope_V`` is the OCV's over the SOC's band, ``bent`` says that it is no straight line there.
+    ``slope_V`` is the OCV's over the SOC's band.
     """
 
     predicted_V: float
     d: Column
     variance_V2: float
     slope_V: float
-    bent: bool
 
 
 @inline
@@ -161,5 +160,4 @@ def voltage_by_points(
     d = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))
     known = explained(Column(0.0, *(rest.row[i] for i in CELL[1:])), 0.0, point.m_V)
     variance = known + first * first + sigma.curve * second * second
-    bent = min(slope, point.ocv_slope_V) < flat_slope(tables)
-    return Voltage(centre + sigma.side * second, d, variance, slope, bent)
+    return Voltage(centre + sigma.side * second, d, variance, slope)

@@ -38,7 +38,6 @@ from cellwise.estimate.filters.drift_kernels import (
     counted_on,
     drift_variance,
     dropped_by_offset,
-    no_drift,
 )
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.free_kernels import (
@@ -49,10 +48,8 @@ from cellwise.estimate.filters.free_kernels import (
     capacity_variance_V2,
     counted_capacity,
     nothing_known,
-    soc_found,
     watched_resistances,
 )
-from cellwise.estimate.filters.past_kernels import look_again, past_at_start
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, by_tangents, over_interval
 from cellwise.estimate.filters.sigma_kernels import (
     SigmaScalars,
@@ -60,7 +57,7 @@ from cellwise.estimate.filters.sigma_kernels import (
     by_points,
     voltage_by_points,
 )
-from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, recover, update
+from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, update
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NO_VOLTAGE_YET,
@@ -69,7 +66,6 @@ from cellwise.estimate.sensing_kernels import (
     Sample,
     read_sample,
 )
-from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, bends
 from cellwise.estimate.status import CLAMPED, OUTSIDE, STATE_RESET
 
 
@@ -92,12 +88,11 @@ def predict(
         state, free = ekf_start(start, s.current_A), nothing_known(rules)
         soc = state.cell.soc
         status = STATE_RESET
-    p, past, evidence = state.p, state.past, state.watch.evidence_s
+    p, evidence = state.p, state.watch.evidence_s
     now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
     if evidence == NOT_BEGUN:
         p = uncorrelated(p.ss, now.unknown, p.phh)
         evidence = NO_VOLTAGE_YET
-        past = past_at_start(cell, s, soc, p.ss)
     followed = state.drift.believed * state.drift.reach + capacity_soc(free)
     counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
     drift = counted_on(noise, state.drift, now.t, cell.charge_As, counts * s.dt_s, s.current_A)
@@ -112,7 +107,7 @@ def predict(
     status |= now.status
     # fmt: off
     return Predicted(
-        state, x, p, now.point, at, now.warm_C, evidence, past, drift, free, followed, status
+        state, x, p, now.point, at, now.warm_C, evidence, drift, free, followed, status
     )
     # fmt: on
 
@@ -134,8 +129,7 @@ def innovate(
         # An OCV that bends by c at one deviation is off its tangent by c z^2, 3 c^2 in square.
         bend2 = 3.0 * at.bend_V * at.bend_V
         variance = explained(d, at.slope_V, point.m_V) + bend2
-        predicted, bent = voltage_of(point, x, s.seen_A), bends(tables, at, bend2, one)
-        seen = Voltage(predicted, d, variance, at.slope_V, bent)
+        seen = Voltage(voltage_of(point, x, s.seen_A), d, variance, at.slope_V)
     else:
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
     # What is believed of an offset has moved the drop, too; what is not known of it may have.
@@ -149,29 +143,10 @@ def innovate(
     # fmt: off
     i = Innovation(
         predicted, s.voltage_V - predicted, seen.variance_V2, one, free_variance, point.r0_ohm,
-        branches, now.p.ss > WIDE_VARIANCE, seen.bent, of_offset, followed,
+        branches, of_offset, followed,
     )
     # fmt: on
     return i, seen
-
-
-@inline
-def look_back(
-    tables: CellTables, noise: NoiseScalars, s: Sample, now: Predicted, v: Verdict, e: Estimate
-) -> Estimate:
-    """A start under load is looked at again, as often as it is due."""
-    if e.past.first_variance <= 0.0:
-        return e
-    # fmt: off
-    seen = look_again(
-        tables, noise, s, now.warm_C, now.evidence_s, v.watch.evidence_s, e.past, v.used,
-        v.innovation_V, e.x, e.p,
-    )
-    # fmt: on
-    if seen.searched:
-        free = soc_found(e.free)
-        return Estimate(seen.x, seen.p, 0.0, 0.0, no_drift(), free, seen.past)
-    return Estimate(seen.x, seen.p, e.persistent, e.contradicted, e.drift, e.free, seen.past)
 
 
 @inline
@@ -184,7 +159,7 @@ def say(i: Innovation, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, 
     # fmt: off
     state = EkfState(
         with_soc(e.x, soc), e.p, v.rejections, v.mismatch, e.persistent, e.contradicted, e.drift,
-        v.watch, e.past,
+        v.watch,
     )
     # fmt: on
     known = e.p.ss + drift_variance(e.drift) + capacity_variance(e.free, e.drift.reach)
@@ -213,13 +188,7 @@ def filter_step(
         tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i
     )
     # fmt: on
-    if v.recover:
-        e = recover(tables, s, now, i)
-    elif v.accepted:
-        e = update(noise, rules, s, now, seen, i, v)
-    else:
-        e = counted(now)
-    e = look_back(tables, noise, s, now, v, e)
+    e = update(noise, rules, s, now, seen, i, v) if v.accepted else counted(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
     drop_V = now.point.r0_ohm * s.seen_A + now.x.v1_V
     free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)

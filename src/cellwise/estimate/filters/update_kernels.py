@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations import CellState, CellTables, with_soc
+from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.evidence_kernels import (
     Innovation,
@@ -20,19 +20,16 @@ from cellwise.estimate.filters.covariance_kernels import (
     moved,
     scaled,
 )
-from cellwise.estimate.filters.drift_kernels import Drift, drift_step, no_drift
+from cellwise.estimate.filters.drift_kernels import Drift, drift_step
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.free_kernels import (
     Free,
     FreeRules,
     capacity_soc,
     informed_capacity,
-    soc_found,
 )
-from cellwise.estimate.filters.past_kernels import Past, no_past
 from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import Contradiction, recovered
 from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.slopes_kernels import Slopes
 from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
@@ -53,7 +50,6 @@ class Predicted(NamedTuple):
     at: Slopes
     warm_C: float
     evidence_s: float
-    past: Past
     drift: Drift
     free: Free | None
     followed: float
@@ -69,19 +65,6 @@ class Estimate(NamedTuple):
     contradicted: float
     drift: Drift
     free: Free | None
-    past: Past
-
-
-@inline
-def recover(tables: CellTables, s: Sample, now: Predicted, i: Innovation) -> Estimate:
-    """The gate may have locked the truth out: the SOC is searched for over all of 0..1."""
-    x, p = now.x, now.p
-    drop = abs(i.r0_ohm * s.seen_A) + i.branches_V
-    followed = now.evidence_s >= 0.0
-    seen = Contradiction(s.voltage_V, s.seen_A, now.warm_C, i.one, drop, followed)
-    soc, p = recovered(tables, x, p, seen)
-    free = soc_found(now.free)
-    return Estimate(with_soc(x, soc), p, 0.0, 0.0, no_drift(), free, no_past())
 
 
 @inline
@@ -90,7 +73,7 @@ def counted(now: Predicted) -> Estimate:
     old = now.state
     follows = now.drift.believed * now.drift.reach + capacity_soc(now.free)
     x = with_soc(now.x, now.x.soc + (follows - now.followed))
-    return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free, now.past)
+    return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free)
 
 
 @inline
@@ -129,4 +112,4 @@ def update(
     )
     follows = drift.believed * drift.reach + capacity_soc(free)
     x = with_soc(x, x.soc + (k.s * i.followed_V + (follows - now.followed)))
-    return Estimate(x, p, persistent, contradicted, drift, free, now.past)
+    return Estimate(x, p, persistent, contradicted, drift, free)

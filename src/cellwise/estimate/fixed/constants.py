@@ -22,7 +22,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
-from cellwise.estimate.filters.past_kernels import LEAST_RATE, PAST_RATE
+from cellwise.estimate.filters.bank_kernels import BANK_RATE, LEAST_RATE, LOOK_S, PAST_RATE
 from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
@@ -42,8 +42,6 @@ BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on bot
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 LEAST_CUTOFF_V = 0.1
-BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
-LOOK_S = 60.0  # of a load say what it was before; then four times as long, twice
 MONTH_S = 30.0 * 86_400.0
 # Rejected voltages until a cell's SOC is taken for unknown.
 FEWEST_TURNS, RECOVERY_S = 10, 60.0
