@@ -24,7 +24,7 @@ from cellwise.cell.description import BRANCHES, CELL, V3
 from cellwise.cell.equations import CellTables, loaded, rc_step
 from cellwise.cell.packed import changed, place_of, put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.unrolled import unrolled
+from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.evidence_kernels import (
     Innovation,
     Verdict,
@@ -204,11 +204,15 @@ def begin_bank(bank: FloatArray, state: EkfState) -> None:
 
 @part
 @unrolled
-def loosened(tables: CellTables, state: EkfState) -> EkfState:
+def loosened(tables: CellTables, start: EkfStart, state: EkfState) -> EkfState:
     """After voltages that contradicted it for long the SOC is open, branches may hold anything."""
-    x, p = state.cell, state.p
+    x: ByState = state.cell
+    p = state.p
     held_A = RECOVERY_RATE * tables.cell.charge_As / 3600.0
-    at = loaded(tables, x.soc, state.watch.temperature_C, state.watch.current_A, x.slow_A)
+    warm_C = state.watch.temperature_C
+    if not math.isfinite(warm_C):
+        warm_C = start.temperature_C
+    at: ByState = loaded(tables, x.soc, warm_C, state.watch.current_A, x.slow_A)
     v = Branches(
         *(
             START_BRANCH_V * START_BRANCH_V
@@ -223,10 +227,12 @@ def loosened(tables: CellTables, state: EkfState) -> EkfState:
 
 
 @inline
-def begins_again(tables: CellTables, bank: FloatArray, state: EkfState, status: int) -> bool:
+def begins_again(
+    tables: CellTables, start: EkfStart, bank: FloatArray, state: EkfState, status: int
+) -> bool:
     """After a step alone: whether the components begin again."""
     if status & GATE_RECOVERY:
-        spread_out(bank, loosened(tables, state))
+        spread_out(bank, loosened(tables, start, state))
         return True
     if state.p.ss > SPREAD_VARIANCE and state.watch.evidence_s >= 0.0:
         spread_out(bank, state)

@@ -73,7 +73,7 @@ def bank_or_alone(
         tables, noise, sigma, None, start, state, None, reading
     )
     # fmt: on
-    if not begins_again(tables, bank, state, info.status):
+    if not begins_again(tables, start, bank, state, info.status):
         put_record(bank[0], 0, 1, state, True)
     return info
 
@@ -183,7 +183,7 @@ def filter_rows(
                 tables, noise, sigma, rules, start, state, free, reading
             )
             # fmt: on
-            spread = begins_again(tables, bank, state, info.status)
+            spread = begins_again(tables, start, bank, state, info.status)
         put_info(out.values, k, info)
         put_free(rules, offset_A, out.values, k, state, free)
         out.status[k] = info.status
@@ -245,7 +245,7 @@ def adaptive_step(
         state, after = state_in(bank, 0), soc_found(free)
     else:
         state, after, info = filter_step(tables, noise, None, rules, start, state, free, reading)
-        if not begins_again(tables, bank, state, info.status):
+        if not begins_again(tables, start, bank, state, info.status):
             put_record(bank[0], 0, 1, state, True)
     put_info(out.values, 0, info)
     put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, state, after)

@@ -261,7 +261,7 @@ def likeliest_of(b: Bank, of: States, count: int) -> float:
         if of[k + 1].cost < least:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
-    return least
+    return F(least)
 
 
 def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_variance: float) -> int:

@@ -18,7 +18,7 @@ from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place, look_up
+from cellwise.estimate.fixed.lookup import Place, look_up, place_now
 from cellwise.estimate.fixed.state import is_sound
 from cellwise.estimate.power.fixed_power import Way, ending, one_way
 from cellwise.estimate.status import (

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place
+from cellwise.estimate.fixed.lookup import Place, place_now
 from cellwise.estimate.fixed.state import is_sound, taken
 from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on
 
