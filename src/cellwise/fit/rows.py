@@ -147,11 +147,12 @@ class BaseOcv(NamedTuple):
 def _at_soc(
     rows: LogRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
 ) -> LogRows:
-    base_V, slope_V = base.rows(soc)
+    shown = soc[rows.evaluate]
+    base_V, slope_V = base.rows(shown)
     below = np.clip(soc - depth, 0.0, 1.0) if depth.any() else soc
     return rows._replace(
         tables=spline_rows(below, TABLE_KNOTS),
-        ocv=spline_rows(soc, OCV_KNOTS),
+        ocv=spline_rows(shown, OCV_KNOTS),
         base_V=base_V,
         base_slope_V=slope_V,
         used_soc=used,
