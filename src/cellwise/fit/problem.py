@@ -20,6 +20,7 @@ from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scal
 from cellwise.typing import FloatArray, IndexArray
 
 ROWS_AT_ONCE = 100  # compared rows of a log, whose products are taken at once
+Products = list[tuple[IndexArray, FloatArray]]  # places of some unknowns, and their J' J
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 
 
@@ -194,9 +195,7 @@ class Problem:
         each = range(len(self.logs))
         return tuple(self.evaluate(i, theta, slopes=False)[0] for i in each)
 
-    def _one(
-        self, index: int, theta: FloatArray
-    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    def _one(self, index: int, theta: FloatArray) -> tuple[float, FloatArray, Products, FloatArray]:
         """Cost, gradient, matrix and residual of one log."""
         r, jacobian = self.evaluate(index, theta)
         size, number = self.sizes_V[index], self.numbers[index]
@@ -205,7 +204,7 @@ class Problem:
         gradient = jacobian.T @ (w * r)
         jacobian *= np.sqrt(w)[:, None]
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
-        return cost, gradient, squared(jacobian), r
+        return cost, gradient, products_of(jacobian, self.places[index]), r
 
     def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
         """What the logs say, and the residuals of each; the logs run side by side."""
@@ -215,10 +214,11 @@ class Problem:
         residuals = []
         with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
             found = pool.map(lambda i: self._one(i, theta), range(len(self.logs)))
-            for places, (part, g, m, r) in zip(self.places, found, strict=True):
+            for places, (part, g, products, r) in zip(self.places, found, strict=True):
                 cost += part
                 gradient[places] += g
-                add_block(matrix, places, m)
+                for moving, block in products:
+                    add_block(matrix, moving, block)
                 residuals.append(r)
         return Normal(cost, gradient, matrix), tuple(residuals)
 
@@ -264,15 +264,14 @@ class Problem:
         return theta
 
 
-def squared(jacobian: FloatArray) -> FloatArray:
-    """J' J of one log. Few unknowns move rows that follow each other: the others' are left out."""
-    rows, size = jacobian.shape
-    matrix = np.zeros((size, size))
-    for part in np.array_split(jacobian, -(-rows // ROWS_AT_ONCE)):
+def products_of(jacobian: FloatArray, places: IndexArray) -> Products:
+    """J' J of one log in parts that add up: of some rows that follow each other, few move."""
+    found = []
+    for part in np.array_split(jacobian, -(-len(jacobian) // ROWS_AT_ONCE)):
         moving = np.flatnonzero(part.any(axis=0))
         some = part[:, moving]
-        add_block(matrix, moving, some.T @ some)
-    return matrix
+        found.append((places[moving], some.T @ some))
+    return found
 
 
 def evidence_of(log: PreparedLog) -> float:

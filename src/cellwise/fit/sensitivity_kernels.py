@@ -281,7 +281,8 @@ def voltage_and_jacobian(
 
 @cached(error_model="numpy", nogil=True)
 def add_block(matrix: FloatArray, places: IndexArray, block: FloatArray) -> None:
-    """Add a square block to the rows and columns of a matrix at ascending or other places."""
+    """Add a square block to a matrix, in the rows and columns at the places."""
     for i in range(places.size):
+        row = matrix[places[i]]
         for j in range(places.size):
-            matrix[places[i], places[j]] += block[i, j]
+            row[np.uint64(places[j])] += block[i, j]
