@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.fit.beginnings import TRIALS
-from cellwise.fit.problem import QUICK_SHARE, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.solve import FitResult
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
@@ -77,7 +77,7 @@ def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
         theta = problem.inside(theta)
         for _ in range(TRIED.rounds):
             problem.judge_sizes(theta)
-            theta, *_ = problem.minimise(theta, TRIED.iterations, QUICK_SHARE)
+            theta, *_ = problem.minimise(theta, TRIED.iterations)
         problem.judge_sizes(theta)
         cost = problem.normal_equations(theta).cost + problem.ln_sizes()
         found = -TRIALS.trust * cost

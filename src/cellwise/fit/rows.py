@@ -261,11 +261,17 @@ def inverse_K(temperature_C: FloatArray | float, reference_C: float) -> FloatArr
 def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
     """Values through a first-order lag, each constant over the interval that ends at its row."""
     found = np.empty(values.size)
-    now = 0.0
-    for k, (a, x) in enumerate(zip(np.exp(-dt / tau_s).tolist(), values.tolist(), strict=True)):
-        now = a * now + (1.0 - a) * x
-        found[k] = now
+    fill_lagged(values, np.exp(-dt / tau_s), found)
     return found
+
+
+@cached(error_model="numpy")
+def fill_lagged(values: FloatArray, left: FloatArray, found: FloatArray) -> None:
+    """The same, from what is left of the value before after each interval."""
+    now = 0.0
+    for k in range(values.size):
+        now = left[k] * now + (1.0 - left[k]) * values[k]
+        found[k] = now
 
 
 def _temperature_C(item: FitLog, reference_C: float) -> FloatArray:
