@@ -21,7 +21,6 @@ from cellwise.typing import FloatArray, IndexArray
 
 ROWS_AT_ONCE = 100  # compared rows of a log, whose products are taken at once
 Products = list[tuple[IndexArray, FloatArray]]  # places of some unknowns, and their J' J
-LAST_SHARE, QUICK_SHARE = 1e-4, 1e-3  # least gain of a step; where fits are only compared
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 
 
@@ -228,18 +227,15 @@ class Problem:
         return self.prior.with_rows(theta, *self.rows(theta)[0])
 
     def minimise(
-        self, theta: FloatArray, iterations: int, least_share: float = LAST_SHARE
+        self, theta: FloatArray, iterations: int
     ) -> tuple[FloatArray, int, Normal, tuple[FloatArray, ...]]:
-        """The most probable unknowns near a point, steps, logs and prior there, and residuals.
-
-        ``least_share``: of the cost, see `Search`.
-        """
+        """The most probable unknowns near a point, steps, logs and prior there, and residuals."""
 
         def cost_of(theta: FloatArray) -> tuple[float, tuple[Normal, tuple[FloatArray, ...]]]:
             seen = self.rows(theta)
             return seen[0].cost, seen
 
-        search = Search(iterations, least_share=least_share, largest_step=LARGEST_STEP)
+        search = Search(iterations, largest_step=LARGEST_STEP)
         found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
         rows, residuals = found.seen
         return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals

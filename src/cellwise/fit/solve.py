@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellwise.cell.effects import BRANCH_ACTIVATIONS, TemperatureDependence
-from cellwise.fit.problem import LAST_SHARE, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import BEYOND, ROWS, BaseOcv, FitLog, PreparedLog, inverse_K
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import ACTIVATION_UNIT_K, ASINH_UNIT_PER_V, SKEW_UNIT_S, Layout
@@ -151,7 +151,6 @@ def fit_logs(
     theta: FloatArray | None = None,
     most_rows: int | None = None,
     iterations: int = 40,
-    least_share: float = LAST_SHARE,
 ) -> FitResult:
     """Fit the unknowns to the voltage of whole logs.
 
@@ -165,7 +164,6 @@ def fit_logs(
     theta : (size,) float or None     where to begin, if not at the prior's mean
     most_rows : int or None           compared rows of one log at most; None: all logs together
                                       share ALL_ROWS, none has fewer than ROWS.most
-    least_share : float               of the cost: a step that gains less is the last of a pass
 
     Returns
     -------
@@ -178,9 +176,7 @@ def fit_logs(
     theta = problem.inside(prior.mean if theta is None else theta)
     steps = 0
     for share in PASSES:
-        theta, done, _, residuals = problem.minimise(
-            theta, max(3, int(share * iterations)), least_share
-        )
+        theta, done, _, residuals = problem.minimise(theta, max(3, int(share * iterations)))
         steps += done
         problem.judge(theta, residuals)
     rows, residuals = problem.rows(theta)

@@ -19,7 +19,7 @@ from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.capacity import HELD, TRIED, open_capacity, opened
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
-from cellwise.fit.problem import LAST_SHARE, QUICK_SHARE, Problem
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog, PreparedLog
 from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
@@ -106,7 +106,6 @@ class JointLogs:
             items, self.cells.base(), prior, lay, capacity_Ah=self.capacity_Ah,
             reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
             most_rows=QUICK_ROWS if quick else None, iterations=quick or 40,
-            least_share=QUICK_SHARE if quick else LAST_SHARE,
         )  # fmt: skip
 
     def with_open_capacity(
