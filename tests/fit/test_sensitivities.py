@@ -73,12 +73,14 @@ def evaluate(log: CellLog, theta, layout: Layout, *, skewed=True, prepared=None)
     """Voltage of all prepared rows and its Jacobian; base OCV 3.2 + 0.8 soc."""
     prepared = prepared or prepare(log, layout, skewed=skewed)
     shown = np.ones(prepared.rows.dt_s.size, dtype=np.bool_)
+    every = np.arange(shown.size)
+    prepared = replace(prepared, rows=prepared.rows._replace(evaluate=shown, ends=every))
     jacobian = np.full((shown.size, layout.size), np.nan)
     voltage = np.full(shown.size, np.nan)
     cell = scalars_of(layout, theta, 3600.0 * CAPACITY_AH, skewed=skewed)
     ln_capacity = float(theta[layout.capacity] + theta[layout.sample])
-    rows = prepared.moved(BASE, float(theta[layout.start]), ln_capacity)
-    rows = rows._replace(evaluate=shown)
+    away = float(theta[layout.start])
+    rows = prepared.moved(BASE, away, ln_capacity or 1e-300)  # laid out again for all rows
     h0 = prepared.item.h0
     voltage_and_jacobian(rows, cell, layout, h0, skewed, theta, jacobian, voltage)
     return prepared, voltage, jacobian

@@ -310,7 +310,11 @@ def _even_grid(points: int) -> FloatArray:
 
 
 def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> FloatArray:
-    return np.array([np.interp(temperature_C, grid, table[:, k]) for k in range(table.shape[1])])
+    if not grid[0] < temperature_C < grid[-1]:
+        return np.array(table[0 if temperature_C <= grid[0] else -1], dtype=np.float64)
+    low = int(np.searchsorted(grid, temperature_C, side="right")) - 1
+    slope = (table[low + 1] - table[low]) / (grid[low + 1] - grid[low])
+    return np.asarray(slope * (temperature_C - grid[low]) + table[low])
 
 
 def check_is_model(model: object) -> None:

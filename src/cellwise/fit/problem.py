@@ -13,12 +13,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cellwise.fit.rows import ROWS, BaseOcv, FitLog, PreparedLog, prepare_log
-from cellwise.fit.sensitivity_kernels import LogRows, voltage_and_jacobian
+from cellwise.fit.sensitivity_kernels import LogRows, add_block, voltage_and_jacobian
 from cellwise.fit.solver import Normal, Prior, Search, minimise
 from cellwise.fit.splines import SplineRows, spline_values
 from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scalars_of
 from cellwise.typing import FloatArray, IndexArray
 
+ROWS_AT_ONCE = 100  # compared rows of a log, whose products are taken at once
+Products = list[tuple[IndexArray, FloatArray]]  # places of some unknowns, and their J' J
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 
 
@@ -155,11 +157,9 @@ class Problem:
         rows = log.moved(
             self.base, float(own[lay.start]), float(own[lay.capacity] + own[lay.sample])
         )
-        shown = rows.evaluate
-        splines = SplineRows(rows.ocv.first[shown], rows.ocv.values[shown], rows.ocv.slopes[shown])
-        ocv = rows.base_V[shown] + spline_values(splines, own[: lay.knots_ocv])
+        ocv = rows.base_V + spline_values(rows.ocv, own[: lay.knots_ocv])
         slope = self._slope(rows, own[: lay.knots_ocv])
-        soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[shown], 0.0, 1.0)
+        soc = np.clip(log.soc[0] + own[lay.start] - rows.used_soc[rows.evaluate], 0.0, 1.0)
         low_rate = log.item.low_rate  # it defines both ends
         end = (0.0 if low_rate else EVIDENCE.empty_soc) * np.exp(-soc / EVIDENCE.near_soc)
         bends = bends_of(soc) * slope[:, None]
@@ -173,11 +173,11 @@ class Problem:
         ln_capacity = float(own[lay.capacity] + own[lay.sample])
         rows = log.moved(self.base, float(own[lay.start]), ln_capacity)
         jacobian = np.empty((log.compared if slopes else 0, lay.size))
-        voltage = np.empty(log.soc.size)
+        voltage = np.empty(log.compared)
         skewed = log.item.skewed
         cell = scalars_of(lay, own, self.charge_As, skewed=skewed)
         voltage_and_jacobian(rows, cell, lay, log.item.h0, skewed, own, jacobian, voltage)
-        residual = log.measured_V - voltage[rows.evaluate]
+        residual = log.measured_V - voltage
         if log.item.low_rate:
             residual -= self.bends_V[index] @ own[lay.bend :]
             if slopes:
@@ -187,18 +187,15 @@ class Problem:
     @staticmethod
     def _slope(rows: LogRows, ocv: FloatArray) -> FloatArray:
         """Slope of the OCV at the compared rows [V]."""
-        shown = rows.evaluate
-        splines = SplineRows(rows.ocv.first[shown], rows.ocv.slopes[shown], rows.ocv.slopes[shown])
-        return np.asarray(rows.base_slope_V[shown] + spline_values(splines, ocv))
+        slopes = SplineRows(rows.ocv.first, rows.ocv.slopes, rows.ocv.slopes)
+        return np.asarray(rows.base_slope_V + spline_values(slopes, ocv))
 
     def residuals(self, theta: FloatArray) -> tuple[FloatArray, ...]:
         """Residuals of every log."""
         each = range(len(self.logs))
         return tuple(self.evaluate(i, theta, slopes=False)[0] for i in each)
 
-    def _one(
-        self, index: int, theta: FloatArray
-    ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    def _one(self, index: int, theta: FloatArray) -> tuple[float, FloatArray, Products, FloatArray]:
         """Cost, gradient, matrix and residual of one log."""
         r, jacobian = self.evaluate(index, theta)
         size, number = self.sizes_V[index], self.numbers[index]
@@ -207,7 +204,7 @@ class Problem:
         gradient = jacobian.T @ (w * r)
         jacobian *= np.sqrt(w)[:, None]
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
-        return cost, gradient, jacobian.T @ jacobian, r
+        return cost, gradient, products_of(jacobian, self.places[index]), r
 
     def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
         """What the logs say, and the residuals of each; the logs run side by side."""
@@ -217,10 +214,11 @@ class Problem:
         residuals = []
         with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
             found = pool.map(lambda i: self._one(i, theta), range(len(self.logs)))
-            for places, (part, g, m, r) in zip(self.places, found, strict=True):
+            for places, (part, g, products, r) in zip(self.places, found, strict=True):
                 cost += part
                 gradient[places] += g
-                matrix[np.ix_(places, places)] += m
+                for moving, block in products:
+                    add_block(matrix, moving, block)
                 residuals.append(r)
         return Normal(cost, gradient, matrix), tuple(residuals)
 
@@ -264,6 +262,16 @@ class Problem:
             faster, slower = (theta[at : at + lay.block] for at in (lay.tau(j - 1), lay.tau(j)))
             np.maximum(slower, faster + math.log(LEAST_RATIO), out=slower)
         return theta
+
+
+def products_of(jacobian: FloatArray, places: IndexArray) -> Products:
+    """J' J of one log in parts that add up: of some rows that follow each other, few move."""
+    found = []
+    for part in np.array_split(jacobian, -(-len(jacobian) // ROWS_AT_ONCE)):
+        moving = np.flatnonzero(part.any(axis=0))
+        some = part[:, moving]
+        found.append((places[moving], some.T @ some))
+    return found
 
 
 def evidence_of(log: PreparedLog) -> float:

@@ -26,7 +26,9 @@ class ChosenRows(NamedTuple):
     edge_share : float      of the largest current: smaller changes are noise
     shortest_s : float      between two compared rows [s]
     growth : float          of the time since the last change of current: what lies between them
-    most_soc : float        that a constant load moves between them
+    most_soc : float        that a constant load moves between them; tables are looked up again
+                            after as much, and after ``most_K``
+    most_K : float          see there
     most : int              compared rows of one log
     """
 
@@ -34,6 +36,7 @@ class ChosenRows(NamedTuple):
     shortest_s: float = 0.95
     growth: float = 0.03
     most_soc: float = 0.0025
+    most_K: float = 0.5
     most: int = 2000
 
 
@@ -147,11 +150,13 @@ class BaseOcv(NamedTuple):
 def _at_soc(
     rows: LogRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
 ) -> LogRows:
-    base_V, slope_V = base.rows(soc)
-    below = np.clip(soc - depth, 0.0, 1.0) if depth.any() else soc
+    shown = soc[rows.evaluate]
+    base_V, slope_V = base.rows(shown)
+    ends = rows.ends
+    below = np.clip(soc[ends] - depth[ends], 0.0, 1.0) if depth.any() else soc[ends]
     return rows._replace(
         tables=spline_rows(below, TABLE_KNOTS),
-        ocv=spline_rows(soc, OCV_KNOTS),
+        ocv=spline_rows(shown, OCV_KNOTS),
         base_V=base_V,
         base_slope_V=slope_V,
         used_soc=used,
@@ -210,7 +215,8 @@ def prepare_log(
         depth_soc = effect.depth_h * grown / capacity_Ah * lagged(mean, dt, effect.tau_s)
     none = np.empty(0)
     blank = SplineRows(np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty((0, 4)))
-    rows = LogRows(dt, mean, inverse, row, share, blank, blank, none, none, none, shown)
+    ends = np.flatnonzero(run_ends(soc, warm_C, shown))
+    rows = LogRows(dt, mean, inverse, row, share, blank, blank, none, none, none, shown, ends)
     return PreparedLog(
         item=item,
         rows=_at_soc(rows, soc, depth_soc, soc[0] - soc, base),
@@ -255,11 +261,17 @@ def inverse_K(temperature_C: FloatArray | float, reference_C: float) -> FloatArr
 def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
     """Values through a first-order lag, each constant over the interval that ends at its row."""
     found = np.empty(values.size)
-    now = 0.0
-    for k, (a, x) in enumerate(zip(np.exp(-dt / tau_s).tolist(), values.tolist(), strict=True)):
-        now = a * now + (1.0 - a) * x
-        found[k] = now
+    fill_lagged(values, np.exp(-dt / tau_s), found)
     return found
+
+
+@cached(error_model="numpy")
+def fill_lagged(values: FloatArray, left: FloatArray, found: FloatArray) -> None:
+    """The same, from what is left of the value before after each interval."""
+    now = 0.0
+    for k in range(values.size):
+        now = left[k] * now + (1.0 - left[k]) * values[k]
+        found[k] = now
 
 
 def _temperature_C(item: FitLog, reference_C: float) -> FloatArray:
@@ -301,6 +313,16 @@ def _between(
         row.astype(np.int64),
         np.clip(way, -BEYOND, 1.0 + BEYOND),
     )
+
+
+def run_ends(soc: FloatArray, temperature_C: FloatArray, compared: BoolArray) -> BoolArray:
+    """Marks the last row of every run over which the tables are taken to be the same.
+
+    Every compared row ends one.
+    """
+    steps = np.floor(soc / ROWS.most_soc), np.floor(temperature_C / ROWS.most_K)
+    ends = compared | (np.diff(steps, append=np.nan) != 0.0).any(axis=0)
+    return np.asarray(ends, dtype=np.bool_)
 
 
 @cached(error_model="numpy")

@@ -11,6 +11,11 @@ A start moves every row by as much (ds = 1), a larger capacity by what has flowe
 
 Between temperatures ln R and ln tau are straight over 1/T, so that what lies between two of them is
 an activation energy. The equations are those of the cell, and so are their derivatives.
+
+Tables change little from row to row: they are looked up at the end of a run of rows, as those of an
+interval are at its end. Within a run a source has the same knots, so that two sums take it up; and
+all S of a branch fade alike, so that they are kept over what has remained since they were last
+written out (``kept``).
 """
 
 from __future__ import annotations
@@ -22,16 +27,17 @@ import numpy as np
 
 from cellwise.cell.compiled import cached
 from cellwise.cell.equations import (
+    branch_gain,
     charge_transfer,
+    decay,
     hysteresis_decay,
     hysteresis_step,
     loaded_voltage,
     polarisation,
-    rc_step,
+    relaxed,
     seen_current,
-    thermal_factor,
-    transfer_resistance,
 )
+from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.fit.splines import SplineRows
 from cellwise.fit.unknowns import (
@@ -44,14 +50,17 @@ from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 OVERVOLTAGE_STEP = 1e-4
 SUPPORT = 4  # cubic B-splines: four are active at any SOC
+FADED, NOTHING_V = 1e-6, 1e-12  # when what fades is written out, and what is then none of it
 
 
 class LogRows(NamedTuple):
     """What the kernel reads of one log, arrays over its kept rows.
 
     ``row`` is the number of the first of the two temperatures between which a row lies, ``share``
-    how much of the way to the second it is, over 1/T; ``base_V`` and ``base_slope_V`` the OCV that
-    is corrected; ``used_soc`` what has flowed out, as SOC; ``evaluate`` marks the compared rows.
+    how much of the way to the second it is, over 1/T; ``used_soc`` what has flowed out, as SOC;
+    ``evaluate`` marks the compared rows. Of these alone are ``ocv``, and ``base_V`` and
+    ``base_slope_V`` of the OCV that is corrected. ``ends`` (runs,) are the last rows of runs, of
+    which ``tables`` are; each compared row is one.
     """
 
     dt_s: FloatArray
@@ -65,6 +74,7 @@ class LogRows(NamedTuple):
     base_slope_V: FloatArray
     used_soc: FloatArray
     evaluate: BoolArray
+    ends: IndexArray
 
 
 @cached(error_model="numpy", inline="always")
@@ -94,7 +104,7 @@ def voltage_and_jacobian(
     jacobian: FloatArray,
     voltage_V: FloatArray,
 ) -> None:
-    """Fill ``voltage_V`` (rows,) and ``jacobian`` (evaluated rows, unknowns) of one log.
+    """Fill ``voltage_V`` (compared rows,) and ``jacobian`` (compared rows, unknowns) of one log.
 
     ``cell`` are the scalars of ``theta``, see `scalars_of`; without rows in ``jacobian`` none is
     computed.
@@ -105,101 +115,130 @@ def voltage_and_jacobian(
     v = np.zeros(3)
     for j in range(branches):
         v[j] = theta[lay.past + j]
+    r, tau, left, turned = np.zeros((4, branches))
+    # Of a run: what remains of what was before, and the sources by ln R and ln tau.
+    remains, of_r, of_tau = np.zeros((3, branches))
     left_of_past = np.ones(branches)
-    sens_start = np.zeros(branches)
-    sens_capacity = np.zeros(branches)
+    sens_start, sens_capacity, sens_act, sens_tau_act, sens_skew = np.zeros((5, branches))
     sens = np.zeros((2 * branches, block))
-    sens_act = np.zeros(branches)
-    sens_tau_act = np.zeros(branches)
-    sens_skew = np.zeros(branches)
+    kept = np.ones(branches)
     sens_asinh = 0.0
     h = h0
     h_gamma = 0.0
     h_skew = 0.0
+    seen = 0.0
+    slope = 0.0
     previous = log.current_A[0]
+    first = 0
     out = 0
-    for k in range(log.dt_s.size):
-        dt = log.dt_s[k]
-        seen = seen_current(cell, log.current_A[k], previous, dt)
-        slope = 0.0
-        if skewed and dt > 0.0 and cell.skew_s < dt:
-            slope = (previous - log.current_A[k]) / dt * SKEW_UNIT_S
-        previous = log.current_A[k]
-        x = log.inverse_K[k]
+    for run in range(log.ends.size):
+        end = log.ends[run]
+        x = log.inverse_K[end]
         by_own = x * ACTIVATION_UNIT_K
-        share = log.share[k]
-        # Where the active coefficients of this row's temperature stand within a block.
-        f = log.row[k] * knots + log.tables.first[k]
+        share = log.share[end]
+        # Where the active coefficients of this run's temperature stand within a block.
+        f = log.row[end] * knots + log.tables.first[run]
         for j in range(branches):
             o_r = lay.r0 + block * (1 + 2 * j)
-            o_t = o_r + block
             own = lay.own + 1 + 2 * j
-            r = math.exp(_value(theta, o_r + f, log.tables.values, k, share, knots))
-            r *= thermal_factor(cell.activation_K + theta[own] * ACTIVATION_UNIT_K, x)
-            tau = math.exp(_value(theta, o_t + f, log.tables.values, k, share, knots))
-            tau *= thermal_factor(theta[own + 1] * ACTIVATION_UNIT_K, x)
-            loaded_r = r
-            by_r = 1.0
-            by_asinh = 0.0
-            by_seen = 0.0
-            if j == 0 and cell.asinh_per_V != 0.0:
-                loaded_r = transfer_resistance(cell.asinh_per_V, r, seen)
-                # Chain rule through `charge_transfer`, whose slope is a difference.
-                u = cell.asinh_per_V * r * seen
-                near = OVERVOLTAGE_STEP * (1.0 + abs(u))
-                steep = (charge_transfer(u + near) - charge_transfer(u - near)) / (2.0 * near)
-                by_r = charge_transfer(u) + steep * u
-                by_asinh = steep * r * r * seen * ASINH_UNIT_PER_V
-                by_seen = steep * r * r * cell.asinh_per_V
-            left = math.exp(-dt / tau)
-            by_loaded = seen * (1.0 - left)
-            by_ln_r = by_loaded * by_r * r
-            by_ln_tau = dt / tau * left * (v[j] - loaded_r * seen)
-            left_of_past[j] *= left
-            if left < 1.0 and wanted:
-                for q in range(block):
-                    sens[2 * j, q] *= left
-                    sens[2 * j + 1, q] *= left
-            by_soc = by_ln_r * _value(theta, o_r + f, log.tables.slopes, k, share, knots)
-            by_soc += by_ln_tau * _value(theta, o_t + f, log.tables.slopes, k, share, knots)
-            sens_start[j] = left * sens_start[j] + by_soc
-            sens_capacity[j] = left * sens_capacity[j] + by_soc * log.used_soc[k]
-            for q in range(SUPPORT):
-                sens[2 * j, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_r
-                sens[2 * j + 1, f + q] += (1.0 - share) * log.tables.values[k, q] * by_ln_tau
-                if share != 0.0:
-                    sens[2 * j, f + knots + q] += share * log.tables.values[k, q] * by_ln_r
-                    sens[2 * j + 1, f + knots + q] += share * log.tables.values[k, q] * by_ln_tau
-            sens_act[j] = left * sens_act[j] + by_ln_r * by_own
-            sens_tau_act[j] = left * sens_tau_act[j] + by_ln_tau * by_own
-            by_current = loaded_r * (1.0 - left) + by_loaded * by_seen
-            sens_skew[j] = left * sens_skew[j] + by_current * slope
-            if j == 0:
-                sens_asinh = left * sens_asinh + by_loaded * by_asinh
-            v[j] = rc_step(v[j], seen, loaded_r, tau, dt)
-        r0 = math.exp(_value(theta, lay.r0 + f, log.tables.values, k, share, knots))
-        r0 *= thermal_factor(cell.activation_K + theta[lay.own] * ACTIVATION_UNIT_K, x)
-        ocv = log.base_V[k]
-        of = log.ocv.first[k]
-        ocv += _value(theta, of, log.ocv.values, k, 0.0, 0)
+            ln_r = _value(theta, o_r + f, log.tables.values, run, share, knots)
+            r[j] = exponential(ln_r + cell.activation_K * x + theta[own] * by_own)
+            ln_tau = _value(theta, o_r + block + f, log.tables.values, run, share, knots)
+            tau[j] = exponential(ln_tau + theta[own + 1] * by_own)
+            remains[j] = 1.0
+            of_r[j] = 0.0
+            of_tau[j] = 0.0
+        same = -1.0  # the interval that `left` is of
+        for k in range(first, end + 1):
+            dt = log.dt_s[k]
+            seen = seen_current(cell, log.current_A[k], previous, dt)
+            slope = 0.0
+            if skewed and dt > 0.0 and cell.skew_s < dt:
+                slope = (previous - log.current_A[k]) / dt * SKEW_UNIT_S
+            previous = log.current_A[k]
+            if dt != same:
+                for j in range(branches):
+                    left[j] = decay(dt, tau[j])
+                    turned[j] = dt / tau[j] * left[j]
+                same = dt
+            for j in range(branches):
+                loaded_r = r[j]
+                by_r = 1.0
+                by_asinh = 0.0
+                by_seen = 0.0
+                if j == 0 and cell.asinh_per_V != 0.0:
+                    # Chain rule through `charge_transfer`, whose slope is a difference.
+                    u = cell.asinh_per_V * r[j] * seen
+                    near = OVERVOLTAGE_STEP * (1.0 + abs(u))
+                    steep = (charge_transfer(u + near) - charge_transfer(u - near)) / (2.0 * near)
+                    by_r = charge_transfer(u)
+                    loaded_r = r[j] * by_r
+                    by_r += steep * u
+                    by_asinh = steep * r[j] * r[j] * seen * ASINH_UNIT_PER_V
+                    by_seen = steep * r[j] * r[j] * cell.asinh_per_V
+                by_loaded = seen * (1.0 - left[j])
+                remains[j] *= left[j]
+                of_r[j] = left[j] * of_r[j] + by_loaded * by_r * r[j]
+                of_tau[j] = left[j] * of_tau[j] + turned[j] * (v[j] - loaded_r * seen)
+                by_current = loaded_r * (1.0 - left[j]) + by_loaded * by_seen
+                sens_skew[j] = left[j] * sens_skew[j] + by_current * slope
+                if j == 0:
+                    sens_asinh = left[j] * sens_asinh + by_loaded * by_asinh
+                v[j] = relaxed(v[j], left[j], branch_gain(loaded_r, left[j]), seen)
+            if hysteresis:
+                ah = hysteresis_decay(cell, seen, dt)
+                side = math.copysign(1.0, seen)
+                by_current = -cell.hysteresis_rate * side * dt / cell.charge_As * ah * (h + side)
+                h_gamma = ah * h_gamma + by_current * seen
+                h_skew = ah * h_skew + by_current * slope
+                h = hysteresis_step(h, ah, seen)
+        first = end + 1
+        if wanted:
+            for j in range(branches):
+                o_r = lay.r0 + block * (1 + 2 * j)
+                by_soc = of_r[j] * _value(theta, o_r + f, log.tables.slopes, run, share, knots)
+                by_soc += of_tau[j] * _value(
+                    theta, o_r + block + f, log.tables.slopes, run, share, knots
+                )
+                sens_start[j] = remains[j] * sens_start[j] + by_soc
+                sens_capacity[j] = remains[j] * sens_capacity[j] + by_soc * log.used_soc[end]
+                sens_act[j] = remains[j] * sens_act[j] + of_r[j] * by_own
+                sens_tau_act[j] = remains[j] * sens_tau_act[j] + of_tau[j] * by_own
+                left_of_past[j] *= remains[j]
+                if left_of_past[j] < NOTHING_V:
+                    left_of_past[j] = 0.0
+                kept[j] *= remains[j]
+                if kept[j] < FADED:
+                    for i in range(2 * j, 2 * j + 2):
+                        for q in range(block):
+                            faded = sens[i, q] * kept[j]
+                            sens[i, q] = faded if abs(faded) > NOTHING_V else 0.0
+                    kept[j] = 1.0
+                for q in range(SUPPORT):
+                    basis = log.tables.values[run, q] / kept[j]
+                    sens[2 * j, f + q] += (1.0 - share) * basis * of_r[j]
+                    sens[2 * j + 1, f + q] += (1.0 - share) * basis * of_tau[j]
+                    if share != 0.0:
+                        sens[2 * j, f + knots + q] += share * basis * of_r[j]
+                        sens[2 * j + 1, f + knots + q] += share * basis * of_tau[j]
+        if not log.evaluate[end]:
+            continue
+        ln_r0 = _value(theta, lay.r0 + f, log.tables.values, run, share, knots)
+        r0 = exponential(ln_r0 + cell.activation_K * x + theta[lay.own] * by_own)
+        of = log.ocv.first[out]
+        ocv = log.base_V[out] + _value(theta, of, log.ocv.values, out, 0.0, 0)
         m = 0.0
         if hysteresis:
-            m = _value(theta, lay.m + f, log.tables.values, k, share, knots)
-            ah = hysteresis_decay(cell, seen, dt)
-            side = math.copysign(1.0, seen)
-            by_current = -cell.hysteresis_rate * side * dt / cell.charge_As * ah * (h + side)
-            h_gamma = ah * h_gamma + by_current * seen
-            h_skew = ah * h_skew + by_current * slope
-            h = hysteresis_step(h, ah, seen)
+            m = _value(theta, lay.m + f, log.tables.values, run, share, knots)
         drop = polarisation(r0, seen, v[0], v[1] + v[2])
-        voltage_V[k] = loaded_voltage(ocv, m, h, drop)
-        if log.evaluate[k] and wanted:
+        voltage_V[out] = loaded_voltage(ocv, m, h, drop)
+        if wanted:
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
-                row[of + q] = log.ocv.values[k, q]
-                by_r0 = -log.tables.values[k, q] * seen * r0
-                by_m = log.tables.values[k, q] * h
+                row[of + q] = log.ocv.values[out, q]
+                by_r0 = -log.tables.values[run, q] * seen * r0
+                by_m = log.tables.values[run, q] * h
                 row[lay.r0 + f + q] = (1.0 - share) * by_r0
                 if hysteresis:
                     row[lay.m + f + q] = (1.0 - share) * by_m
@@ -213,8 +252,8 @@ def voltage_and_jacobian(
             for j in range(branches):
                 o_r = lay.r0 + block * (1 + 2 * j)
                 for q in range(block):
-                    row[o_r + q] = -sens[2 * j, q]
-                    row[o_r + block + q] = -sens[2 * j + 1, q]
+                    row[o_r + q] = -sens[2 * j, q] * kept[j]
+                    row[o_r + block + q] = -sens[2 * j + 1, q] * kept[j]
                 act -= sens_act[j]
                 row[lay.own + 1 + 2 * j] = -sens_act[j]
                 row[lay.own + 2 + 2 * j] = -sens_tau_act[j]
@@ -225,11 +264,11 @@ def voltage_and_jacobian(
             row[lay.activation] = act
             row[lay.skew] = skw
             row[lay.asinh] = -sens_asinh
-            along = log.base_slope_V[k] + _value(theta, of, log.ocv.slopes, k, 0.0, 0)
-            along -= seen * r0 * _value(theta, lay.r0 + f, log.tables.slopes, k, share, knots)
+            along = log.base_slope_V[out] + _value(theta, of, log.ocv.slopes, out, 0.0, 0)
+            along -= seen * r0 * _value(theta, lay.r0 + f, log.tables.slopes, run, share, knots)
             if hysteresis:
-                along += h * _value(theta, lay.m + f, log.tables.slopes, k, share, knots)
-            start, capacity = along, along * log.used_soc[k]
+                along += h * _value(theta, lay.m + f, log.tables.slopes, run, share, knots)
+            start, capacity = along, along * log.used_soc[end]
             for j in range(branches):
                 start -= sens_start[j]
                 capacity -= sens_capacity[j]
@@ -237,4 +276,13 @@ def voltage_and_jacobian(
             row[lay.start] = start
             row[lay.capacity] = capacity
             row[lay.sample] = capacity
-            out += 1
+        out += 1
+
+
+@cached(error_model="numpy", nogil=True)
+def add_block(matrix: FloatArray, places: IndexArray, block: FloatArray) -> None:
+    """Add a square block to a matrix, in the rows and columns at the places."""
+    for i in range(places.size):
+        row = matrix[places[i]]
+        for j in range(places.size):
+            row[np.uint64(places[j])] += block[i, j]

@@ -52,9 +52,14 @@ class Normal(NamedTuple):
 
     def lowest(self, free: BoolArray) -> tuple[float, FloatArray]:
         """Least cost of the quadratic, where some unknowns are free, and the way there."""
+        step = self.way(free)
+        return self.cost - self.gain(step), step
+
+    def way(self, free: BoolArray) -> FloatArray:
+        """The step to the least cost of the quadratic, where some unknowns are free."""
         step = np.zeros(free.size)
         step[free] = _solved(self.matrix[np.ix_(free, free)], self.gradient[free])
-        return self.cost - self.gain(step), step
+        return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,16 +207,17 @@ def bounded_step(
     here = Normal(0.0, normal.gradient, matrix)
     moving = inwards(step, here.gradient)
     for _ in range(EXCHANGES):
-        _, way = here.lowest(moving)
+        way = here.way(moving)
         whole = np.clip(step + way, low, high)
         share = np.divide(whole - step, way, out=np.ones(free.size), where=whole != step + way)
         part = np.clip(step + share.min() * way, low, high)
         # All to their bounds at once where that gains more than the way to the first of them.
-        at_once = here.gain(whole - step) >= here.gain(part - step)
+        arrives = bool(np.all(share == 1.0))
+        at_once = arrives or here.gain(whole - step) >= here.gain(part - step)
         step = whole if at_once else part
         here = Normal(0.0, normal.gradient - matrix @ step, matrix)
         before = moving
-        if np.all(share == 1.0):
+        if arrives:
             moving = before | inwards(step, here.gradient)
             if np.all(moving == before):
                 break
@@ -224,4 +230,8 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of a positive definite system, scaled to a diagonal of ones."""
     size = 1.0 / np.sqrt(np.diag(matrix))
     by = size if right.ndim == 1 else size[:, None]
-    return np.asarray(by * cho_solve(cho_factor(matrix * np.outer(size, size)), by * right))
+    scaled = matrix * size
+    scaled *= size[:, None]
+    # Symmetric: its transpose is as LAPACK has it, and is not copied.
+    factor = cho_factor(scaled.T, overwrite_a=True)
+    return np.asarray(by * cho_solve(factor, by * right))

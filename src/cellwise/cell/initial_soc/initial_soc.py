@@ -244,13 +244,16 @@ def likeliest_soc(
     grid: what is found is at least as likely as each of them.
     """
     step = 1.0 / (COARSE - 1)
+    of_starts = partial(_ln_likelihood, model, log, past, before, other_resistance)
     tried = np.union1d(np.linspace(0.0, 1.0, COARSE), candidates)
-    of_starts = partial(
-        ln_likelihood_of_starts, model, log, past, before, other_resistance=other_resistance
-    )
-    best = float(tried[np.argmax(of_starts(tried))])
-    soc = np.union1d(tried, np.linspace(max(0.0, best - step), min(1.0, best + step), FINE))
-    likely = of_starts(soc)
+    sums = _sums_of_errors(model, log, tried)
+    best = float(tried[np.argmax(of_starts(tried, sums))])
+    near = np.linspace(max(0.0, best - step), min(1.0, best + step), FINE)
+    near = np.setdiff1d(near, tried)
+    soc = np.concatenate((tried, near))
+    order = np.argsort(soc)
+    soc, sums = soc[order], np.hstack((sums, _sums_of_errors(model, log, near)))[:, order]
+    likely = of_starts(soc, sums)
     weight = np.exp(likely - likely.max()) * np.gradient(soc)
     likeliest = float(soc[np.argmax(likely)])
     return likeliest, math.sqrt(float(np.average((soc - likeliest) ** 2, weights=weight)))
@@ -280,11 +283,30 @@ def ln_likelihood_of_starts(
     other_resistance : float        share by which the cell's resistance may differ, where the log
                                     is too short to show it
     """
-    rows_ = _weighed(model, log)
+    sums = _sums_of_errors(model, log, soc0)
+    return _ln_likelihood(model, log, past, before, other_resistance, soc0, sums)
+
+
+def _sums_of_errors(model: CellModel, log: CellLog, soc0: FloatArray) -> FloatArray:
+    """What `sum_errors` finds of every start, (3, m)."""
     h0 = np.array([start_hysteresis(s) for s in soc0])
     sums = np.zeros((3, soc0.size))
     announce(sum_errors, "the initial SOC")
-    sum_errors(model.parameters(), soc0, h0, rows_, sums)
+    sum_errors(model.parameters(), soc0, h0, _weighed(model, log), sums)
+    return sums
+
+
+def _ln_likelihood(
+    model: CellModel,
+    log: CellLog,
+    past: Past,
+    before: Callable[[FloatArray], FloatArray] | None,
+    other_resistance: float,
+    soc0: FloatArray,
+    sums: FloatArray,
+) -> FloatArray:
+    """See `ln_likelihood_of_starts`."""
+    rows_ = _weighed(model, log)
     squares, products, beyond = sums
     gap_V = float(np.max(np.abs(np.asarray(model.effect(Hysteresis).m_V))))
     shift = past.mean_V + NORMAL[:, None] * math.hypot(past.std_V, gap_V)

@@ -81,23 +81,23 @@ def fit_varpro(data: PulseData) -> PulseFit:
 
     def left_V(at: FloatArray) -> FloatArray:
         rows, _ = rows_of(tau_of(at))
-        return np.asarray(rows[0] - _resistances(rows @ rows.T) @ rows[1:])
+        return np.asarray(rows[0] - _resistances((rows @ rows.T)[None])[0] @ rows[1:])
 
     ln_tau = np.linspace(fast, slow, GRID)
     rows, _ = rows_of(np.exp(ln_tau))
     gram = rows @ rows.T
     pairs = np.argwhere(ln_tau - ln_tau[:, None] >= apart)
-    chosen = [np.array([0, 1, 2 + j, 2 + k]) for j, k in pairs]
-    costs = [_cost(gram[np.ix_(at, at)]) for at in chosen]
+    chosen = np.hstack((np.tile([0, 1], (len(pairs), 1)), 2 + pairs))
+    costs = _costs(gram[chosen[:, :, None], chosen[:, None, :]])
     first, second = ln_tau[pairs[int(np.argmin(costs))]]
     low, high = np.array([fast, apart]), np.array([slow - apart, slow - fast])
     start = np.clip([first, second - first], low, high)
     at = least_squares(
-        left_V, start, bounds=(low, high), method="dogbox", xtol=1e-8, ftol=1e-12, gtol=None
+        left_V, start, bounds=(low, high), method="dogbox", xtol=1e-6, ftol=1e-10, gtol=None
     ).x
     tau = tau_of(at)
     rows, mean = rows_of(tau)
-    x = _resistances(rows @ rows.T)
+    x = _resistances((rows @ rows.T)[None])[0]
     r0, r1, r2 = x.tolist()
     value = PulseParameters(r0, r1, float(tau[0]), r2, float(tau[1]), float(mean[0] - mean[1:] @ x))
     held = [n for n in ("r0_ohm", "r1_ohm", "r2_ohm") if getattr(value, n) <= 0.0]
@@ -107,15 +107,25 @@ def fit_varpro(data: PulseData) -> PulseFit:
     return circuit.described("varpro", value, value._fields, held)
 
 
-def _resistances(gram: FloatArray) -> FloatArray:
-    """Least squares with no resistance below zero, from products of voltage and columns."""
-    scale = np.sqrt(np.maximum(np.diagonal(gram)[1:], 1e-300))
-    part = gram[1:, 1:] / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
-    factor = np.linalg.cholesky(part)
-    return np.asarray(nnls(factor.T, np.linalg.solve(factor, gram[1:, 0] / scale))[0] / scale)
+def _resistances(grams: FloatArray) -> FloatArray:
+    """Least squares with no resistance below zero, from products of voltage and columns.
+
+    Parameters
+    ----------
+    grams : (m, 4, 4) float     of m pairs of time constants
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2)[:, 1:], 1e-300))
+    part = grams[:, 1:, 1:] / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(3)
+    right = grams[:, 1:, 0] / scale
+    x = np.linalg.solve(part, right[:, :, None])[:, :, 0]
+    for k in np.flatnonzero((x < 0.0).any(axis=1)):  # the best of all is not the best allowed
+        factor = np.linalg.cholesky(part[k])
+        x[k] = nnls(factor.T, np.linalg.solve(factor, right[k]))[0]
+    return np.asarray(x / scale)
 
 
-def _cost(gram: FloatArray) -> float:
-    """Mean square of what the best resistances leave [V^2]."""
-    x = _resistances(gram)
-    return float(gram[0, 0] - 2.0 * x @ gram[1:, 0] + x @ gram[1:, 1:] @ x)
+def _costs(grams: FloatArray) -> FloatArray:
+    """Mean square of what the best resistances leave, (m,) [V^2]."""
+    x = _resistances(grams)
+    squares = np.einsum("mi,mij,mj->m", x, grams[:, 1:, 1:], x)
+    return np.asarray(grams[:, 0, 0] - 2.0 * np.einsum("mi,mi->m", x, grams[:, 1:, 0]) + squares)
