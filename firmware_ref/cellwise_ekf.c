@@ -1610,7 +1610,7 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
         collect(&of[0u], &of[k + 1u]);
     }
     of[0u].mismatch = b->mismatch;
-    if (of[0u].ss <= WIDE_VARIANCE) {
+    if ((of[0u].ss <= WIDE_VARIANCE) && (b->looks == LOOKS)) {
         b->spread = 0u;
     }
 }
@@ -1659,7 +1659,8 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     narrow(a, &d, inverse);
 }
 
-/* A longer mean of the load says more of the past: what that moves in the slow branch. */
+/* A longer mean of the load says more of the past: what that moves in the slow branch. What has
+ * been taken for the branch's and was not is the SOC's, as far as they go together. */
 static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a, float since,
                                       float mean_A, float before_A)
 {
@@ -1667,9 +1668,15 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     place_now(m, a, &place);
     cellwise_point p;
     look_up(m, &place, a->soc, mean_A, &p);
-    const float more = left_by_load(m, &place, mean_A, a->soc) -
-        left_by_load(m, &place, before_A, a->soc);
-    a->v3_V = a->v3_V + ((1.0f - risen(since * p.gain3)) * more);
+    const float taken = left_by_load(m, &place, before_A, a->soc);
+    const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
+    const float gone = risen(since * p.gain3);
+    float spread = (PAST_SPREAD * magnitude(taken)) + (p.r3_ohm * m->constant.past_A);
+    spread = (1.0f - gone) * spread;
+    cellwise_column d;
+    column_of_slow_branch(a, &d);
+    move(a, &d, 1.0f / at_least(d.variance, (spread * spread) + LEAST_PAST_V2), (1.0f - gone) *
+         more);
 }
 
 /* The mean of the load since a start under load, and what it says of the past, three times. */

@@ -11,16 +11,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from cellwise.cell.compiled import inline
-from cellwise.cell.equations import CellTables
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import EVERYWHERE, ValidityScalars
-from cellwise.estimate.slopes_kernels import Slopes
 
 ESTIMATE = "cellwise.estimate"
 RECOVERY = f"{ESTIMATE}.recovery_kernels"
-PAST = f"{ESTIMATE}.filters.past_kernels"
-STEP = f"{ESTIMATE}.filters.step_kernels"
+BANK = f"{ESTIMATE}.filters.bank_kernels"
 NEVER = 10**9
 
 
@@ -42,12 +38,6 @@ class Switch:
             setattr(found, name, value)
 
 
-@inline
-def not_bent(tables: CellTables, at: Slopes, bend_V2: float, one_V2: float) -> bool:
-    """In place of the look at a first voltage's bend."""
-    return False
-
-
 def valid_everywhere(model: CellModel) -> ValidityScalars:
     """In place of a model's validity."""
     return EVERYWHERE
@@ -61,10 +51,10 @@ SWITCHES = (
     Switch("contradicted", names=((f"{ESTIMATE}.evidence_kernels", "CONTRADICTED_S", math.inf),)),
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
-        "search for a first voltage that is bent",
-        names=((STEP, "bends", not_bent),),
+        "components for a start",
+        names=((BANK, "WIDE_VARIANCE", math.inf), (BANK, "SPREAD_VARIANCE", math.inf)),
     ),
-    Switch("looked again", names=((PAST, "LOOKS", 0),)),
+    Switch("what a load has left before the start", names=((BANK, "LOOKS", 0.0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
     Switch(
         "hypothesis of an offset",

@@ -102,6 +102,9 @@ class BankRecord(NamedTuple):
     next_s: float
 
 
+LIKELIEST_AT, OFF_AT, LOOKS_AT = (
+    place_of(BankRecord, name) for name in ("likeliest", "mismatch", "looks")
+)
 NEVER_SPREAD = BankRecord(0.0, 1.0, 1.0, 0.0, 0.0, 0.0, LOOKS, 0.0)
 
 # A bank in memory: the estimate, the components, the record, one in each row. Behind a state
@@ -243,11 +246,11 @@ def begins_again(
 @part
 def gather(bank: FloatArray) -> EkfState:
     """The estimate: mean and covariance of the whole bank; the rest is the likeliest one's."""
-    main, likeliest = bank[0], int(bank[RECORD, 1])
+    main, likeliest = bank[0], int(bank[RECORD, LIKELIEST_AT])
     for i in range(FIELDS):
         main[i] = bank[likeliest, i]
     main[PERSISTENT_AT] = 0.0
-    main[MISMATCH_AT] = bank[RECORD, 2]
+    main[MISMATCH_AT] = bank[RECORD, OFF_AT]
     for i in range(STATES):
         main[i] = 0.0
         for k in range(1, RECORD):
@@ -262,7 +265,7 @@ def gather(bank: FloatArray) -> EkfState:
                 away = (bank[k, i] - main[i]) * (bank[k, j] - main[j])
                 main[entry] += bank[k, WEIGHT] * (bank[k, entry] + away)
             entry += 1
-    if main[P_AT] <= WIDE_VARIANCE:
+    if main[P_AT] <= WIDE_VARIANCE and bank[RECORD, LOOKS_AT] >= LOOKS:
         put_record(bank[RECORD], 0, 1, NEVER_SPREAD, True)
     return state_in(bank, 0)
 
@@ -322,6 +325,7 @@ def know_past(
 
 
 @part
+@unrolled
 def know_past_better(
     tables: CellTables,
     state: EkfState,
@@ -330,15 +334,20 @@ def know_past_better(
     mean_A: float,
     before_A: float,
 ) -> EkfState:
-    """A longer mean of the load says more of the past: what that moves in the slow branch."""
-    x = state.cell
+    """A longer mean of the load says more of the past: what that moves in the slow branch.
+
+    What has been taken for the branch's and was not is the SOC's, as far as they go together.
+    """
+    x, p = state.cell, state.p
     at = loaded(tables, x.soc, temperature_C, mean_A, x.slow_A)
     if at.r3_ohm <= 0.0:
         return state
-    more = left_by_load(tables, mean_A, x.soc, temperature_C, x.slow_A)
-    more -= left_by_load(tables, before_A, x.soc, temperature_C, x.slow_A)
-    v3 = x.v3_V + math.exp(-since_s / at.tau3_s) * more
-    return changed(state, "cell", changed(x, "v3_V", v3))
+    taken = left_by_load(tables, before_A, x.soc, temperature_C, x.slow_A)
+    held = left_by_load(tables, mean_A, x.soc, temperature_C, x.slow_A)
+    left = math.exp(-since_s / at.tau3_s)
+    _, variance = branch_of_past(tables.cell, at.r3_ohm, left, 0.0, taken)
+    k = scaled(Column(*(p[i, V3] for i in CELL)), 1.0 / max(variance, p[V3, V3]))
+    return changed(state, "cell", moved(x, k, left * (held - taken)))
 
 
 @part
@@ -349,7 +358,7 @@ def look_back(tables: CellTables, bank: FloatArray, s: Sample, first: bool) -> N
     if b.looks >= LOOKS:
         return
     if s.gap or (first and resting):  # nobody knows what flowed; a cell at rest needs no look
-        bank[RECORD, 6] = LOOKS
+        bank[RECORD, LOOKS_AT] = LOOKS
         return
     if first:
         for k in range(1, RECORD):
@@ -497,12 +506,12 @@ def step_bank(
     off = s.voltage_V - predicted_V
     if math.isfinite(off):
         mismatch = mismatch_step(noise, b.mismatch, off * off, variance, s.dt_s) / variance
-        bank[RECORD, 2] = mismatch
+        bank[RECORD, OFF_AT] = mismatch
     look_back(tables, bank, s, first)
     for k in range(1, RECORD):
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]
-    bank[RECORD, 1] = float(likeliest)
+    bank[RECORD, LIKELIEST_AT] = float(likeliest)
     weigh_components(bank, least)
     now = gather(bank)
     known = now.p.ss + drift_variance(now.drift)

@@ -133,7 +133,7 @@ def gather(b: Bank, of: States, count: int) -> None:
     for k in range(count):
         collect(of[0], of[k + 1])
     of[0].mismatch = b.mismatch
-    if of[0].ss <= WIDE_VARIANCE:
+    if of[0].ss <= WIDE_VARIANCE and b.looks == LOOKS:
         b.spread = U(0)
 
 
@@ -183,12 +183,22 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
 @noinline
 @unrolled_by_option
 def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: float) -> None:
-    """A longer mean of the load says more of the past: what that moves in the slow branch."""
+    """A longer mean of the load says more of the past: what that moves in the slow branch.
+
+    What has been taken for the branch's and was not is the SOC's, as far as they go together.
+    """
     place = place_now(m, a)
     p = look_up(m, place, a.soc, mean_A)
-    more = left_by_load(m, place, mean_A, a.soc) - left_by_load(m, place, before_A, a.soc)
+    taken = left_by_load(m, place, before_A, a.soc)
+    more = left_by_load(m, place, mean_A, a.soc) - taken
     for i in (V3,):
-        a.state[i] = a.state[i] + ((1.0 - risen(since * p.gain[i])) * more)
+        gone = risen(since * p.gain[i])
+        spread = (PAST_SPREAD * magnitude(taken)) + (p.r[i] * m.constant.past_A)
+        spread = (1.0 - gone) * spread
+        d = column_of_slow_branch(a)
+        move(
+            a, d, 1.0 / at_least(d.variance, (spread * spread) + LEAST_PAST_V2), (1.0 - gone) * more
+        )
 
 
 def look_back(m: Model, b: Bank, of: States, count: int, sample: Sample) -> None:
