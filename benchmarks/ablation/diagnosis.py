@@ -177,7 +177,7 @@ SWITCHES: dict[str, tuple[tuple[str, Replace], ...]] = {
         ("fit.noise.Objective.with_shape", lambda _: lambda stated, _: stated),
     ),
     "fast and slow apart": (
-        ("fit.noise.Objective.bands", lambda _: lambda o, c: (one_band(o, c), 0.0 * c)),
+        ("fit.noise.Objective.scaled", lambda _: one_band),
         ("fit.cause_fits.stated_objective", slow_alone),
     ),
     "starts read again": (

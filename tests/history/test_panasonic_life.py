@@ -64,7 +64,7 @@ def test_capacity_lies_between_what_tests_and_rests_tell(fresh, logs):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="2.90 +- 0.24 Ah, of which 2.35 to 2.72 is not covered: drives of the aged cell are "
+    reason="2.96 +- 0.26 Ah, of which 2.35 to 2.72 is not covered: drives of the aged cell are "
     "fitted 0.1 to 0.4 Ah too high, since what its warming and the cold cost is not told from the "
     "fade",
 )

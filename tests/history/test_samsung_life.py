@@ -82,7 +82,7 @@ def test_windows_do_not_claim_what_they_do_not_see(of_windows):
 
 @pytest.mark.xfail(
     strict=True,
-    reason="9.5 and 3.1 %: the lithium that this cell loses moves the ends of the range, which the "
+    reason="9.5 and 5.8 %: the lithium that this cell loses moves the ends of the range, which the "
     "windows do not see; two published half cells leave 6 to 14 mV of the aged curves",
 )
 def test_windows_alone_are_as_good(of_windows):

@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import Evidence
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
-from cellwise.fit.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes, polarisation_V
 from cellwise.logs.cell_log import CellLog, check_is_log
 
 Logs = CellLog | Sequence[CellLog]
@@ -212,10 +212,10 @@ def claim_checks(
         if not known.any():
             continue
         warm = float(np.median(rows.temperature_C))
-        ocv = model.at_temperature(warm).ocv_V[0]
-        drop = np.interp(soc, model.soc, ocv) - run.before.voltage_V
+        drop = polarisation_V(model, soc, np.full(soc.size, warm), run.before.voltage_V)
         share = share_claimed(model.error, drop, charged_for_minutes(run.log))
-        start = rows.start.std * np.interp(soc, model.soc, np.gradient(ocv, model.soc))
+        slope = np.gradient(model.ocv_at(warm), model.soc)
+        start = rows.start.std * np.interp(soc, model.soc, slope)
         steps = np.abs(np.diff(error))
         steps = steps[np.isfinite(steps)]
         noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0

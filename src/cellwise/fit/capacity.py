@@ -11,6 +11,8 @@ no log has been, where the prior is wide on purpose, and would prefer a cell tha
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ import numpy as np
 from cellwise.fit.beginnings import TRIALS
 from cellwise.fit.problem import Problem
 from cellwise.fit.solve import FitResult
+from cellwise.fit.solver import Prior
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
@@ -53,8 +56,27 @@ class OpenCapacity(NamedTuple):
     std: float
 
 
+def at_open_capacity(
+    problem: Problem,
+    fit: FitResult,
+    again: Callable[[Prior, FloatArray], FitResult],
+    tried: Tried = TRIED,
+) -> FitResult:
+    """A fit moved to the mean of the profile of its capacity, and as open as that.
+
+    ``again`` fits the others with a prior that holds the capacity, from given unknowns.
+    """
+    place = fit.layout.capacity
+    found = open_capacity(problem, fit, tried)
+    theta = fit.theta.copy()
+    theta[place] = found.mean
+    moved = again(problem.prior.near(place, found.mean, HELD), theta)
+    std = max(found.std, float(fit.theta_std[place]))
+    return replace(moved, covariance=opened(moved.covariance, place, std))
+
+
 @one_blas_thread
-def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
+def open_capacity(problem: Problem, fit: FitResult, tried: Tried = TRIED) -> OpenCapacity:
     """The capacity by the profile of its likelihood, around that of a fit.
 
     Each capacity is fitted from its neighbour, upwards and downwards again, and has the better of
@@ -69,15 +91,15 @@ def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
 
     def weigh(k: int, theta: FloatArray) -> FloatArray:
         """The others at the k-th capacity, from a neighbour's."""
-        value = taken + TRIED.step * k
+        value = taken + tried.step * k
         problem.prior = first.held(place, value)
         problem.level_V, problem.share = fit.level_V, fit.share
         theta = theta.copy()
         theta[place] = value
         theta = problem.inside(theta)
-        for _ in range(TRIED.rounds):
+        for _ in range(tried.rounds):
             problem.judge_sizes(theta)
-            theta, *_ = problem.minimise(theta, TRIED.iterations)
+            theta, *_ = problem.minimise(theta, tried.iterations)
         problem.judge_sizes(theta)
         cost = problem.normal_equations(theta).cost + problem.ln_sizes()
         found = -TRIALS.trust * cost
@@ -87,9 +109,9 @@ def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
 
     def open_beyond(k: int) -> bool:
         """Whether the next capacity is to be tried, too."""
-        near = -TRIED.below <= TRIED.step * k <= TRIED.above
-        probable = weights[k] > max(weights.values()) - TRIED.nats
-        return (near or probable) and low <= taken + TRIED.step * (k + np.sign(k)) <= high
+        near = -tried.below <= tried.step * k <= tried.above
+        probable = weights[k] > max(weights.values()) - tried.nats
+        return (near or probable) and low <= taken + tried.step * (k + np.sign(k)) <= high
 
     theta, k = weigh(0, fit.theta), 1
     while open_beyond(k - 1):
@@ -100,11 +122,11 @@ def open_capacity(problem: Problem, fit: FitResult) -> OpenCapacity:
     for again in range(k + 2, 1):
         theta = weigh(again, theta)
     problem.prior = first
-    at = taken + TRIED.step * np.array(list(weights))
+    at = taken + tried.step * np.array(list(weights))
     weight = np.exp(np.array(list(weights.values())) - max(weights.values()))
     mean_ln = float(np.average(at, weights=weight))
     # Between two capacities any may be.
-    variance = float(np.average((at - mean_ln) ** 2, weights=weight)) + TRIED.step**2 / 12.0
+    variance = float(np.average((at - mean_ln) ** 2, weights=weight)) + tried.step**2 / 12.0
     return OpenCapacity(mean_ln, float(np.sqrt(variance)))
 
 

@@ -15,10 +15,13 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
 from cellwise.fit.beginnings import thinned
+from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
 from cellwise.fit.population import ModelPrior, prior_of
 from cellwise.fit.posterior import whole_resistance
+from cellwise.fit.problem import Problem
 from cellwise.fit.rows import FitLog
 from cellwise.fit.solve import FitResult, fit_logs
+from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -104,14 +107,16 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
     Notes
     -----
     The model is the prior: its OCV and tables are unknowns that may be off by what it states of
-    itself, or by a part of that, weighed by the marginal likelihood; a common factor of all
-    resistances and the capacity may have aged. What the log cannot separate from the model's error
-    widens the deviation. So does the range that it does not cover, which may have aged by itself.
+    itself, or by a part of that, whichever the marginal likelihood prefers; a common factor of all
+    resistances and the capacity may have aged. The capacity is the mean of the profile of its
+    likelihood, as where a cell is identified (:mod:`cellwise.fit.capacity`). What the log cannot
+    separate from the model's error widens the deviation. So does the range that it does not cover,
+    which may have aged by itself.
     """
     if int(np.count_nonzero(np.isfinite(log.voltage_V))) < FITTED.fewest_rows:
         return None
     item = _fit_log(model, log)
-    fitted = _mixture(model, item)
+    fitted = _fit(model, item)
     ln_capacity, ln_scale = map(float, fitted.mean)
     start = float(np.clip(fitted.start, 0.0, 1.0))
     aged = simulate(changed_model(model, ln_capacity, ln_scale), log, start)
@@ -161,8 +166,8 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
     )
 
 
-def _mixture(model: CellModel, item: FitLog) -> _Fitted:
-    """One fit for each size of the model's error, weighed by how probable it makes the log."""
+def _fit(model: CellModel, item: FitLog) -> _Fitted:
+    """The most probable of the fits of each size of the model's error, with its capacity open."""
     grid = _temperatures(model, item)
     hysteresis = any(isinstance(e, Hysteresis) for e in model.effects)
     lay = layout_of(3, hysteresis, int(grid.size), 1)
@@ -171,30 +176,29 @@ def _mixture(model: CellModel, item: FitLog) -> _Fitted:
         ln_capacity_std=AGED.ln_capacity,
         ln_resistance_std=AGED.ln_resistance,
     )
-    fits: list[_Fitted] = []
-    evidence: list[float] = []
-    theta = None
+    base = ModelPrior(model).base()
+
+    def fit(prior: Prior, theta: FloatArray | None) -> FitResult:
+        return fit_logs(
+            (item,), base, prior, lay, capacity_Ah=model.capacity_Ah, reference_C=float(grid[0]),
+            grid_C=grid, theta=theta, most_rows=FITTED.rows, iterations=FITTED.iterations,
+        )  # fmt: skip
+
+    fits: list[tuple[Prior, FitResult]] = []
     for error_scale in AGED.error_scales:
         cells = ModelPrior(model, error_scale)
         prior = prior_of(cells, lay, (item,), model.capacity_Ah, grid, float(grid[0]), settings)
-        result = fit_logs(
-            (item,), cells.base(), prior, lay, capacity_Ah=model.capacity_Ah,
-            reference_C=float(grid[0]), grid_C=grid, theta=theta, most_rows=FITTED.rows,
-            iterations=FITTED.iterations,
-        )  # fmt: skip
-        theta = result.theta
-        fits.append(_aged(result, prior.mean))
-        evidence.append(result.log_evidence)
-    weight = np.exp(np.array(evidence) - max(evidence))
-    weight /= weight.sum()
-    means, stds = np.array([f.mean for f in fits]), np.array([f.std for f in fits])
-    mean = weight @ means
-    return _Fitted(
-        mean,
-        np.sqrt(weight @ (stds**2 + (means - mean) ** 2)),
-        float(weight @ [f.start for f in fits]),
-        float(weight @ [f.covered for f in fits]),
+        fits.append((prior, fit(prior, fits[-1][1].theta if fits else None)))
+    prior, found = max(fits, key=lambda one: one[1].log_evidence)
+    problem = Problem(
+        (item,), base, prior, lay, model.capacity_Ah, grid, float(grid[0]), FITTED.rows
     )
+    return _aged(at_open_capacity(problem, found, fit, _tried(found)), prior.mean)
+
+
+def _tried(found: FitResult) -> Tried:
+    """A profile in steps of the deviation of the quadratic: one log leaves more open than a kit."""
+    return TRIED._replace(step=max(TRIED.step, float(found.theta_std[found.layout.capacity])))
 
 
 def _aged(result: FitResult, new: FloatArray) -> _Fitted:

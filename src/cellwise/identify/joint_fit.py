@@ -16,7 +16,7 @@ from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
 from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
-from cellwise.fit.capacity import HELD, TRIED, open_capacity, opened
+from cellwise.fit.capacity import TRIED, at_open_capacity
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Problem
@@ -113,23 +113,19 @@ class JointLogs:
     ) -> FitResult:
         """A fit at the capacity of the profile of its likelihood, where no test has shown it."""
         lay, items = result.layout, tuple(logs)
-        place = lay.capacity
-        quadratic = float(result.theta_std[place])
         if settings.ln_capacity_std < TRIED.measured:
             return result
-        prior = self._prior(settings, lay, items)
-        problem = Problem(items, self.cells.base(), prior, lay, self.capacity_Ah, self.grid_C,
+        base, prior = self.cells.base(), self._prior(settings, lay, items)
+        problem = Problem(items, base, prior, lay, self.capacity_Ah, self.grid_C,
                           self.reference_C, QUICK_ROWS)  # fmt: skip
-        found = open_capacity(problem, result)
-        theta = result.theta.copy()
-        theta[place] = found.mean
-        moved = fit_logs(
-            items, self.cells.base(), prior.near(place, found.mean, HELD), lay,
-            capacity_Ah=self.capacity_Ah, reference_C=self.reference_C, grid_C=self.grid_C,
-            theta=theta,
-        )  # fmt: skip
-        covariance = opened(moved.covariance, place, max(found.std, quadratic))
-        return replace(moved, covariance=covariance)
+
+        def again(held: Prior, theta: FloatArray) -> FitResult:
+            return fit_logs(
+                items, base, held, lay, capacity_Ah=self.capacity_Ah,
+                reference_C=self.reference_C, grid_C=self.grid_C, theta=theta,
+            )  # fmt: skip
+
+        return at_open_capacity(problem, result, again)
 
     def residuals(
         self, result: FitResult, logs: Sequence[FitLog], settings: FitSettings

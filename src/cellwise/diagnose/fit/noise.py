@@ -22,7 +22,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.rows import SPLIT, Evidence
-from cellwise.fit.model_error import charged_for_minutes
+from cellwise.fit.model_error import charged_for_minutes, polarisation_V
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -184,7 +184,7 @@ def stated_objective(
     for g, rows in evidence.each():
         warm = float(np.median(g.temperature_C))
         at = np.clip(soc[rows], 0.0, 1.0)
-        drop = np.interp(at, model.soc, model.at_temperature(warm).ocv_V[0]) - voltage_V[rows]
+        drop = polarisation_V(model, at, np.full(at.size, warm), voltage_V[rows])
         charged = charged_for_minutes(g.log)[:: g.stride]
         size[rows] = np.hypot(lasting_V(error, at, warm, drop, charged), STATED.least_V)
         own = np.hypot(error.at(at, warm), share_claimed(error, drop, charged) * drop)
