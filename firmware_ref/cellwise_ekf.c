@@ -56,6 +56,8 @@
 #define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
+#define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself */
+#define DEAD_SWINGS 4.0f /* of the voltage, up and down, under a current that repeats itself */
 #define POWER_TRIALS 8u
 #define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
@@ -80,8 +82,15 @@
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
+#define SWINGS_MOST 100.0f
 
 /* ---- arithmetic.py: The fixed step in float32: its constants and its small helpers. */
+
+/* Whether two numbers are the same. */
+static bool is_same(float a, float b)
+{
+    return (a >= b) && (a <= b);
+}
 
 /* From a at f = 0 to b at f = 1. */
 static float between(float a, float b, float f)
@@ -703,6 +712,9 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) {
         return false;
     }
+    if (!SIZE_WITHIN(x->swings, SWINGS_MOST)) {
+        return false;
+    }
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) {
         return false;
     }
@@ -758,6 +770,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;
     x->repeats = 0u;
+    x->swings = 0.0f;
     x->no_current = 0u;
     x->no_voltage = 0u;
     x->per_capacity = 1.0f;
@@ -928,6 +941,11 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         reading->status = (reading->status | CELLWISE_CURRENT_INVALID) |
             out_of_range(reading->current);
         reading->silent = 1u;
+    } else if ((magnitude(x->swings) >= DEAD_SWINGS) && is_same(reading->current, x->current_A)) {
+        reading->status = reading->status | CELLWISE_CURRENT_INVALID;
+        reading->silent = 1u;
+    } else {
+        /* as before */
     }
     if ((reading->silent != 0u) || (reading->news == REPEATED)) {
         reading->current = x->current_A;
@@ -1089,15 +1107,33 @@ typedef struct {
     float below;
 } cellwise_shared;
 
-/* Whether the voltage is frozen. A reading that repeats itself is frozen once R0 times the
- * change of current says that it must have moved, and the prediction is off by half of that: a
- * held voltage repeats itself, too, but the model expects it there. It stays frozen until it
- * changes. */
+/* How often the voltage has gone up and down under a current that repeats itself. A constant
+ * current moves a voltage one way. Where it goes both ways by as much as would call a voltage
+ * frozen, nobody measures the current. */
+static void watch_current(const cellwise_constants *c, cellwise_state *x, float current,
+                          float voltage)
+{
+    const float moved = voltage - x->voltage_V;
+    if (!is_same(current, x->current_A)) {
+        x->swings = 0.0f;
+    } else if (!SIZE_WITHIN(moved, c->frozen_V) && !((x->swings * moved) > 0.0f)) {
+        float count = magnitude(x->swings) + 1.0f;
+        count = (count < SWINGS_MOST) ? count : SWINGS_MOST;
+        x->swings = (moved > 0.0f) ? count : -count;
+    } else {
+        /* as before */
+    }
+}
+
+/* Whether the voltage is frozen. A reading that repeats itself, but for its last digits, is
+ * frozen once R0 times the change of current says that it must have moved, and the prediction is
+ * off by half of that: a held voltage repeats itself, too, but the model expects it there. It
+ * stays frozen until it changes. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage,
                               float seen, float r0_ohm, float innovation)
 {
     uint32_t status = 0u;
-    if ((voltage < x->voltage_V) || (voltage > x->voltage_V)) {
+    if (!SIZE_WITHIN(voltage - x->voltage_V, DITHER_V)) {
         x->voltage_V = voltage;
         x->frozen_A = seen;
         x->repeats = 0u;
@@ -1364,6 +1400,7 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
         const float innovation = voltage - i.voltage_V;
         out->innovation_V = innovation;
         if (s->news != REPEATED) { /* a repeated sample is no evidence */
+            watch_current(c, x, s->current, voltage);
             status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;

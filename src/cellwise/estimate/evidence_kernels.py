@@ -210,7 +210,7 @@ def gate(
     ratio = square / variance * noise.per_gate2
     own = i.state_variance + i.one
     reading = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
-    status |= reading[3]
+    status |= reading[4]
     used = False
     accepted = False
     recover = False

@@ -147,7 +147,7 @@ class Noise:
             branch_share=model.error.whole_share(),
             capacity_share=0.0 if model.posterior is None else model.posterior.capacity_std,
             charge_factor=model.error.whole_share(-1.0) / max(model.error.whole_share(), 1e-12),
-            current_limit_A=IMPOSSIBLE_RATE * model.capacity_Ah,
+            current_limit_A=impossible_current_A(model),
             voltage_low_V=IMPOSSIBLE_SHARE * min(low, float(model.ocv_V.min())),
             voltage_high_V=max(high, float(model.ocv_V.max())) + IMPOSSIBLE_RISE_V,
         )
@@ -171,6 +171,16 @@ class Noise:
             offset_soc_per_s=float(self.offset_share) / 3600.0,
             valid=EVERYWHERE if model is None else validity_scalars(model),
         )
+
+
+def impossible_current_A(model: CellModel) -> float:
+    """No cell gives it [A]: twice the OCV over the least resistance, at most 200 times a rate.
+
+    A short circuit gives the OCV over the whole resistance.
+    """
+    least_ohm = float(np.min(model.r0_ohm))
+    shorted_A = np.inf if least_ohm <= 0.0 else 2.0 * float(np.max(model.ocv_V)) / least_ohm
+    return float(min(IMPOSSIBLE_RATE * model.capacity_Ah, shorted_A))
 
 
 class Memory(NamedTuple):

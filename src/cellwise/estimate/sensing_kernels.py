@@ -27,6 +27,8 @@ NO_VOLTAGE_YET = -1.0  # evidence_s until the first voltage
 COLDEST_C = -60.0
 HOTTEST_C = 120.0
 FROZEN_READINGS = 3.0
+DITHER_V = 0.0025  # a reading that moves by less repeats itself
+DEAD_SWINGS = 4.0  # of the voltage, up and down, under a current that repeats itself bit by bit
 REST_RATE = 0.01  # below C/100 a cell counts as resting
 LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
 
@@ -37,7 +39,8 @@ class Watch(NamedTuple):
     ``evidence_s`` is the time since the first voltage, or since a recovery: the model's error is
     not remembered for longer. ``voltage_V`` is the last reading, seen ``repeats`` times in a row
     since the current was ``frozen_A``. ``no_warm_s`` is how long the temperature has been lost,
-    negative where none was ever measured.
+    negative where none was ever measured. ``swings`` counts how often the voltage has gone up and
+    down while the current repeated itself; its sign is that of the last one.
     """
 
     current_A: float
@@ -49,6 +52,7 @@ class Watch(NamedTuple):
     frozen_A: float
     repeats: float
     no_warm_s: float
+    swings: float
 
 
 class Reading(NamedTuple):
@@ -89,7 +93,7 @@ class Sample(NamedTuple):
 @inline
 def first_watch(current_A: float) -> Watch:
     """Nothing seen yet but a current to hold."""
-    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0)
+    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0)
 
 
 @inline
@@ -102,9 +106,10 @@ def read_sample(
     held = watch.current_A if math.isfinite(watch.current_A) else 0.0
     current = reading.current_A
     no_current = 0.0
-    if not abs(current) <= noise.current_limit_A:  # catches what is not a number, too
+    dead = current == watch.current_A and abs(watch.swings) >= DEAD_SWINGS
+    if dead or not abs(current) <= noise.current_limit_A:  # catches what is no number, too
         status |= CURRENT_INVALID
-        if math.isfinite(current):
+        if math.isfinite(current) and not dead:
             status |= OUT_OF_RANGE
         current = held
         no_current = watch.no_current_s + (0.0 if gap else dt_s)
@@ -162,26 +167,43 @@ def unseen_soc(noise: NoiseScalars, charge_As: float, gap_A2: float, dt_s: float
 
 
 @inline
+def watch_current(noise: NoiseScalars, watch: Watch, s: Sample) -> float:
+    """How often the voltage has gone up and down under a current that repeats itself bit by bit.
+
+    A constant current moves a voltage one way. Where it goes both ways by as much as would call a
+    voltage frozen, nobody measures the current.
+    """
+    if s.current_A != watch.current_A:
+        return 0.0
+    moved = s.voltage_V - watch.voltage_V
+    if abs(moved) > noise.frozen_V and not watch.swings * moved > 0.0:
+        return math.copysign(abs(watch.swings) + 1.0, moved)
+    return watch.swings
+
+
+@inline
 def watch_voltage(
     noise: NoiseScalars, watch: Watch, s: Sample, innovation_V: float, r0_ohm: float
-) -> tuple[float, float, float, int]:
-    """Is the voltage frozen? Last reading, its current, its repeats, status bits.
+) -> tuple[float, float, float, float, int]:
+    """Is the voltage frozen? Last reading, its current, its repeats, swings, status bits.
 
-    A reading that repeats itself bit by bit is frozen once R0 times the change of current says
-    that it must have moved, and the prediction is off by half of that: a held voltage (the end of
-    a charge) repeats itself, too, but the model expects it there. It stays frozen until it changes.
+    A reading that repeats itself, but for its last digits, is frozen once R0 times the change of
+    current says that it must have moved, and the prediction is off by half of that: a held voltage
+    (the end of a charge) repeats itself, too, but the model expects it there. It stays frozen until
+    it changes.
     """
     if not math.isfinite(s.voltage_V):
-        return watch.voltage_V, watch.frozen_A, watch.repeats, 0
-    if s.voltage_V != watch.voltage_V:
-        return s.voltage_V, s.seen_A, 0.0, 0
+        return watch.voltage_V, watch.frozen_A, watch.repeats, watch.swings, 0
+    swings = watch_current(noise, watch, s)
+    if not abs(s.voltage_V - watch.voltage_V) <= DITHER_V:
+        return s.voltage_V, s.seen_A, 0.0, swings, 0
     repeats = watch.repeats + 1.0
     moved = abs(r0_ohm * (s.seen_A - watch.frozen_A))
     if repeats >= FROZEN_READINGS and (
         math.isinf(repeats) or (moved > noise.frozen_V and abs(innovation_V) > 0.5 * moved)
     ):
-        return s.voltage_V, watch.frozen_A, math.inf, VOLTAGE_FROZEN
-    return s.voltage_V, watch.frozen_A, repeats, 0
+        return watch.voltage_V, watch.frozen_A, math.inf, swings, VOLTAGE_FROZEN
+    return watch.voltage_V, watch.frozen_A, repeats, swings, 0
 
 
 @inline
@@ -191,7 +213,7 @@ def watch_on(
     used: bool,
     evidence_s: float,
     no_voltage_s: float,
-    reading: tuple[float, float, float, int],
+    reading: tuple[float, float, float, float, int],
 ) -> tuple[Watch, int]:
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
@@ -199,6 +221,6 @@ def watch_on(
         away = no_voltage_s + (0.0 if s.gap else s.dt_s)
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
-        reading[0], reading[1], reading[2], s.no_warm_s,
+        reading[0], reading[1], reading[2], s.no_warm_s, reading[3],
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

@@ -416,7 +416,7 @@ def use_in_bank(
     variance = i.state_variance + (i.one + i.free_variance)
     innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
     reading = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
-    used = math.isfinite(innovation_V) and reading[3] & VOLTAGE_FROZEN == 0
+    used = math.isfinite(innovation_V) and reading[4] & VOLTAGE_FROZEN == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
         ratio = square / variance * noise.per_gate2
@@ -432,7 +432,7 @@ def use_in_bank(
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
     after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, reading)
-    status = reading[3] | away
+    status = reading[4] | away
     # fmt: off
     v = Verdict(
         used, False, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status

@@ -103,6 +103,8 @@ LEAST_PAST_V2 = F(1e-6)
 LN_2 = F(math.log(2.0))
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
 FROZEN_READINGS = U(3)
+DITHER_V = F(0.0025)  # a reading that moves by less repeats itself
+DEAD_SWINGS = F(4.0)  # of the voltage, up and down, under a current that repeats itself
 POWER_TRIALS = U(8)
 LONGEST = F(1e9)  # remaining seconds, and joules: no cell lasts for more
 REMAINING_PARTS = F(64.0)  # of the SOC down to empty
@@ -122,6 +124,7 @@ LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
 COUNT_MOST = U(2_000_000_000)
+SWINGS_MOST = F(100.0)
 
 Step = TypeVar("Step", bound=Callable[..., Any])
 
@@ -188,6 +191,11 @@ def add(total: float, carry: float, value: float) -> tuple[float, float]:
 
 
 # ---- from here on the C is printed ----
+
+
+def is_same(a: float, b: float) -> bool:
+    """Whether two numbers are the same."""
+    return a >= b and a <= b
 
 
 def between(a: float, b: float, f: float) -> float:

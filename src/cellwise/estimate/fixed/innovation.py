@@ -54,17 +54,32 @@ class Shared(NamedTuple):
     below: float
 
 
+def watch_current(c: Constants, x: State, current: float, voltage: float) -> None:
+    """How often the voltage has gone up and down under a current that repeats itself.
+
+    A constant current moves a voltage one way. Where it goes both ways by as much as would call a
+    voltage frozen, nobody measures the current.
+    """
+    moved = voltage - x.voltage_V
+    if not is_same(current, x.current_A):
+        x.swings = 0.0
+    elif not size_within(moved, c.frozen_V) and not (x.swings * moved > 0.0):
+        count = magnitude(x.swings) + 1.0
+        count = count if count < SWINGS_MOST else SWINGS_MOST
+        x.swings = count if moved > 0.0 else -count
+
+
 def watch_voltage(
     c: Constants, x: State, voltage: float, seen: float, r0_ohm: float, innovation: float
 ) -> int:
     """Whether the voltage is frozen.
 
-    A reading that repeats itself is frozen once R0 times the change of current says that it must
-    have moved, and the prediction is off by half of that: a held voltage repeats itself, too, but
-    the model expects it there. It stays frozen until it changes.
+    A reading that repeats itself, but for its last digits, is frozen once R0 times the change of
+    current says that it must have moved, and the prediction is off by half of that: a held voltage
+    repeats itself, too, but the model expects it there. It stays frozen until it changes.
     """
     status = U(0)
-    if voltage < x.voltage_V or voltage > x.voltage_V:
+    if not size_within(voltage - x.voltage_V, DITHER_V):
         x.voltage_V = voltage
         x.frozen_A = seen
         x.repeats = U(0)

@@ -176,6 +176,7 @@ def _state() -> tuple[Field, ...]:
         Field("voltage_V", "last valid one,", "WIDE"),
         Field("frozen_A", "the current when it came,", "WIDE"),
         Field("repeats", "and how often it has come since", "WIDE", "u4"),
+        Field("swings", "of the voltage while the current repeats itself; last one's sign", "WIDE"),
         Field("no_current", "steps without a valid one", "WIDE", "u4"),
         Field("no_voltage", "steps without one that could be used", "WIDE", "u4"),
         Field("cost", "minus the logarithm of its likelihood, beside the likeliest", "BANK"),

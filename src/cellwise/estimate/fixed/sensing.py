@@ -64,6 +64,9 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     if not size_within(current, c.current_limit_A):
         status = U(status | CURRENT_INVALID | out_of_range(current))
         silent = U(1)
+    elif WIDE and magnitude(x.swings) >= DEAD_SWINGS and is_same(current, x.current_A):
+        status = U(status | CURRENT_INVALID)
+        silent = U(1)
     if silent != U(0) or news == REPEATED:
         current = x.current_A
     temperature_C = 0.0

@@ -50,6 +50,8 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WIDE and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
+    if WIDE and not size_within(x.swings, SWINGS_MOST):
+        return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
@@ -104,6 +106,7 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
         x.voltage_V = 0.0
         x.frozen_A = 0.0
         x.repeats = U(0)
+        x.swings = 0.0
         x.no_current = U(0)
         x.no_voltage = U(0)
     if HEALTH:
