@@ -16,7 +16,7 @@ from cellwise.estimate import status as bits
 from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters import kalman
 from cellwise.estimate.filters import kalman_kernels as kernels
-from cellwise.estimate.filters.bank_kernels import empty_bank
+from cellwise.estimate.filters.bank_kernels import COMPONENTS, empty_bank
 from cellwise.estimate.filters.filter_state import TraceArrays
 from cellwise.estimate.filters.free_kernels import FreeRules, ResistanceRules
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState, adaptive_rows
@@ -336,7 +336,7 @@ class Adaptive(kalman.FilterOfModel):
         reading = kalman.reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kernels.adaptive_step, f"the {self.name} step")
         out = self._room(1)
-        bank = kalman.bank_of(state.filter)
+        bank = kalman.bank_of(state.filter, COMPONENTS)
         # fmt: off
         free = kernels.adaptive_step(
             self._tables, self._noise, self._rules, self._unknown, bank, state.free, reading, out

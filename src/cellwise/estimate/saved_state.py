@@ -91,10 +91,10 @@ def _bank(rows: Any) -> FloatArray:
         found = np.array([[np.nan if v is None else float(v) for v in row] for row in rows])
     except (TypeError, ValueError):
         found = np.empty(0)
-    if found.shape != bank.shape:
+    if found.ndim != 2 or found.shape[0] < 3 or found.shape[1:] != bank.shape[1:]:
         raise InputError(
             f"components of shape {found.shape} in a saved state",
-            f"numbers of shape {bank.shape}",
+            f"numbers of shape (components and 2, {bank.shape[1]})",
             "Start again with init().",
         )
     return found

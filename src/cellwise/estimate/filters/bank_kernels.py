@@ -115,13 +115,18 @@ STATES = len(CELL)  # the first numbers of a state
 P_AT, PERSISTENT_AT, MISMATCH_AT = (
     place_of(EkfState, name) for name in ("p", "persistent", "mismatch")
 )
-ROWS = COMPONENTS + 2
-RECORD = COMPONENTS + 1
+RECORD = -1  # the last row
 
 
-def empty_bank() -> FloatArray:
-    """Memory of a bank, shape (ROWS, numbers of a state and 2)."""
-    return np.zeros((ROWS, FIELDS + 2))
+def empty_bank(components: int = COMPONENTS) -> FloatArray:
+    """Memory of a bank, shape (components and 2, numbers of a state and 2)."""
+    return np.zeros((components + 2, FIELDS + 2))
+
+
+@inline
+def end_of(bank: FloatArray) -> int:
+    """Behind the last component."""
+    return int(bank.shape[0]) - 1
 
 
 @inline
@@ -155,13 +160,13 @@ def begin_alone(bank: FloatArray, state: EkfState) -> None:
 def weigh_components(bank: FloatArray, least: float) -> None:
     """Weights that add up to one; the likeliest component costs nothing."""
     total = 0.0
-    for k in range(1, RECORD):
+    for k in range(1, end_of(bank)):
         bank[k, COST] -= least
         if bank[k, COST] > COST_MOST:
             bank[k, COST] = GIVEN_UP
         bank[k, WEIGHT] = math.exp(-bank[k, COST])
         total += bank[k, WEIGHT]
-    for k in range(1, RECORD):
+    for k in range(1, end_of(bank)):
         bank[k, WEIGHT] /= total
 
 
@@ -172,11 +177,11 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
     p, x, begun = state.p, state.cell, state.watch.evidence_s != NOT_BEGUN
     reach = REACH * math.sqrt(p.ss)
     low, high = max(x.soc - reach, 0.0), min(x.soc + reach, 1.0)
-    apart = (high - low) / COMPONENTS
+    apart = (high - low) / (end_of(bank) - 1)
     width = COMPONENT_WIDTH * apart
     narrow = uncorrelated(width * width, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
     likeliest, least = 1, math.inf
-    for k in range(1, RECORD):
+    for k in range(1, end_of(bank)):
         soc = low + apart * (k - 0.5)
         h = x.h if begun else (1.0 if soc > 0.5 else -1.0)
         one = changed(changed(x, "soc", soc), "h", h)
@@ -199,7 +204,7 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
 @inline
 def begin_bank(bank: FloatArray, state: EkfState) -> None:
     """A cell that nobody has seen yet, or the estimate alone where its start is known."""
-    if state.p.ss > WIDE_VARIANCE:
+    if state.p.ss > WIDE_VARIANCE and end_of(bank) > 2:
         spread_out(bank, state)
     else:
         begin_alone(bank, state)
@@ -230,17 +235,17 @@ def loosened(tables: CellTables, start: EkfStart, state: EkfState) -> EkfState:
 
 
 @inline
-def begins_again(
+def begin_again(
     tables: CellTables, start: EkfStart, bank: FloatArray, state: EkfState, status: int
-) -> bool:
-    """After a step alone: whether the components begin again."""
+) -> EkfState:
+    """After a step alone: the state, with components around it where they have to begin again."""
     if status & GATE_RECOVERY:
-        spread_out(bank, loosened(tables, start, state))
-        return True
-    if state.p.ss > SPREAD_VARIANCE and state.watch.evidence_s >= 0.0:
+        state = loosened(tables, start, state)
+        if end_of(bank) > 2:
+            spread_out(bank, state)
+    elif state.p.ss > SPREAD_VARIANCE and state.watch.evidence_s >= 0.0 and end_of(bank) > 2:
         spread_out(bank, state)
-        return True
-    return False
+    return state
 
 
 @part
@@ -253,15 +258,15 @@ def gather(bank: FloatArray) -> EkfState:
     main[MISMATCH_AT] = bank[RECORD, OFF_AT]
     for i in range(STATES):
         main[i] = 0.0
-        for k in range(1, RECORD):
+        for k in range(1, end_of(bank)):
             main[i] += bank[k, WEIGHT] * bank[k, i]
-    for k in range(1, RECORD):
+    for k in range(1, end_of(bank)):
         main[PERSISTENT_AT] += bank[k, WEIGHT] * bank[k, PERSISTENT_AT]
     entry = P_AT
     for i in range(STATES):
         for j in range(i, STATES):
             main[entry] = 0.0
-            for k in range(1, RECORD):
+            for k in range(1, end_of(bank)):
                 away = (bank[k, i] - main[i]) * (bank[k, j] - main[j])
                 main[entry] += bank[k, WEIGHT] * (bank[k, entry] + away)
             entry += 1
@@ -361,7 +366,7 @@ def look_back(tables: CellTables, bank: FloatArray, s: Sample, first: bool) -> N
         bank[RECORD, LOOKS_AT] = LOOKS
         return
     if first:
-        for k in range(1, RECORD):
+        for k in range(1, end_of(bank)):
             state = state_in(bank, k)
             at = loaded(tables, state.cell.soc, s.temperature_C, s.seen_A, state.cell.slow_A)
             wide_V = BANK_RATE * tables.cell.charge_As / 3600.0 * at.r3_ohm
@@ -374,7 +379,7 @@ def look_back(tables: CellTables, bank: FloatArray, s: Sample, first: bool) -> N
     mean_A = b.mean_A + (s.current_A - b.mean_A) * (s.dt_s / since_s)
     looks, looked_A, next_s = b.looks, b.looked_A, b.next_s
     if since_s >= next_s:
-        for k in range(1, RECORD):
+        for k in range(1, end_of(bank)):
             if bank[k, COST] < GIVEN_UP:
                 state = state_in(bank, k)
                 warm_C = s.temperature_C + state.cell.heat_K
@@ -484,7 +489,7 @@ def step_bank(
     first = main.watch.evidence_s == NOT_BEGUN
     error_V2, status, likeliest, least = 0.0, 0, int(b.likeliest), math.inf
     mean_V, square_V2, variance, first_V = 0.0, 0.0, 0.0, 0.0
-    for turn in range(COMPONENTS):
+    for turn in range(end_of(bank) - 1):
         k = likeliest if turn == 0 else (turn if turn < likeliest else turn + 1)
         if bank[k, COST] >= GIVEN_UP:
             continue
@@ -508,7 +513,7 @@ def step_bank(
         mismatch = mismatch_step(noise, b.mismatch, off * off, variance, s.dt_s) / variance
         bank[RECORD, OFF_AT] = mismatch
     look_back(tables, bank, s, first)
-    for k in range(1, RECORD):
+    for k in range(1, end_of(bank)):
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]
     bank[RECORD, LIKELIEST_AT] = float(likeliest)

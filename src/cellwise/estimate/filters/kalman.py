@@ -17,7 +17,12 @@ from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
-from cellwise.estimate.filters.bank_kernels import FIELDS, RECORD, empty_bank
+from cellwise.estimate.filters.bank_kernels import (
+    COMPONENTS,
+    FIELDS,
+    RECORD,
+    empty_bank,
+)
 from cellwise.estimate.filters.filter_state import (
     EkfInfo,
     EkfStart,
@@ -34,6 +39,7 @@ from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 
 STATES = len(CELL)
+MOST_COMPONENTS = 101
 
 
 class FilterOfModel:
@@ -72,6 +78,26 @@ class FilterOfModel:
         )
 
 
+def check_components(components: object) -> int:
+    """How many filters look for a start that is not known.
+
+    Raises
+    ------
+    InputError        no whole number from 1 to MOST_COMPONENTS
+    """
+    if (
+        isinstance(components, bool)
+        or not isinstance(components, int)
+        or not 1 <= components <= MOST_COMPONENTS
+    ):
+        raise InputError(
+            f"components = {components!r}",
+            f"a whole number from 1 (one filter alone) to {MOST_COMPONENTS}",
+            f"Leave it out for {COMPONENTS}.",
+        )
+    return components
+
+
 class BankState(EkfState):
     """The estimate of a bank: ``bank`` has its components, which a step goes on with."""
 
@@ -85,11 +111,11 @@ class BankState(EkfState):
         return state
 
 
-def bank_of(state: EkfState) -> FloatArray:
+def bank_of(state: EkfState, components: int) -> FloatArray:
     """A state's memory: its components', or room for them."""
     if isinstance(state, BankState):
         return state.bank.copy()
-    bank = empty_bank()
+    bank = empty_bank(components)
     bank[0, :FIELDS] = state.row()
     return bank
 
@@ -106,8 +132,11 @@ class KalmanFilter(FilterOfModel):
 
     sigma: SigmaScalars | None = None
 
-    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+    def __init__(
+        self, model: CellModel, noise: Noise | None = None, *, components: int = COMPONENTS
+    ) -> None:
         super().__init__(model, noise)
+        self.components = check_components(components)
         self._noise = self.noise.scalars(model)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
         self._constants = row_of(self._tables.cell, self._noise, self._unknown)
@@ -144,7 +173,7 @@ class KalmanFilter(FilterOfModel):
         check_state(state, EkfState, self.name)
         reading = reading_from(current_A, voltage_V, temperature_C, dt_s, gap)
         announce(kalman_step_of_rows, f"the {self.name} step")
-        bank, info = bank_of(state), np.empty(layout.OUTPUTS)
+        bank, info = bank_of(state, self.components), np.empty(layout.OUTPUTS)
         tables = self._tables
         status = kalman_step_of_rows(
             tables.table, tables.grid_C, self._constants, self.sigma, bank, *reading, info
@@ -157,11 +186,8 @@ class KalmanFilter(FilterOfModel):
         out = TraceArrays(np.empty((layout.OUTPUTS, n)), np.empty(n, dtype=np.int32))
         announce(kalman_rows, f"the estimator '{self.name}'")
         start, rows = self.start(soc0, soc0_std), log_arrays(log)
-        # fmt: off
-        kalman_rows(
-            self._tables, self._noise, self.sigma, start, self._unknown, empty_bank(), rows, out
-        )
-        # fmt: on
+        bank, tables = empty_bank(self.components), self._tables
+        kalman_rows(tables, self._noise, self.sigma, start, self._unknown, bank, rows, out)
         return Trace(**trace_fields(log, out))
 
 
@@ -249,6 +275,7 @@ class Ekf(KalmanFilter):
     ----------
     model : CellModel
     noise : Noise or None     None: from the model's own validation error
+    components : int          filters side by side while the SOC is not known; 1: one alone
 
     Examples
     --------
@@ -310,13 +337,19 @@ class Ukf(KalmanFilter):
     model : CellModel
     noise : Noise or None     None: from the model's own validation error
     points : SigmaPoints      how far out the sigma points lie and how they weigh
+    components : int          as of :class:`Ekf`
     """
 
     name = "ukf"
 
     def __init__(
-        self, model: CellModel, noise: Noise | None = None, points: SigmaPoints | None = None
+        self,
+        model: CellModel,
+        noise: Noise | None = None,
+        points: SigmaPoints | None = None,
+        *,
+        components: int = COMPONENTS,
     ) -> None:
-        super().__init__(model, noise)
+        super().__init__(model, noise, components=components)
         self.points = SigmaPoints() if points is None else points
         self.sigma = self.points.scalars()

@@ -10,8 +10,8 @@ from cellwise.cell.equations import CellTables
 from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.bank_kernels import (
+    begin_again,
     begin_bank,
-    begins_again,
     is_spread,
     state_in,
     step_bank,
@@ -73,8 +73,7 @@ def bank_or_alone(
         tables, noise, sigma, None, start, state, None, reading
     )
     # fmt: on
-    if not begins_again(tables, start, bank, state, info.status):
-        put_record(bank[0], 0, 1, state, True)
+    put_record(bank[0], 0, 1, begin_again(tables, start, bank, state, info.status), True)
     return info
 
 
@@ -183,7 +182,8 @@ def filter_rows(
                 tables, noise, sigma, rules, start, state, free, reading
             )
             # fmt: on
-            spread = begins_again(tables, start, bank, state, info.status)
+            state = begin_again(tables, start, bank, state, info.status)
+            spread = is_spread(bank)
         put_info(out.values, k, info)
         put_free(rules, offset_A, out.values, k, state, free)
         out.status[k] = info.status
@@ -245,8 +245,8 @@ def adaptive_step(
         state, after = state_in(bank, 0), soc_found(free)
     else:
         state, after, info = filter_step(tables, noise, None, rules, start, state, free, reading)
-        if not begins_again(tables, start, bank, state, info.status):
-            put_record(bank[0], 0, 1, state, True)
+        state = begin_again(tables, start, bank, state, info.status)
+        put_record(bank[0], 0, 1, state, True)
     put_info(out.values, 0, info)
     put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, state, after)
     out.status[0] = info.status

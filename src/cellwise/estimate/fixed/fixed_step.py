@@ -12,7 +12,7 @@ from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
-from cellwise.estimate.filters.kalman import one_reading
+from cellwise.estimate.filters.kalman import check_components, one_reading
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
@@ -58,6 +58,7 @@ class FixedStep:
         self.noise = noise_for(model, noise)
         self.dt_s = dt_s
         self._asked = Asked(**asked)
+        check_components(self._asked.components)
         self._stepper: Stepper | None = None
         self._sample = np.zeros(1, dtype=INPUT)
         self.stepper(1.0 if dt_s is None else dt_s)  # refuses now what it would refuse later
@@ -200,7 +201,7 @@ class FixedStep:
         state = start_state(stepper, soc0, soc0_std)
         if stepper.tables.options.bank:
             first = state[0]
-            bank = stepper.start_bank(first["soc"], first["ss"])
+            bank = stepper.start_bank(self._asked.components, first["soc"], first["ss"])
             out = stepper.bank_rows(*bank, samples.records)[samples.row_sample]
         else:
             out = stepper.rows(state, samples.records)[samples.row_sample]

@@ -26,6 +26,7 @@ from cellwise.cell.effects import (
 )
 from cellwise.cell.model import CellModel, branch_table
 from cellwise.errors import InputError
+from cellwise.estimate.filters.bank_kernels import COMPONENTS
 
 if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
@@ -145,6 +146,7 @@ class Asked:
     remaining_V : float or None     cutoff down to which time and energy are asked for
     health : bool                   take capacity and resistance from a history
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
+    components : int          filters side by side while the SOC is not known; 1: one alone
     """
 
     points: int | None = None
@@ -153,6 +155,7 @@ class Asked:
     remaining_V: float | None = None
     health: bool = False
     cells: CellSettings | None = None
+    components: int = COMPONENTS
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -177,7 +180,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         remaining=int(asked.remaining_V is not None),
         health=int(asked.health),
         cells=int(asked.cells is not None),
-        bank=int(asked.wide),
+        bank=int(asked.wide and asked.components > 1),
     )
 
 

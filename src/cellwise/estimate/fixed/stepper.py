@@ -46,7 +46,6 @@ from cellwise.estimate.power import fixed_power, fixed_remaining
 from cellwise.estimate.status import VOLTAGE_INVALID
 
 MOST_VARIANCE = 1.0
-COMPONENTS = 11  # of a bank: with 7 to 31 of them errors differ by less than their scatter
 # What a step may be made with: what it is, and how.
 MADE_WITH = {
     "power": (
@@ -228,11 +227,13 @@ class Stepper:
             self.call("rows", state, samples, outputs, samples.size)
         return outputs
 
-    def start_bank(self, soc: float, soc_variance: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """A bank and its states: the estimate, and behind it COMPONENTS of them."""
+    def start_bank(
+        self, count: int, soc: float, soc_variance: float
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """A bank and its states: the estimate, and behind it ``count`` components."""
         one = np.zeros(1, dtype=BANK_TYPE)
-        states = np.zeros(1 + COMPONENTS, dtype=state_type(self.tables.options))
-        self.call("start_bank", one, states, COMPONENTS, soc, soc_variance)
+        states = np.zeros(1 + count, dtype=state_type(self.tables.options))
+        self.call("start_bank", one, states, count, soc, soc_variance)
         return one, states
 
     def bank_rows(
