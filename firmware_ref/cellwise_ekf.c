@@ -43,9 +43,12 @@
 #define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
 #define ALONE 0u /* a state that stands for itself, */
 #define COMPONENT 1u /* one of a bank, */
-#define CONTRADICTED 2u /* and one whose voltages have contradicted it for long */
+#define CONTRADICTED 2u /* one whose voltages have contradicted it for long, */
+#define UNCOUNTED 3u /* and one of whose charge a part is not known */
 #define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
 #define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
+#define DENSE 3.0f /* deviations of a start within which the components lie close */
+#define LEAST_WIDTH 0x1.0624dep-10f /* 0.001 */
 #define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
 #define LOOKS 3u /* times that a past is looked at, each four times as long after the start */
 #define NEVER_LOOKED 0xFFFFFFFFu
@@ -724,7 +727,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!SIZE_WITHIN(x->mean_V, LARGE)) {
         return false;
     }
-    if (!(NOT_NEGATIVE(x->error_V2, LARGE) && (x->in_bank <= CONTRADICTED))) {
+    if (!(NOT_NEGATIVE(x->error_V2, LARGE) && (x->in_bank <= UNCOUNTED))) {
         return false;
     }
     return covariance_is_sound(x);
@@ -816,7 +819,7 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     x->v3_V = p->r3_ohm * flow;
     x->v3_carry_V = 0.0f;
     x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
-    if (x->in_bank == COMPONENT) {
+    if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
         /* What flowed for hours no first sample shows; it is looked at once more is known. */
         const float wide_V = c->bank_A * p->r3_ohm;
         x->p33 = x->p33 + (wide_V * wide_V);
@@ -941,7 +944,9 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         reading->status = (reading->status | CELLWISE_CURRENT_INVALID) |
             out_of_range(reading->current);
         reading->silent = 1u;
-    } else if ((magnitude(x->swings) >= DEAD_SWINGS) && is_same(reading->current, x->current_A)) {
+    } else if (!is_same(reading->current, x->current_A)) {
+        x->swings = 0.0f;
+    } else if (magnitude(x->swings) >= DEAD_SWINGS) {
         reading->status = reading->status | CELLWISE_CURRENT_INVALID;
         reading->silent = 1u;
     } else {
@@ -1000,6 +1005,9 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
                 used = used + (taken(c, x, charge->bridge) * (float)charge->missing);
             } else { /* nobody knows what flowed; self-discharge goes on */
                 charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
+                if (x->in_bank == ALONE) {
+                    x->in_bank = UNCOUNTED;
+                }
                 float lost = c->leak_soc * (float)charge->missing;
                 lost = lost * x->per_capacity;
                 used = used + lost;
@@ -1011,6 +1019,9 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
              * variance. */
             const float drift = root(x->ss) + c->lost_soc;
             x->ss = drift * drift;
+            if (x->in_bank == ALONE) {
+                x->in_bank = UNCOUNTED;
+            }
         }
     }
 }
@@ -1110,18 +1121,13 @@ typedef struct {
 /* How often the voltage has gone up and down under a current that repeats itself. A constant
  * current moves a voltage one way. Where it goes both ways by as much as would call a voltage
  * frozen, nobody measures the current. */
-static void watch_current(const cellwise_constants *c, cellwise_state *x, float current,
-                          float voltage)
+static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
     const float moved = voltage - x->voltage_V;
-    if (!is_same(current, x->current_A)) {
-        x->swings = 0.0f;
-    } else if (!SIZE_WITHIN(moved, c->frozen_V) && !((x->swings * moved) > 0.0f)) {
+    if (!SIZE_WITHIN(moved, c->frozen_V) && !((x->swings * moved) > 0.0f)) {
         float count = magnitude(x->swings) + 1.0f;
         count = (count < SWINGS_MOST) ? count : SWINGS_MOST;
         x->swings = (moved > 0.0f) ? count : -count;
-    } else {
-        /* as before */
     }
 }
 
@@ -1400,7 +1406,7 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
         const float innovation = voltage - i.voltage_V;
         out->innovation_V = innovation;
         if (s->news != REPEATED) { /* a repeated sample is no evidence */
-            watch_current(c, x, s->current, voltage);
+            watch_current(c, x, voltage);
             status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;
@@ -1485,15 +1491,29 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 /* ---- bank.py: A start that nobody knows: filters side by side over the SOC, weighed by what
  * they predict. */
 
-/* A component at its SOC: `width` wide, else as the estimate `first` is. */
-static void component_start(cellwise_state *a, cellwise_state *first, float soc, float width)
+/* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
+static float edge(float t, float soc, float std)
 {
+    const float room = (t > 0.0f) ? (1.0f - soc) : soc;
+    float near = DENSE * std;
+    near = (near < room) ? near : room;
+    const float size = magnitude(t);
+    const float away = size * (near + ((room - near) * (size * size)));
+    return (t > 0.0f) ? (soc + away) : (soc - away);
+}
+
+/* A component between two edges, else as the estimate `first` is. */
+static void component_start(cellwise_state *a, cellwise_state *first, float low, float high)
+{
+    const float width = at_least(high - low, LEAST_WIDTH);
+    const float soc = 0.5f * (low + high);
     const float away = soc - first->soc;
     /* How sure a stated start is, is itself not sure: Student's t of four degrees of freedom. */
     a->cost = 2.5f * log_of_more((away * away) / (4.0f * first->ss));
+    a->cost = a->cost + log_of_more((1.0f / width) - 1.0f);
     a->soc = soc;
     a->soc_carry = 0.0f;
-    a->ss = width * width;
+    a->ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width);
     a->ss_carry = 0.0f;
     forget_correlations(a);
     if (a->evidence == NOT_BEGUN) {
@@ -1537,20 +1557,17 @@ static void weigh_components(cellwise_state *of, uint32_t count, float least)
     }
 }
 
-/* Components over six deviations to either side of the estimate, within 0..1. */
-static void spread_out(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
-                       uint32_t count)
+/* Components over all of the SOC, densely about the estimate. */
+static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    (void)m;
-    const float reach = 6.0f * root(of[0u].ss);
-    const float low = clip(of[0u].soc - reach, 0.0f, 1.0f);
-    const float high = clip(of[0u].soc + reach, 0.0f, 1.0f);
-    const float apart = (high - low) / (float)count;
+    const float std = root(of[0u].ss);
+    const float apart = 2.0f / (float)count;
     float least = LARGE;
     for (uint32_t k = 0u; k < count; k++) {
         of[k + 1u] = of[0u];
-        const float soc = low + (apart * ((float)k + 0.5f));
-        component_start(&of[k + 1u], &of[0u], soc, COMPONENT_WIDTH * apart);
+        const float low = edge((apart * (float)k) - 1.0f, of[0u].soc, std);
+        const float high = edge((apart * (float)(k + 1u)) - 1.0f, of[0u].soc, std);
+        component_start(&of[k + 1u], &of[0u], low, high);
         if (of[k + 1u].cost < least) {
             least = of[k + 1u].cost;
             b->likeliest = k + 1u;
@@ -1672,6 +1689,15 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
     return before;
 }
 
+/* SOC held within 0..1. */
+static void hold_within(cellwise_state *a)
+{
+    if (!NOT_NEGATIVE(a->soc, 1.0f)) {
+        a->soc = within_one(a->soc);
+        a->soc_carry = 0.0f;
+    }
+}
+
 /* A load under which a log begins was there before: what it has left in the slow branch. Half of
  * that, and a twentieth of a rate, may be otherwise. It is knowledge of the start that comes
  * late: the slow branch has been followed from nothing known. */
@@ -1694,6 +1720,7 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     a->cost = a->cost + (0.5f * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)));
     move(a, &d, inverse, off);
     narrow(a, &d, inverse);
+    hold_within(a);
 }
 
 /* A longer mean of the load says more of the past: what that moves in the slow branch. What has
@@ -1791,6 +1818,9 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
     if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
         out->innovation_V = sample->voltage_V - out->voltage_V;
         float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
+        if (ratio > c->gate_square) {
+            status = status | CELLWISE_INNOVATION_REJECTED;
+        }
         ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
         b->mismatch = b->mismatch + (c->lately * (ratio - b->mismatch));
     }
@@ -1810,6 +1840,16 @@ static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t c
     return least;
 }
 
+/* Whether nobody knows what flowed, one filter is not enough, and a voltage is there. */
+static bool is_lost(const cellwise_state *x)
+{
+    bool lost = false;
+    if ((x->in_bank == UNCOUNTED) && (x->evidence >= FIRST_VOLTAGE) && (x->no_voltage == 0u)) {
+        lost = x->ss > SPREAD_VARIANCE;
+    }
+    return lost;
+}
+
 /* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that
  * are no such numbers give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
 uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
@@ -1826,7 +1866,7 @@ uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_
     b->looked_A = 0.0f;
     b->mismatch = 1.0f;
     if ((count > 0u) && (of[0u].ss > WIDE_VARIANCE)) {
-        spread_out(m, b, of, count);
+        spread_out(b, of, count);
     }
     return status;
 }
@@ -1838,22 +1878,26 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
 {
     uint32_t status = 0u;
     if (b->spread == 0u) {
+        of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
         b->looks = LOOKS;
         if ((count > 0u) && (of[0u].in_bank == CONTRADICTED)) {
             loosen(m, &of[0u]);
-            spread_out(m, b, of, count);
-        } else if ((count > 0u) && (of[0u].ss > SPREAD_VARIANCE) &&
-                   (of[0u].evidence >= FIRST_VOLTAGE)) {
-            spread_out(m, b, of, count);
+            spread_out(b, of, count);
+        } else if ((count > 0u) && is_lost(&of[0u])) {
+            spread_out(b, of, count);
         } else {
             /* as before */
         }
     } else {
         status = step_components(m, b, of, count, sample, out);
-        look_back(m, b, of, count, sample);
-        weigh_components(of, count, likeliest_of(b, of, count));
-        gather(b, of, count);
+        if (of[b->likeliest].evidence < FIRST_VOLTAGE) { /* no voltage yet: as it was stated */
+            status = cellwise_step(m, &of[0u], sample, out);
+        } else {
+            look_back(m, b, of, count, sample);
+            weigh_components(of, count, likeliest_of(b, of, count));
+            gather(b, of, count);
+        }
     }
     out->soc = of[0u].soc;
     out->soc_variance = stated_variance(&of[0u], of[0u].ss);

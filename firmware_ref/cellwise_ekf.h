@@ -202,7 +202,7 @@ typedef struct {
     float cost; /* minus the logarithm of its likelihood, beside the likeliest */
     float weight; /* share of the bank */
     float error_V2; /* variance of one voltage that all components share */
-    uint32_t in_bank; /* 0: alone, 1: a component, 2: contradicted for long */
+    uint32_t in_bank; /* 0: alone, 1: a component, 2: contradicted, 3: not counted */
     float per_capacity; /* inverse of the share of the capacity that is left */
     float resistance_scale; /* of the resistances since */
     float mean_V; /* of the cells at their last sample, */

@@ -14,6 +14,7 @@ from benchmarks.measured_data import HOW, measured_log
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.estimators import make_estimator
+from cellwise.estimate.filters.bank_kernels import empty_bank
 from cellwise.estimate.filters.filter_state import OUTPUTS, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, log_arrays
 from cellwise.estimate.filters.kalman_kernels import kalman_rows
@@ -90,9 +91,10 @@ def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress)
     start = ekf.start(START_SOC - 0.3)
     rows = log_arrays(log)
     out = TraceArrays(np.empty((OUTPUTS, len(log))), np.empty(len(log), dtype=np.int32))
+    bank = empty_bank()
 
     def work() -> None:
-        kalman_rows(tables, noise, None, start, start, rows, out)
+        kalman_rows(tables, noise, None, start, start, bank, rows, out)
 
     timing = clock(work)
     return Figure(

@@ -13,6 +13,7 @@ from cellwise.cell.equations import empty_state
 from cellwise.cell.protocol import supply_kernels as protocol_kernels
 from cellwise.cell.simulate import simulate_rows
 from cellwise.estimate.adaptive import AdaptiveSettings
+from cellwise.estimate.filters.bank_kernels import empty_bank
 from cellwise.estimate.filters.coulomb import CoulombState, CountRules, gauge_rows
 from cellwise.estimate.filters.filter_state import ADAPTIVE_OUTPUTS, OUTPUTS, LogArrays, TraceArrays
 from cellwise.estimate.filters.kalman import Ekf, SigmaPoints
@@ -55,7 +56,17 @@ def ekf_call(rows):
     start = EKF.start(0.5)
     out = TraceArrays(np.empty((OUTPUTS, rows)), np.empty(rows, dtype=np.int32))
     log = LogArrays(current, voltage, warm, dt, gap)
-    return kalman_rows, MODEL.parameters(), EKF.noise.scalars(), None, start, start, log, out
+    return (
+        kalman_rows,
+        MODEL.parameters(),
+        EKF.noise.scalars(),
+        None,
+        start,
+        start,
+        empty_bank(),
+        log,
+        out,
+    )
 
 
 def ukf_call(rows):
@@ -64,10 +75,10 @@ def ukf_call(rows):
 
 
 def adaptive_call(rows):
-    _, tables, noise, _, first, start, log, _ = ekf_call(rows)
+    _, tables, noise, _, first, start, bank, log, _ = ekf_call(rows)
     out = np.empty((ADAPTIVE_OUTPUTS, rows)), np.empty(rows, dtype=np.int32)
     rules = AdaptiveSettings().rules()
-    return adaptive_rows, tables, noise, rules, first, start, log, TraceArrays(*out)
+    return adaptive_rows, tables, noise, rules, first, start, bank, log, TraceArrays(*out)
 
 
 def simulate_call(rows):

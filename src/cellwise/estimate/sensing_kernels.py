@@ -192,9 +192,9 @@ def watch_voltage(
     (the end of a charge) repeats itself, too, but the model expects it there. It stays frozen until
     it changes.
     """
-    if not math.isfinite(s.voltage_V):
-        return watch.voltage_V, watch.frozen_A, watch.repeats, watch.swings, 0
     swings = watch_current(noise, watch, s)
+    if not math.isfinite(s.voltage_V):
+        return watch.voltage_V, watch.frozen_A, watch.repeats, swings, 0
     if not abs(s.voltage_V - watch.voltage_V) <= DITHER_V:
         return s.voltage_V, s.seen_A, 0.0, swings, 0
     repeats = watch.repeats + 1.0

@@ -192,7 +192,7 @@ def test_mean_and_covariance_are_those_of_the_matrix_form(seed, slow_s, mismatch
         lasting_share=0.0, offset_share=0.0,
     )  # fmt: skip
     log = difficult_log(rng, model)
-    ekf = Ekf(model, noise)
+    ekf = Ekf(model, noise, components=1)
     state = ekf.init(0.5, 0.018, log.current_A[0])
     oracle = matrix_filter(model, noise, log, 0.5, 0.018)
     for k, (x, p, predicted, variance) in enumerate(oracle):
@@ -263,7 +263,12 @@ def assert_is_the_kalman_filter(make, *, mean, covariance, likelihood):
 
 def test_on_a_linear_cell_it_is_the_kalman_filter():
     """From a start that knows nothing, within 0..1."""
-    assert_is_the_kalman_filter(Ekf, mean=1e-11, covariance=1e-10, likelihood=1e-10)
+    assert_is_the_kalman_filter(
+        lambda model, noise: Ekf(model, noise, components=1),
+        mean=1e-11,
+        covariance=1e-10,
+        likelihood=1e-10,
+    )
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
@@ -271,7 +276,7 @@ def test_the_voltage_predicted_without_corrections_is_the_simulation(effect):
     model = curved_cell(effects=(effect,))
     log = random_log(np.random.default_rng(5), 500, temperature_C=(0.0, 40.0))
     blind = replace(log, voltage_V=np.where(np.arange(500) == 499, 3.7, np.nan))
-    trace = Ekf(model).run(blind, 0.7)
+    trace = Ekf(model, components=1).run(blind, 0.7)
     run = simulate(model, log, 0.7)
     np.testing.assert_allclose(trace.voltage_V[:-1], run.voltage_V[:-1], atol=1e-12)
     np.testing.assert_allclose(trace.soc[:-1], run.soc[:-1], atol=1e-13)

@@ -36,7 +36,7 @@ FIGURES = ("soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V
 
 
 def ukf_pair(points):
-    return partial(Ukf, points=points), partial(FilterpyUkf, points=points)
+    return partial(Ukf, points=points, components=1), partial(FilterpyUkf, points=points)
 
 
 PAIRS = [*map(ukf_pair, POINTS), (Ekf, FilterpyEkf)]
@@ -84,7 +84,8 @@ def test_it_agrees_with_filterpy_whatever_the_effects(effects):
     log = replace(
         log, voltage_V=simulate(model, log, 0.8).voltage_V + 0.003 * rng.standard_normal(250)
     )
-    ours, theirs = (f(model, noise, POINTS[0]).run(log, 0.603, 0.15) for f in (Ukf, FilterpyUkf))
+    pair = partial(Ukf, components=1), FilterpyUkf
+    ours, theirs = (f(model, noise, POINTS[0]).run(log, 0.603, 0.15) for f in pair)
     for name in FIGURES:
         np.testing.assert_allclose(
             getattr(ours, name), getattr(theirs, name), rtol=1e-7, atol=1e-9, err_msg=name
@@ -94,7 +95,7 @@ def test_it_agrees_with_filterpy_whatever_the_effects(effects):
 @pytest.mark.parametrize("points", POINTS)
 def test_on_a_linear_cell_it_is_the_kalman_filter(points):
     assert_is_the_kalman_filter(
-        lambda model, noise: Ukf(model, noise, points),
+        lambda model, noise: Ukf(model, noise, points, components=1),
         mean=1e-10, covariance=1e-7, likelihood=1e-9,
     )  # fmt: skip
 
@@ -102,7 +103,7 @@ def test_on_a_linear_cell_it_is_the_kalman_filter(points):
 def test_on_a_linear_cell_it_is_the_ekf():
     model = linear_cell(effects=(SlowDiffusion(0.02, 700.0),))
     log = kalman_log(model)
-    a, b = (f.run(log, 0.5, 0.1) for f in (Ekf(model), Ukf(model)))
+    a, b = (f.run(log, 0.5, 0.1) for f in (Ekf(model, components=1), Ukf(model, components=1)))
     for name in FIGURES:
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-7, atol=1e-10)
 
@@ -123,7 +124,8 @@ def test_its_mean_sees_the_bend_of_the_ocv():
     """At one standard deviation the OCV is not on its tangent: the expected voltage is the mean."""
     model = curved_cell()
     soc, std = 0.25, 0.05
-    _, info = Ukf(model).step(Ukf(model).init(soc, std), 0.0, np.nan, 25.0, dt_s=0.0)
+    alone = Ukf(model, components=1)
+    _, info = alone.step(alone.init(soc, std), 0.0, np.nan, 25.0, dt_s=0.0)
     nodes, weights = np.polynomial.hermite_e.hermegauss(3)
     points = np.interp(soc + std * nodes, model.soc, model.ocv_V[0])
     assert info.voltage_V == pytest.approx(points @ weights / weights.sum(), abs=1e-12)

@@ -21,7 +21,7 @@ import numpy as np
 
 from cellwise.cell.compiled import inline, part
 from cellwise.cell.description import BRANCHES, CELL, V3
-from cellwise.cell.equations import CellTables, loaded, rc_step
+from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.packed import changed, place_of, put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
@@ -62,13 +62,21 @@ from cellwise.estimate.sensing_kernels import (
     watch_voltage,
 )
 from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
-from cellwise.estimate.status import GATE_RECOVERY, VOLTAGE_FROZEN
+from cellwise.estimate.status import (
+    CURRENT_LOST,
+    GATE_RECOVERY,
+    INNOVATION_REJECTED,
+    SEQUENCE_GAP,
+    VOLTAGE_FROZEN,
+    VOLTAGE_INVALID,
+)
 from cellwise.typing import FloatArray
 
 COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
 SPREAD_VARIANCE = 1.6e-3  # beyond it a SOC is no longer known well enough for one filter
 COMPONENT_WIDTH = 0.6  # deviation of a component over the distance to the next
-REACH = 6.0  # deviations of a start that components cover
+DENSE = 3.0  # deviations of a start within which the components lie close
+LEAST_WIDTH = 1e-3
 TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself not sure
 COST_MOST = 20.0  # a component less likely than exp(-20) is given up
 GIVEN_UP = 1e9
@@ -170,24 +178,39 @@ def weigh_components(bank: FloatArray, least: float) -> None:
         bank[k, WEIGHT] /= total
 
 
+@inline
+def edge(t: float, soc: float, std: float) -> float:
+    """SOC between two components: ``t`` from -1 to 1 goes from 0 to 1, densely about the start."""
+    room = 1.0 - soc if t > 0.0 else soc
+    near = min(DENSE * std, room)
+    size = abs(t)
+    away = size * (near + (room - near) * (size * size))
+    return soc + away if t > 0.0 else soc - away
+
+
 @part
 @unrolled
 def spread_out(bank: FloatArray, state: EkfState) -> None:
-    """Components around a state, all else as it is; a start under load is yet to be looked at."""
+    """Components over all of the SOC, densely about a state; all else is as it is.
+
+    A start under load is yet to be looked at.
+    """
     p, x, begun = state.p, state.cell, state.watch.evidence_s != NOT_BEGUN
-    reach = REACH * math.sqrt(p.ss)
-    low, high = max(x.soc - reach, 0.0), min(x.soc + reach, 1.0)
-    apart = (high - low) / (end_of(bank) - 1)
-    width = COMPONENT_WIDTH * apart
-    narrow = uncorrelated(width * width, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
+    soc, std = min(max(x.soc, 0.0), 1.0), math.sqrt(p.ss)
     likeliest, least = 1, math.inf
+    step = 2.0 / (end_of(bank) - 1)
     for k in range(1, end_of(bank)):
-        soc = low + apart * (k - 0.5)
-        h = x.h if begun else (1.0 if soc > 0.5 else -1.0)
-        one = changed(changed(x, "soc", soc), "h", h)
+        low, high = edge((k - 1) * step - 1.0, soc, std), edge(k * step - 1.0, soc, std)
+        width = max(high - low, LEAST_WIDTH)
+        here = 0.5 * (low + high)
+        h = x.h if begun else (1.0 if here > 0.5 else -1.0)
+        one = changed(changed(x, "soc", here), "h", h)
+        wide = COMPONENT_WIDTH * width
+        narrow = uncorrelated(wide * wide, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
         put_record(bank[k], 0, 1, changed(changed(state, "cell", one), "p", narrow), True)
-        away = soc - x.soc
+        away = here - soc
         bank[k, COST] = 0.5 * (TAIL + 1.0) * math.log(1.0 + away * away / (TAIL * p.ss))
+        bank[k, COST] -= math.log(width)
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]
     weigh_components(bank, least)
@@ -204,7 +227,8 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
 @inline
 def begin_bank(bank: FloatArray, state: EkfState) -> None:
     """A cell that nobody has seen yet, or the estimate alone where its start is known."""
-    if state.p.ss > WIDE_VARIANCE and end_of(bank) > 2:
+    unknown = state.p.ss > WIDE_VARIANCE and math.isfinite(state.cell.soc)
+    if unknown and end_of(bank) > 2:
         spread_out(bank, state)
     else:
         begin_alone(bank, state)
@@ -243,7 +267,10 @@ def begin_again(
         state = loosened(tables, start, state)
         if end_of(bank) > 2:
             spread_out(bank, state)
-    elif state.p.ss > SPREAD_VARIANCE and state.watch.evidence_s >= 0.0 and end_of(bank) > 2:
+        return state
+    seen = state.watch.evidence_s >= 0.0 and state.watch.no_voltage_s == 0.0
+    uncounted = status & (SEQUENCE_GAP | CURRENT_LOST) != 0
+    if seen and uncounted and state.p.ss > SPREAD_VARIANCE and end_of(bank) > 2:
         spread_out(bank, state)
     return state
 
@@ -302,6 +329,12 @@ def branch_of_past(
     return held, spread * spread
 
 
+@inline
+def held_within(x: CellState) -> CellState:
+    """SOC held within 0..1."""
+    return changed(x, "soc", min(max(x.soc, 0.0), 1.0))
+
+
 @part
 @unrolled
 def know_past(
@@ -325,8 +358,9 @@ def know_past(
     d = Column(*(p[i, V3] for i in CELL))
     k = scaled(d, 1.0 / variance)
     cost = 0.5 * (off * off / variance + math.log(1.0 + variance / LEAST_PAST_V2))
-    state = changed(changed(state, "cell", moved(x, k, off)), "p", corrected(p, k, d))
-    return state, cost
+    return changed(
+        changed(state, "cell", held_within(moved(x, k, off))), "p", corrected(p, k, d)
+    ), cost
 
 
 @part
@@ -352,7 +386,7 @@ def know_past_better(
     left = math.exp(-since_s / at.tau3_s)
     _, variance = branch_of_past(tables.cell, at.r3_ohm, left, 0.0, taken)
     k = scaled(Column(*(p[i, V3] for i in CELL)), 1.0 / max(variance, p[V3, V3]))
-    return changed(state, "cell", moved(x, k, left * (held - taken)))
+    return changed(state, "cell", held_within(moved(x, k, left * (held - taken))))
 
 
 @part
@@ -438,6 +472,8 @@ def use_in_bank(
         evidence_s += s.dt_s
     after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, reading)
     status = reading[4] | away
+    if not math.isfinite(innovation_V):
+        status |= VOLTAGE_INVALID
     # fmt: off
     v = Verdict(
         used, False, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
@@ -512,6 +548,12 @@ def step_bank(
     if math.isfinite(off):
         mismatch = mismatch_step(noise, b.mismatch, off * off, variance, s.dt_s) / variance
         bank[RECORD, OFF_AT] = mismatch
+    if state_in(bank, likeliest).watch.evidence_s < 0.0:  # no voltage yet: as it was stated
+        after, info, _, _ = step_component(
+            tables, noise, sigma, start, state_in(bank, 0), s, error_V2, b.mismatch
+        )
+        put_record(bank[0], 0, 1, after, True)
+        return info
     look_back(tables, bank, s, first)
     for k in range(1, end_of(bank)):
         if bank[k, COST] < least:
@@ -522,6 +564,8 @@ def step_bank(
     known = now.p.ss + drift_variance(now.drift)
     std = stated_deviation(known, now.mismatch, now.persistent, now.contradicted)
     ratio = off * off / variance * noise.per_gate2
+    if ratio > 1.0:
+        status |= INNOVATION_REJECTED
     # fmt: off
     return EkfInfo(now.cell.soc, std, predicted_V, off, variance, ratio, status)
     # fmt: on

@@ -171,6 +171,15 @@ def soc_found(free: Free | None) -> Free | None:
 
 
 @inline
+def waiting(rules: FreeRules | None, free: Free | None, drift: Drift) -> Free | None:
+    """While the SOC is not known: what is known of capacity and resistances beforehand."""
+    if rules is None or free is None:
+        return None
+    capacity, _ = weighed(free.capacity, drift, rules)
+    return soc_found(Free(capacity, free.resistances))
+
+
+@inline
 def forgotten(c: Capacity, d: Drift, rules: FreeRules, dt_s: float) -> tuple[Capacity, Drift]:
     """Both numbers wander: of what the voltages have said, so much is forgotten.
 

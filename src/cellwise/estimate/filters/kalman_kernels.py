@@ -41,7 +41,7 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known, soc_found
+from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known, waiting
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
@@ -174,7 +174,8 @@ def filter_rows(
         reading = reading_of(log, k)
         if spread:
             info = step_bank(tables, noise, sigma, start, bank, reading)
-            state, free = state_in(bank, 0), soc_found(free)
+            state = state_in(bank, 0)
+            free = waiting(rules, free, state.drift)
             spread = is_spread(bank)
         else:
             # fmt: off
@@ -242,7 +243,8 @@ def adaptive_step(
     after: Free | None = free
     if is_spread(bank):
         info = step_bank(tables, noise, None, start, bank, reading)
-        state, after = state_in(bank, 0), soc_found(free)
+        state = state_in(bank, 0)
+        after = waiting(rules, free, state.drift)
     else:
         state, after, info = filter_step(tables, noise, None, rules, start, state, free, reading)
         state = begin_again(tables, start, bank, state, info.status)

@@ -21,20 +21,34 @@ from cellwise.estimate.fixed.covariance import (
     narrow,
 )
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Place, look_up, place_now
+from cellwise.estimate.fixed.lookup import Place, look_up, place_now, within_one
 from cellwise.estimate.fixed.sensing import stated_variance
 from cellwise.estimate.fixed.state import admitted
 from cellwise.estimate.fixed.step import init, step
+from cellwise.estimate.status import INNOVATION_REJECTED
 
 
-def component_start(a: State, first: State, soc: float, width: float) -> None:
-    """A component at its SOC: ``width`` wide, else as the estimate ``first`` is."""
+def edge(t: float, soc: float, std: float) -> float:
+    """SOC between two components: ``t`` from -1 to 1 goes from 0 to 1, densely about the start."""
+    room = 1.0 - soc if t > 0.0 else soc
+    near = DENSE * std
+    near = near if near < room else room
+    size = magnitude(t)
+    away = size * (near + ((room - near) * (size * size)))
+    return F(soc + away if t > 0.0 else soc - away)
+
+
+def component_start(a: State, first: State, low: float, high: float) -> None:
+    """A component between two edges, else as the estimate ``first`` is."""
+    width = at_least(high - low, LEAST_WIDTH)
+    soc = 0.5 * (low + high)
     away = soc - first.soc
     # How sure a stated start is, is itself not sure: Student's t of four degrees of freedom.
     a.cost = 2.5 * log_of_more((away * away) / (4.0 * first.ss))
+    a.cost = a.cost + log_of_more((1.0 / width) - 1.0)
     a.soc = soc
     a.soc_carry = 0.0
-    a.ss = width * width
+    a.ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width)
     a.ss_carry = 0.0
     forget_correlations(a)
     if HYSTERESIS and a.evidence == NOT_BEGUN:
@@ -68,17 +82,16 @@ def weigh_components(of: States, count: int, least: float) -> None:
         of[k + 1].weight = of[k + 1].weight / total
 
 
-def spread_out(m: Model, b: Bank, of: States, count: int) -> None:
-    """Components over six deviations to either side of the estimate, within 0..1."""
-    reach = 6.0 * root(of[0].ss)
-    low = clip(of[0].soc - reach, 0.0, 1.0)
-    high = clip(of[0].soc + reach, 0.0, 1.0)
-    apart = (high - low) / F(count)
+def spread_out(b: Bank, of: States, count: int) -> None:
+    """Components over all of the SOC, densely about the estimate."""
+    std = root(of[0].ss)
+    apart = 2.0 / F(count)
     least = LARGE
     for k in range(count):
         of[k + 1] = of[0]
-        soc = low + (apart * (F(k) + 0.5))
-        component_start(of[k + 1], of[0], soc, COMPONENT_WIDTH * apart)
+        low = edge((apart * F(k)) - 1.0, of[0].soc, std)
+        high = edge((apart * F(k + 1)) - 1.0, of[0].soc, std)
+        component_start(of[k + 1], of[0], low, high)
         if of[k + 1].cost < least:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
@@ -156,6 +169,13 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
     return before
 
 
+def hold_within(a: State) -> None:
+    """SOC held within 0..1."""
+    if not not_negative(a.soc, 1.0):
+        a.soc = within_one(a.soc)
+        a.soc_carry = 0.0
+
+
 @noinline
 @unrolled_by_option
 def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
@@ -178,6 +198,7 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
         a.cost = a.cost + (0.5 * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)))
         move(a, d, inverse, off)
         narrow(a, d, inverse)
+    hold_within(a)
 
 
 @noinline
@@ -259,6 +280,8 @@ def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, o
     if positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V):
         out.innovation_V = sample.voltage_V - out.voltage_V
         ratio = (out.innovation_V * out.innovation_V) / out.innovation_variance_V2
+        if ratio > c.gate_square:
+            status = U(status | INNOVATION_REJECTED)
         ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
         b.mismatch = b.mismatch + (c.lately * (ratio - b.mismatch))
     return status
@@ -272,6 +295,14 @@ def likeliest_of(b: Bank, of: States, count: int) -> float:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
     return F(least)
+
+
+def is_lost(x: State) -> bool:
+    """Whether nobody knows what flowed, one filter is not enough, and a voltage is there."""
+    lost = False
+    if x.in_bank == UNCOUNTED and x.evidence >= FIRST_VOLTAGE and x.no_voltage == U(0):
+        lost = x.ss > SPREAD_VARIANCE
+    return lost
 
 
 def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_variance: float) -> int:
@@ -291,7 +322,7 @@ def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_varian
     b.looked_A = 0.0
     b.mismatch = 1.0
     if count > U(0) and of[0].ss > WIDE_VARIANCE:
-        spread_out(m, b, of, count)
+        spread_out(b, of, count)
     return status
 
 
@@ -302,18 +333,22 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
     """
     status = U(0)
     if b.spread == U(0):
+        of[0].in_bank = ALONE
         status = step(m, of[0], sample, out)
         b.looks = LOOKS
         if count > U(0) and of[0].in_bank == CONTRADICTED:
             loosen(m, of[0])
-            spread_out(m, b, of, count)
-        elif count > U(0) and of[0].ss > SPREAD_VARIANCE and of[0].evidence >= FIRST_VOLTAGE:
-            spread_out(m, b, of, count)
+            spread_out(b, of, count)
+        elif count > U(0) and is_lost(of[0]):
+            spread_out(b, of, count)
     else:
         status = step_components(m, b, of, count, sample, out)
-        look_back(m, b, of, count, sample)
-        weigh_components(of, count, likeliest_of(b, of, count))
-        gather(b, of, count)
+        if of[b.likeliest].evidence < FIRST_VOLTAGE:  # no voltage yet: as it was stated
+            status = step(m, of[0], sample, out)
+        else:
+            look_back(m, b, of, count, sample)
+            weigh_components(of, count, likeliest_of(b, of, count))
+            gather(b, of, count)
     out.soc = of[0].soc
     out.soc_variance = stated_variance(of[0], of[0].ss)
     out.status = status

@@ -54,16 +54,14 @@ class Shared(NamedTuple):
     below: float
 
 
-def watch_current(c: Constants, x: State, current: float, voltage: float) -> None:
+def watch_current(c: Constants, x: State, voltage: float) -> None:
     """How often the voltage has gone up and down under a current that repeats itself.
 
     A constant current moves a voltage one way. Where it goes both ways by as much as would call a
     voltage frozen, nobody measures the current.
     """
     moved = voltage - x.voltage_V
-    if not is_same(current, x.current_A):
-        x.swings = 0.0
-    elif not size_within(moved, c.frozen_V) and not (x.swings * moved > 0.0):
+    if not size_within(moved, c.frozen_V) and not (x.swings * moved > 0.0):
         count = magnitude(x.swings) + 1.0
         count = count if count < SWINGS_MOST else SWINGS_MOST
         x.swings = count if moved > 0.0 else -count

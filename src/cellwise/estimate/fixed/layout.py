@@ -182,7 +182,7 @@ def _state() -> tuple[Field, ...]:
         Field("cost", "minus the logarithm of its likelihood, beside the likeliest", "BANK"),
         Field("weight", "share of the bank", "BANK"),
         Field("error_V2", "variance of one voltage that all components share", "BANK"),
-        Field("in_bank", "0: alone, 1: a component, 2: contradicted for long", "BANK", "u4"),
+        Field("in_bank", "0: alone, 1: a component, 2: contradicted, 3: not counted", "BANK", "u4"),
         Field("per_capacity", "inverse of the share of the capacity that is left", "HEALTH"),
         Field("resistance_scale", "of the resistances since", "HEALTH"),
         Field("mean_V", "of the cells at their last sample,", "CELLS"),

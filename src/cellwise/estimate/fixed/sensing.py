@@ -64,9 +64,12 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     if not size_within(current, c.current_limit_A):
         status = U(status | CURRENT_INVALID | out_of_range(current))
         silent = U(1)
-    elif WIDE and magnitude(x.swings) >= DEAD_SWINGS and is_same(current, x.current_A):
-        status = U(status | CURRENT_INVALID)
-        silent = U(1)
+    elif WIDE:
+        if not is_same(current, x.current_A):
+            x.swings = 0.0
+        elif magnitude(x.swings) >= DEAD_SWINGS:
+            status = U(status | CURRENT_INVALID)
+            silent = U(1)
     if silent != U(0) or news == REPEATED:
         current = x.current_A
     temperature_C = 0.0
@@ -115,6 +118,8 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                 used = used + (taken(c, x, bridge) * F(missing))
             else:  # nobody knows what flowed; self-discharge goes on
                 missing = missing if missing < LONGEST_GAP else LONGEST_GAP
+                if BANK and x.in_bank == ALONE:
+                    x.in_bank = UNCOUNTED
                 if LEAK:
                     lost = c.leak_soc * F(missing)
                     if HEALTH:
@@ -127,6 +132,8 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
                 # variance.
                 drift = root(x.ss) + c.lost_soc
                 x.ss = drift * drift
+                if BANK and x.in_bank == ALONE:
+                    x.in_bank = UNCOUNTED
             else:
                 x.ss = x.ss + c.lost_walk
     return Charge(status, missing, bridge)

@@ -58,7 +58,7 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if CELLS and not size_within(x.mean_V, LARGE):
         return False
-    if BANK and not (not_negative(x.error_V2, LARGE) and x.in_bank <= CONTRADICTED):
+    if BANK and not (not_negative(x.error_V2, LARGE) and x.in_bank <= UNCOUNTED):
         return False
     return covariance_is_sound(x)
 
@@ -159,7 +159,7 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
         if i in CARRIED:
             x.carry[i] = 0.0
         x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
-    if BANK and x.in_bank == COMPONENT:
+    if BANK and x.in_bank == COMPONENT and not size_below(current, c.rest_A):
         # What flowed for hours no first sample shows; it is looked at once more is known.
         for i in (V3,):
             wide_V = c.bank_A * p.r[i]

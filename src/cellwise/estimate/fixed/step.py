@@ -192,7 +192,7 @@ def correct(
         out.innovation_V = innovation
         if s.news != REPEATED:  # a repeated sample is no evidence
             if WIDE:
-                watch_current(c, x, s.current, voltage)
+                watch_current(c, x, voltage)
                 status = watch_voltage(c, x, voltage, s.seen, p.r0_ohm, innovation)
                 if status == U(0):
                     away = U(0)
