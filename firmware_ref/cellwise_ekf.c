@@ -49,6 +49,7 @@
 #define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
 #define DENSE 3.0f /* deviations of a start within which the components lie close */
 #define LEAST_WIDTH 0x1.0624dep-10f /* 0.001 */
+#define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
 #define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
 #define LOOKS 3u /* times that a past is looked at, each four times as long after the start */
 #define NEVER_LOOKED 0xFFFFFFFFu
@@ -1325,9 +1326,11 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
 }
 
 /* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
- * The variance of a voltage is that of the likeliest component, for all: one whose tables state
- * a larger error must not explain everything. What a voltage says against a component counts as
- * often as it moves the state: samples that share one error of the model are one. */
+ * Beyond that it speaks against a component in proportion to how far it is off (Huber): below
+ * empty the lowest of them is the nearest. The variance of a voltage is that of the likeliest
+ * component, for all: one whose tables state a larger error must not explain everything. What a
+ * voltage says against a component counts as often as it moves the state: samples that share one
+ * error of the model are one. */
 static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *w, const cellwise_reading *s,
     const cellwise_innovation *i, float innovation)
@@ -1345,12 +1348,16 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
         float off = innovation;
         const float most = c->gate_square * i->variance_V2;
         const float square = off * off;
+        float grows = 1.0f;
         if (POSITIVE_ABOVE(square, most)) {
-            off = off * root(most / square);
+            const float passed = at_least(root(most / square), LEAST_PASSED);
+            off = off * passed;
+            grows = (2.0f / passed) - 1.0f;
         }
         const float explained = i->explained_V2 * shared.below;
         const float inverse = shared.below / (explained + weight);
-        x->cost = x->cost + (0.5f * (((off * off) * inverse) + log_of_more(explained / weight)));
+        x->cost = x->cost + (0.5f * (grows * ((off * off) * inverse)));
+        x->cost = x->cost + (0.5f * log_of_more(explained / weight));
         move(x, &i->column, inverse, off);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);

@@ -448,6 +448,9 @@ def use_in_bank(
 ) -> Seen:
     """A voltage to a component: none is rejected, each moves by what the gate lets pass.
 
+    Beyond that it speaks against a component in proportion to how far it is off (Huber): below
+    empty the lowest of them is the nearest.
+
     The variance of a voltage is that of the likeliest component, for all: one whose tables state
     a larger error must not explain everything. What a voltage says against a component counts as
     often as it moves the state: samples that share one error of the model are one.
@@ -456,16 +459,17 @@ def use_in_bank(
     innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
     reading = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
     used = math.isfinite(innovation_V) and reading[4] & VOLTAGE_FROZEN == 0
-    inverse, cost, ratio = 0.0, 0.0, math.nan
+    inverse, cost, ratio, grows = 0.0, 0.0, math.nan, 1.0
     if used:
         ratio = square / variance * noise.per_gate2
         if ratio > 1.0:
             innovation_V /= math.sqrt(ratio)
+            grows = 2.0 * math.sqrt(ratio) - 1.0
         resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
         above, below = repeated_evidence(noise, evidence_s, s.dt_s, resting)
         weight = error_V2 * max(mismatch, 1.0) * above
         inverse = below / (i.state_variance * below + weight)
-        cost = innovation_V * innovation_V * inverse
+        cost = grows * (innovation_V * innovation_V * inverse)
         cost = 0.5 * (cost + math.log(1.0 + i.state_variance * below / weight))
         evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:

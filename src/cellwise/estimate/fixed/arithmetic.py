@@ -96,6 +96,7 @@ SPREAD_VARIANCE = F(1.6e-3)  # beyond it a SOC is no longer known well enough fo
 COMPONENT_WIDTH = F(0.6)  # deviation of a component over the distance to the next
 DENSE = F(3.0)  # deviations of a start within which the components lie close
 LEAST_WIDTH = F(1e-3)
+LEAST_PASSED = F(1e-4)  # of an innovation that the gate lets pass
 COST_MOST = F(20.0)  # a component less likely than exp(-20) is given up
 LOOKS = U(3)  # times that a past is looked at, each four times as long after the start
 NEVER_LOOKED = U(0xFFFFFFFF)

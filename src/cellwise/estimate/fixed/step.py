@@ -125,6 +125,9 @@ def use_in_bank(
 ) -> None:
     """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
 
+    Beyond that it speaks against a component in proportion to how far it is off (Huber): below
+    empty the lowest of them is the nearest.
+
     The variance of a voltage is that of the likeliest component, for all: one whose tables state
     a larger error must not explain everything. What a voltage says against a component counts as
     often as it moves the state: samples that share one error of the model are one.
@@ -139,11 +142,15 @@ def use_in_bank(
         off = innovation
         most = c.gate_square * i.variance_V2
         square = off * off
+        grows = 1.0
         if positive_above(square, most):
-            off = off * root(most / square)
+            passed = at_least(root(most / square), LEAST_PASSED)
+            off = off * passed
+            grows = (2.0 / passed) - 1.0
         explained = i.explained_V2 * shared.below
         inverse = shared.below / (explained + weight)
-        x.cost = x.cost + (0.5 * (((off * off) * inverse) + log_of_more(explained / weight)))
+        x.cost = x.cost + (0.5 * (grows * ((off * off) * inverse)))
+        x.cost = x.cost + (0.5 * log_of_more(explained / weight))
         move(x, i.column, inverse, off)
         narrow(x, i.column, inverse)
         persist(c, x, p, w.slope_V, i.column.s * inverse)
