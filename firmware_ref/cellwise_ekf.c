@@ -61,7 +61,7 @@
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define FROZEN_READINGS 3u
 #define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself */
-#define DEAD_SWINGS 4.0f /* of the voltage, up and down, under a current that repeats itself */
+#define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself */
 #define POWER_TRIALS 8u
 #define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
@@ -1040,7 +1040,7 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
     }
 }
 
-/* What is stated of the SOC: P's variance, an error that stays, what voltages contradict. P
+/* What is stated of the SOC: P's variance, a persistent error's, what voltages contradict. P
  * trusted the errors as stated; where innovations show `mismatch` times as much, so much more
  * may be wrong with the SOC. */
 static float stated_variance(const cellwise_state *x, float known)
@@ -1282,8 +1282,8 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
     }
 }
 
-/* SOC error that an error of the model which stays has brought in, after a voltage with a gain.
- * No further voltage averages it out: in the end the SOC is off by that error over the slope. */
+/* SOC error that a persistent error of the model has brought in, after a voltage with a gain. No
+ * further voltage averages it out: in the end the SOC is off by that error over the slope. */
 static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                     float slope_V, float gain)
 {
@@ -1586,6 +1586,15 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
     weigh_components(of, count, least);
 }
 
+/* SOC held within 0..1. */
+static void hold_within(cellwise_state *a)
+{
+    if (!NOT_NEGATIVE(a->soc, 1.0f)) {
+        a->soc = within_one(a->soc);
+        a->soc_carry = 0.0f;
+    }
+}
+
 /* The components' mean state, as a column. */
 static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *column)
 {
@@ -1667,6 +1676,7 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
     mean_of(of, count, &mean);
     of[0u] = of[b->likeliest];
     take_mean(&of[0u], &mean);
+    hold_within(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
         collect(&of[0u], &of[k + 1u]);
     }
@@ -1694,15 +1704,6 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
         before = before + (risen(steps * p.gain3) * (end - before));
     }
     return before;
-}
-
-/* SOC held within 0..1. */
-static void hold_within(cellwise_state *a)
-{
-    if (!NOT_NEGATIVE(a->soc, 1.0f)) {
-        a->soc = within_one(a->soc);
-        a->soc_carry = 0.0f;
-    }
 }
 
 /* A load under which a log begins was there before: what it has left in the slow branch. Half of
@@ -1898,10 +1899,10 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
         }
     } else {
         status = step_components(m, b, of, count, sample, out);
+        look_back(m, b, of, count, sample);
         if (of[b->likeliest].evidence < FIRST_VOLTAGE) { /* no voltage yet: as it was stated */
             status = cellwise_step(m, &of[0u], sample, out);
         } else {
-            look_back(m, b, of, count, sample);
             weigh_components(of, count, likeliest_of(b, of, count));
             gather(b, of, count);
         }

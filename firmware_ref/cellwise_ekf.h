@@ -192,7 +192,7 @@ typedef struct {
     float slow_A; /* current that the particles' surface has followed */
     float temperature_C; /* last valid one */
     float contradicted; /* SOC that the voltages say is missing */
-    float persistent; /* SOC error by an error of the model that stays */
+    float persistent; /* SOC error by a persistent error of the model */
     float voltage_V; /* last valid one, */
     float frozen_A; /* the current when it came, */
     uint32_t repeats; /* and how often it has come since */

@@ -89,7 +89,7 @@ def simulate_call(rows):
 
 
 def coulomb_call(rows):
-    _, tables, _, _, _, _, log, _ = ekf_call(rows)
+    _, tables, _, _, _, _, _, log, _ = ekf_call(rows)
     begin = CountRules(1e-5, 0.05, 600.0), CoulombState(0.5, 0.01, 0.0, np.inf), 25.0
     return gauge_rows, tables, *begin, log, np.empty((2, rows)), np.empty(rows, dtype=np.int32)
 

@@ -176,6 +176,13 @@ def plain_block(
         put_info(work, k, info)
 
 
+class Banks(NamedTuple):
+    """Memory for the components of every cell (cells, ...), used where ``spread`` (cells,) is."""
+
+    states: FloatArray
+    spread: BoolArray
+
+
 @kernel
 def full_lane(
     tables: CellTables,
@@ -220,8 +227,7 @@ def lockstep(
     voltage_V: FloatArray,
     temperature_C: FloatArray,
     gap: BoolArray,
-    banks: FloatArray,
-    spread: BoolArray,
+    banks: Banks,
     out: FloatArray,
     status: IntArray,
 ) -> int:
@@ -229,7 +235,7 @@ def lockstep(
 
     ``state`` is in blocks of LANES cells with FIELDS rows each; the samples have one value for
     each of the ``rules.cells``, ``out`` (OUTPUTS, cells) and ``status`` likewise. ``work`` is
-    scratch for one block; ``banks`` (cells, ...) are the components of cells that are ``spread``.
+    scratch for one block; ``banks`` the components of cells whose SOC is not known.
     """
     soc0, variance, hysteresis_variance, unknown_C, cells, dt_s = rules
     start = EkfStart(soc0, variance, hysteresis_variance, unknown_C)
@@ -242,7 +248,7 @@ def lockstep(
             at = first + k
             reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
             read_lane(tables, noise, start, get_state(block, k), reading, work, k)
-            if spread[at]:
+            if banks.spread[at]:
                 work[PLAIN * LANES + k] = 0.0
         plain_block(tables, noise, block, work, dt_s)
         for k in range(lanes):
@@ -251,8 +257,8 @@ def lockstep(
                 short += 1
             else:
                 reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
-                full_lane(tables, noise, start, block, k, reading, work, banks[at])
-                spread[at] = is_spread(banks[at])
+                full_lane(tables, noise, start, block, k, reading, work, banks.states[at])
+                banks.spread[at] = is_spread(banks.states[at])
             for row in range(OUTPUTS):
                 out[row, at] = work[(OUT + row) * LANES + k]
             status[at] = int(work[STATUS * LANES + k])
@@ -262,13 +268,12 @@ def lockstep(
 class LockstepState(NamedTuple):
     """What must be carried of ``cells`` cells; ``blocks`` holds them side by side.
 
-    ``banks`` is memory for the components of each cell, used where ``spread`` says so.
+    ``banks`` is memory for the components of each cell.
     """
 
     blocks: FloatArray
     cells: int
-    banks: FloatArray
-    spread: BoolArray
+    banks: Banks
 
 
 class LockstepInfo(NamedTuple):
@@ -347,9 +352,8 @@ class LockstepEkf:
             row = ekf_start(self._ekf.start(*one), 0.0).row()
             fields[cells // LANES, :, cells % LANES] = row
         banks = np.zeros((self.cells, *empty_bank().shape))
-        return LockstepState(
-            fields.ravel(), self.cells, banks, np.zeros(self.cells, dtype=np.bool_)
-        )
+        spread = np.zeros(self.cells, dtype=np.bool_)
+        return LockstepState(fields.ravel(), self.cells, Banks(banks, spread))
 
     def step(
         self,
@@ -394,7 +398,6 @@ class LockstepEkf:
             *samples,
             gaps,
             state.banks,
-            state.spread,
             self._out,
             self._status,
         )
@@ -403,8 +406,8 @@ class LockstepEkf:
     def cell_state(self, state: LockstepState, cell: int) -> EkfState:
         """One cell's state as the EKF carries it."""
         block, lane = divmod(range(self.cells)[cell], LANES)
-        if state.spread[cell]:
-            return BankState.of_bank(state.banks[cell].copy())
+        if state.banks.spread[cell]:
+            return BankState.of_bank(state.banks.states[cell].copy())
         fields = state.blocks.reshape(-1, FIELDS, LANES)
         return EkfState.of_row(fields[block, :, lane])
 

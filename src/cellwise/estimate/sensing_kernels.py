@@ -28,7 +28,7 @@ COLDEST_C = -60.0
 HOTTEST_C = 120.0
 FROZEN_READINGS = 3.0
 DITHER_V = 0.0025  # a reading that moves by less repeats itself
-DEAD_SWINGS = 4.0  # of the voltage, up and down, under a current that repeats itself bit by bit
+DEAD_SWINGS = 8.0  # of the voltage, up and down, under a current that repeats itself bit by bit
 REST_RATE = 0.01  # below C/100 a cell counts as resting
 LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
 

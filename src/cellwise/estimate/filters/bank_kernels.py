@@ -287,6 +287,7 @@ def gather(bank: FloatArray) -> EkfState:
         main[i] = 0.0
         for k in range(1, end_of(bank)):
             main[i] += bank[k, WEIGHT] * bank[k, i]
+    main[0] = min(max(main[0], 0.0), 1.0)  # weights add up to one but for rounding
     for k in range(1, end_of(bank)):
         main[PERSISTENT_AT] += bank[k, WEIGHT] * bank[k, PERSISTENT_AT]
     entry = P_AT
@@ -552,13 +553,13 @@ def step_bank(
     if math.isfinite(off):
         mismatch = mismatch_step(noise, b.mismatch, off * off, variance, s.dt_s) / variance
         bank[RECORD, OFF_AT] = mismatch
+    look_back(tables, bank, s, first)
     if state_in(bank, likeliest).watch.evidence_s < 0.0:  # no voltage yet: as it was stated
         after, info, _, _ = step_component(
             tables, noise, sigma, start, state_in(bank, 0), s, error_V2, b.mismatch
         )
         put_record(bank[0], 0, 1, after, True)
         return info
-    look_back(tables, bank, s, first)
     for k in range(1, end_of(bank)):
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]

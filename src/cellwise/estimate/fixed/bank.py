@@ -101,6 +101,13 @@ def spread_out(b: Bank, of: States, count: int) -> None:
     weigh_components(of, count, least)
 
 
+def hold_within(a: State) -> None:
+    """SOC held within 0..1."""
+    if not not_negative(a.soc, 1.0):
+        a.soc = within_one(a.soc)
+        a.soc_carry = 0.0
+
+
 @unrolled_by_option
 def mean_of(of: States, count: int) -> Column:
     """The components' mean state, as a column."""
@@ -143,6 +150,7 @@ def gather(b: Bank, of: States, count: int) -> None:
     mean = mean_of(of, count)
     of[0] = of[b.likeliest]
     take_mean(of[0], mean)
+    hold_within(of[0])  # weights add up to one but for rounding
     for k in range(count):
         collect(of[0], of[k + 1])
     of[0].mismatch = b.mismatch
@@ -167,13 +175,6 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
             end = p.r[i] * (size if mean_A >= 0.0 else -size)
             before = before + (risen(steps * p.gain[i]) * (end - before))
     return before
-
-
-def hold_within(a: State) -> None:
-    """SOC held within 0..1."""
-    if not not_negative(a.soc, 1.0):
-        a.soc = within_one(a.soc)
-        a.soc_carry = 0.0
 
 
 @noinline
@@ -343,10 +344,10 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
             spread_out(b, of, count)
     else:
         status = step_components(m, b, of, count, sample, out)
+        look_back(m, b, of, count, sample)
         if of[b.likeliest].evidence < FIRST_VOLTAGE:  # no voltage yet: as it was stated
             status = step(m, of[0], sample, out)
         else:
-            look_back(m, b, of, count, sample)
             weigh_components(of, count, likeliest_of(b, of, count))
             gather(b, of, count)
     out.soc = of[0].soc

@@ -172,7 +172,7 @@ def _state() -> tuple[Field, ...]:
         Field("slow_A", "current that the particles' surface has followed", "SURFACE"),
         Field("temperature_C", "last valid one", "WARM"),
         Field("contradicted", "SOC that the voltages say is missing", "WIDE"),
-        Field("persistent", "SOC error by an error of the model that stays", "WIDE"),
+        Field("persistent", "SOC error by a persistent error of the model", "WIDE"),
         Field("voltage_V", "last valid one,", "WIDE"),
         Field("frozen_A", "the current when it came,", "WIDE"),
         Field("repeats", "and how often it has come since", "WIDE", "u4"),

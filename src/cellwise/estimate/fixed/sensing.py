@@ -149,7 +149,7 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
 
 
 def stated_variance(x: State, known: float) -> float:
-    """What is stated of the SOC: P's variance, an error that stays, what voltages contradict.
+    """What is stated of the SOC: P's variance, a persistent error's, what voltages contradict.
 
     P trusted the errors as stated; where innovations show ``mismatch`` times as much, so much more
     may be wrong with the SOC.

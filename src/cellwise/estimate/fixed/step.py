@@ -82,7 +82,7 @@ def contradict(
 
 
 def persist(c: Constants, x: State, p: Point, slope_V: float, gain: float) -> None:
-    """SOC error that an error of the model which stays has brought in, after a voltage with a gain.
+    """SOC error that a persistent error of the model has brought in, after a voltage with a gain.
 
     No further voltage averages it out: in the end the SOC is off by that error over the slope.
     """
