@@ -1858,6 +1858,44 @@ static bool is_lost(const cellwise_state *x)
     return lost;
 }
 
+/* Every number of a bank in its range: memory that lost its content is noticed. */
+static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t count)
+{
+    bool good = WITHIN(b->mean_A, -LARGE, LARGE) && WITHIN(b->looked_A, -LARGE, LARGE);
+    if (!NOT_NEGATIVE(b->mismatch, LARGE)) {
+        good = false;
+    }
+    if ((b->likeliest < 1u) || (b->likeliest > count)) {
+        good = false;
+    }
+    for (uint32_t k = 0u; k < count; k++) {
+        if (!NOT_NEGATIVE(of[k + 1u].cost, LARGE) || !NOT_NEGATIVE(of[k + 1u].weight, 2.0f)) {
+            good = false;
+        }
+        if ((of[k + 1u].cost < LARGE) && (of[k + 1u].in_bank != COMPONENT)) {
+            good = false;
+        }
+    }
+    return good;
+}
+
+/* A bank whose memory is damaged begins over all of the SOC. */
+static uint32_t know_nothing(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
+                             uint32_t count)
+{
+    start(&m->constant, &of[0u], KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
+    b->likeliest = 1u;
+    b->looks = LOOKS;
+    b->mean_A = 0.0f;
+    b->looked_A = 0.0f;
+    if (count > 0u) {
+        spread_out(b, of, count);
+    } else {
+        b->spread = 0u;
+    }
+    return CELLWISE_STATE_RESET;
+}
+
 /* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that
  * are no such numbers give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
 uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
@@ -1885,6 +1923,10 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
                             uint32_t count, const cellwise_input *sample, cellwise_output *out)
 {
     uint32_t status = 0u;
+    uint32_t lost = 0u;
+    if ((b->spread != 0u) && !bank_is_sound(b, of, count)) {
+        lost = know_nothing(m, b, of, count);
+    }
     if (b->spread == 0u) {
         of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
@@ -1900,6 +1942,9 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
     } else {
         status = step_components(m, b, of, count, sample, out);
         look_back(m, b, of, count, sample);
+        if (!bank_is_sound(b, of, count)) {
+            lost = know_nothing(m, b, of, count);
+        }
         if (of[b->likeliest].evidence < FIRST_VOLTAGE) { /* no voltage yet: as it was stated */
             status = cellwise_step(m, &of[0u], sample, out);
         } else {
@@ -1907,6 +1952,7 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
             gather(b, of, count);
         }
     }
+    status = status | lost;
     out->soc = of[0u].soc;
     out->soc_variance = stated_variance(&of[0u], of[0u].ss);
     out->status = status;

@@ -23,9 +23,9 @@ from cellwise.estimate.fixed.covariance import (
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up, place_now, within_one
 from cellwise.estimate.fixed.sensing import stated_variance
-from cellwise.estimate.fixed.state import admitted
+from cellwise.estimate.fixed.state import admitted, start
 from cellwise.estimate.fixed.step import init, step
-from cellwise.estimate.status import INNOVATION_REJECTED
+from cellwise.estimate.status import INNOVATION_REJECTED, STATE_RESET
 
 
 def edge(t: float, soc: float, std: float) -> float:
@@ -306,6 +306,35 @@ def is_lost(x: State) -> bool:
     return lost
 
 
+def bank_is_sound(b: Bank, of: States, count: int) -> bool:
+    """Every number of a bank in its range: memory that lost its content is noticed."""
+    good = within(b.mean_A, -LARGE, LARGE) and within(b.looked_A, -LARGE, LARGE)
+    if not not_negative(b.mismatch, LARGE):
+        good = False
+    if b.likeliest < U(1) or b.likeliest > count:
+        good = False
+    for k in range(count):
+        if not not_negative(of[k + 1].cost, LARGE) or not not_negative(of[k + 1].weight, 2.0):
+            good = False
+        if of[k + 1].cost < LARGE and of[k + 1].in_bank != COMPONENT:
+            good = False
+    return good
+
+
+def know_nothing(m: Model, b: Bank, of: States, count: int) -> int:
+    """A bank whose memory is damaged begins over all of the SOC."""
+    start(m.constant, of[0], KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
+    b.likeliest = U(1)
+    b.looks = LOOKS
+    b.mean_A = 0.0
+    b.looked_A = 0.0
+    if count > U(0):
+        spread_out(b, of, count)
+    else:
+        b.spread = U(0)
+    return U(STATE_RESET)
+
+
 def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_variance: float) -> int:
     """A cell at rest at ``soc``, known with ``soc_variance``; ``of`` has count + 1 states.
 
@@ -333,6 +362,9 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
     Returns the status bits, which are in ``out`` too.
     """
     status = U(0)
+    lost = U(0)
+    if b.spread != U(0) and not bank_is_sound(b, of, count):
+        lost = know_nothing(m, b, of, count)
     if b.spread == U(0):
         of[0].in_bank = ALONE
         status = step(m, of[0], sample, out)
@@ -345,11 +377,14 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
     else:
         status = step_components(m, b, of, count, sample, out)
         look_back(m, b, of, count, sample)
+        if not bank_is_sound(b, of, count):
+            lost = know_nothing(m, b, of, count)
         if of[b.likeliest].evidence < FIRST_VOLTAGE:  # no voltage yet: as it was stated
             status = step(m, of[0], sample, out)
         else:
             weigh_components(of, count, likeliest_of(b, of, count))
             gather(b, of, count)
+    status = U(status | lost)
     out.soc = of[0].soc
     out.soc_variance = stated_variance(of[0], of[0].ss)
     out.status = status
