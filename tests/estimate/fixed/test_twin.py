@@ -12,6 +12,7 @@ from cellwise.data import load_dataset
 from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.stepper import numba_stepper
+from cellwise.estimate.status import Status
 from cellwise.export.firmware import HostLibrary
 from example_cells import curved_cell
 from firmware_cases import compile_and_run, stress_samples, tables_of
@@ -32,6 +33,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
         "row": layout.row_type(o), "input": layout.INPUT, "output": layout.OUTPUT,
         "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK, "landing": layout.LANDING,
         "pack_cell": layout.CELL, "cell_output": layout.CELL_OUTPUT,
+        **({"bank": layout.BANK} if o.bank else {}),
     }  # fmt: skip
     lines, expected = [], []
     for name, kind in records.items():
@@ -197,3 +199,36 @@ def test_subnormals_survive():
     sample["voltage_V"], sample["sequence"] = np.nan, 1
     stepper.rows(state, sample)
     assert 0 < state["p12"][0] < 1e-40
+
+
+@pytest.mark.parametrize("case", ["plain", "full"])
+def test_a_bank_has_the_same_bits_and_whatever_stands_in_its_memory_is_finite(case):
+    """Bytes at random in the record of the bank and in its states; 5 components."""
+    tables = tables_of(case)
+    twins = numba_stepper(tables), HostLibrary(tables)
+    samples = samples_of(curved_cell(), load_dataset("nmc_drive_b"), 1.0).records[:200]
+    rng = np.random.default_rng(3)
+    resets = 0
+    for trial in range(150):
+        banks = [twin.start_bank(5, 0.4, 0.0225) for twin in twins]
+        first = int(rng.integers(0, 100))
+        for twin, bank in zip(twins, banks, strict=True):
+            twin.bank_rows(*bank, samples[:first])
+        for part in range(2):
+            bytes_of = [bank[part].view(np.uint8).reshape(-1) for bank in banks]
+            for _ in range(int(rng.integers(0, 6)) if trial else 0):
+                place, value = rng.integers(bytes_of[0].size), rng.integers(256)
+                for memory in bytes_of:
+                    memory[place] = value
+        numba, c = (
+            twin.bank_rows(*bank, samples[first : first + 40])
+            for twin, bank in zip(twins, banks, strict=True)
+        )
+        assert numba.tobytes() == c.tobytes()
+        assert banks[0][1].tobytes() == banks[1][1].tobytes()
+        for name in ("soc", "soc_variance", "voltage_V", "innovation_V", "innovation_variance_V2"):
+            assert np.all(np.isfinite(c[name])), name
+        assert np.all((c["soc"] >= 0.0) & (c["soc"] <= 1.0))
+        assert np.all(c["soc_variance"] >= 0.0)
+        resets += bool(np.any(c["status"] & Status.STATE_RESET))
+    assert resets > 0
