@@ -267,7 +267,7 @@ def lagged(values: FloatArray, dt: FloatArray, tau_s: float) -> FloatArray:
 
 @cached(error_model="numpy")
 def fill_lagged(values: FloatArray, left: FloatArray, found: FloatArray) -> None:
-    """The same, from what is left of the value before after each interval."""
+    """The same, from the share of the value before that each interval keeps."""
     now = 0.0
     for k in range(values.size):
         now = left[k] * now + (1.0 - left[k]) * values[k]

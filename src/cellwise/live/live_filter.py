@@ -22,13 +22,13 @@ from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL
 from cellwise.estimate.fixed.options import CellSettings
+from cellwise.estimate.fixed_pack import FixedPack, PackState
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_dict
 from cellwise.files import write_atomically
 from cellwise.live.samples import Sample
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import GAP
-from cellwise.pack.fixed_pack import FixedPack, PackState
 
 SHORTEST_S, LONGEST_S = 1.0, 60.0  # time step, as the stream's samples come
 WIDEST_STD = 0.3

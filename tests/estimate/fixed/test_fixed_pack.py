@@ -11,8 +11,8 @@ from cellwise import InputError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.options import CellSettings
+from cellwise.estimate.fixed_pack import FixedPack
 from cellwise.logs.cell_log import CellLog
-from cellwise.pack.fixed_pack import FixedPack
 from cellwise.pack.pack_estimate import estimate_pack
 from emulated_packs import Fault, emulated_pack
 from example_cells import curved_cell
