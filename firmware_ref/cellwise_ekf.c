@@ -1325,6 +1325,20 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
     }
 }
 
+/* How much of a voltage's evidence is new, where a part of the model's error stays for good.
+ * What a mean says never exceeds one error over that part, however long it is taken. */
+static float evidence_share(const cellwise_constants *c, const cellwise_state *x)
+{
+    uint32_t since = 0u;
+    if (x->evidence > FIRST_VOLTAGE) {
+        since = x->evidence - FIRST_VOLTAGE;
+    }
+    since = (since < EVIDENCE_MOST) ? since : EVIDENCE_MOST;
+    const float left = c->fades + (c->stays * (float)since);
+    const float share = (c->fades * c->shared) / (left * left);
+    return (share < 1.0f) ? share : 1.0f;
+}
+
 /* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
  * Beyond that it speaks against a component in proportion to how far it is off (Huber): below
  * empty the lowest of them is the nearest. The variance of a voltage is that of the likeliest
@@ -1356,8 +1370,8 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
         }
         const float explained = i->explained_V2 * shared.below;
         const float inverse = shared.below / (explained + weight);
-        x->cost = x->cost + (0.5f * (grows * ((off * off) * inverse)));
-        x->cost = x->cost + (0.5f * log_of_more(explained / weight));
+        const float against = (grows * ((off * off) * inverse)) + log_of_more(explained / weight);
+        x->cost = x->cost + (evidence_share(c, x) * (0.5f * against));
         move(x, &i->column, inverse, off);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);

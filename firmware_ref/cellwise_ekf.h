@@ -97,6 +97,8 @@ typedef struct {
     float bank_A; /* what may have flowed for hours before a start under load, */
     float past_A; /* and beside a load like it */
     float least_use_A; /* a use takes no longer from full to empty */
+    float fades; /* of samples that share one model error, those whose error fades, */
+    float stays; /* and the share of the error that does not */
     uint32_t look_steps; /* until the past of a start under load is looked at */
     float charge_efficiency;
     float leak_soc; /* SOC that self-discharge takes in one step */

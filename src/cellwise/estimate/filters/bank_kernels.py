@@ -80,6 +80,7 @@ LEAST_WIDTH = 1e-3
 TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself not sure
 COST_MOST = 20.0  # a component less likely than exp(-20) is given up
 GIVEN_UP = 1e9
+PERSISTENT_MOST = 0.9  # of the model's error: some of it always fades
 
 BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
 LOOK_S = 60.0
@@ -437,6 +438,22 @@ class Seen(NamedTuple):
 
 
 @inline
+def evidence_share(noise: NoiseScalars, since_s: float) -> float:
+    r"""How much of a voltage's evidence is new, where a part of the model's error stays for good.
+
+    Of a mean over t the variance is :math:`((1 - p) 2 \tau / t + p) \sigma^2`: what it says never
+    exceeds one error over p, however long it is taken.
+    """
+    if noise.slow_s <= 0.0:
+        return 1.0
+    p = min(noise.persistent * noise.persistent, PERSISTENT_MOST)
+    whole = 2.0 * noise.slow_s
+    fades = (1.0 - p) * whole
+    left = fades + p * max(since_s, 0.0)
+    return min(fades * whole / (left * left), 1.0)
+
+
+@inline
 def use_in_bank(
     cell: CellScalars,
     noise: NoiseScalars,
@@ -472,6 +489,7 @@ def use_in_bank(
         inverse = below / (i.state_variance * below + weight)
         cost = grows * (innovation_V * innovation_V * inverse)
         cost = 0.5 * (cost + math.log(1.0 + i.state_variance * below / weight))
+        cost *= evidence_share(noise, evidence_s)
         evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s

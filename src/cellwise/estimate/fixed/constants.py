@@ -22,7 +22,13 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
-from cellwise.estimate.filters.bank_kernels import BANK_RATE, LEAST_RATE, LOOK_S, PAST_RATE
+from cellwise.estimate.filters.bank_kernels import (
+    BANK_RATE,
+    LEAST_RATE,
+    LOOK_S,
+    PAST_RATE,
+    PERSISTENT_MOST,
+)
 from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
@@ -74,6 +80,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
     shared = max(2.0 * slow_s / dt_s, 1.0)
     half_s = max(noise.slow_half_s, dt_s)
     early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
+    stays = min(noise.lasting_share, PERSISTENT_MOST) if slow_s > 0.0 else 0.0
     adapts = noise.mismatch_cap > 0 and slow_s > 0
     heating = model.effect(SelfHeating)
     surface = model.effect(SurfaceSoc)
@@ -110,6 +117,8 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "bank_A": BANK_RATE * model.capacity_Ah,
         "past_A": PAST_RATE * model.capacity_Ah,
         "least_use_A": LEAST_RATE * model.capacity_Ah,
+        "fades": (1.0 - stays) * shared,
+        "stays": stays,
         "look_steps": int(np.ceil(LOOK_S / dt_s)),
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),

@@ -87,6 +87,8 @@ CONSTANTS = (
     Field("bank_A", "what may have flowed for hours before a start under load,", "BANK"),
     Field("past_A", "and beside a load like it", "BANK"),
     Field("least_use_A", "a use takes no longer from full to empty", "BANK"),
+    Field("fades", "of samples that share one model error, those whose error fades,", "BANK"),
+    Field("stays", "and the share of the error that does not", "BANK"),
     Field("look_steps", "until the past of a start under load is looked at", "BANK", "u4"),
     Field("charge_efficiency", "", "EFFICIENCY"),
     Field("leak_soc", "SOC that self-discharge takes in one step", "LEAK"),

@@ -120,6 +120,20 @@ def fuse(
         x.evidence = FIRST_VOLTAGE
 
 
+def evidence_share(c: Constants, x: State) -> float:
+    """How much of a voltage's evidence is new, where a part of the model's error stays for good.
+
+    What a mean says never exceeds one error over that part, however long it is taken.
+    """
+    since = U(0)
+    if x.evidence > FIRST_VOLTAGE:
+        since = U(x.evidence - FIRST_VOLTAGE)
+    since = since if since < EVIDENCE_MOST else EVIDENCE_MOST
+    left = c.fades + (c.stays * F(since))
+    share = (c.fades * c.shared) / (left * left)
+    return F(share if share < 1.0 else 1.0)
+
+
 def use_in_bank(
     c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
 ) -> None:
@@ -149,8 +163,8 @@ def use_in_bank(
             grows = (2.0 / passed) - 1.0
         explained = i.explained_V2 * shared.below
         inverse = shared.below / (explained + weight)
-        x.cost = x.cost + (0.5 * (grows * ((off * off) * inverse)))
-        x.cost = x.cost + (0.5 * log_of_more(explained / weight))
+        against = (grows * ((off * off) * inverse)) + log_of_more(explained / weight)
+        x.cost = x.cost + (evidence_share(c, x) * (0.5 * against))
         move(x, i.column, inverse, off)
         narrow(x, i.column, inverse)
         persist(c, x, p, w.slope_V, i.column.s * inverse)
