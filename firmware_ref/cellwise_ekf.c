@@ -1045,11 +1045,12 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
  * may be wrong with the SOC. */
 static float stated_variance(const cellwise_state *x, float known)
 {
+    float times = 1.0f;
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        known = known * x->mismatch;
+        times = x->mismatch;
     }
     const float beside = (x->persistent * x->persistent) + (x->contradicted * x->contradicted);
-    return known + beside;
+    return (times * known) + beside;
 }
 
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
@@ -1446,9 +1447,8 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
     return status;
 }
 
-/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
- * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
-uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
+/* As :func:`init`, for the estimate of a bank, too. */
+static uint32_t begin_at(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
 {
     const float positive = soc + 0.0f; /* never -0 */
     uint32_t status = 0u;
@@ -1460,6 +1460,13 @@ uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, fl
         status = CELLWISE_STATE_RESET;
     }
     return status;
+}
+
+/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
+ * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
+{
+    return begin_at(m, x, soc, soc_variance);
 }
 
 /* One time step: predict over the interval that ends now, then use the voltage read now. Returns
@@ -1515,12 +1522,19 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 /* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
 static float edge(float t, float soc, float std)
 {
-    const float room = (t > 0.0f) ? (1.0f - soc) : soc;
+    float room = soc;
+    if (t > 0.0f) {
+        room = 1.0f - soc;
+    }
     float near = DENSE * std;
     near = (near < room) ? near : room;
     const float size = magnitude(t);
     const float away = size * (near + ((room - near) * (size * size)));
-    return (t > 0.0f) ? (soc + away) : (soc - away);
+    float at = soc - away;
+    if (t > 0.0f) {
+        at = soc + away;
+    }
+    return at;
 }
 
 /* A component between two edges, else as the estimate `first` is. */
@@ -1707,11 +1721,17 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
     float before = 0.0f;
     const float size = at_least(magnitude(mean_A), m->constant.least_use_A);
     const float steps = PAST_PART / (m->constant.soc_per_A * size);
-    const float way = (mean_A >= 0.0f) ? (1.0f - soc) : soc;
+    float way = soc;
+    if (mean_A >= 0.0f) {
+        way = 1.0f - soc;
+    }
     const uint32_t points = (uint32_t)((way / PAST_PART) + 0.5f);
     for (uint32_t k = 0u; k < points; k++) {
         const float moved = (float)(k + 1u) * PAST_PART;
-        const float at = (mean_A >= 0.0f) ? (1.0f - moved) : moved;
+        float at = moved;
+        if (mean_A >= 0.0f) {
+            at = 1.0f - moved;
+        }
         cellwise_point p;
         look_up(m, place, at, mean_A, &p);
         const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
@@ -1915,7 +1935,7 @@ static uint32_t know_nothing(const cellwise_model *m, cellwise_bank *b, cellwise
 uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
                             uint32_t count, float soc, float soc_variance)
 {
-    const uint32_t status = cellwise_init(m, &of[0u], soc, soc_variance);
+    const uint32_t status = begin_at(m, &of[0u], soc, soc_variance);
     b->spread = 0u;
     b->likeliest = 1u;
     b->looks = NEVER_LOOKED;

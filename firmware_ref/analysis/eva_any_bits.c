@@ -2,17 +2,7 @@
  * outputs are finite and in range; nor has the step after it. */
 #include "cellwise_cell.h"
 
-#if CELLWISE_WIDE
-#define COUNTERS 6u /* the last fields of the state */
-#else
-#define COUNTERS 3u
-#endif
-#if CELLWISE_CELLS
-#define INTEGERS (COUNTERS + 2u)
-#else
-#define INTEGERS COUNTERS
-#endif
-#define FLOATS ((sizeof(cellwise_state) / sizeof(float)) - INTEGERS)
+#define WORDS (sizeof(cellwise_state) / sizeof(float))
 
 volatile float any_float; /* to Eva: every bit pattern, NaN and infinities too */
 volatile uint32_t any_integer;
@@ -20,14 +10,17 @@ volatile uint32_t any_integer;
 static void any_state(cellwise_state *x)
 {
     float *const field = (float *)x;
-    /*@ loop unroll FLOATS; */
-    for (uint32_t k = 0u; k < FLOATS; k++) {
+    /*@ loop unroll WORDS; */
+    for (uint32_t k = 0u; k < WORDS; k++) {
         field[k] = any_float;
     }
 #if CELLWISE_WIDE
     x->repeats = any_integer;
     x->no_current = any_integer;
     x->no_voltage = any_integer;
+#endif
+#if CELLWISE_BANK
+    x->in_bank = any_integer;
 #endif
 #if CELLWISE_CELLS
     x->cells_at = any_integer;

@@ -125,10 +125,12 @@ def test_a_pack_gives_the_same_bytes_within_the_room_there_is(core):
 
 
 @pytest.mark.slow
-def test_looking_anew_is_counted():
+def test_a_lock_out_costs_no_more_than_another_step():
+    """No step searches over the SOC: that is left to a bank's components."""
     lean, full = (
         worst_case(curved_cell(), tables_of(case), "cortex-m4f") for case in ("lean", "plain")
     )
     assert lean.reset is not None
     assert full.reset is not None
-    assert full.stress >= full.reset > 100 * lean.reset
+    assert full.reset <= full.stress
+    assert lean.reset <= lean.stress

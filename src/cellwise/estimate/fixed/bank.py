@@ -24,18 +24,23 @@ from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up, place_now, within_one
 from cellwise.estimate.fixed.sensing import stated_variance
 from cellwise.estimate.fixed.state import admitted, start
-from cellwise.estimate.fixed.step import init, step
+from cellwise.estimate.fixed.step import begin_at, step
 from cellwise.estimate.status import INNOVATION_REJECTED, STATE_RESET
 
 
 def edge(t: float, soc: float, std: float) -> float:
     """SOC between two components: ``t`` from -1 to 1 goes from 0 to 1, densely about the start."""
-    room = 1.0 - soc if t > 0.0 else soc
+    room = soc
+    if t > 0.0:
+        room = 1.0 - soc
     near = DENSE * std
     near = near if near < room else room
     size = magnitude(t)
     away = size * (near + ((room - near) * (size * size)))
-    return F(soc + away if t > 0.0 else soc - away)
+    at = soc - away
+    if t > 0.0:
+        at = soc + away
+    return F(at)
 
 
 def component_start(a: State, first: State, low: float, high: float) -> None:
@@ -165,11 +170,15 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
     before = 0.0
     size = at_least(magnitude(mean_A), m.constant.least_use_A)
     steps = PAST_PART / (m.constant.soc_per_A * size)
-    way = 1.0 - soc if mean_A >= 0.0 else soc
+    way = soc
+    if mean_A >= 0.0:
+        way = 1.0 - soc
     points = U((way / PAST_PART) + 0.5)
     for k in range(points):
         moved = F(k + 1) * PAST_PART
-        at = 1.0 - moved if mean_A >= 0.0 else moved
+        at = moved
+        if mean_A >= 0.0:
+            at = 1.0 - moved
         p = look_up(m, place, at, mean_A)
         for i in (V3,):
             end = p.r[i] * (size if mean_A >= 0.0 else -size)
@@ -341,7 +350,7 @@ def start_bank(m: Model, b: Bank, of: States, count: int, soc: float, soc_varian
     Arguments that are no such numbers give a state that knows nothing. Returns 0 or
     CELLWISE_STATE_RESET.
     """
-    status = init(m, of[0], soc, soc_variance)
+    status = begin_at(m, of[0], soc, soc_variance)
     b.spread = U(0)
     b.likeliest = U(1)
     b.looks = NEVER_LOOKED

@@ -154,10 +154,11 @@ def stated_variance(x: State, known: float) -> float:
     P trusted the errors as stated; where innovations show ``mismatch`` times as much, so much more
     may be wrong with the SOC.
     """
+    times = 1.0
     if positive_above(x.mismatch, 1.0):
-        known = known * x.mismatch
+        times = x.mismatch
     beside = (x.persistent * x.persistent) + (x.contradicted * x.contradicted)
-    return F(known + beside)
+    return F((times * known) + beside)
 
 
 def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:

@@ -227,12 +227,8 @@ def correct(
     return status
 
 
-def init(m: Model, x: State, soc: float, soc_variance: float) -> int:
-    """A cell at rest at ``soc``, known with ``soc_variance``.
-
-    Arguments that are no such numbers give a state that knows nothing. Returns 0 or
-    CELLWISE_STATE_RESET.
-    """
+def begin_at(m: Model, x: State, soc: float, soc_variance: float) -> int:
+    """As :func:`init`, for the estimate of a bank, too."""
     positive = soc + 0.0  # never -0
     status = U(0)
     known = positive_within(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST)
@@ -242,6 +238,15 @@ def init(m: Model, x: State, soc: float, soc_variance: float) -> int:
         start(m.constant, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE)
         status = U(STATE_RESET)
     return status
+
+
+def init(m: Model, x: State, soc: float, soc_variance: float) -> int:
+    """A cell at rest at ``soc``, known with ``soc_variance``.
+
+    Arguments that are no such numbers give a state that knows nothing. Returns 0 or
+    CELLWISE_STATE_RESET.
+    """
+    return begin_at(m, x, soc, soc_variance)
 
 
 def step(m: Model, x: State, sample: Sample, out: Output) -> int:
