@@ -945,16 +945,17 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
         reading->status = (reading->status | CELLWISE_CURRENT_INVALID) |
             out_of_range(reading->current);
         reading->silent = 1u;
-    } else if (!is_same(reading->current, x->current_A)) {
+    }
+    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
+        reading->current = x->current_A;
+    }
+    if (!is_same(reading->current, x->current_A)) {
         x->swings = 0.0f;
     } else if (magnitude(x->swings) >= DEAD_SWINGS) {
         reading->status = reading->status | CELLWISE_CURRENT_INVALID;
         reading->silent = 1u;
     } else {
         /* as before */
-    }
-    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
-        reading->current = x->current_A;
     }
     reading->temperature_C = 0.0f;
     if (!WITHIN(sample->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
@@ -1050,7 +1051,11 @@ static float stated_variance(const cellwise_state *x, float known)
         times = x->mismatch;
     }
     const float beside = (x->persistent * x->persistent) + (x->contradicted * x->contradicted);
-    return (times * known) + beside;
+    float stated = (times * known) + beside;
+    if (!NOT_NEGATIVE(stated, LARGE)) {
+        stated = LARGE;
+    }
+    return stated;
 }
 
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
@@ -1294,8 +1299,11 @@ static void persist(const cellwise_constants *c, cellwise_state *x, const cellwi
     }
     const float error_V = c->persistent * root((square < SQUARE_MOST) ? square : SQUARE_MOST);
     const float kept = clip(1.0f - (gain * slope_V), 0.0f, 1.0f);
-    const float now = (kept * x->persistent) + (gain * error_V);
-    x->persistent = clip(now, -1.0f, 1.0f);
+    float now = (kept * x->persistent) + (gain * error_V);
+    if (!SIZE_WITHIN(now, 1.0f)) {
+        now = 1.0f;
+    }
+    x->persistent = now;
 }
 
 /* State and covariance after a voltage within the gate. What the innovations have lately shown

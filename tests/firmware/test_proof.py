@@ -45,7 +45,7 @@ MUTANTS = {
 
 # States are kept apart where the sentences after them depend on it; elsewhere they are joined.
 PRECISION = ["-eva-precision", "1", "-eva-split-return", "full"]
-APART = "is_sound:400,covariance_is_sound:400,see:30,count_charge:30,cellwise_step:30"
+APART = "is_sound:900,covariance_is_sound:400,see:200,count_charge:200,cellwise_step:200"
 OF_CELLS = ",cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_step:60"
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {

@@ -64,14 +64,14 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     if not size_within(current, c.current_limit_A):
         status = U(status | CURRENT_INVALID | out_of_range(current))
         silent = U(1)
-    elif WIDE:
+    if silent != U(0) or news == REPEATED:
+        current = x.current_A
+    if WIDE:
         if not is_same(current, x.current_A):
             x.swings = 0.0
         elif magnitude(x.swings) >= DEAD_SWINGS:
             status = U(status | CURRENT_INVALID)
             silent = U(1)
-    if silent != U(0) or news == REPEATED:
-        current = x.current_A
     temperature_C = 0.0
     if WARM:
         if not within(sample.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
@@ -158,7 +158,10 @@ def stated_variance(x: State, known: float) -> float:
     if positive_above(x.mismatch, 1.0):
         times = x.mismatch
     beside = (x.persistent * x.persistent) + (x.contradicted * x.contradicted)
-    return F((times * known) + beside)
+    stated = (times * known) + beside
+    if not not_negative(stated, LARGE):
+        stated = LARGE
+    return F(stated)
 
 
 def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:

@@ -92,7 +92,9 @@ def persist(c: Constants, x: State, p: Point, slope_V: float, gain: float) -> No
     error_V = c.persistent * root(square if square < SQUARE_MOST else SQUARE_MOST)
     kept = clip(1.0 - (gain * slope_V), 0.0, 1.0)
     now = (kept * x.persistent) + (gain * error_V)
-    x.persistent = clip(now, -1.0, 1.0)
+    if not size_within(now, 1.0):
+        now = 1.0
+    x.persistent = now
 
 
 def fuse(
