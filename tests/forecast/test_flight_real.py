@@ -43,7 +43,6 @@ def test_a_measured_discharge_ends_when_it_was_foretold(name, within, share, lea
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="89 % of the rows in the band")
 def test_the_band_covers_a_cell_that_warms_by_forty_kelvin(real_data):
     """Samsung 30Q at 1C to 4C, 11 to 41 K warmer at the end; another sample than the pulses'."""
     model = identified_samsung(real_data)

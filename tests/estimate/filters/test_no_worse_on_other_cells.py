@@ -117,7 +117,8 @@ SAMSUNG, LIPO = "0.42 to 0.52 points", "1.1 to 1.4 points"
     "case",
     missed(
         NAMED,
-        **{n: SAMSUNG if n.startswith("samsung") else LIPO for n in NAMED if n[:2] in ("sa", "li")},
+        **{n: SAMSUNG for n in NAMED if n.startswith("samsung")},
+        **{n: LIPO for n in NAMED if n.startswith("lipo") and n != "lipo c3_cycle48"},
     ),
 )
 def test_from_a_known_start(real_data, case, estimator):

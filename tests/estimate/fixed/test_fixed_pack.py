@@ -100,7 +100,7 @@ def test_the_mean_cell_is_what_it_is_alone(healthy):
     """Cells that are followed change nothing of the mean cell's state."""
     model, pack = healthy
     with_cells, _ = drives(model, pack)
-    alone = FixedStep(model, dt_s=1.0)
+    alone = FixedStep(model, dt_s=1.0, components=1)
     trace = alone.run(pack.mean, 0.85, 0.1)
     assert with_cells["soc"][0] == np.float32(trace.soc[-1])
 
