@@ -83,6 +83,16 @@ class TestFrozenVoltage:
         assert np.max(np.abs(trace.soc - truth)) < 0.01
 
     @FILTERS
+    def test_its_last_digits_may_dither(self, make):
+        log, truth = driven(CURVED)
+        voltage = log.voltage_V.copy()
+        dither = np.random.default_rng(2).uniform(-0.001, 0.001, 600)
+        voltage[1000:1600] = voltage[1000] + dither
+        trace = make(CURVED).run(replace(log, voltage_V=voltage), 0.8, 0.02)
+        assert np.mean((trace.status[1060:1600] & Status.VOLTAGE_FROZEN) > 0) == 1.0
+        assert np.max(np.abs(trace.soc - truth)) < 0.01
+
+    @FILTERS
     def test_a_coarse_sensor_on_a_resting_cell_is_not_frozen(self, make):
         log = run_protocol(
             CURVED, [ConstantCurrent(current_A=3.0, duration_s=600.0), Rest(3600.0)], 0.8
@@ -101,6 +111,46 @@ class TestFrozenVoltage:
         assert held > 100
         exact = replace(log, voltage_V=np.round(log.voltage_V, 6))
         assert not bits(make(CURVED).run(exact, 0.6, 0.02), slice(None)) & UNUSED
+
+
+class TestDeadCurrent:
+    """A sensor that repeats its last reading while the load goes on."""
+
+    dead = slice(600, 1800)
+
+    @FILTERS
+    @pytest.mark.parametrize("reading_A", [0.0, 1.7])
+    def test_it_is_missing_and_the_band_says_so(self, make, reading_A):
+        log, truth = driven(CURVED)
+        current = log.current_A.copy()
+        current[self.dead] = reading_A
+        trace = make(CURVED).run(replace(log, current_A=current), 0.8, 0.02)
+        invalid = (trace.status & Status.CURRENT_INVALID) > 0
+        assert not invalid[:600].any()
+        assert np.mean(invalid[800:1800]) == 1.0
+        assert not invalid[1800:].any()
+        error = np.abs(trace.soc - truth)
+        assert np.mean(error <= 2.0 * trace.soc_std) > 0.9
+
+    @FILTERS
+    def test_a_constant_load_and_a_rest_are_none(self, make):
+        steps = [ConstantCurrent(current_A=3.0, soc=0.02), Rest(3600.0)]
+        log = run_protocol(CURVED, steps, 1.0)
+        noisy = log.voltage_V + 0.003 * np.random.default_rng(5).standard_normal(len(log))
+        trace = make(CURVED).run(replace(log, voltage_V=noisy), 1.0, 0.01)
+        assert not bits(trace, slice(None)) & Status.CURRENT_INVALID
+
+
+@FILTERS
+def test_more_than_twice_a_short_circuit_is_the_sensors_fault(make):
+    log, truth = driven(CURVED)
+    shorted_A = CURVED.ocv_V.max() / CURVED.r0_ohm.min()
+    current = log.current_A.copy()
+    current[1000:1010] = 2.1 * shorted_A
+    trace = make(CURVED).run(replace(log, current_A=current), 0.8, 0.02)
+    told = Status.CURRENT_INVALID | Status.OUT_OF_RANGE
+    assert np.all(trace.status[1000:1010] & told == told)
+    assert np.max(np.abs(trace.soc - truth)) < 0.02
 
 
 class TestLostCurrent:

@@ -174,12 +174,10 @@ class Innovation(NamedTuple):
 class Verdict(NamedTuple):
     """What becomes of a voltage.
 
-    ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts, and
-    ``recover`` says that it has contradicted the estimate for long.
+    ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts.
     """
 
     accepted: bool
-    recover: bool
     used: bool
     inverse: float
     innovation_V: float
@@ -213,7 +211,6 @@ def gate(
     status |= reading[4]
     used = False
     accepted = False
-    recover = False
     inverse = 0.0
     resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
     if not math.isfinite(innovation_V):
@@ -230,7 +227,6 @@ def gate(
             rejections += min(s.dt_s, 1.0)
             if rejections >= noise.recovery_after - COUNT_ROUNDING:
                 status |= GATE_RECOVERY
-                recover = True
                 rejections = 0.0
                 mismatch = 1.0
                 evidence_s = 0.0
@@ -248,7 +244,7 @@ def gate(
     status |= away
     # fmt: off
     return Verdict(
-        accepted, recover, used, inverse, innovation_V, variance, ratio, rejections,
+        accepted, used, inverse, innovation_V, variance, ratio, rejections,
         mismatch, after, status,
     )
     # fmt: on

@@ -13,6 +13,7 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
 from cellwise.estimate.filters.bank_kernels import (
     LEAST_PAST_V2,
     LOOKS,
@@ -22,6 +23,7 @@ from cellwise.estimate.filters.bank_kernels import (
     TAIL,
     BankRecord,
     branch_of_past,
+    evidence_share,
     know_past,
     know_past_better,
     left_by_load,
@@ -233,6 +235,34 @@ def test_a_gap_ends_the_looks():
     assert looks_of(state) == 0.0
     state, _ = ekf.step(state, 2.0, 3.6, dt_s=60.0, gap=True)
     assert looks_of(state) == LOOKS
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.85])
+def test_a_persistent_error_is_evidence_once(share):
+    """Over any time no more than one error over its share; all of it while little is persistent."""
+    noise = replace(Noise.of_model(linear()), lasting_share=share, slow_s=300.0).scalars()
+    time_s = np.arange(0.0, 400_000.0)
+    new = np.array([evidence_share(noise, t) for t in time_s])
+    assert np.all(np.diff(new) <= 0.0)
+    assert new[0] == 1.0
+    errors = np.cumsum(new) / (2.0 * noise.slow_s)
+    assert errors[-1] < 1.0 / share
+    assert errors[-1] > 0.3 / share
+
+
+def test_what_nobody_counted_begins_the_components_again():
+    ekf = Ekf(linear())
+    state, _ = ekf.step(ekf.init(0.6, 0.005), 1.0, 3.75, dt_s=1.0)
+    assert not isinstance(state, BankState)
+    state, info = ekf.step(state, 1.0, 3.75, dt_s=7200.0, gap=True)
+    assert isinstance(state, BankState)
+    assert info.soc_std > 0.03
+
+
+@pytest.mark.parametrize("components", [0, -3, 2.5, True, 1000, "11"])
+def test_another_number_of_components_is_refused(components):
+    with pytest.raises(InputError, match="components"):
+        Ekf(linear(), components=components)
 
 
 def test_a_restart_goes_on_with_the_looks():

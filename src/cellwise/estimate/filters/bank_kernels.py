@@ -499,7 +499,7 @@ def use_in_bank(
         status |= VOLTAGE_INVALID
     # fmt: off
     v = Verdict(
-        used, False, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
+        used, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
     )
     # fmt: on
     return Seen(v, cost)
