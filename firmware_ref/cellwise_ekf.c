@@ -4,6 +4,33 @@
 #include "cellwise_float.h"
 
 /* Constants of the algorithm. */
+#define COLDEST_C (-60.0f)
+#define HOTTEST_C 120.0f
+#define FROZEN_READINGS 3u /* repeats of a voltage, before which nobody calls it frozen */
+#define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself: the last digits of a converter */
+#define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself bit by bit */
+#define SWINGS_MOST 100.0f /* counting on says nothing more */
+#define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more, whatever its resistance */
+#define START_LOAD_SHARE 0.5f
+#define NO_LIMIT_V 1000.0f /* no cell's branch holds that */
+#define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12: of the SOC: rounding takes no more away */
+#define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond 2 points of SOC the tangent is no guide */
+#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06: of the SOC: both ends are beyond the same end of the tables */
+#define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09: after voltages that contradicted it for long: anywhere */
+#define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3: and the most */
+#define SQUARE_MOST 4.0f /* [V^2] of an error: no cell's voltage is off by more */
+#define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
+#define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
+#define DENSE 3.0f /* deviations of a start within which the components lie close */
+#define LEAST_WIDTH 0x1.0624dep-10f /* 0.001: of a component in SOC */
+#define TAIL 4.0f /* degrees of freedom of a stated start: how sure it is, is itself not sure */
+#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
+#define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
+#define LOOK_FACTOR 4u /* and each time so much longer */
+#define LOOKS 3u /* times */
+#define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
+#define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
+#define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06: a millivolt of what it has left is always open */
 #define SIXTH 0x1.555556p-3f /* 0.166667 */
 #define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
 #define THIRD 0x1.555556p-2f /* 0.333333 */
@@ -13,23 +40,11 @@
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
-#define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12 */
 #define BEYOND 0x1.99999ap-5f /* 0.05: how far the OCV goes on outside 0..1 */
-#define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond it the tangent is no guide */
-#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06 */
-#define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
-#define TEMPERATURE_LOW_C (-60.0f)
-#define TEMPERATURE_HIGH_C 120.0f
 #define HEAT_MOST_K 200.0f
 #define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
 #define CARRY_MOST 0x1p-10f
 #define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
-#define TRANSFER_1 0x1.52cbf6p-1f /* 0.661712: asinh(y) / y as a fraction in powers of y */
-#define ABOVE_2 0x1.af8c1ap-2f /* 0.421433 */
-#define ABOVE_3 0x1.711d9p-7f /* 0.0112645 */
-#define BELOW_2 0x1.2f92eap-1f /* 0.592918 */
-#define BELOW_3 0x1.e9c80ep-4f /* 0.119576 */
-#define BELOW_4 0x1.bdadcap-10f /* 0.00170013 */
 #define LONGEST_GAP 0x100000u /* samples */
 #define NOT_BEGUN 0u /* evidence before the first sample */
 #define NO_VOLTAGE_YET 1u
@@ -38,30 +53,13 @@
 #define REPEATED 0u /* a sample that was seen before, */
 #define NO_INTERVAL 1u /* the first one, which ends no interval, */
 #define INTERVAL 2u /* and one that ends an interval */
-#define START_LOAD_SHARE 0.5f
-#define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more */
-#define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
 #define ALONE 0u /* a state that stands for itself, */
 #define COMPONENT 1u /* one of a bank, */
 #define CONTRADICTED 2u /* one whose voltages have contradicted it for long, */
 #define UNCOUNTED 3u /* and one of whose charge a part is not known */
-#define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
-#define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
-#define DENSE 3.0f /* deviations of a start within which the components lie close */
-#define LEAST_WIDTH 0x1.0624dep-10f /* 0.001 */
-#define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
-#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
-#define LOOKS 3u /* times that a past is looked at, each four times as long after the start */
 #define NEVER_LOOKED 0xFFFFFFFFu
-#define SQUARE_MOST 4.0f /* that a root is taken of */
-#define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
-#define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
-#define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06 */
 #define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
-#define FROZEN_READINGS 3u
-#define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself */
-#define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself */
 #define POWER_TRIALS 8u
 #define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
@@ -86,7 +84,6 @@
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
-#define SWINGS_MOST 100.0f
 
 /* ---- arithmetic.py: The fixed step in float32: its constants and its small helpers. */
 
@@ -100,18 +97,6 @@ static bool is_same(float a, float b)
 static float between(float a, float b, float f)
 {
     return a + (f * (b - a));
-}
-
-/* Held within low..high. */
-static float clip(float x, float low, float high)
-{
-    return (x < low) ? low : ((x > high) ? high : x);
-}
-
-/* Held above low. */
-static float at_least(float x, float low)
-{
-    return (x < low) ? low : x;
 }
 
 /* Bit for a number that no cell of this kind gives; asked of readings that were refused. */
@@ -174,6 +159,375 @@ static NOINLINE float log_of_more(float z)
     const float square = t * t;
     const float series = 1.0f + (square * (THIRD + (square * (FIFTH + (square * SEVENTH)))));
     return whole + ((2.0f * t) * series);
+}
+
+/* ---- scalar.py: Equations of single numbers, compiled in float64 and in float32, and printed
+ * as C. */
+
+/* Held above low. */
+static float at_least(float x, float low)
+{
+    return (x < low) ? low : x;
+}
+
+/* Held below high. */
+static float at_most(float x, float high)
+{
+    return (x < high) ? x : high;
+}
+
+/* Held within low..high. */
+static float clip(float x, float low, float high)
+{
+    return (x < low) ? low : ((x > high) ? high : x);
+}
+
+/* How far a number is outside of low..high, 0 within. */
+static float distance_beyond(float x, float low, float high)
+{
+    return at_least(at_least(low - x, x - high), 0.0f);
+}
+
+/* What an exponential adds to 1, to its third order: an embedded target has no other. */
+static float exponential_rise(float x)
+{
+    return x * (1.0f + (x * (0.5f + (x * (1.0f / 6.0f)))));
+}
+
+/* Factor on a resistance whose voltage follows asinh, asinh(y) / y, 1 at small currents. y is
+ * its resistance times the current over that voltage. As a fraction that is within 0.05 % of it
+ * up to y = 60, because an embedded target has no logarithm whose bits are the same everywhere. */
+static float charge_transfer(float overvoltage)
+{
+    const float y = magnitude(overvoltage);
+    const float above = 1.0f + (y * (0x1.52cbf6p-1f + (y * (0x1.af8c1ap-2f + (y * 0.01126451f)))));
+    const float below = 0x1.52cbf6p-1f +
+        (y * (0x1.2f92eap-1f + (y * (0x1.e9c80ep-4f + (y * 0.00170013f)))));
+    return above / (1.0f + (y * below));
+}
+
+/* ---- evidence.py: How much a voltage weighs: its variance, the memory of the model's error,
+ * what stays of it. */
+
+/* The voltage over SOC as a straight line between two points, and how far it is off between. */
+typedef struct {
+    float slope_V;
+    float bend_V;
+} cellwise_chord;
+
+/* From the OCV and R0 at two SOCs `1 / per` apart, seen from `away` above the lower one. A
+ * far-off start must not be corrected with the slope of the spot where it happens to stand, nor
+ * be thought of as right afterwards when the OCV is no straight line: the bend is the distance
+ * from the OCV there to the chord. A SOC that is far off brings the resistances of another SOC
+ * with it, so R0's slope joins the OCV's. */
+static void chord_of(float low_V, float low_ohm, float high_V, float high_ohm, float per,
+                     float current_A, float away, float ocv_V, cellwise_chord *chord)
+{
+    const float rise_V = (high_V - low_V) * per;
+    chord->slope_V = rise_V - (((high_ohm - low_ohm) * per) * current_A);
+    chord->bend_V = (low_V - ocv_V) + (rise_V * away);
+}
+
+/* What two branches have in common because a SOC that is off drives both. Each by the slope of
+ * its resistance; `with1` and `with2` are their covariances with the SOC. */
+static float covariance_by_soc(float drive1, float drive2, float with1, float with2, float variance)
+{
+    return ((drive1 * with2) + (drive2 * with1)) + ((drive1 * drive2) * variance);
+}
+
+/* Of a voltage that bends by c at one deviation of SOC: off its tangent by c z^2, 3 c^2. */
+static float bent_variance(float variance_V2, float bend_V)
+{
+    return variance_V2 + (3.0f * (bend_V * bend_V));
+}
+
+/* Mean square of a current that is not known, as a branch sees it [A^2]. A resistance that is
+ * off by a share drives its branch like a current that is off by it, and so does a current that
+ * nobody measured. */
+static float unknown_square(float share_variance, float current_A, float lost_A2)
+{
+    return (share_variance * (current_A * current_A)) + lost_A2;
+}
+
+/* Of one voltage, by the sensor and the model's error at this SOC [V^2]. A SOC scale that is off
+ * matters where the OCV is steep. */
+static float error_variance(float fixed_V2, float error_V, float ocv_soc2, float slope_V)
+{
+    return (fixed_V2 + (error_V * error_V)) + (ocv_soc2 * (slope_V * slope_V));
+}
+
+/* Of one measured voltage about a perfect state [V^2]. Beside sensor and model, resistances that
+ * are off by a share (of what the ohmic drop and the branches hold, `held_V` in absolute values)
+ * and a current that is not known. */
+static float voltage_variance(float error_V2, float share_variance, float held_V, float current_A2,
+                              float r0_ohm)
+{
+    return error_V2 + ((share_variance * (held_V * held_V)) + (current_A2 * (r0_ohm * r0_ohm)));
+}
+
+/* A variance as many times as innovations have lately shown beyond it. */
+static float as_shown(float variance, float mismatch)
+{
+    float shown = variance;
+    if (POSITIVE_ABOVE(mismatch, 1.0f)) {
+        shown = mismatch * variance;
+    }
+    return shown;
+}
+
+/* Running mean of the squared innovation, in units of its variance or of `most` of them. A model
+ * of another temperature, age or cell is wrong all the time: evidence weighs less by what the
+ * innovations have lately shown beyond their variance. One counts for `most`. */
+static float lately_shown(float mean, float square, float most, float lately)
+{
+    return mean + (lately * (at_most(square, most) - mean));
+}
+
+/* How many samples share one model error: `above / below`, never divided. */
+typedef struct {
+    float above;
+    float below;
+} cellwise_shared;
+
+/* How many samples share one model error, `since` the first one: at least 1. An error of memory
+ * tau counts once in 2 tau (its spectral density at rest), so many `samples`. It is a sum of
+ * processes with memories of a second to half an hour: the quick ones average out first, so the
+ * rest of a mean has an ever longer memory. Just after the first it is `early / half`, and half
+ * way between after `half`. Evidence that stands `alone` (the first voltage at rest) shares
+ * nothing. A repeated sample has no `period`: over zero. */
+static void shared_evidence(float samples, float early, float half, float since, float period,
+                            bool alone, cellwise_shared *shared)
+{
+    shared->below = (since + half) * period;
+    shared->above = shared->below;
+    if (!alone) {
+        shared->above = (samples * since) + early;
+    }
+}
+
+/* One over the variance that weighs a voltage; `weight_V2` is to be taken over `below`. */
+static float inverse_weight(float explained_V2, float weight_V2, float below)
+{
+    return below / ((explained_V2 * below) + weight_V2);
+}
+
+/* Persistent model error, one deviation [V]: at this SOC, and along its axis. */
+static float persistent_V(float share, float error_V2, float mismatch)
+{
+    return share * root(at_most(as_shown(error_V2, mismatch), SQUARE_MOST));
+}
+
+/* SOC error brought in by a persistent model error, after an update with a gain of the SOC. No
+ * further voltage averages such an error out: with every voltage the SOC goes where the error
+ * leads, error over slope in the end. Beside P, which takes each memory of the error for new, it
+ * makes up the stated variance (consider covariance; Schmidt 1966, p. 293). Where the SOC hangs
+ * on a branch its gain can be negative, and what the branch takes of the error holds the two
+ * back; it is not followed here, so nothing is amplified. */
+static float persistent_step(float gain, float slope_V, float persistent, float error_V)
+{
+    const float kept = clip(1.0f - (gain * slope_V), 0.0f, 1.0f);
+    return (kept * persistent) + (gain * error_V);
+}
+
+/* Running mean of the SOC that the voltages say is missing, as far as the count may be off. A
+ * known start and a small P leave a voltage little weight, and rightly so while the current is
+ * right: what innovations show is the model's error then. They show the same where the counted
+ * charge drifts. Were the current off, the count would by now be off by `drift`, and of an
+ * innovation drift^2 slope^2 of drift^2 slope^2 + `error_V2` would be the count's. No SOC is off
+ * by more than 1. */
+static float contradicted_step(float contradicted, float innovation_V, float slope_V,
+                               float error_V2, float drift, float lately)
+{
+    const float off = at_most(drift, 1.0f);
+    const float swing_V = (off * off) * slope_V;
+    const float missing = (swing_V * innovation_V) / ((swing_V * slope_V) + error_V2);
+    return contradicted + (lately * (clip(missing, -1.0f, 1.0f) - contradicted));
+}
+
+/* Variance of the SOC: P's, a persistent error's, and what voltages contradict. P trusted the
+ * errors as stated. Where innovations show `mismatch` times as much, so much more may be wrong
+ * with the SOC (Birge 1932, doi:10.1103/PhysRev.40.207). */
+static float stated_variance(float known, float mismatch, float persistent, float contradicted)
+{
+    const float beside = (persistent * persistent) + (contradicted * contradicted);
+    return as_shown(known, mismatch) + beside;
+}
+
+/* ---- sensors.py: Which readings a sensor cannot have meant, and how far a SOC is off that
+ * nobody counted. */
+
+/* How often the voltage has gone up and down under a current that repeats itself. A constant
+ * current moves a voltage one way. Where it goes both ways by as much as would call a voltage
+ * frozen, nobody measures the current. The sign is that of the last move. */
+static float swings_after(float swings, float moved_V, float frozen_V)
+{
+    const float count = at_most(magnitude(swings) + 1.0f, SWINGS_MOST);
+    float after = swings;
+    if ((magnitude(moved_V) > frozen_V) && !((swings * moved_V) > 0.0f)) {
+        after = (moved_V > 0.0f) ? count : -count;
+    }
+    return after;
+}
+
+/* Whether a current that repeats itself is not measured at all. */
+static bool is_dead(float swings)
+{
+    return magnitude(swings) >= DEAD_SWINGS;
+}
+
+/* Whether a voltage that repeats itself, but for its last digits, must have moved. R0 times the
+ * change of current says so, and the prediction is off by half of that: a held voltage (the end
+ * of a charge) repeats itself, too, but the model expects it there. */
+static bool is_frozen(float change_A, float r0_ohm, float innovation_V, float frozen_V)
+{
+    const float moved_V = magnitude(r0_ohm * change_A);
+    return (moved_V > frozen_V) && (magnitude(innovation_V) > (0.5f * moved_V));
+}
+
+/* SOC's variance of what may have flowed unseen over a gap. The currents on either side, or half
+ * a rate, for as long as it lasts (`per_A` is the SOC that one ampere moves in it), and no more
+ * than `gap_variance`. */
+static float unseen_variance(float gap_variance, float gap_A2, float lost_A2, float per_A)
+{
+    return at_most((per_A * per_A) * at_least(gap_A2, lost_A2), gap_variance);
+}
+
+/* SOC's variance after an interval of which nobody knows the current. It may keep one sign for
+ * as long as it is away: the deviation grows, not the variance. */
+static float drifted_variance(float variance, float moved)
+{
+    const float deviation = root(variance) + moved;
+    return deviation * deviation;
+}
+
+/* ---- start.py: What the branches of a cell may hold that nobody has seen before. */
+
+/* What may have flowed before a start: its mean, how far it may be off, the most it leaves. */
+typedef struct {
+    float flow_A;
+    float spread_A;
+    float limit_V;
+} cellwise_before;
+
+/* Nearly nothing at rest, half of the load under load. */
+static void flow_before(float current_A, float rest_A, float start_rest_A, float start_load_A,
+                        cellwise_before *before)
+{
+    before->flow_A = 0.0f;
+    before->spread_A = start_rest_A;
+    before->limit_V = REST_LIMIT_V;
+    if (!(magnitude(current_A) < rest_A)) {
+        before->flow_A = START_LOAD_SHARE * current_A;
+        before->spread_A = at_least(magnitude(before->flow_A), start_load_A);
+        before->limit_V = NO_LIMIT_V;
+    }
+}
+
+/* Variance of a branch that holds anything up to what a current leaves there; 0 without it. */
+static float held_variance(float rested_V2, float r_ohm, float most_A, float limit_V)
+{
+    float variance_V2 = 0.0f;
+    if (r_ohm > 0.0f) {
+        const float held_V = at_most(most_A * r_ohm, limit_V);
+        variance_V2 = rested_V2 + (held_V * held_V);
+    }
+    return variance_V2;
+}
+
+/* ---- components.py: Components over the SOC: where they lie, what speaks against them, what
+ * was before them. */
+
+/* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
+static float edge(float t, float soc, float std)
+{
+    float room = soc;
+    if (t > 0.0f) {
+        room = 1.0f - soc;
+    }
+    const float near = at_most(DENSE * std, room);
+    const float size = magnitude(t);
+    const float away = size * (near + ((room - near) * (size * size)));
+    float at = soc - away;
+    if (t > 0.0f) {
+        at = soc + away;
+    }
+    return at;
+}
+
+/* What speaks against a component `away` from a stated start, and of a `width` in SOC. How sure
+ * a stated start is, is itself not sure: Student's t of TAIL degrees of freedom. */
+static float start_cost(float away, float variance, float width)
+{
+    const float off = (away * away) / (TAIL * variance);
+    return ((0.5f * (TAIL + 1.0f)) * log_of_more(off)) + log_of_more((1.0f / width) - 1.0f);
+}
+
+/* How much of a voltage's evidence is new, where a part p of the model's error stays for good.
+ * Of a mean over t the variance is ((1 - p) 2 tau / t + p) times an error's: what it says never
+ * exceeds one error over p, however long it is taken. `shared` is 2 tau, `fades` (1 - p) of
+ * that, `stays` is p. */
+static float evidence_share(float fades, float stays, float shared, float since)
+{
+    const float left = fades + (stays * since);
+    return at_most((fades * shared) / (left * left), 1.0f);
+}
+
+/* What the gate lets pass of an innovation, and how the rest `grows` what it says. */
+typedef struct {
+    float off_V;
+    float grows;
+} cellwise_passed;
+
+/* An innovation as a component takes it: as far as the gate. Beyond that it speaks against a
+ * component in proportion to how far it is off (Huber): below empty the lowest of them is the
+ * nearest. */
+static void let_pass(float innovation_V, float variance_V2, float gate_square,
+                     cellwise_passed *passed)
+{
+    const float most = gate_square * variance_V2;
+    const float square = innovation_V * innovation_V;
+    passed->off_V = innovation_V;
+    passed->grows = 1.0f;
+    if (square > most) {
+        const float share = at_least(root(most / square), LEAST_PASSED);
+        passed->off_V = innovation_V * share;
+        passed->grows = (2.0f / share) - 1.0f;
+    }
+}
+
+/* What a voltage says against a component: minus the logarithm of its likelihood. It counts as
+ * often as it moves the state: samples that share one error of the model are one. */
+static float cost_of_voltage(float share, float off_V, float grows, float inverse,
+                             float explained_V2, float weight_V2)
+{
+    const float against = (grows * ((off_V * off_V) * inverse)) +
+        log_of_more(explained_V2 / weight_V2);
+    return share * (0.5f * against);
+}
+
+/* What the slow branch holds of a load before the start: mean, and variance of it. */
+typedef struct {
+    float held_V;
+    float variance_V2;
+} cellwise_past;
+
+/* When of `before_V` the share `gone` has gone, under a load of `mean_A` since. Half of what it
+ * has left, and what `past_A` would have, may be otherwise. */
+static void past_of(float r_ohm, float gone, float mean_A, float before_V, float past_A,
+                    cellwise_past *past)
+{
+    const float left = 1.0f - gone;
+    past->held_V = (gone * (r_ohm * mean_A)) + (left * before_V);
+    const float spread_V = left * ((PAST_SPREAD * magnitude(before_V)) + (r_ohm * past_A));
+    past->variance_V2 = (spread_V * spread_V) + LEAST_PAST_V2;
+}
+
+/* What the slow branch's past says against a component. */
+static float cost_of_past(float off_V, float variance_V2)
+{
+    const float against = ((off_V * off_V) / variance_V2) +
+        log_of_more(variance_V2 / LEAST_PAST_V2);
+    return 0.5f * against;
 }
 
 /* ---- lookup.py: Tables of the fixed step at one SOC, temperature and current. */
@@ -312,16 +666,6 @@ static uint32_t index_of(float x, uint32_t points)
     return k;
 }
 
-/* Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0. The fraction of
- * the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60. */
-static float charge_transfer(float overvoltage)
-{
-    const float y = (overvoltage < LARGE) ? overvoltage : LARGE;
-    const float above = 1.0f + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))));
-    const float below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))));
-    return KNOWN_FRACTION(above / (1.0f + (y * below)));
-}
-
 /* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
  * Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are
  * those of the particles' surface. */
@@ -339,8 +683,8 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->ocv_V = READ(k, ocv_V, f);
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
     const float error_V = READ(k, error_V, g);
-    point->noise_V2 = m->constant.fixed_V2 + (error_V * error_V);
-    point->noise_V2 = point->noise_V2 + (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
+    point->noise_V2 =
+        error_variance(m->constant.fixed_V2, error_V, m->constant.ocv_soc2, point->slope_V);
     uint32_t at = k;
     float share = g;
     const float below = within_one(soc - place->lag) * (float)(points - 1u);
@@ -364,8 +708,8 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->r0_ohm = point->r0_ohm * scale;
     point->r1_ohm = point->r1_ohm * scale;
     point->r2_ohm = point->r2_ohm * scale;
-    point->r1_ohm = point->r1_ohm *
-        charge_transfer((m->constant.asinh_per_V * point->r1_ohm) * magnitude(current));
+    const float overvoltage = (m->constant.asinh_per_V * point->r1_ohm) * magnitude(current);
+    point->r1_ohm = point->r1_ohm * KNOWN_FRACTION(charge_transfer(at_most(overvoltage, LARGE)));
 }
 
 /* SOC is well known: the OCV's tangent, and nothing else. */
@@ -379,9 +723,7 @@ static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
     slopes->rise3 = 0.0f;
 }
 
-/* While SOC is badly known slopes are chords over one standard deviation to either side. A
- * far-off start must not be corrected with the slope of where it stands. A SOC that is far off
- * brings the resistances of another SOC with it, so R0's slope joins the OCV's. */
+/* While SOC is badly known slopes are chords over one standard deviation to either side. */
 static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc,
                                float spread, float current, const cellwise_point *p,
     cellwise_slopes *slopes)
@@ -397,20 +739,19 @@ static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *pl
         const float per = 1.0f / (high - low);
         cellwise_point end;
         look_up(m, place, low, current, &end);
-        float ocv = end.ocv_V;
-        float ohmic = end.r0_ohm;
+        const float ocv = end.ocv_V;
+        const float ohmic = end.r0_ohm;
         slopes->rise1 = end.r1_ohm;
         slopes->rise2 = end.r2_ohm;
         slopes->rise3 = end.r3_ohm;
-        slopes->bend_V = end.ocv_V - p->ocv_V;
         look_up(m, place, high, current, &end);
-        ocv = (end.ocv_V - ocv) * per;
-        ohmic = (end.r0_ohm - ohmic) * per;
         slopes->rise1 = (end.r1_ohm - slopes->rise1) * per;
         slopes->rise2 = (end.r2_ohm - slopes->rise2) * per;
         slopes->rise3 = (end.r3_ohm - slopes->rise3) * per;
-        slopes->slope_V = ocv - (ohmic * current);
-        slopes->bend_V = slopes->bend_V + (ocv * (soc - low));
+        cellwise_chord chord;
+        chord_of(ocv, ohmic, end.ocv_V, end.r0_ohm, per, current, soc - low, p->ocv_V, &chord);
+        slopes->slope_V = chord.slope_V;
+        slopes->bend_V = chord.bend_V;
     }
     slopes->spread = spread;
 }
@@ -564,15 +905,12 @@ static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slop
     const float f1 = (w->rise1 * p->gain1) * flow;
     const float f2 = (w->rise2 * p->gain2) * flow;
     const float f3 = (w->rise3 * p->gain3) * flow;
-    x->p11 = x->p11 + (f1 * ((2.0f * x->s1) + (f1 * x->ss)));
-    float both = ((f1 * x->s2) + (f2 * x->s1)) + ((f1 * f2) * x->ss);
-    x->p12 = x->p12 + both;
-    both = ((f1 * x->s3) + (f3 * x->s1)) + ((f1 * f3) * x->ss);
-    x->p13 = x->p13 + both;
-    x->p22 = x->p22 + (f2 * ((2.0f * x->s2) + (f2 * x->ss)));
-    both = ((f2 * x->s3) + (f3 * x->s2)) + ((f2 * f3) * x->ss);
-    x->p23 = x->p23 + both;
-    x->p33 = x->p33 + (f3 * ((2.0f * x->s3) + (f3 * x->ss)));
+    x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, x->s1, x->ss);
+    x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, x->s2, x->ss);
+    x->p13 = x->p13 + covariance_by_soc(f1, f3, x->s1, x->s3, x->ss);
+    x->p22 = x->p22 + covariance_by_soc(f2, f2, x->s2, x->s2, x->ss);
+    x->p23 = x->p23 + covariance_by_soc(f2, f3, x->s2, x->s3, x->ss);
+    x->p33 = x->p33 + covariance_by_soc(f3, f3, x->s3, x->s3, x->ss);
     x->p1h = x->p1h + (f1 * x->sh);
     x->s1 = x->s1 + (f1 * x->ss);
     x->p2h = x->p2h + (f2 * x->sh);
@@ -707,7 +1045,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!SIZE_WITHIN(x->slow_A, LARGE)) {
         return false;
     }
-    if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
+    if (!WITHIN(x->temperature_C, COLDEST_C, HOTTEST_C)) {
         return false;
     }
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) {
@@ -791,40 +1129,45 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->evidence = NOT_BEGUN;
 }
 
-/* Variance of a branch that holds anything up to what a current leaves there. */
-static float admitted(float rested_V2, float held_V, float limit_V)
-{
-    float most = held_V;
-    most = (held_V < limit_V) ? held_V : limit_V;
-    return rested_V2 + (most * most);
-}
-
-/* What the branches hold when nobody knows what was before. Nearly nothing at rest, half of the
- * load's steady voltage under load. */
+/* What the branches hold when nobody knows what was before. */
 static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x,
                                     const cellwise_point *p, float current)
 {
-    float flow = 0.0f;
-    float spread = c->start_rest_A;
-    float limit_V = REST_LIMIT_V;
-    if (!SIZE_BELOW(current, c->rest_A)) {
-        flow = START_LOAD_SHARE * current;
-        spread = at_least(magnitude(flow), c->start_load_A);
-        limit_V = LARGE;
-    }
+    const float rested_V2 = c->branch_variance_V2;
     forget_correlations(x);
-    x->v1_V = p->r1_ohm * flow;
-    x->p11 = admitted(c->branch_variance_V2, spread * p->r1_ohm, limit_V);
-    x->v2_V = p->r2_ohm * flow;
-    x->p22 = admitted(c->branch_variance_V2, spread * p->r2_ohm, limit_V);
-    x->v3_V = p->r3_ohm * flow;
+    cellwise_before before;
+    flow_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
+    x->v1_V = p->r1_ohm * before.flow_A;
+    x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
+    x->v2_V = p->r2_ohm * before.flow_A;
+    x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
+    x->v3_V = p->r3_ohm * before.flow_A;
     x->v3_carry_V = 0.0f;
-    x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
+    x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
     if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
         /* What flowed for hours no first sample shows; it is looked at once more is known. */
         const float wide_V = c->bank_A * p->r3_ohm;
         x->p33 = x->p33 + (wide_V * wide_V);
     }
+}
+
+/* After voltages that contradicted it for long the SOC is open, branches may hold anything.
+ * Without CELLWISE_WIDE they are what they would be at a start. */
+static void open_up(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                    float seen)
+{
+    (void)seen;
+    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
+    forget_correlations(x);
+    float kept = x->v1_V * x->v1_V;
+    float held = held_variance(c->branch_variance_V2, p->r1_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p11 = held + kept;
+    kept = x->v2_V * x->v2_V;
+    held = held_variance(c->branch_variance_V2, p->r2_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p22 = held + kept;
+    kept = x->v3_V * x->v3_V;
+    held = held_variance(c->branch_variance_V2, p->r3_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p33 = held + kept;
 }
 
 /* Charge that leaves the cell in one step, in SOC. */
@@ -848,9 +1191,11 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
     const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
     const float steps = (float)missing;
     float spread = c->gap_variance;
+    const float moved = c->soc_per_A * steps;
     if (missing <= c->gap_steps) {
-        const float moved = c->soc_per_A * steps;
         spread = (moved * moved) * unknown_A2;
+    } else {
+        spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
     }
     x->ss = x->ss + spread;
     const float gain1 = risen(steps * p->gain1);
@@ -861,13 +1206,12 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
     x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
 }
 
-/* One interval of constant current. A resistance that is off by a share drives its branch like a
- * current that is off by it, and so does a current that nobody measured. */
+/* One interval of constant current. */
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                     const cellwise_slopes *w, float flow, float unmeasured_A2)
 {
     const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float square_A2 = (share * (flow * flow)) + unmeasured_A2;
+    const float square_A2 = unknown_square(share, flow, unmeasured_A2);
     relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(flow));
     const float keep = 1.0f - rise;
@@ -951,14 +1295,14 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
     if (!is_same(reading->current, x->current_A)) {
         x->swings = 0.0f;
-    } else if (magnitude(x->swings) >= DEAD_SWINGS) {
+    } else if (is_dead(x->swings)) {
         reading->status = reading->status | CELLWISE_CURRENT_INVALID;
         reading->silent = 1u;
     } else {
         /* as before */
     }
     reading->temperature_C = 0.0f;
-    if (!WITHIN(sample->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
+    if (!WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C)) {
         reading->status = reading->status | CELLWISE_TEMPERATURE_INVALID;
     } else if (reading->news != REPEATED) {
         x->temperature_C = sample->temperature_C;
@@ -1017,10 +1361,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
         }
         add(&x->soc, &x->soc_carry, -used);
         if (s->unmeasured_A2 > 0.0f) {
-            /* It may keep one sign for as long as it is away: the deviation grows, not the
-             * variance. */
-            const float drift = root(x->ss) + c->lost_soc;
-            x->ss = drift * drift;
+            x->ss = drifted_variance(x->ss, c->lost_soc);
             if (x->in_bank == ALONE) {
                 x->in_bank = UNCOUNTED;
             }
@@ -1041,21 +1382,11 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
     }
 }
 
-/* What is stated of the SOC: P's variance, a persistent error's, what voltages contradict. P
- * trusted the errors as stated; where innovations show `mismatch` times as much, so much more
- * may be wrong with the SOC. */
-static float stated_variance(const cellwise_state *x, float known)
+/* What is stated of the SOC beside P's variance `known`; LARGE where it is no number. */
+static float variance_of(const cellwise_state *x, float known)
 {
-    float times = 1.0f;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        times = x->mismatch;
-    }
-    const float beside = (x->persistent * x->persistent) + (x->contradicted * x->contradicted);
-    float stated = (times * known) + beside;
-    if (!NOT_NEGATIVE(stated, LARGE)) {
-        stated = LARGE;
-    }
-    return stated;
+    const float stated = stated_variance(known, x->mismatch, x->persistent, x->contradicted);
+    return NOT_NEGATIVE(stated, LARGE) ? stated : LARGE;
 }
 
 /* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that
@@ -1080,7 +1411,7 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     }
     out->soc = x->soc;
     out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
-    out->soc_variance = stated_variance(x, out->soc_variance);
+    out->soc_variance = variance_of(x, out->soc_variance);
     return status;
 }
 
@@ -1098,15 +1429,6 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
     return voltage;
 }
 
-/* The gate may have locked the truth out: anything is admitted, and the next voltage passes. */
-static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                  float seen)
-{
-    x->ss = RECOVERY_VARIANCE;
-    x->evidence = FIRST_VOLTAGE;
-    guess_branches(c, x, p, seen);
-}
-
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a
  * single innovation, `explained_V2` what the state and `one_V2` what the voltage brings to it;
  * `polarisation_V` how much of the voltage is current's doing. */
@@ -1119,29 +1441,15 @@ typedef struct {
     cellwise_column column;
 } cellwise_innovation;
 
-/* How many samples share one model error: `above / below`, never divided. */
-typedef struct {
-    float above;
-    float below;
-} cellwise_shared;
-
-/* How often the voltage has gone up and down under a current that repeats itself. A constant
- * current moves a voltage one way. Where it goes both ways by as much as would call a voltage
- * frozen, nobody measures the current. */
+/* How often the voltage has gone up and down under a current that repeats itself. */
 static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
-    const float moved = voltage - x->voltage_V;
-    if (!SIZE_WITHIN(moved, c->frozen_V) && !((x->swings * moved) > 0.0f)) {
-        float count = magnitude(x->swings) + 1.0f;
-        count = (count < SWINGS_MOST) ? count : SWINGS_MOST;
-        x->swings = (moved > 0.0f) ? count : -count;
+    if (x->evidence >= FIRST_VOLTAGE) {
+        x->swings = swings_after(x->swings, voltage - x->voltage_V, c->frozen_V);
     }
 }
 
-/* Whether the voltage is frozen. A reading that repeats itself, but for its last digits, is
- * frozen once R0 times the change of current says that it must have moved, and the prediction is
- * off by half of that: a held voltage repeats itself, too, but the model expects it there. It
- * stays frozen until it changes. */
+/* Whether the voltage is frozen. It stays so until it changes. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage,
                               float seen, float r0_ohm, float innovation)
 {
@@ -1153,12 +1461,11 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     } else if (x->repeats == FROZEN) {
         status = CELLWISE_VOLTAGE_FROZEN;
     } else {
-        const float moved = magnitude(r0_ohm * (seen - x->frozen_A));
-        const bool off = magnitude(innovation) > (0.5f * moved);
+        const bool frozen = is_frozen(seen - x->frozen_A, r0_ohm, innovation, c->frozen_V);
         if (x->repeats < COUNT_MOST) {
             x->repeats = x->repeats + 1u;
         }
-        if ((x->repeats >= FROZEN_READINGS) && (moved > c->frozen_V) && off) {
+        if ((x->repeats >= FROZEN_READINGS) && frozen) {
             x->repeats = FROZEN;
             status = CELLWISE_VOLTAGE_FROZEN;
         }
@@ -1166,23 +1473,24 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     return status;
 }
 
-/* How many samples share one model error, as a fraction: at least 1. The model's error is a sum
- * of processes with memories of a second to half an hour. The quick ones average out first, so
- * the rest of a mean has an ever longer memory. The first voltage at rest is evidence by itself. */
+/* Steps since the first voltage, or since a recovery. */
+static float steps_of_evidence(const cellwise_state *x)
+{
+    uint32_t since = 0u;
+    if (x->evidence >= FIRST_VOLTAGE) {
+        since = x->evidence - FIRST_VOLTAGE;
+        since = (since < EVIDENCE_MOST) ? since : EVIDENCE_MOST;
+    }
+    return (float)since;
+}
+
+/* How many samples share one model error; the first voltage at rest stands alone. */
 static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen,
                       cellwise_shared *shared)
 {
-    uint32_t seen_before = 0u;
-    if (x->evidence >= FIRST_VOLTAGE) {
-        seen_before = x->evidence - FIRST_VOLTAGE;
-        seen_before = (seen_before < EVIDENCE_MOST) ? seen_before : EVIDENCE_MOST;
-    }
-    const float since = (float)seen_before;
-    shared->below = since + c->shared_half;
-    shared->above = shared->below;
-    if ((x->evidence >= FIRST_VOLTAGE) || !SIZE_BELOW(seen, c->rest_A)) {
-        shared->above = (c->shared * since) + c->shared_early;
-    }
+    const float since = steps_of_evidence(x);
+    const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(seen, c->rest_A);
+    shared_evidence(c->shared, c->shared_early, c->shared_half, since, 1.0f, alone, shared);
 }
 
 /* Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
@@ -1208,13 +1516,10 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x,
 static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float seen,
                           float polarisation_V)
 {
-    const float far_A = at_least(c->valid_charge_A - seen, seen - c->valid_discharge_A);
-    float share = c->share_per_A * at_least(far_A, 0.0f);
+    float share = c->share_per_A * distance_beyond(seen, c->valid_charge_A, c->valid_discharge_A);
     float moved_V = 0.0f;
-    float far_K = at_least(c->valid_cold_C - x->temperature_C, x->temperature_C - c->valid_warm_C);
-    far_K = at_least(far_K, 0.0f);
-    const float z = c->share_per_K * far_K;
-    share = share + (z * (1.0f + (z * (0.5f + (z * SIXTH)))));
+    const float far_K = distance_beyond(x->temperature_C, c->valid_cold_C, c->valid_warm_C);
+    share = share + exponential_rise(c->share_per_K * far_K);
     moved_V = c->voltage_per_K * far_K;
     return (share * polarisation_V) + moved_V;
 }
@@ -1231,14 +1536,13 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->polarisation_V = innovation->polarisation_V + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
     const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
-    innovation->one_V2 = p->noise_V2 +
-        ((share * (innovation->polarisation_V * innovation->polarisation_V)) +
-         ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
+    const float current_A2 = c->current_variance_A2 + s->unmeasured_A2;
+    innovation->one_V2 =
+        voltage_variance(p->noise_V2, share, innovation->polarisation_V, current_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
-    /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
     column_of(x, p, w->slope_V, &innovation->column);
-    innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
+    innovation->explained_V2 = bent_variance(innovation->column.variance, w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
 }
 
@@ -1259,25 +1563,21 @@ static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cel
         x->contradicted = 0.0f;
         x->persistent = 0.0f;
         x->in_bank = CONTRADICTED;
-        widen(c, x, p, seen);
+        x->evidence = FIRST_VOLTAGE;
+        open_up(c, x, p, seen);
     }
     return status;
 }
 
-/* Running mean of the SOC that the voltages say is missing, as far as the count may be off. Were
- * the current off, the count would by now be off by `drift`, and of an innovation the part that
- * this explains would be the count's. It widens what is said of the SOC, and nothing else.
- * Beyond the model's data a voltage may contradict the count, but confirms nothing. */
+/* What the voltages say against the count. Beyond the model's data they confirm nothing. */
 static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
                        const cellwise_reading *s, float one_V2, float innovation)
 {
-    float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
-    drift = (drift < 1.0f) ? drift : 1.0f;
-    const float swing_V = (drift * drift) * w->slope_V;
-    float missing = (swing_V * innovation) / ((swing_V * w->slope_V) + one_V2);
-    missing = clip(missing, -1.0f, 1.0f);
-    if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
-        const float now = x->contradicted + (c->contradicted_share * (missing - x->contradicted));
+    const float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
+    const float now =
+        contradicted_step(x->contradicted, innovation, w->slope_V, one_V2, drift,
+                          c->contradicted_share);
+    if (SIZE_WITHIN(now, 1.0f)) { /* a number */
         uint32_t beyond = 0u;
         if (magnitude(now) < magnitude(x->contradicted)) {
             beyond = outside(c, x, s);
@@ -1288,18 +1588,12 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
     }
 }
 
-/* SOC error that a persistent error of the model has brought in, after a voltage with a gain. No
- * further voltage averages it out: in the end the SOC is off by that error over the slope. */
+/* SOC error by a persistent error of the model, after a voltage with a gain. */
 static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                     float slope_V, float gain)
 {
-    float square = p->noise_V2 - c->fixed_V2;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        square = square * x->mismatch;
-    }
-    const float error_V = c->persistent * root((square < SQUARE_MOST) ? square : SQUARE_MOST);
-    const float kept = clip(1.0f - (gain * slope_V), 0.0f, 1.0f);
-    float now = (kept * x->persistent) + (gain * error_V);
+    const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, x->mismatch);
+    float now = persistent_step(gain, slope_V, x->persistent, error_V);
     if (!SIZE_WITHIN(now, 1.0f)) {
         now = 1.0f;
     }
@@ -1315,12 +1609,9 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
 {
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
-    float weight = i->one_V2 * shared.above;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        weight = weight * x->mismatch;
-    }
+    const float weight = as_shown(i->one_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
+        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
         move(x, &i->column, inverse, innovation);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);
@@ -1334,26 +1625,9 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
     }
 }
 
-/* How much of a voltage's evidence is new, where a part of the model's error stays for good.
- * What a mean says never exceeds one error over that part, however long it is taken. */
-static float evidence_share(const cellwise_constants *c, const cellwise_state *x)
-{
-    uint32_t since = 0u;
-    if (x->evidence > FIRST_VOLTAGE) {
-        since = x->evidence - FIRST_VOLTAGE;
-    }
-    since = (since < EVIDENCE_MOST) ? since : EVIDENCE_MOST;
-    const float left = c->fades + (c->stays * (float)since);
-    const float share = (c->fades * c->shared) / (left * left);
-    return (share < 1.0f) ? share : 1.0f;
-}
-
 /* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
- * Beyond that it speaks against a component in proportion to how far it is off (Huber): below
- * empty the lowest of them is the nearest. The variance of a voltage is that of the likeliest
- * component, for all: one whose tables state a larger error must not explain everything. What a
- * voltage says against a component counts as often as it moves the state: samples that share one
- * error of the model are one. */
+ * The variance of a voltage is that of the likeliest component, for all: one whose tables state
+ * a larger error must not explain everything. */
 static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *w, const cellwise_reading *s,
     const cellwise_innovation *i, float innovation)
@@ -1363,25 +1637,17 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
     }
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
-    float weight = x->error_V2 * shared.above;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        weight = weight * x->mismatch;
-    }
+    const float weight = as_shown(x->error_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        float off = innovation;
-        const float most = c->gate_square * i->variance_V2;
-        const float square = off * off;
-        float grows = 1.0f;
-        if (POSITIVE_ABOVE(square, most)) {
-            const float passed = at_least(root(most / square), LEAST_PASSED);
-            off = off * passed;
-            grows = (2.0f / passed) - 1.0f;
-        }
+        cellwise_passed passed;
+        let_pass(innovation, i->variance_V2, c->gate_square, &passed);
+        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
+        const float share = evidence_share(c->fades, c->stays, c->shared, steps_of_evidence(x));
         const float explained = i->explained_V2 * shared.below;
-        const float inverse = shared.below / (explained + weight);
-        const float against = (grows * ((off * off) * inverse)) + log_of_more(explained / weight);
-        x->cost = x->cost + (evidence_share(c, x) * (0.5f * against));
-        move(x, &i->column, inverse, off);
+        const float cost =
+            cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight);
+        x->cost = x->cost + cost;
+        move(x, &i->column, inverse, passed.off_V);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);
     }
@@ -1402,9 +1668,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         use_in_bank(c, x, p, w, s, i, innovation);
     } else {
         if (s->news == INTERVAL) {
-            float ratio = square / i->variance_V2;
-            ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-            x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
+            const float ratio = square / i->variance_V2;
+            x->mismatch = lately_shown(x->mismatch, ratio, c->mismatch_cap, c->lately);
         }
         if (POSITIVE_ABOVE(square, most)) {
             status = reject(c, x, p, s->seen);
@@ -1527,33 +1792,13 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
 /* ---- bank.py: A start that nobody knows: filters side by side over the SOC, weighed by what
  * they predict. */
 
-/* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
-static float edge(float t, float soc, float std)
-{
-    float room = soc;
-    if (t > 0.0f) {
-        room = 1.0f - soc;
-    }
-    float near = DENSE * std;
-    near = (near < room) ? near : room;
-    const float size = magnitude(t);
-    const float away = size * (near + ((room - near) * (size * size)));
-    float at = soc - away;
-    if (t > 0.0f) {
-        at = soc + away;
-    }
-    return at;
-}
-
 /* A component between two edges, else as the estimate `first` is. */
 static void component_start(cellwise_state *a, cellwise_state *first, float low, float high)
 {
     const float width = at_least(high - low, LEAST_WIDTH);
     const float soc = 0.5f * (low + high);
     const float away = soc - first->soc;
-    /* How sure a stated start is, is itself not sure: Student's t of four degrees of freedom. */
-    a->cost = 2.5f * log_of_more((away * away) / (4.0f * first->ss));
-    a->cost = a->cost + log_of_more((1.0f / width) - 1.0f);
+    a->cost = start_cost(away, first->ss, width);
     a->soc = soc;
     a->soc_carry = 0.0f;
     a->ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width);
@@ -1563,23 +1808,6 @@ static void component_start(cellwise_state *a, cellwise_state *first, float low,
         a->h = (soc > 0.5f) ? 1.0f : -1.0f;
     }
     a->in_bank = COMPONENT;
-}
-
-/* After voltages that contradicted the estimate for long the branches may hold anything. */
-static void loosen(const cellwise_model *m, cellwise_state *x)
-{
-    const cellwise_constants *const c = &m->constant;
-    cellwise_place place;
-    place_now(m, x, &place);
-    cellwise_point p;
-    look_up(m, &place, x->soc, x->current_A, &p);
-    float kept = x->v1_V * x->v1_V;
-    x->p11 = admitted(c->branch_variance_V2, c->recovery_A * p.r1_ohm, LOAD_LIMIT_V) + kept;
-    kept = x->v2_V * x->v2_V;
-    x->p22 = admitted(c->branch_variance_V2, c->recovery_A * p.r2_ohm, LOAD_LIMIT_V) + kept;
-    kept = x->v3_V * x->v3_V;
-    x->p33 = admitted(c->branch_variance_V2, c->recovery_A * p.r3_ohm, LOAD_LIMIT_V) + kept;
-    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
 }
 
 /* Weights that add up to one; the likeliest component costs nothing. */
@@ -1760,14 +1988,14 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     look_up(m, &place, a->soc, mean_A, &p);
     const float before = left_by_load(m, &place, mean_A, a->soc);
     const float gone = risen(since * p.gain3);
-    float spread = (PAST_SPREAD * magnitude(before)) + (p.r3_ohm * m->constant.past_A);
-    spread = (1.0f - gone) * spread;
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, mean_A, before, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    const float variance = d.variance + ((spread * spread) + LEAST_PAST_V2);
-    const float off = ((gone * (p.r3_ohm * mean_A)) + ((1.0f - gone) * before)) - a->v3_V;
+    const float variance = d.variance + past.variance_V2;
+    const float off = past.held_V - a->v3_V;
     const float inverse = 1.0f / variance;
-    a->cost = a->cost + (0.5f * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)));
+    a->cost = a->cost + cost_of_past(off, variance);
     move(a, &d, inverse, off);
     narrow(a, &d, inverse);
     hold_within(a);
@@ -1785,12 +2013,11 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     const float taken = left_by_load(m, &place, before_A, a->soc);
     const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
     const float gone = risen(since * p.gain3);
-    float spread = (PAST_SPREAD * magnitude(taken)) + (p.r3_ohm * m->constant.past_A);
-    spread = (1.0f - gone) * spread;
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    move(a, &d, 1.0f / at_least(d.variance, (spread * spread) + LEAST_PAST_V2), (1.0f - gone) *
-         more);
+    move(a, &d, 1.0f / at_least(d.variance, past.variance_V2), (1.0f - gone) * more);
 }
 
 /* The mean of the load since a start under load, and what it says of the past, three times. */
@@ -1815,7 +2042,7 @@ static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state 
             }
             b->looked_A = b->mean_A;
             b->looks = b->looks + 1u;
-            b->next_look = b->next_look * 4u;
+            b->next_look = b->next_look * LOOK_FACTOR;
         }
     } else if (elapsed > 1u) { /* nobody knows what flowed */
         b->looks = LOOKS;
@@ -1867,12 +2094,11 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
     out->innovation_V = 0.0f;
     if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
         out->innovation_V = sample->voltage_V - out->voltage_V;
-        float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
+        const float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
         if (ratio > c->gate_square) {
             status = status | CELLWISE_INNOVATION_REJECTED;
         }
-        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-        b->mismatch = b->mismatch + (c->lately * (ratio - b->mismatch));
+        b->mismatch = lately_shown(b->mismatch, ratio, c->mismatch_cap, c->lately);
     }
     return status;
 }
@@ -1973,13 +2199,9 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
         of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
         b->looks = LOOKS;
-        if ((count > 0u) && (of[0u].in_bank == CONTRADICTED)) {
-            loosen(m, &of[0u]);
+        if (((count > 0u) && (of[0u].in_bank == CONTRADICTED)) ||
+            ((count > 0u) && is_lost(&of[0u]))) {
             spread_out(b, of, count);
-        } else if ((count > 0u) && is_lost(&of[0u])) {
-            spread_out(b, of, count);
-        } else {
-            /* as before */
         }
     } else {
         status = step_components(m, b, of, count, sample, out);
@@ -1996,7 +2218,7 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
     }
     status = status | lost;
     out->soc = of[0u].soc;
-    out->soc_variance = stated_variance(&of[0u], of[0u].ss);
+    out->soc_variance = variance_of(&of[0u], of[0u].ss);
     out->status = status;
     return status;
 }
@@ -2095,8 +2317,8 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     const float spread_V = p.m_V * keep;
     along->kept_V2 = along->kept_V2 + ((spread_V * spread_V) * x->phh);
     const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    along->variance_V2 = p.noise_V2 +
-        ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
+    along->variance_V2 =
+        voltage_variance(p.noise_V2, share, held_V, c->current_variance_A2, p.r0_ohm);
     const float beyond_V = extrapolated(c, x, current, held_V);
     along->variance_V2 = along->variance_V2 + (beyond_V * beyond_V);
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
@@ -2188,7 +2410,7 @@ static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *plac
     const float by_soc_V = end.voltage_V - worse.voltage_V;
     const float variance_V2 = end.variance_V2 + end.kept_V2;
     const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2);
-    const float off_V = root((square < 4.0f) ? square : 4.0f);
+    const float off_V = root(at_most(square, SQUARE_MOST));
     const float low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0f);
     const float low_V = limit_V + (side * off_V);
     const float sure =
@@ -2244,7 +2466,7 @@ typedef struct {
 /* Two deviations of the voltage by what the model is off by. */
 static float off_by(const cellwise_along *at)
 {
-    return 2.0f * root((at->variance_V2 < 4.0f) ? at->variance_V2 : 4.0f);
+    return 2.0f * root(at_most(at->variance_V2, SQUARE_MOST));
 }
 
 /* Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good.

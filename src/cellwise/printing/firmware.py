@@ -21,7 +21,7 @@ from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
 from cellwise.estimate.fixed.options import Options, flags_of
-from cellwise.estimate.fixed.stepper import STEP_MODULES
+from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
 from cellwise.printing.text import comment, comments_of, float_literal
@@ -98,7 +98,7 @@ def written_out(tree: ast.Module, scope: dict[str, Any]) -> ast.Module:
 def constants() -> dict[str, tuple[str, str]]:
     """Type and text of every name that is a constant."""
     found = {"True": ("bool", "true"), "False": ("bool", "false")}
-    for name, value in vars(arithmetic).items():
+    for name, value in (vars(arithmetic) | SINGLE).items():
         if isinstance(value, np.float32):
             found[name] = ("float", name)
         elif isinstance(value, np.uint32):
@@ -191,7 +191,7 @@ def defines(read: Source, made: Program) -> Iterator[str]:
             name = ast.unparse(target)
             if name not in used or name not in made.constants:
                 continue
-            value = getattr(arithmetic, name)
+            value = SINGLE.get(name, getattr(arithmetic, name))
             if isinstance(value, np.float32):
                 text, note = float_literal(value), ""
                 if text.startswith("0x1."):
@@ -212,7 +212,7 @@ def print_source(options: Options) -> str:
     made = program(read, options)
     lines = [*comment(HEAD.format(what="src/cellwise/estimate/fixed")), '#include "cellwise_ekf.h"',
              '#include "cellwise_float.h"', "", *comment("Constants of the algorithm."),
-             *defines(read[0], made), ""]  # fmt: skip
+             *(line for source in read[:2] for line in defines(source, made)), ""]  # fmt: skip
     for source in read:
         printed: list[str] = []
         for node in source.tree.body:
