@@ -12,7 +12,7 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "notices", "plotting", "threads"}
 TOOLS = {
     "logs",
     "cell",
@@ -33,6 +33,7 @@ MAY_IMPORT = {
     "progress": set(),
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
+    "notices": set(),
     "plotting": {"errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},

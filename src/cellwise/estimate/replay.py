@@ -15,8 +15,7 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
     assumed_temperature_notices,
-    far_off_notices,
-    far_off_text,
+    far_off,
     in_order,
     outside_notices,
     prediction_notices,
@@ -33,6 +32,7 @@ from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.trace import Trace, nis_by_scale
 from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -135,14 +135,14 @@ class Replay(Plottable, Tabular):
         return self.model, self.log, np.asarray(self.trace.innovation_V), self.trace.soc
 
     @cached_property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """That the voltages are many times as far off as the model states; None: they are not.
 
         A filter moves the SOC to where another cell is followed best: where half of the rows stay
         beyond what the model states even so, the log simulated by itself says it.
         """
         model, log, innovation_V, soc = self._seen
-        found = far_off_text(model, log, innovation_V, soc)
+        found = far_off(model, log, innovation_V, soc)
         if model is None or found is not None:
             return found
         if times_stated(model, log, innovation_V, soc)[0] <= 1.0:
@@ -150,9 +150,9 @@ class Replay(Plottable, Tabular):
         return simulate(model, log, initial_soc(model, log, whole_log=True).soc).far_off
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.far_off)
+        found = [] if self.far_off is None else [self.far_off]
         found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
         if self.model is not None:

@@ -32,6 +32,7 @@ from cellwise.forecast.along_kernels import (
     forecast_rows,
 )
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 Hold = Literal["power", "current"]
@@ -123,16 +124,17 @@ class Flight:
         return Forecast(**found, by="voltage" if self.by_voltage[k] else "charge")
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """Whether the last forecast goes where the model's data never were."""
         now = self.last
         if self.validity.soc is None or now.end_soc >= self.validity.bounds().soc_low:
             return ()
-        return (
+        text = (
             f"the forecast goes on to SOC {max(now.end_soc, 0.0):.2f}, and the model's data end at "
             f"SOC {self.validity.soc[0]:.2f}: below, its OCV is an extension, and the band is "
-            "widened by that",
+            "widened by that"
         )
+        return (Notice(Code.FORECAST_OUTSIDE_DATA, text),)
 
     def to_dict(self) -> dict[str, Any]:
         """The last moment as JSON values, keys as the command prints them."""

@@ -17,6 +17,7 @@ from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
 
 
@@ -93,7 +94,7 @@ class LogOfLife:
             "capacity_share": self.share,
             "capacity_share_std": self.share_std,
             "how": self.how,
-            "notices": list(self.log.notices),
+            "notices": texts(self.log.notices),
         }
 
 
@@ -110,7 +111,7 @@ class Life:
     over: str
     way: FloatArray
     trend: Trend
-    far_off: tuple[str, ...] = ()
+    far_off: tuple[Notice, ...] = ()
     withheld: bool = False
 
     def __repr__(self) -> str:
@@ -195,7 +196,7 @@ class Life:
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know of the whole life."""
         temperatures = [
             float(np.nanmean(one.log.temperature_C))
@@ -205,17 +206,19 @@ class Life:
         found = [*self.far_off]
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
-            found.append(
-                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
-                f"others are compared; the capacity to use is of the whole SOC range: the "
-                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+            text = (
+                f" counts {first.capacity_Ah:.4g} Ah at its load, by which the others are "
+                "compared; the capacity to use is of the whole SOC range: the model's "
+                f"{self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
                 "of the new cell, times the share that remains"
             )
+            found.append(Notice(Code.CAPACITY_AT_LOAD, text, log=first.log.name))
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
-            found.append(
+            text = (
                 f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
                 "at other temperatures are compared through the model, with a wider band"
             )
+            found.append(Notice(Code.TEMPERATURES_DIFFER, text))
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
@@ -237,10 +240,10 @@ class Life:
                     "resistance_std": scale_std,
                 },
             },
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[str]) -> Life:
+    def without_health(self, far_off: Sequence[Notice]) -> Life:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
@@ -289,7 +292,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
     references: list[tuple[Stretch, LogOfLife | None]] = []
-    far_off: list[str] = []
+    far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = log_health(model, log) if one is None or not found else None
