@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.ablation.identify import Case, kept, log_of, tests_of, thrown
 from benchmarks.accuracy.lfp import CHAMBER_C
 from benchmarks.measured_data import HOW, data_folder
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
@@ -169,7 +169,7 @@ CELLS = {
 }  # fmt: skip
 
 
-def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
+def prepared(case: Case) -> tuple[CellTests, IdentifySettings]:
     """What is identified, and how; of one drive the middle alone."""
     prior = stock_model(case.prior) if case.prior else None
     settings = IdentifySettings(nominal_Ah=case.nominal_Ah, prior=prior)
@@ -178,7 +178,7 @@ def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
         ((whole, _),) = tests.drive
         soc = 1.0 - whole.counted_charge_Ah() / PANASONIC_AH
         rows = np.flatnonzero((soc > MIDDLE_SOC[0]) & (soc < MIDDLE_SOC[1]))
-        tests = TestLogs(drive=((whole.part(int(rows[0]), int(rows[-1])), None),))
+        tests = CellTests(drive=((whole.part(int(rows[0]), int(rows[-1])), None),))
     return tests, settings
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
@@ -26,7 +26,7 @@ def leaf_figures(data: Path, say: Progress) -> list[Figure]:
     """Every discharge round by itself, then the whole log with its recharges."""
     say("Leaf: identified on HPPC and 1C")
     found = identify_cell(
-        TestLogs(
+        CellTests(
             hppc=((measured_log(data, f"{CELL}/hppc_p25"), None),),
             capacity=(measured_log(data, f"{CELL}/cap_1c_p23"),),
         ),

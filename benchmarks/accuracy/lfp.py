@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.accuracy.judging import voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
 from cellwise.logs import CellLog
@@ -67,7 +67,7 @@ def model_without(data: Path, tag: str) -> CellModel:
     """The model that has not seen a temperature."""
     branches = tuple(chamber_log(data, f"ocv_p25_{part}", 25.0, None) for part in BRANCHES)
     others = tuple((drive(data, t), CHAMBER_C[t]) for t in CHAMBER_C if t != tag)
-    tests = TestLogs(ocv=branches, drive=others)
+    tests = CellTests(ocv=branches, drive=others)
     return identify_cell(tests, IdentifySettings(nominal_Ah=NOMINAL_AH)).model
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class IdentifySettings:
 
 
 @dataclass(frozen=True, eq=False)
-class TestLogs:
+class CellTests:
     """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC].
 
     Parameters
@@ -74,8 +74,6 @@ class TestLogs:
     ------
     InputError        something else
     """
-
-    __test__: ClassVar[bool] = False  # not a test class, whatever pytest thinks of its name
 
     hppc: tuple[tuple[CellLog, float | None], ...] = ()
     ocv: tuple[CellLog, ...] = ()
@@ -95,9 +93,9 @@ class TestLogs:
         every = {id(log): log for log in (*driven, *self.ocv, *self.capacity)}
         return tuple(every.values())
 
-    def only(self, keep: Callable[[CellLog], bool]) -> TestLogs:
+    def only(self, keep: Callable[[CellLog], bool]) -> CellTests:
         """Those of the logs that are wanted."""
-        return TestLogs(
+        return CellTests(
             hppc=tuple(pair for pair in self.hppc if keep(pair[0])),
             ocv=tuple(filter(keep, self.ocv)),
             capacity=tuple(filter(keep, self.capacity)),
@@ -124,10 +122,10 @@ def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     for one in pairs:
         if not _is_pair(one):
             raise InputError(
-                f"{name} of TestLogs with a {type(one).__name__}",
+                f"{name} of CellTests with a {type(one).__name__}",
                 "a log, logs, or pairs of a log and its temperature [degC]",
-                f"Write TestLogs({name}=read_log('a.csv')) or "
-                f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+                f"Write CellTests({name}=read_log('a.csv')) or "
+                f"CellTests({name}=[(cold, -10.0), (warm, 25.0)]).",
             )
     return [(log, stated) for log, stated in pairs]
 

@@ -16,7 +16,7 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.fit.model_error import polarisation_V
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from measured_models import AT_ITS_BOUND, missed, rmse
 
@@ -49,7 +49,7 @@ def nca(real_data):
     def log(tag, name):
         return replace(read_log(folder / f"drive_{tag}_{name}.csv.gz"), soc0=1.0)
 
-    tests = TestLogs(
+    tests = CellTests(
         hppc=tuple((read_log(folder / f"hppc_{t}.csv.gz"), c) for t, c in CHAMBER_C.items()),
         ocv=(read_log(folder / "ocv_c20_p25.csv.gz"),),
         drive=tuple((log(t, name), c) for t, c in CHAMBER_C.items() for name in FITTED),
