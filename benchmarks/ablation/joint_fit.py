@@ -239,11 +239,11 @@ RULES: tuple[Rule, ...] = (
 def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[float]]:
     """Mean squares stated and measured in each band above 15 % SOC [V^2]."""
     simulation = simulate(model, log, start_of(model, log, soc0))
-    known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
+    known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
     warm = known_temperature_C(model, log)[known]
     soc = simulation.soc[known]
     drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
-    measured = in_bands(log.time_s[known], simulation.error_V[known]) ** 2
+    measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
     stated = np.array([stated_V2(model, k, soc, drop, warm) for k in range(measured.shape[0])])
     rows = soc > 0.15
     return [x[:, rows].mean(axis=1).tolist() for x in (stated, measured)]

@@ -42,7 +42,7 @@ def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> 
     group = f"Leaf, {rate.upper()} discharges, identified on hppc_p25 and cap_1c_p23"
     start = initial_soc(model, log)
     simulated = simulate(model, log, start.soc)
-    error, above = simulated.error_V, simulated.soc > 0.1
+    error, above = simulated.residual_V, simulated.soc > 0.1
     figures = []
     rounds = [
         p
@@ -69,6 +69,6 @@ def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> 
         "mV",
         target=target,
         note=f"initial SOC {start.soc:.3f} by {start.how}; "
-        f"over all SOC {1e3 * simulated.metrics.rmse_V:.1f} mV",
+        f"over all SOC {1e3 * simulated.rmse_V:.1f} mV",
     )
     return [*figures, whole]

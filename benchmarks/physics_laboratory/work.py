@@ -42,7 +42,7 @@ def make_cell(task: tuple[Path, str]) -> str:
     )
     found = identify_cell(tests, settings)
     write_model(found.model, place / "model.json")
-    own = [simulate(found.model, d, d.soc0).metrics.rmse_V for d in drives if d.soc0 is not None]
+    own = [simulate(found.model, d, d.soc0).rmse_V for d in drives if d.soc0 is not None]
     return f"{name}: {found.model.capacity_Ah:.3f} Ah, its drives to {1e3 * np.mean(own):.1f} mV"
 
 

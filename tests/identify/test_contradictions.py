@@ -130,7 +130,7 @@ def test_a_capacity_test_of_far_more_charge_is_said_first_and_moves_nothing(hppc
     assert "'other' moves" in found.notices[0]
     assert found.model.capacity_Ah == pytest.approx(found.capacities["rate:C/20"], rel=5e-3)
     of_others = [o for o in found.own_logs if o.simulation.log.name != "other"]
-    assert max(o.simulation.metrics.rmse_V for o in of_others) < 0.03
+    assert max(o.simulation.rmse_V for o in of_others) < 0.03
 
 
 def first_said(tests, settings):

@@ -153,7 +153,7 @@ def test_a_capacity_test_that_begins_under_load_bends_no_lfp_curve():
     down = low_rate.current_A > 0.0
     simulation = simulate(found.model, low_rate, 1.0)
     rows = down & (simulation.soc > 0.05)
-    assert error_metrics(simulation.error_V[rows]).rmse_V < 0.010
+    assert error_metrics(simulation.residual_V[rows]).rmse_V < 0.010
 
 
 def test_no_size_of_the_cell_is_refused():

@@ -19,6 +19,7 @@ from cellwise.cell.model_file import model_from_dict, model_to_dict
 from cellwise.cell.simulate import simulate
 from cellwise.data import list_datasets, load_dataset
 from cellwise.estimate.replay import replay
+from cellwise.fit.splines import TABLE_KNOTS, greville
 from cellwise.identify import CellTests, IdentifySettings, identify_cell
 
 TRUTH = {str(e["name"]): e for e in list_datasets()}
@@ -46,6 +47,22 @@ def nmc():
 def quick():
     """The same without refinement: what the pulses alone say."""
     return identify_cell(nmc_tests(), QUICK)
+
+
+def test_the_tables_standard_errors_are_those_of_the_fit(nmc):
+    """The fit's unknowns are ln R at the Greville points: their deviations are shares of R."""
+    result = nmc.temperatures[0].refinement
+    table, at = (
+        nmc.model.at_temperature(nmc.temperatures[0].temperature_C).table(),
+        greville(TABLE_KNOTS),
+    )
+    first = result.layout.r0
+    share = np.interp(at, table["soc"], table["r0_std_ohm"] / table["r0_ohm"])
+    inside = np.isin(np.round(at, 6), np.round(table["soc"], 6))
+    expected = result.theta_std[first : first + result.layout.knots]
+    assert inside.sum() > 5
+    np.testing.assert_allclose(share[inside], expected[inside], rtol=1e-3)
+    assert list(nmc.to_pandas().columns) == list(nmc.model.table())
 
 
 def missed(model, log, soc0) -> float:
@@ -172,7 +189,7 @@ def test_pulses_are_counted_by_quality(nmc):
 
 
 def test_the_fit_is_that_of_its_own_simulations(nmc):
-    errors = [o.simulation.error_V for o in nmc.own_logs]
+    errors = [o.simulation.residual_V for o in nmc.own_logs]
     rows = [slice(None) if o.compared is None else o.compared for o in nmc.own_logs]
     compared = np.concatenate([e[r] for e, r in zip(errors, rows, strict=True)])
     assert nmc.fit == error_metrics(compared)

@@ -165,7 +165,7 @@ def test_a123_from_the_right_start_and_from_thirty_points_off(read, a123):
     assert right.errors.rmse < 0.02
     wrong = ekf(a123.model, log, A123_AH, 1.0 - START_ERROR)
     late = log.time_s - log.time_s[0] > 1800.0
-    assert float(np.sqrt(np.nanmean(wrong.soc_error[late] ** 2))) < 0.03
+    assert float(np.sqrt(np.nanmean(wrong.error[late] ** 2))) < 0.03
 
 
 def test_a123_capacity_and_hysteresis_are_those_of_its_readme(a123):

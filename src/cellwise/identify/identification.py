@@ -22,7 +22,7 @@ from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Panel, Plottable, Summarised
+from cellwise.plotting import Panel, Plottable, Summarised, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
 REFERENCE_C = 25.0
@@ -289,7 +289,7 @@ class OwnLog:
     @property
     def compared_V(self) -> FloatArray:
         """Errors of the rows that were compared [V]."""
-        error = self.simulation.error_V
+        error = self.simulation.residual_V
         return error if self.compared is None else error[self.compared]
 
     def to_dict(self) -> dict[str, Any]:
@@ -302,7 +302,7 @@ class OwnLog:
             "soc0": s.soc0,
             "soc0_std": self.start.std,
             "soc0_how": self.start.how,
-            "rmse_V": s.metrics.rmse_V,
+            "rmse_V": s.rmse_V,
             "rmse_above_10pct_V": s.rmse_above_10pct_V,
             **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},
             "reason": self.reason,
@@ -310,7 +310,7 @@ class OwnLog:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Plottable, Summarised):
+class Identification(Plottable, Summarised, Tabular):
     """A model and all that led to it.
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
@@ -352,6 +352,10 @@ class Identification(Plottable, Summarised):
         """As of its model."""
         return self.model.panels()
 
+    def columns(self) -> dict[str, FloatArray]:
+        """The tables of its model with their standard errors."""
+        return self.model.columns()
+
     def facts(self) -> dict[str, str]:
         """Of its model, then how well it says its own logs again."""
         counts = self.pulse_counts
@@ -359,7 +363,7 @@ class Identification(Plottable, Summarised):
             **self.model.facts(),
             "capacity by": self.capacity_choice,
             "RMSE on its own logs": "; ".join(
-                f"{s.log.name or 'log'} {1e3 * s.metrics.rmse_V:.1f} mV" for s in self.simulations
+                f"{s.log.name or 'log'} {1e3 * s.rmse_V:.1f} mV" for s in self.simulations
             ),
             "healthy pulses": f"{counts['healthy']} of {sum(counts.values())}",
             "notices": "; ".join(self.notices) or "none",
@@ -377,8 +381,7 @@ class Identification(Plottable, Summarised):
                 "mae_V": self.fit.mae_V,
                 "max_error_V": self.fit.max_error_V,
                 "logs": {
-                    s.log.name or f"log {k}": s.metrics.rmse_V
-                    for k, s in enumerate(self.simulations)
+                    s.log.name or f"log {k}": s.rmse_V for k, s in enumerate(self.simulations)
                 },
             },
             "temperatures_C": [t.temperature_C for t in self.temperatures],

@@ -111,7 +111,7 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     """Where the finished model is far from the logs that made it."""
     found = []
     for s in (o.simulation for o in own if o.used):
-        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.error_V, s.soc)
+        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.residual_V, s.soc)
     return found
 
 
@@ -208,7 +208,7 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
 
 def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
     """Errors of the rows that were measured [V]."""
-    error = simulation.error_V if rows is None else simulation.error_V[rows]
+    error = simulation.residual_V if rows is None else simulation.residual_V[rows]
     return np.asarray(error[np.isfinite(error)])
 
 

@@ -229,9 +229,9 @@ def judge(
                 "SOC has no other reference here: judge on a log that has it.",
             )
         simulated = simulate(model, log, soc0)
-        known = np.isfinite(simulated.error_V)
-        errors[VOLTAGE].append(simulated.error_V[known])
-        above.append(simulated.error_V[known & (truth > 0.1)])
+        known = np.isfinite(simulated.residual_V)
+        errors[VOLTAGE].append(simulated.residual_V[known])
+        above.append(simulated.residual_V[known & (truth > 0.1)])
         # What the choice's own SOC scale makes of the same counter.
         axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         ends.append(int(np.nanargmin(truth)))

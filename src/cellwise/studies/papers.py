@@ -176,13 +176,13 @@ def cycle_error(
 ) -> dict[str, float]:
     """Error of a model from a full cell over a load profile; shares are of the measured voltage."""
     simulated = simulate(model, log, 1.0)
-    error = simulated.error_V
+    error = simulated.residual_V
     known = np.isfinite(error)
     share = np.abs(error[known]) / log.voltage_V[known]
     since = log.time_s[known] - log.time_s[0]
     inside = share[(since >= window_s[0]) & (since <= window_s[1])]
     return {
-        "rms_V": simulated.metrics.rmse_V,
+        "rms_V": simulated.rmse_V,
         "mean_abs": float(np.mean(share)),
         "mean_abs_window": float(np.mean(inside)) if inside.size else NAN,
         "peak": float(np.max(share)),

@@ -88,7 +88,7 @@ def test_measured_lfp_drives_cut_on_the_plateau(real_data, a123, name):
         part = replace(log.part(row, len(log)), charge_Ah=None, soc0=None)
         found = initial_soc(a123, part, whole_log=True)
         assert abs(found.soc - soc[row]) < 0.02, (cut, found)
-        assert simulate(a123, part, found.soc).metrics.rmse_V < 0.03
+        assert simulate(a123, part, found.soc).rmse_V < 0.03
 
 
 @pytest.fixture(scope="module")

@@ -224,11 +224,11 @@ def bands(nca):
     for tag, logs in drives.items():
         for log in logs:
             simulation = simulate(model, log, 1.0)
-            known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
+            known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
             warm = known_temperature_C(model, log)[known]
             soc = simulation.soc[known]
             drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
-            measured = in_bands(log.time_s[known], simulation.error_V[known]) ** 2
+            measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
             stated = stated_V2(model, soc, drop, warm)
             rows = soc > 0.15
             each = [x[:, rows].mean(axis=1) for x in (stated, measured)]
