@@ -235,8 +235,8 @@ def print_certificate(found: Certificate, data: dict[str, Any], folder: str | No
     )
     for name, own in groups_of(data).items():
         printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
-    if data["settings"]["sensor"]["by_default"]:
-        printing.say(assumed_text(data["settings"]["sensor"]))
+    if data["sensor"]["by_default"]:
+        printing.say(assumed_text(data["sensor"]))
     if data["verdict"]["limits"]:
         beyond = data["verdict"]["beyond"]
         printing.say("BEYOND: " + "; ".join(beyond) if beyond else "within every stated limit")

@@ -129,6 +129,7 @@ class Certificate:
                 "limits": stated,
                 "beyond": self.beyond,
             },
+            "sensor": self.settings["sensor"],
             "settings": self.settings,
         }
 
