@@ -24,6 +24,7 @@ from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.options import MOST_CELLS, Asked
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensor import Seen, Sensor, assumed, seen_by
 from cellwise.export.c_tables import filled, firmware_folder, prefixed, put, write_sources
 from cellwise.export.example import BUILD, example_files
 
@@ -41,12 +42,13 @@ class Export:
     Parameters
     ----------
     dt_s : float or None      time step of the target; None where what is written has none
-    noise : Noise or None     of the target's sensors; None: the model's
+    noise : Noise or None     None: the model's, with what the sensors add
     asked : Asked             what is compiled in
     cells : int               of a pack in series, 0: one cell
     prefix : str              of every file and name, for several models in one image
     layout : str or None      tree that the package is arranged for; None: all in one folder
     what : str                of an FMU: the ``estimator`` or the ``cell`` alone
+    sensor : Sensor or None   what the target's sensors are off by; None: as a car's
 
     Raises
     ------
@@ -62,6 +64,7 @@ class Export:
     prefix: str = ""
     layout: str | None = None
     what: str = "estimator"
+    sensor: Sensor | None = None
 
     def __post_init__(self) -> None:
         if self.dt_s is not None and self.dt_s > LONGEST_STEP_S:
@@ -88,10 +91,16 @@ class Export:
             prefixed({}, self.prefix)
 
     @cached_property
+    def seen(self) -> Seen:
+        """Model and noise of the filter: with what the sensors add, and the noise as stated."""
+        found = seen_by(self.model, self.sensor)
+        return found if self.noise is None else found._replace(noise=self.noise)
+
+    @cached_property
     def tables(self) -> FixedStepTables:
         """The tables at the time step; raises as `fixed_step_tables`."""
         dt_s = 0.0 if self.dt_s is None else self.dt_s
-        return fixed_step_tables(self.model, dt_s, self.noise, **vars(self.asked))
+        return fixed_step_tables(self.seen.model, dt_s, self.seen.noise, **vars(self.asked))
 
     @property
     def description(self) -> dict[str, Any]:
@@ -104,12 +113,12 @@ class Export:
             return found
         options = self.tables.options
         state_bytes = state_type(options).itemsize
-        noise = Noise.of_model(self.model) if self.noise is None else self.noise
         return {
             **found,
             "dt_s": self.tables.dt_s,
             "dt_limits_s": [shortest_step_s(self.model, options), LONGEST_STEP_S],
-            "noise": asdict(noise),
+            "noise": asdict(self.seen.noise),
+            "sensor": assumed(self.sensor, self.model.capacity_Ah),
             "options": asdict(options),
             "states": options.states,
             "model_bytes": self.tables.flash_bytes,
