@@ -17,7 +17,7 @@ from benchmarks.accuracy.judging import POINTS_OFF, voltage_rmse_mV
 from benchmarks.accuracy.panasonic import CELL, NOMINAL_AH, REFERENCE_AH, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
 from cellwise.logs import CellLog
@@ -62,7 +62,7 @@ def model_of_all(data: Path) -> CellModel:
         for warm, tag in TAGS.items()
         for name in FITTED
     )
-    tests = TestLogs(hppc=hppc, ocv=panasonic_tests(data).ocv, drive=drives)
+    tests = CellTests(hppc=hppc, ocv=panasonic_tests(data).ocv, drive=drives)
     return identify_cell(tests, IdentifySettings(nominal_Ah=NOMINAL_AH, name=CELL)).model
 
 
