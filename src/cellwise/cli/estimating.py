@@ -20,6 +20,7 @@ cellwise replay: model and log to SOC
         filterpy-ukf
 <start>
 <start std>
+<sensor>
     --dt S  resample to an even step
 <reference>
     --hold power|current=power  what of the load is held constant
@@ -46,6 +47,7 @@ from cellwise.cell.simulate import Simulation
 from cellwise.cli.common import forecast_options, log_options, options, page_options, printing
 from cellwise.cli.replay_output import data_of, print_runs
 from cellwise.errors import InputError
+from cellwise.estimate.sensor import seen_by
 from cellwise.logs import CellLog
 from cellwise.logs.stated import logs_of
 from cellwise.logs.writing import write_columns
@@ -127,6 +129,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 def asked_of(model: CellModel, arguments: argparse.Namespace) -> Asked:
     """How the arguments ask for a log to be replayed."""
+    sensor = options.sensor_of(arguments)
+    seen = seen_by(model, sensor).model
     return Asked(
         arguments.estimator,
         soc0=options.soc0_of(arguments),
@@ -134,7 +138,8 @@ def asked_of(model: CellModel, arguments: argparse.Namespace) -> Asked:
         reference_soc0=arguments.reference_soc0,
         reference_capacity_Ah=arguments.reference_capacity_ah,
         dt_s=arguments.dt,
-        power=forecast_options.power_of(arguments, model, arguments.hold),
+        sensor=sensor,
+        power=forecast_options.power_of(arguments, seen, arguments.hold),
     )
 
 

@@ -9,6 +9,7 @@ from cellwise.cli.common import printing
 from cellwise.cli.common.printing import band
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
+from cellwise.estimate.sensor import assumed_text
 from cellwise.workflows.replaying import ReplayAndForecast
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
@@ -41,6 +42,9 @@ def print_runs(runs: Sequence[ReplayAndForecast], *, sure: bool) -> None:
         )
     else:
         print_replay(last.replay, last, sure=sure)
+    said = last.replay.to_dict().get("sensor")
+    if said and said["by_default"]:
+        printing.say(assumed_text(said))
     print_forecasts(last)
     print_ahead(last.to_dict())
     if last.power is not None:

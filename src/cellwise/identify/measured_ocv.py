@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
-from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
+from cellwise.identify.identification import REFERENCE_C, CellTests, log_temperature_C
 from cellwise.identify.ocv.curve import (
     POINTS,
     OcvCurve,
@@ -70,7 +70,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
-def pulse_counts(tests: TestLogs) -> str:
+def pulse_counts(tests: CellTests) -> str:
     """The pulses of each log by quality, as text."""
     values = []
     for log, _ in tests.hppc:
@@ -80,7 +80,7 @@ def pulse_counts(tests: TestLogs) -> str:
     return "; ".join(values)
 
 
-def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[Notice]) -> OcvCurve | None:
+def _of_rests(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> OcvCurve | None:
     """Of the log nearest to the reference temperature: a cold one relaxes too slowly."""
     if not tests.hppc:
         return None
@@ -94,7 +94,7 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[Notice]) -> Ocv
         return None
 
 
-def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[Notice]) -> OcvCurve:
+def _of_drives(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> OcvCurve:
     """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
     soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah

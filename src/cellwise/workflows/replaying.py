@@ -18,6 +18,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings
 from cellwise.estimate.replay import Replay, expected_convergence_s, replay
+from cellwise.estimate.sensor import Sensor, seen_by
 from cellwise.forecast.charging import forecast_charge, limit_of, taper_of
 from cellwise.forecast.display import Display, display_along, display_of
 from cellwise.forecast.plan import Outcome, Plan, forecast_plan
@@ -59,6 +60,7 @@ class Asked:
     reference_soc0, reference_capacity_Ah : float or None    as of `replay`
     dt_s : float or None               resample to an even step [s]; None: the log's rows
     power : PowerSettings or None      the state of power beside it
+    sensor : Sensor or None            as of `replay`; None: a car's
     """
 
     estimator: str = "ekf"
@@ -68,6 +70,7 @@ class Asked:
     reference_capacity_Ah: float | None = None
     dt_s: float | None = None
     power: PowerSettings | None = None
+    sensor: Sensor | None = None
 
 
 @dataclass(frozen=True)
@@ -231,17 +234,19 @@ def replay_and_forecast(
         model,
         log,
         asked.estimator,
+        sensor=asked.sensor,
         soc0=start_of(log.soc0, asked.soc0) if begins else None,
         soc0_std=asked.soc0_std if begins else None,
         reference_soc0=start_of(log.soc0, asked.reference_soc0, "reference_soc0"),
         reference_capacity_Ah=asked.reference_capacity_Ah if begins else None,
         power=asked.power or False,
     )
+    model, noise = seen_by(model, asked.sensor)
     begun = found.start.how in ("given", "stated")
     far = None if ahead.anyway else ends_forecasts(found.far_off, found.log)
     run = ReplayAndForecast(
         found,
-        expected_convergence_s(model, found, make_estimator(asked.estimator, model)),
+        expected_convergence_s(model, found, make_estimator(asked.estimator, model, noise)),
         None if begun else initial_soc(model, found.log, whole_log=True),
         far,
         hold=ahead.hold,

@@ -16,6 +16,7 @@ from cellwise.files import file_place
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.estimate.sensor import Sensor
 
 
 OUTPUTS = ("output", "report")
@@ -107,6 +108,18 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     if held != soc0:
         printing.warn(f"--soc0: {beyond(soc0)}")
     return held
+
+
+def sensor_of(arguments: argparse.Namespace) -> Sensor | None:
+    """The sensors that the arguments state, None where they state none.
+
+    Raises
+    ------
+    InputError        as `read_sensor`
+    """
+    from cellwise.estimate.sensor import read_sensor
+
+    return None if arguments.sensor is None else read_sensor(arguments.sensor)
 
 
 def check_fraction(option: str, value: float | None) -> None:
