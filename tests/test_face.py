@@ -20,7 +20,7 @@ QUANTITIES = re.compile(
     r"dt|duration|interval|skew|nominal|innovation|error|white|slow|correlation|limit|activation|"
     r"offset)(_|$)"
 )
-PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency")  # numbers without a unit
+PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency", "resistance_std")  # without a unit
 
 
 def public(kind) -> list[str]:
@@ -84,6 +84,14 @@ def test_star_import_gives_the_same():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'magic'"):
         cellwise.magic  # noqa: B018
+
+
+def test_the_version_is_that_of_the_installed_package(capsys):
+    from cellwise.cli import main
+
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.strip() == f"cellwise {cellwise.__version__}"
 
 
 def test_the_package_is_typed():

@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "progress": set(),
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
-    "plotting": {"errors", "typing"},
+    "plotting": {"arguments", "errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
     "printing": BASE | {"cell", "estimate"},
