@@ -20,6 +20,7 @@ QUANTITIES = re.compile(
     r"dt|duration|interval|skew|nominal|innovation|error|white|slow|correlation|limit|activation|"
     r"offset)(_|$)"
 )
+OF_SOC = ("error",)
 PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency", "resistance_std")  # without a unit
 
 
@@ -53,7 +54,7 @@ def numbers_of(function) -> list[str]:
 
 
 def carries_unit(name: str) -> bool:
-    return not QUANTITIES.match(name) or name.endswith((*UNITS, *PURE))
+    return not QUANTITIES.match(name) or name.endswith((*UNITS, *PURE)) or name in OF_SOC
 
 
 def test_dir_is_all():

@@ -100,7 +100,7 @@ class Simulation(Plottable, Tabular):
     @property
     def rmse_V(self) -> float:
         """RMS of the residual over all rows [V]; NaN: nothing was measured."""
-        return self.rmse_V
+        return self.metrics.rmse_V
 
     @property
     def metrics(self) -> ErrorMetrics:
