@@ -68,6 +68,7 @@ def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> 
         1e3 * simulated.rmse_above_10pct_V,
         "mV",
         target=target,
+        headline=target is not None,
         note=f"initial SOC {start.soc:.3f} by {start.how}; "
         f"over all SOC {1e3 * simulated.rmse_V:.1f} mV",
     )

@@ -68,7 +68,9 @@ def _voltage(
     average = float(np.mean(values))
     return [
         *figures,
-        Figure(group, "voltage RMSE above 10 % SOC, mean", average, "mV", target=mean),
+        Figure(
+            group, "voltage RMSE above 10 % SOC, mean", average, "mV", target=mean, headline=True
+        ),
     ]
 
 

@@ -184,7 +184,8 @@ def _figures(
         name = estimator.name
         figures += [
             Figure(group, f"{name}: power at 10 s, median error", float(np.median(off)), "%",
-                   target=MEDIAN_TARGET if targets and estimator is Ekf else None, note=note),
+                   target=MEDIAN_TARGET if targets and estimator is Ekf else None, note=note,
+                   headline=estimator is Ekf and group.startswith("Panasonic")),
             Figure(group, f"{name}: power at 10 s, 95th percentile",
                    float(np.quantile(off, 0.95)), "%",
                    target=TAIL_TARGET if targets and estimator is Ekf else None),

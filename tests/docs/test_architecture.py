@@ -12,7 +12,7 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "plotting", "records", "threads"}
 TOOLS = {
     "logs",
     "cell",
@@ -31,6 +31,7 @@ MAY_IMPORT = {
     "files": {"errors"},
     "arguments": {"errors", "typing"},
     "progress": set(),
+    "records": {"errors"},
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
     "plotting": {"arguments", "errors", "typing"},

@@ -20,6 +20,7 @@ cellwise replay: model and log to SOC
         filterpy-ukf
 <start>
 <start std>
+<sensor>
     --dt S  resample to an even step
 <reference>
     --hold power|current=power  what of the load is held constant
@@ -53,6 +54,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.power.state_of_power import PowerSettings
 from cellwise.estimate.replay import expected_convergence_s, replay
+from cellwise.estimate.sensor import Sensor, seen_by
 from cellwise.forecast.charging import forecast_charge
 from cellwise.forecast.display import display_along
 from cellwise.forecast.plan import Plan, forecast_plan
@@ -118,7 +120,8 @@ def run_replay(arguments: argparse.Namespace) -> None:
     options.check_fraction("--reference-soc0", arguments.reference_soc0)
     model = options.read_model(arguments)
     make_estimator(arguments.estimator, model)  # refuses an unknown name before any work
-    power = forecast_options.power_of(arguments, model, arguments.hold)
+    sensor = options.sensor_of(arguments)
+    power = forecast_options.power_of(arguments, seen_by(model, sensor).model, arguments.hold)
     if arguments.load is not None:
         check_load(arguments.load, arguments.hold)
     plans = forecast_options.plans_of(arguments)
@@ -129,7 +132,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         def replayed(one: tuple[CellLog, bool]) -> Run:
             name = f"{arguments.estimator} over {len(one[0]):,} samples"
             follow(name, logs.index(one), len(logs))
-            return run_of(model, one[0], plans, power, arguments, begins=one[1])
+            return run_of(model, sensor, one[0], plans, power, arguments, begins=one[1])
 
         runs = log_options.each_that_serves(logs, replayed)
     if arguments.output:
@@ -153,6 +156,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
 
 def run_of(
     model: CellModel,
+    sensor: Sensor | None,
     log: CellLog,
     plans: Sequence[Plan],
     power: PowerSettings | None,
@@ -169,12 +173,14 @@ def run_of(
         model,
         log,
         arguments.estimator,
+        sensor=sensor,
         soc0=options.start_of(log.soc0, options.soc0_of(arguments)) if begins else None,
         soc0_std=arguments.soc0_std if begins else None,
         reference_soc0=options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0"),
         reference_capacity_Ah=arguments.reference_capacity_ah if begins else None,
         power=power or False,
     )
+    model, noise = seen_by(model, sensor)
     begun = found.start.how in ("given", "stated")
     cutoff_V = cutoff_of(model, arguments.cutoff_v)
     far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
@@ -197,7 +203,7 @@ def run_of(
         shown = display_along(how, found, ahead.get("flight"), ahead.get("charge"))
     return Run(
         found,
-        expected_convergence_s(model, found, make_estimator(arguments.estimator, model)),
+        expected_convergence_s(model, found, make_estimator(arguments.estimator, model, noise)),
         None if begun else initial_soc(model, found.log, whole_log=True),
         far,
         displayed_percent=shown,

@@ -12,6 +12,7 @@ cellwise live: a stream of samples to SOC, as they come
     --estimator E=ekf  ekf or ukf
 <start>
 <start std>
+<sensor>
     --state FILE  goes on where FILE says, and keeps it there
     --fresh  start again, whatever FILE says
     --save-every S=10  seconds
@@ -41,7 +42,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from rich.console import Console
 from rich.live import Live
@@ -50,12 +51,12 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 
 from cellwise.cell.initial_soc.initial_soc import STATED_STD
-from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FarOffStream
 from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
+from cellwise.estimate.sensor import Seen, assumed, assumed_text, seen_by
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of
@@ -73,9 +74,11 @@ SILENT_S = 2.0  # after which the panel says that nothing comes
 def run_live(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
     _check(arguments)
-    model = options.read_model(arguments)
+    sensor = options.sensor_of(arguments)
+    seen = seen_by(options.read_model(arguments), sensor)
+    model = seen.model
     name, stated = _stated(arguments.source)
-    followed = _followed(model, stated, arguments)
+    followed = _followed(seen, stated, arguments)
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
@@ -121,7 +124,7 @@ def run_live(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _report_end(arguments, followed, counts, viewed)
+    _report_end(arguments, followed, counts, viewed, assumed(sensor, model.capacity_Ah))
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -140,8 +143,9 @@ def _stated(source: str) -> tuple[str, Stated]:
     return f"{kind}:{stated.path}" if colon else stated.path, stated
 
 
-def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> Followed:
+def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Followed:
     """The filter, and what else is asked of the stream."""
+    model = seen.model
     charger = (arguments.charge_limit_v, arguments.charge_end_a)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = forecast_options.power_of(arguments, model)
@@ -149,7 +153,7 @@ def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -
         printing.warn(f"cellwise live: {notice}")
     how = forecast_options.how_displayed(arguments, model)
     return Followed(
-        _filter(model, stated, arguments),
+        _filter(seen, stated, arguments),
         outlook,
         None if power is None else PowerFollower(power),
         None if how is None else Displayed(how),
@@ -157,12 +161,13 @@ def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -
     )
 
 
-def _filter(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
+def _filter(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
     asked = options.start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
-        model,
+        seen.model,
         arguments.estimator,
+        noise=seen.noise,
         soc0=asked if stated.soc0 is None else stated.soc0,
         soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
         temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
@@ -190,7 +195,11 @@ def _stopped_by_signal() -> Iterator[None]:
 
 
 def _report_end(
-    arguments: argparse.Namespace, followed: Followed, counts: Counts, viewed: bool
+    arguments: argparse.Namespace,
+    followed: Followed,
+    counts: Counts,
+    viewed: bool,
+    sensor: dict[str, Any],
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
     last, start = counts.last, followed.live.start
@@ -202,6 +211,7 @@ def _report_end(
         "far_off": followed.far_off,
         "estimator": followed.live.filter.name,
         "soc0": start.to_dict(),
+        "sensor": sensor,
         **counts.to_dict(),
     }
     if arguments.json:
@@ -216,6 +226,8 @@ def _report_end(
             f"outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
             f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
         )
+        if sensor["by_default"]:
+            printing.say(assumed_text(sensor))
 
 
 class LineWriter:

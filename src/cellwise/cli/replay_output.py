@@ -17,6 +17,7 @@ from cellwise.cli.common.printing import band
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
+from cellwise.estimate.sensor import assumed_text
 from cellwise.forecast.plan import Outcome
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.logs.files.source import open_source
@@ -145,6 +146,9 @@ def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
         )
     else:
         print_replay(last.found, last, sure=sure)
+    said = last.found.to_dict().get("sensor")
+    if said and said["by_default"]:
+        printing.say(assumed_text(said))
     print_forecasts(last)
     print_ahead(last.to_dict())
     if last.power is not None:

@@ -32,6 +32,7 @@ from cellwise.estimate.estimators import Estimator, OnlineFilter, estimator_of
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
+from cellwise.estimate.sensor import Sensor, assumed, seen_by
 from cellwise.estimate.trace import Trace, nis_by_scale
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
@@ -56,7 +57,8 @@ class Replay(Plottable, Tabular):
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
     never uses the current that the filter sees, nor the model's capacity. ``validity`` is the
-    model's; ``power`` the state of power of every row where it was asked for.
+    model's; ``power`` the state of power of every row where it was asked for; ``sensor`` what was
+    stated of the sensors, in ``model`` as well.
     """
 
     log: CellLog
@@ -68,6 +70,7 @@ class Replay(Plottable, Tabular):
     validity: Validity = UNKNOWN
     power: PowerTrace | None = None
     model: CellModel | None = None
+    sensor: Sensor | None = None
 
     @property
     def time_s(self) -> FloatArray:
@@ -201,6 +204,8 @@ class Replay(Plottable, Tabular):
             "voltage_rmse_V": rmse_V if math.isfinite(rmse_V) else None,
             "ns_per_step": self.ns_per_step,
         }
+        if self.model is not None:
+            found["sensor"] = assumed(self.sensor, self.model.capacity_Ah)
         if isinstance(self.trace, AdaptiveTrace):
             found["parameters"] = self.trace.parameters().to_dict()
         if self.power is not None:
@@ -287,6 +292,7 @@ def replay(
     *,
     soc0_std: float | None = None,
     noise: Noise | None = None,
+    sensor: Sensor | None = None,
     reference_soc0: float | None = None,
     reference_capacity_Ah: float | None = None,
     power: bool | PowerSettings = False,
@@ -300,6 +306,8 @@ def replay(
     soc0 : float or None              initial SOC; None: from a rest or a fit at the log's start
     soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
                                       what the search for it says
+    noise : Noise or None             None: from the model's own validation error, and the sensors
+    sensor : Sensor or None           what the sensors are off by; None: as a car's
     reference_soc0 : float or None    true SOC at the first row; None: as the whole log shows it,
                                       which no estimator sees
     reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
@@ -314,10 +322,20 @@ def replay(
     Raises
     ------
     InputError        what is of another type; an estimator that there is not; the power is asked
-                      for, and no limit is known (see `power_limits`)
+                      for, and no limit is known (see `power_limits`); a sensor for an estimator
+                      that is made already
     """
     check_is_model(model)
     check_is_log(log)
+    if sensor is not None:
+        if not isinstance(estimator, str):
+            raise InputError(
+                f"a sensor for {type(estimator).__name__}, which is made already",
+                "an estimator by its name",
+                "Name it, or make it of `seen_by(model, sensor)`.",
+            )
+        model, of_sensor = seen_by(model, sensor)
+        noise = of_sensor if noise is None else noise
     asked = power_settings(model, noise=noise) if power is True else power
     filter_ = estimator_of(estimator, model, noise)
     start = initial_soc(model, log, soc0)
@@ -338,7 +356,11 @@ def replay(
         capacity = number("reference_capacity_Ah", reference_capacity_Ah, "a number above zero")
         reference = reference_soc(log, true0, capacity)
     limits = power_along(asked, log, trace) if asked else None
-    return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)
+    # fmt: off
+    return Replay(
+        log, filter_.name, start, trace, ns, reference, model.validity, limits, model, sensor
+    )
+    # fmt: on
 
 
 def expected_std(model: CellModel, replayed: Replay, estimator: Estimator) -> FloatArray:

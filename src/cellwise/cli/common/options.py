@@ -16,6 +16,7 @@ from cellwise.files import file_place
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.estimate.sensor import Sensor
 
 
 OUTPUTS = ("output", "report")
@@ -123,6 +124,18 @@ def start_of(stated: float | None, asked: float | None, option: str = "--soc0") 
             f"Leave out {option}, or what is stated behind the @.",
         )
     return asked if stated is None else None
+
+
+def sensor_of(arguments: argparse.Namespace) -> Sensor | None:
+    """The sensors that the arguments state, None where they state none.
+
+    Raises
+    ------
+    InputError        as `read_sensor`
+    """
+    from cellwise.estimate.sensor import read_sensor
+
+    return None if arguments.sensor is None else read_sensor(arguments.sensor)
 
 
 def check_fraction(option: str, value: float | None) -> None:
