@@ -1,7 +1,7 @@
 """What the sensors of a target are off by, and what a filter makes of it.
 
-A sensor's errors last: no further sample averages them out, and a filter cannot tell them from the
-model's. They are considered (Schmidt 1966), not estimated: each widens the error of the model or of
+A sensor's errors last: no further sample averages them out, and a filter cannot distinguish them
+from the model's. They are considered (Schmidt 1966), not estimated: each widens the error of the model or of
 the count that moves the SOC alike (`docs/theory.md`, the table of directions).
 """
 
