@@ -70,6 +70,11 @@ def test_every_name_resolves_and_has_a_docstring(name):
     assert text.splitlines()[0].endswith("."), "one sentence that says what it is"
 
 
+def test_pytest_collects_no_public_name():
+    """Imported into a test module, such a name would be taken for a test and warned about."""
+    assert not [n for n in cellwise.__all__ if n.startswith(("Test", "test"))]
+
+
 def test_star_import_gives_the_same():
     names: dict[str, object] = {}
     exec("from cellwise import *", names)

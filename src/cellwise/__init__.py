@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cellwise.identify import (
         Identification as Identification,
         IdentifySettings as IdentifySettings,
-        TestLogs as TestLogs,
+        CellTests as CellTests,
         identify_cell as identify_cell,
     )
     from cellwise.logs import (
@@ -69,7 +69,7 @@ _NAMES = {
     "cellwise.estimate.status": "Status",
     "cellwise.estimate.tune_noise": "tune_noise",
     "cellwise.forecast": "forecast",
-    "cellwise.identify": "Identification IdentifySettings TestLogs identify_cell",
+    "cellwise.identify": "Identification IdentifySettings CellTests identify_cell",
     "cellwise.logs": "CellLog Stated inspect_log read_log write_log",
     "cellwise.logs.cell_log": "resample",
     "cellwise.progress": "progress_bar",

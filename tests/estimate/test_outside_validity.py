@@ -106,7 +106,7 @@ def test_beyond_its_soc_an_ocv_that_nobody_saw():
     assert below.size > 1000
     assert np.all(a.trace.status[below] & OUTSIDE)
     covered_a, covered_b = (
-        float(np.mean(np.abs(r.soc_error[below]) <= 2.0 * r.trace.soc_std[below])) for r in (a, b)
+        float(np.mean(np.abs(r.error[below]) <= 2.0 * r.trace.soc_std[below])) for r in (a, b)
     )
     assert covered_a >= 0.95
     assert covered_b < 0.8

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs.cell_log import CellLog
 from synthetic import HppcPlan, Tester, drive_current, driven_log, finish, hppc_log, nmc_cell
 
@@ -21,12 +21,12 @@ def run(tests, settings=SETTINGS, **changes):
     return identify_cell(tests, replace(settings, **changes))
 
 
-def pulses(log, **others) -> TestLogs:
-    return TestLogs(hppc=((log, None),), **others)
+def pulses(log, **others) -> CellTests:
+    return CellTests(hppc=((log, None),), **others)
 
 
-def drives(*logs, **others) -> TestLogs:
-    return TestLogs(drive=tuple((log, None) for log in logs), **others)
+def drives(*logs, **others) -> CellTests:
+    return CellTests(drive=tuple((log, None) for log in logs), **others)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def r0_error(found, lowest: float = 0.3) -> float:
 
 
 REFUSED = {
-    "nothing": (lambda x: TestLogs(), QUICK, "`hppc=LOG` or `drive=LOG`"),
+    "nothing": (lambda x: CellTests(), QUICK, "`hppc=LOG` or `drive=LOG`"),
     "no pulse": (lambda x: pulses(resting()), QUICK, "of the capacity moved in log 'rest'"),
     "no pulse, refined": (lambda x: pulses(resting()), SETTINGS, "of the capacity moved in log"),
     "no pulse beside an OCV": (
@@ -119,7 +119,7 @@ def test_a_swapped_sign_in_any_log_is_refused(hppc, low_rate, drive, which, sett
     wrong = tests[which]
     counter = None if wrong.charge_Ah is None else -wrong.charge_Ah
     wrong = replace(wrong, current_A=-wrong.current_A, charge_Ah=counter, name="swapped")
-    logs = TestLogs(hppc=((hppc, None),), ocv=(low_rate,), capacity=(low_rate,))
+    logs = CellTests(hppc=((hppc, None),), ocv=(low_rate,), capacity=(low_rate,))
     logs = replace(logs, **{which: ((wrong, None),) if which in ("hppc", "drive") else (wrong,)})
     with pytest.raises(InputError, match=r"'swapped'.*`sign='charge-positive'`"):
         run(logs, settings)
@@ -150,7 +150,7 @@ def test_what_the_tests_do_not_show_is_the_priors(low_rate, tests):
     """
     given, holds_Ah = {
         "steady currents": (
-            TestLogs(capacity=(low_rate,), ocv=(low_rate,)),
+            CellTests(capacity=(low_rate,), ocv=(low_rate,)),
             float(low_rate.counted_charge_Ah().max()),
         ),
         "no pulse, no OCV": (pulses(never_rests()), CELL.capacity_Ah),

@@ -177,8 +177,8 @@ def print_figures(found: Diagnosis) -> None:
         ("log", lambda run: run.log.name or "log"),
         ("used", lambda run: "held out" if run.used == "holdout" else "fitted"),
         ("initial SOC", lambda run: f"{run.before.soc0:.4f}"),
-        ("RMSE mV", lambda run: millivolt(run.before.metrics.rmse_V)),
-        ("extended model", lambda run: millivolt(run.after.metrics.rmse_V)),
+        ("RMSE mV", lambda run: millivolt(run.before.rmse_V)),
+        ("extended model", lambda run: millivolt(run.after.rmse_V)),
         ("log corrected, too", lambda run: _millivolt_of(run.corrected)),
         ("its own start", lambda run: _millivolt_of(run.own_start)),
     )
@@ -228,7 +228,7 @@ def print_figures(found: Diagnosis) -> None:
 
 def _millivolt_of(run: Simulation | None) -> str:
     """RMSE of a run and its start; nothing where there is none."""
-    return "" if run is None else f"{printing.millivolt(run.metrics.rmse_V)} ({run.soc0:.4f})"
+    return "" if run is None else f"{printing.millivolt(run.rmse_V)} ({run.soc0:.4f})"
 
 
 def _values(cause: FoundCause, parameters: Iterable[tuple[str, float]]) -> list[str]:

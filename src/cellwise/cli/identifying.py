@@ -94,7 +94,7 @@ def print_identification(found: Identification) -> None:
         [o for o in found.own_logs if o.used],
         ("log (fitted on it)", lambda o: o.simulation.log.name),
         ("begins at SOC", lambda o: f"{o.start.soc:.3f} +- {2 * o.start.std:.3f}"),
-        ("RMSE mV", lambda o: printing.millivolt(o.simulation.metrics.rmse_V)),
+        ("RMSE mV", lambda o: printing.millivolt(o.simulation.rmse_V)),
         ("MAE mV", lambda o: printing.millivolt(o.simulation.metrics.mae_V)),
         ("max mV", lambda o: printing.millivolt(o.simulation.metrics.max_error_V)),
         ("RMSE above 10 % SOC", lambda o: printing.millivolt(o.simulation.rmse_above_10pct_V)),

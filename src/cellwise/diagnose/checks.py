@@ -207,7 +207,7 @@ def claim_checks(
     """
     found = []
     for run, rows in zip(runs, evidence.logs, strict=True):
-        error, soc = run.before.error_V, np.clip(run.before.soc, 0.0, 1.0)
+        error, soc = run.before.residual_V, np.clip(run.before.soc, 0.0, 1.0)
         known = np.isfinite(error)
         if not known.any():
             continue
@@ -225,6 +225,6 @@ def claim_checks(
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
         most2 = float(fdtri(freedom, STATED.errors, 1.0 - CLAIM.rare))
-        rmse_V = run.before.metrics.rmse_V
+        rmse_V = run.before.rmse_V
         found.append(ClaimCheck(run.log.name, rmse_V, math.sqrt(times2), math.sqrt(most2)))
     return tuple(found)

@@ -12,7 +12,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.diagnose.odds import Weighed
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Line, Panel, Plottable, Summarised
+from cellwise.plotting import Line, Panel, Plottable, Summarised, Tabular
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class LogRun:
     @property
     def gain(self) -> float:
         """1 - after / before of the RMSE, all causes known."""
-        before_V = self.before.metrics.rmse_V
-        return 1.0 - self.explained.metrics.rmse_V / before_V if before_V > 0.0 else 0.0
+        before_V = self.before.rmse_V
+        return 1.0 - self.explained.rmse_V / before_V if before_V > 0.0 else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
@@ -49,12 +49,12 @@ class LogRun:
             "log": self.log.name,
             "used": self.used,
             "soc0": self.before.soc0,
-            "rmse_before_V": self.before.metrics.rmse_V,
-            "rmse_after_V": self.after.metrics.rmse_V,
+            "rmse_before_V": self.before.rmse_V,
+            "rmse_after_V": self.after.rmse_V,
         }
         for key, one in (("corrected", self.corrected), ("own_start", self.own_start)):
             if one is not None:
-                known |= {f"rmse_{key}_V": one.metrics.rmse_V, f"soc0_{key}": one.soc0}
+                known |= {f"rmse_{key}_V": one.rmse_V, f"soc0_{key}": one.soc0}
         return known
 
 
@@ -115,7 +115,7 @@ class TriedCause:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Plottable, Summarised):
+class Diagnosis(Plottable, Summarised, Tabular):
     """The causes that were found, in order, and the model extended by them.
 
     ``verdict`` is the first cause, "none", "undetermined" or "unexplained"; ``reasons`` say why the
@@ -205,11 +205,21 @@ class Diagnosis(Plottable, Summarised):
         for run in self.runs:
             hours = (run.log.time_s - run.log.time_s[0]) / 3600.0
             lines = (
-                Line(name, hours, 1e3 * one.error_V)
+                Line(name, hours, 1e3 * one.residual_V)
                 for name, one in (("before", run.before), ("after", run.explained))
             )
             shown.append(Panel(f"{run.log.name or 'log'} [mV]", tuple(lines)))
         return "time [h]", tuple(shown)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """One row for each parameter of each cause; none where no cause was found."""
+        rows = [
+            (c.name, c.probability, name, value, *c.ci95.get(name, (np.nan, np.nan)), c.gain)
+            for c in self.causes
+            for name, value in c.parameters.items()
+        ]
+        heads = ("cause", "probability", "parameter", "value", "ci95_low", "ci95_high", "gain")
+        return {head: [row[k] for row in rows] for k, head in enumerate(heads)}
 
     def facts(self) -> dict[str, str]:
         """The verdict, every cause with its range, the errors before and after, the next test."""
@@ -223,8 +233,8 @@ class Diagnosis(Plottable, Summarised):
             for cause in self.causes
         }
         errors = (
-            f"{run.log.name or 'log'} {1e3 * run.before.metrics.rmse_V:.1f} -> "
-            f"{1e3 * run.explained.metrics.rmse_V:.1f} mV"
+            f"{run.log.name or 'log'} {1e3 * run.before.rmse_V:.1f} -> "
+            f"{1e3 * run.explained.rmse_V:.1f} mV"
             for run in self.runs
         )
         return {

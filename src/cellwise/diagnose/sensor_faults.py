@@ -177,7 +177,7 @@ def with_faults(
 def _rmse_V(model: CellModel, log: CellLog) -> float:
     """Of the model on a log from the start that it finds itself [V]."""
     start = initial_soc(model, log, whole_log=True)
-    return float(simulate(model, log, start.soc).metrics.rmse_V)
+    return float(simulate(model, log, start.soc).rmse_V)
 
 
 def _faults(log: CellLog) -> tuple[SensorFault, ...]:

@@ -39,10 +39,6 @@ from cellwise.typing import FloatArray
 
 CONVERGED_SOC = 0.02
 SUSTAINED_S = 600.0
-TRACE_COLUMNS = (
-    *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
-    *("test_ratio", "status"),
-)
 
 
 @dataclass(frozen=True)
@@ -76,41 +72,61 @@ class Replay(Plottable, Tabular):
     sensor: Sensor | None = None
 
     @property
-    def soc_error(self) -> FloatArray | None:
-        """Estimated minus reference SOC, shape (rows,)."""
+    def time_s(self) -> FloatArray:
+        """The log's, shape (rows,)."""
+        return self.log.time_s
+
+    @property
+    def soc(self) -> FloatArray:
+        """Estimated SOC, shape (rows,)."""
+        return self.trace.soc
+
+    @property
+    def soc_std(self) -> FloatArray:
+        """Its standard deviation, shape (rows,)."""
+        return self.trace.soc_std
+
+    @property
+    def error(self) -> FloatArray | None:
+        """Estimated less reference SOC, shape (rows,); None: nobody knows the true one."""
         return None if self.reference_soc is None else self.trace.soc - self.reference_soc
+
+    @property
+    def rmse(self) -> float | None:
+        """RMS of the error over all rows, a fraction of SOC; None: nobody knows the true one."""
+        return None if self.errors is None else self.errors.rmse
 
     @property
     def errors(self) -> SocErrors | None:
         """Over all rows."""
-        return None if self.soc_error is None else soc_errors(self.soc_error)
+        return None if self.error is None else soc_errors(self.error)
 
     @property
     def convergence_s(self) -> float | None:
         """Time from which the error stays within 2 points of SOC for ten minutes or to the end."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        row = converged_row(self.log.time_s, self.soc_error)
+        row = converged_row(self.log.time_s, self.error)
         return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
 
     @property
     def settled(self) -> SocErrors | None:
         """After convergence; over the log's second half when it never converged."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        row = converged_row(self.log.time_s, self.soc_error)
+        row = converged_row(self.log.time_s, self.error)
         if row is None:
             middle = self.log.time_s[0] + self.log.duration_s / 2
             row = int(np.searchsorted(self.log.time_s, middle))
-        return soc_errors(self.soc_error[row:])
+        return soc_errors(self.error[row:])
 
     @property
     def coverage_2sigma(self) -> float | None:
         """Share of rows whose SOC error lies within two of the filter's standard deviations."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        known = np.isfinite(self.soc_error)
-        within = np.abs(self.soc_error) <= 2.0 * self.trace.soc_std
+        known = np.isfinite(self.error)
+        within = np.abs(self.error) <= 2.0 * self.trace.soc_std
         return float(np.mean(within[known])) if known.any() else None
 
     @property
@@ -197,7 +213,7 @@ class Replay(Plottable, Tabular):
 
     def columns(self) -> dict[str, Any]:
         """What the estimator said of every row, and the reference where there is one."""
-        found = {name: getattr(self.trace, name) for name in TRACE_COLUMNS}
+        found = Trace.columns(self.trace)
         if self.reference_soc is not None:
             found["reference_soc"] = self.reference_soc
         return found | ({} if self.power is None else self.power.columns())
@@ -208,9 +224,9 @@ class Replay(Plottable, Tabular):
         trace = self.trace
         soc = [Line(self.estimator, hours, trace.soc, 2.0 * trace.soc_std)]
         panels = []
-        if self.reference_soc is not None and self.soc_error is not None:
+        if self.reference_soc is not None and self.error is not None:
             soc.append(Line("reference", hours, self.reference_soc))
-            panels.append(Panel("SOC error [%]", (Line("error", hours, 100 * self.soc_error),)))
+            panels.append(Panel("SOC error [%]", (Line("error", hours, 100 * self.error),)))
         innovation = Line("innovation", hours, 1e3 * trace.innovation_V)
         panels.append(Panel("innovation [mV]", (innovation,)))
         return "time [h]", (Panel("SOC", tuple(soc)), *panels)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -15,6 +16,7 @@ from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Tabular
 from cellwise.typing import FloatArray
 
 # How far a figure may leave its prior, as a factor of one standard deviation: the sensors' are
@@ -30,7 +32,7 @@ LARGEST_SQUARE = 25.0  # a rejected voltage counts as one at the gate
 
 
 @dataclass(frozen=True)
-class NoiseTuning:
+class NoiseTuning(Tabular):
     """Tuned noise, and the mean NIS of every log before and after.
 
     ``log_likelihood`` is of independent innovations, prior included, before and after.
@@ -50,6 +52,11 @@ class NoiseTuning:
             name: (getattr(self.before, name), getattr(self.noise, name))
             for name in (*SENSORS, *MODEL)
         }
+
+    def columns(self) -> dict[str, list[Any]]:
+        """One row for each tuned figure of :class:`Noise`, before and after."""
+        before, after = zip(*self.changed.values(), strict=True)
+        return {"figure": list(self.changed), "before": list(before), "after": list(after)}
 
     def __repr__(self) -> str:
         given = ", ".join(f"{k} {a:.3g} -> {b:.3g}" for k, (a, b) in self.changed.items())

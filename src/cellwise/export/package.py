@@ -25,7 +25,14 @@ from cellwise.estimate.fixed.options import MOST_CELLS, Asked
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.sensor import Seen, Sensor, assumed, seen_by
-from cellwise.export.c_tables import filled, firmware_folder, prefixed, put, write_sources
+from cellwise.export.c_tables import (
+    PUBLIC_HEADERS,
+    filled,
+    firmware_folder,
+    prefixed,
+    put,
+    write_sources,
+)
 from cellwise.export.example import BUILD, example_files
 
 DESCRIPTION = "cellwise_export.json"
@@ -217,10 +224,11 @@ def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> d
                 found[wanted["example"]] = as_application(text) if layout == "esp-idf" else text
         elif file == "test_vector.h":
             found[wanted["vector"] + file] = text
-        elif file.endswith(".h"):
+        elif file in PUBLIC_HEADERS:
             found[wanted["headers"] + file] = text
-        elif file.endswith(".c"):
-            found[wanted["sources"] + file] = wanted.get("pragma", "") + text
+        elif file.endswith((".c", ".h")):
+            pragma = wanted.get("pragma", "") if file.endswith(".c") else ""
+            found[wanted["sources"] + file] = pragma + text
         else:
             found[file] = text.replace(BUILD, filled(wanted["use"], marks))
     for path in sorted((folder / layout).rglob("*")):

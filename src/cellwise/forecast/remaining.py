@@ -32,6 +32,7 @@ from cellwise.forecast.along_kernels import (
     forecast_rows,
 )
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
 Hold = Literal["power", "current"]
@@ -74,7 +75,7 @@ class Forecast(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Flight:
+class Flight(Plottable, Tabular):
     """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
 
     ``load_A`` is the mean current of the last minute, the present load; a moment without a
@@ -121,6 +122,30 @@ class Flight:
             value = getattr(self, name)[k].tolist()
             found[name] = tuple(value) if isinstance(value, list) else value
         return Forecast(**found, by="voltage" if self.by_voltage[k] else "charge")
+
+    def columns(self) -> dict[str, FloatArray]:
+        """One row for each moment; a band as two, ``_low`` and ``_high`` before the unit."""
+        found: dict[str, FloatArray] = {}
+        for name in Forecast._fields[:-1]:
+            value = getattr(self, name)
+            if value.ndim == 1:
+                found[name] = value
+                continue
+            quantity, _, unit = name.removesuffix("_band").rpartition("_")
+            found |= {
+                f"{quantity}_{end}_{unit}": value[:, k] for k, end in enumerate(("low", "high"))
+            }
+        return found
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Remaining time and energy with their bands, and the SOC, over the log's time."""
+        hours, to = self.time_s / 3600.0, "full" if self.taper_A > 0.0 else "empty"
+        shown = (
+            (f"time to {to} [min]", self.remaining_s / 60.0, self.remaining_s_band / 60.0),
+            (f"energy to {to} [Wh]", self.remaining_Wh, self.remaining_Wh_band),
+            ("SOC", self.soc, 2.0 * self.soc_std),
+        )
+        return "time [h]", tuple(Panel(label, (Line(label, hours, *x),)) for label, *x in shown)
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 
@@ -98,7 +99,7 @@ class LogOfLife:
 
 
 @dataclass(frozen=True, eq=False)
-class Life:
+class Life(Plottable, Tabular):
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
     ``far_off`` names the logs that were left out for it. ``withheld``: all are, and capacity and
@@ -265,6 +266,18 @@ class Life:
             "trend_share": self.trend.share,
             "trend_std": self.trend.std,
         }
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Share of the new cell's capacity, and resistance, over the life."""
+        way, logs = np.asarray(self.way, dtype=np.float64), self.logs
+        share, ohm = (np.array([getattr(one, name) for one in logs])
+                      for name in ("share", "resistance_scale"))  # fmt: skip
+        ohm_std = np.array([one.resistance_std for one in logs])
+        lines = Line("logs", way, share), Line("trend", way, self.trend.share, 2 * self.trend.std)
+        return ("time [days]" if self.over == "days" else "charge moved [Ah]"), (
+            Panel("capacity over the new cell's", lines),
+            Panel("resistance over the model's", (Line("logs", way, ohm, 2.0 * ohm_std),)),
+        )
 
 
 def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) -> Life:

@@ -15,8 +15,8 @@ from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
+    CellTests,
     IdentifySettings,
-    TestLogs,
     log_temperature_C,
 )
 from cellwise.logs.cell_log import CellLog
@@ -51,14 +51,14 @@ class CheckedLogs(NamedTuple):
     that measured none.
     """
 
-    tests: TestLogs
+    tests: CellTests
     low_rate: tuple[LowRateTest, ...]
     default_C: float
     contradictions: tuple[Notice, ...]
     notices: tuple[str, ...]
 
 
-def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
+def check_logs(tests: CellTests, settings: IdentifySettings) -> CheckedLogs:
     """Refuse what no later step could make sense of.
 
     Raises
@@ -115,7 +115,7 @@ def _check_log(log: CellLog) -> None:
     check_one_cell(log)
 
 
-def _without_wrong_drives(tests: TestLogs) -> tuple[TestLogs, tuple[str, ...]]:
+def _without_wrong_drives(tests: CellTests) -> tuple[CellTests, tuple[str, ...]]:
     """The tests without drives that are refused, where half of the drives or more are right."""
     wrong = {}
     for log, _ in tests.drive:
@@ -174,8 +174,8 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
 
 
 def grouped_by_temperature(
-    tests: TestLogs, low_rate: Sequence[LowRateTest], default: float
-) -> dict[float, TestLogs]:
+    tests: CellTests, low_rate: Sequence[LowRateTest], default: float
+) -> dict[float, CellTests]:
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
@@ -194,13 +194,13 @@ def grouped_by_temperature(
         at = home if tests.hppc else nearest(test[0], None)
         warm |= {id(log): at for log in test}
 
-    def of(temperature_C: float) -> TestLogs:
+    def of(temperature_C: float) -> CellTests:
         return tests.only(lambda log: warm[id(log)] == temperature_C)
 
     return {t: of(t) for t in merged}
 
 
-def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
+def _of_pulses(tests: CellTests, default_C: float) -> list[float]:
     """Temperatures of the HPPC logs; measured ones that are alike are one."""
     stated = {t for _, t in tests.hppc if t is not None}
     measured = {
@@ -213,7 +213,7 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
     return merged
 
 
-def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
+def _of_all(tests: CellTests, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
     """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
 
     Tables of its own has a temperature with several loads. Where fewer than two have, all logs

@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import VOLT_PER_KELVIN, CheckedLogs, grouped_by_temperature
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings, PulseSet
 from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
@@ -33,7 +33,7 @@ class Group:
     """The tests of one temperature and what their pulses gave."""
 
     temperature_C: float
-    tests: TestLogs
+    tests: CellTests
     pulse_sets: tuple[PulseSet, ...]
     tables: PulseTables | None
 

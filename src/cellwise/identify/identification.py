@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Panel, Plottable, Summarised
+from cellwise.plotting import Panel, Plottable, Summarised, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
 REFERENCE_C = 25.0
@@ -62,7 +62,7 @@ class IdentifySettings:
 
 
 @dataclass(frozen=True, eq=False)
-class TestLogs:
+class CellTests:
     """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC].
 
     Parameters
@@ -74,8 +74,6 @@ class TestLogs:
     ------
     InputError        something else
     """
-
-    __test__: ClassVar[bool] = False  # not a test class, whatever pytest thinks of its name
 
     hppc: tuple[tuple[CellLog, float | None], ...] = ()
     ocv: tuple[CellLog, ...] = ()
@@ -95,9 +93,9 @@ class TestLogs:
         every = {id(log): log for log in (*driven, *self.ocv, *self.capacity)}
         return tuple(every.values())
 
-    def only(self, keep: Callable[[CellLog], bool]) -> TestLogs:
+    def only(self, keep: Callable[[CellLog], bool]) -> CellTests:
         """Those of the logs that are wanted."""
-        return TestLogs(
+        return CellTests(
             hppc=tuple(pair for pair in self.hppc if keep(pair[0])),
             ocv=tuple(filter(keep, self.ocv)),
             capacity=tuple(filter(keep, self.capacity)),
@@ -124,10 +122,10 @@ def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     for one in pairs:
         if not _is_pair(one):
             raise InputError(
-                f"{name} of TestLogs with a {type(one).__name__}",
+                f"{name} of CellTests with a {type(one).__name__}",
                 "a log, logs, or pairs of a log and its temperature [degC]",
-                f"Write TestLogs({name}=read_log('a.csv')) or "
-                f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+                f"Write CellTests({name}=read_log('a.csv')) or "
+                f"CellTests({name}=[(cold, -10.0), (warm, 25.0)]).",
             )
     return [(log, stated) for log, stated in pairs]
 
@@ -291,7 +289,7 @@ class OwnLog:
     @property
     def compared_V(self) -> FloatArray:
         """Errors of the rows that were compared [V]."""
-        error = self.simulation.error_V
+        error = self.simulation.residual_V
         return error if self.compared is None else error[self.compared]
 
     def to_dict(self) -> dict[str, Any]:
@@ -304,7 +302,7 @@ class OwnLog:
             "soc0": s.soc0,
             "soc0_std": self.start.std,
             "soc0_how": self.start.how,
-            "rmse_V": s.metrics.rmse_V,
+            "rmse_V": s.rmse_V,
             "rmse_above_10pct_V": s.rmse_above_10pct_V,
             **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},
             "reason": self.reason,
@@ -312,7 +310,7 @@ class OwnLog:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Plottable, Summarised):
+class Identification(Plottable, Summarised, Tabular):
     """A model and all that led to it.
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
@@ -354,6 +352,10 @@ class Identification(Plottable, Summarised):
         """As of its model."""
         return self.model.panels()
 
+    def columns(self) -> dict[str, FloatArray]:
+        """The tables of its model with their standard errors."""
+        return self.model.columns()
+
     def facts(self) -> dict[str, str]:
         """Of its model, then how well it says its own logs again."""
         counts = self.pulse_counts
@@ -361,7 +363,7 @@ class Identification(Plottable, Summarised):
             **self.model.facts(),
             "capacity by": self.capacity_choice,
             "RMSE on its own logs": "; ".join(
-                f"{s.log.name or 'log'} {1e3 * s.metrics.rmse_V:.1f} mV" for s in self.simulations
+                f"{s.log.name or 'log'} {1e3 * s.rmse_V:.1f} mV" for s in self.simulations
             ),
             "healthy pulses": f"{counts['healthy']} of {sum(counts.values())}",
             "notices": "; ".join(self.notices) or "none",
@@ -379,8 +381,7 @@ class Identification(Plottable, Summarised):
                 "mae_V": self.fit.mae_V,
                 "max_error_V": self.fit.max_error_V,
                 "logs": {
-                    s.log.name or f"log {k}": s.metrics.rmse_V
-                    for k, s in enumerate(self.simulations)
+                    s.log.name or f"log {k}": s.rmse_V for k, s in enumerate(self.simulations)
                 },
             },
             "temperatures_C": [t.temperature_C for t in self.temperatures],

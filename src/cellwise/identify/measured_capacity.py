@@ -13,7 +13,7 @@ from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.hppc.phases import find_phases
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.logs.cell_log import CellLog
 
 
@@ -149,7 +149,7 @@ def _against_nominal(capacity_Ah: float, choice: str, nominal_Ah: float | None) 
     return [Notice(RANGE_V * away, text)]
 
 
-def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Notice]:
+def _against_logs(capacity_Ah: float, choice: str, tests: CellTests) -> list[Notice]:
     """Logs that move more than the cell holds."""
     found = []
     for log in tests.logs():
@@ -171,7 +171,7 @@ def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Noti
 
 
 def _of_pulse_tests(
-    tests: TestLogs, nominal_Ah: float | None, notices: list[str]
+    tests: CellTests, nominal_Ah: float | None, notices: list[str]
 ) -> tuple[float | None, list[Notice]]:
     """Charge of the pulse test that moved most [Ah], None where it was not the whole cell.
 

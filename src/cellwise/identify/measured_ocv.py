@@ -12,7 +12,7 @@ from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
-from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
+from cellwise.identify.identification import REFERENCE_C, CellTests, log_temperature_C
 from cellwise.identify.ocv.curve import (
     POINTS,
     OcvCurve,
@@ -69,7 +69,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
-def pulse_counts(tests: TestLogs) -> str:
+def pulse_counts(tests: CellTests) -> str:
     """The pulses of each log by quality, as text."""
     values = []
     for log, _ in tests.hppc:
@@ -79,7 +79,7 @@ def pulse_counts(tests: TestLogs) -> str:
     return "; ".join(values)
 
 
-def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
+def _of_rests(tests: CellTests, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
     """Of the log nearest to the reference temperature: a cold one relaxes too slowly."""
     if not tests.hppc:
         return None
@@ -91,7 +91,7 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCur
         return None
 
 
-def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve:
+def _of_drives(tests: CellTests, capacity_Ah: float, notices: list[str]) -> OcvCurve:
     """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
     soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah

@@ -24,7 +24,7 @@ from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
 from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
-from cellwise.identify.identification import Fitted, OwnLog, Role, Start, TestLogs
+from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
 from cellwise.identify.ocv.curve import LIMITS
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -38,7 +38,7 @@ BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
 
-def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
+def simulate_back(model: CellModel, tests: CellTests, fitted: Fitted) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
     The start is what every other command finds with this model; the fit's own, which knows what a
@@ -111,7 +111,7 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     """Where the finished model is far from the logs that made it."""
     found = []
     for s in (o.simulation for o in own if o.used):
-        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.error_V, s.soc)
+        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.residual_V, s.soc)
     return found
 
 
@@ -154,7 +154,7 @@ def log_validity(
 
 
 def identified_validity(
-    tests: TestLogs,
+    tests: CellTests,
     used: Sequence[OwnLog],
     measured_soc: FloatArray,
     temperature_C: float | None = None,
@@ -163,7 +163,7 @@ def identified_validity(
 
     Parameters
     ----------
-    tests : TestLogs                        with the temperatures that were stated
+    tests : CellTests                        with the temperatures that were stated
     used : sequence of OwnLog               the logs that the model was fitted on
     measured_soc : (m,) float               where the OCV was measured
     temperature_C : float or None           of tests that measured none, as stated [degC]
@@ -208,7 +208,7 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
 
 def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
     """Errors of the rows that were measured [V]."""
-    error = simulation.error_V if rows is None else simulation.error_V[rows]
+    error = simulation.residual_V if rows is None else simulation.residual_V[rows]
     return np.asarray(error[np.isfinite(error)])
 
 

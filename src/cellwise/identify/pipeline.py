@@ -30,11 +30,11 @@ from cellwise.identify.fit_notices import fit_notices, poor_fit, start_notices
 from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
     REFERENCE_C,
+    CellTests,
     Fitted,
     Identification,
     IdentifySettings,
     TemperatureResult,
-    TestLogs,
 )
 from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
@@ -58,13 +58,13 @@ UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and anoth
 
 @one_blas_thread
 def identify_cell(
-    tests: TestLogs, settings: IdentifySettings | None = None, progress: Progress | None = None
+    tests: CellTests, settings: IdentifySettings | None = None, progress: Progress | None = None
 ) -> Identification:
     """Identify a cell from its laboratory tests, or from a prior and what there is.
 
     Parameters
     ----------
-    tests : TestLogs          at least one HPPC or drive log; with a prior, one of any kind
+    tests : CellTests          at least one HPPC or drive log; with a prior, one of any kind
     settings : IdentifySettings or None
     progress : callable or None       called with what is being done
 
@@ -216,7 +216,7 @@ def _curve(
     return measured
 
 
-def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) -> CellModel:
+def _stated_of(model: CellModel, tests: CellTests, settings: IdentifySettings) -> CellModel:
     """With chemistry and voltage window: as stated, else as of the model that was the prior.
 
     A prior's window is widened to hold every log; without one it is what laboratory tests kept to.

@@ -27,6 +27,7 @@ from cellwise.pack.suspicion import (
     suspicions,
     with_exchanged,
 )
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
@@ -79,7 +80,7 @@ UNKNOWN = Usable(np.nan, np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class PackEstimate:
+class PackEstimate(Plottable, Tabular):
     """A pack after its logs.
 
     ``days`` are the logs with their mean cells, ``evidence`` the last period's, ``state`` what a
@@ -241,6 +242,18 @@ class PackEstimate:
     def columns(self) -> dict[str, Any]:
         """One row per cell."""
         return {"name": list(self.names), **vars(self.cells)}
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """SOC, capacity and resistance of every cell with two standard deviations."""
+        cells, at = self.cells, np.arange(1.0, len(self.names) + 1.0)
+        shown = (
+            ("SOC", cells.soc, cells.soc_std),
+            ("capacity [Ah]", cells.capacity_Ah, cells.capacity_std_Ah),
+            ("resistance over the mean cell's", cells.resistance_scale, cells.resistance_std),
+        )
+        return "cell", tuple(
+            Panel(label, (Line(label, at, value, 2.0 * std),)) for label, value, std in shown
+        )
 
 
 @one_blas_thread

@@ -10,7 +10,7 @@ from typing import Any
 
 from cellwise.estimate.fixed.layout import hex_float
 
-WIDTH = 100
+WIDTH = 120
 
 
 def comment(text: str, indent: int = 0) -> list[str]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cellwise.identify.checked_logs import check_logs
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.measured_capacity import (
     hppc_reaches_empty,
     hppc_total_Ah,
@@ -27,7 +27,7 @@ def cut(log, share):
 
 def measured(log, nominal_Ah):
     settings = IdentifySettings(nominal_Ah=nominal_Ah)
-    return measure_capacity(check_logs(TestLogs(hppc=log), settings), settings)
+    return measure_capacity(check_logs(CellTests(hppc=log), settings), settings)
 
 
 @pytest.mark.parametrize("steps", [gitt(CELL), gitt(CELL, step=0.05), hppc(CELL)])

@@ -185,7 +185,7 @@ def identification(
             OwnLog("hppc", True, s, InitialSoc(s.soc0, 0.01, "given"), None, {}, "") for s in sims
         ),
         decided=(),
-        fit=error_metrics(sims[0].error_V),
+        fit=error_metrics(sims[0].residual_V),
         notices=("a notice with <angle> brackets",),
         seconds=1.5,
     )

@@ -352,7 +352,7 @@ def error_notices(
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
     of_stated = error_V / np.maximum(stated_V, SHOWN.least_V)
     everywhere = error_metrics(of_stated).rmse_V > FAR_OFF.deviations
-    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
+    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
     if not (everywhere or somewhere or all_rows.max_error_V >= SHOWN.no_model_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))

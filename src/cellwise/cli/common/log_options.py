@@ -20,7 +20,7 @@ from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
 
 if TYPE_CHECKING:
-    from cellwise.identify import TestLogs
+    from cellwise.identify import CellTests
 
 Log = TypeVar("Log")
 Made = TypeVar("Made")
@@ -144,20 +144,20 @@ def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, S
     return [(read_one(nth), nth) for nth in each]
 
 
-def test_logs(arguments: argparse.Namespace) -> TestLogs:
+def test_logs(arguments: argparse.Namespace) -> CellTests:
     """The laboratory tests, those with a temperature of their own with it.
 
     Raises
     ------
     InputError        as :func:`read`
     """
-    from cellwise.identify import TestLogs
+    from cellwise.identify import CellTests
 
     def stated(paths: Sequence[str]) -> tuple[tuple[CellLog, float | None], ...]:
         found = read_each(paths, lambda one: read(one, arguments))
         return tuple((log, one.temperature_C) for log, one in found)
 
-    return TestLogs(
+    return CellTests(
         hppc=stated(arguments.hppc),
         drive=stated(arguments.drive),
         ocv=read_all(arguments.ocv, arguments),

@@ -121,9 +121,9 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     """Key figures."""
     facts: list[tuple[object, object]] = []
     if (judged := judged_run(diagnosis)) is not None:
-        facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.metrics.rmse_V)))
+        facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.rmse_V)))
         if diagnosis.causes:
-            facts.append(("with the extended model", millivolt(judged.after.metrics.rmse_V)))
+            facts.append(("with the extended model", millivolt(judged.after.rmse_V)))
         if corrected := corrected_mV(judged):
             facts.append(("and with the log corrected", corrected))
     gain = diagnosis.soc_gain
@@ -215,7 +215,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
 
     def own_start(run: LogRun) -> str:
         own = run.own_start
-        return f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
+        return f"{millivolt(own.rmse_V)} from {own.soc0:.3f}" if own else ""
 
     caption = (
         "What a simulation shows with either model: all rows of every log, from this initial SOC."
@@ -228,7 +228,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
             "model finds another one."
         )
     after: list[tuple[object, Callable[[LogRun], object]]] = [
-        ("extended model", lambda r: millivolt(r.after.metrics.rmse_V)),
+        ("extended model", lambda r: millivolt(r.after.rmse_V)),
         ("log corrected, too", corrected_mV),
         ("its own start", own_start),
         ("less by", lambda r: percent(r.gain, 0)),
@@ -239,7 +239,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
         ("used", lambda r: "held out" if r.used == "holdout" else "fitted"),
         ("rows", lambda r: counted(len(r.log))),
         ("initial SOC", lambda r: f"{r.before.soc0:.3f}"),
-        ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.metrics.rmse_V)),
+        ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.rmse_V)),
         *(after if explained else ()),
         caption=caption,
         text_columns=(0, 1),
