@@ -24,13 +24,18 @@ static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise
  * `explained_V2` what the state and `one_V2` what the voltage brings to it; `polarisation_V` how much of the voltage
  * is current's doing. */
 typedef struct {
-    float voltage_V, variance_V2, explained_V2, one_V2, polarisation_V;
+    float voltage_V;
+    float variance_V2;
+    float explained_V2;
+    float one_V2;
+    float polarisation_V;
     cellwise_column column;
 } cellwise_innovation;
 
 /* How many samples share one model error: `above / below`, never divided. */
 typedef struct {
-    float above, below;
+    float above;
+    float below;
 } cellwise_shared;
 
 /* How often the voltage has gone up and down under a current that repeats itself. A constant current moves a voltage

@@ -9,13 +9,21 @@
  * `silent` for how many steps there was no current that could be used. `current` is the one that is held, `seen`
  * what the voltage has seen of it, `flow` what flows without the sensor's offset. */
 typedef struct {
-    uint32_t status, news, missing, silent;
-    float current, seen, flow, unmeasured_A2, temperature_C;
+    uint32_t status;
+    uint32_t news;
+    uint32_t missing;
+    uint32_t silent;
+    float current;
+    float seen;
+    float flow;
+    float unmeasured_A2;
+    float temperature_C;
 } cellwise_reading;
 
 /* What an interval took: samples missing, and the current that bridges them. */
 typedef struct {
-    uint32_t status, missing;
+    uint32_t status;
+    uint32_t missing;
     float bridge;
 } cellwise_charge;
 

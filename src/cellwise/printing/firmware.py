@@ -190,16 +190,11 @@ def size_of(field: layout.Field) -> str:
 
 def struct(name: str, fields: list[tuple[str, str, str]]) -> list[str]:
     """A struct from types, names and meanings."""
-    lines: list[str] = []
-    plain = ""  # the type of the line before, if it says nothing
+    lines = []
     for kind, text, meaning in fields:
         line = f"    {kind} {text};"
         said = [f"{line} /* {meaning} */"] if meaning else [line]
-        if not meaning and kind == plain and len(lines[-1]) + len(text) < WIDTH:
-            lines[-1] = f"{lines[-1][:-1]}, {text};"
-        else:
-            lines += said if len(said[0]) <= WIDTH else [*comment(meaning, 4), line]
-        plain = "" if meaning else kind
+        lines += said if len(said[0]) <= WIDTH else [*comment(meaning, 4), line]
     return ["typedef struct {", *lines, f"}} {name};"]
 
 

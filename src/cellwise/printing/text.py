@@ -15,7 +15,7 @@ WIDTH = 120
 
 def comment(text: str, indent: int = 0) -> list[str]:
     """A comment of C, broken to the width."""
-    plain = re.sub(r"\s+", " ", text.replace("``", "`")).strip()
+    plain = re.sub(r":\w+:(?=`)", "", re.sub(r"\s+", " ", text.replace("``", "`"))).strip()
     pad = " " * indent
     lines = textwrap.wrap(plain, WIDTH - indent - 6, break_on_hyphens=False)
     return [f"{pad}{'/* ' if k == 0 else ' * '}{line}" + (" */" if k == len(lines) - 1 else "")
