@@ -27,7 +27,7 @@ typedef struct {
     float bridge;
 } cellwise_charge;
 
-/* Sequence number, current and temperature of a sample; the status `before` with theirs. */
+/* CW-001, CW-004, CW-005. Sequence number, current and temperature of a sample; the status `before` with theirs. */
 static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_input *sample, uint32_t before,
                 cellwise_reading *reading)
 {
@@ -91,7 +91,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
 }
 
-/* SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
+/* CW-003. SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
 static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
                          cellwise_charge *charge)
 {
@@ -158,8 +158,8 @@ static float stated_variance(const cellwise_state *x, float known)
     return stated;
 }
 
-/* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which lost a bit
- * has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
+/* CW-007. Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which
+ * lost a bit has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
 static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing, uint32_t sequence,
                        cellwise_output *out)
 {

@@ -79,6 +79,7 @@ UNSAFE = ("-ffast-math", "-funsafe-math-optimizations", "-ffinite-math-only", "-
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 @pytest.mark.parametrize("option", UNSAFE)
 def test_what_breaks_the_arithmetic_does_not_compile(option, tmp_path):
+    """CW-017."""
     write(tables_of("lean"), tmp_path)
     done = subprocess.run(["gcc", "-c", option, "cellwise_ekf.c"], cwd=tmp_path,
                           capture_output=True, text=True, check=False)  # fmt: skip

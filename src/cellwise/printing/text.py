@@ -50,7 +50,10 @@ def broken(line: str, indent: int) -> list[str]:
         _, cut, inside = max(cuts)
         pieces.append(" " * column + line[:cut])
         line = line[cut + 1 :]
-        column = column + inside if inside and column + inside < 60 else indent + 4
+        if inside and column + inside < 60:
+            column += inside
+        elif len(pieces) == 1:  # later ones stand under the second
+            column = indent + 4
     return [*pieces, " " * column + line]
 
 
