@@ -135,7 +135,7 @@ def test_a_temperature_that_no_cell_has_is_held(full, temperature_C):
 
 
 @needs_gcc
-def test_a_state_out_of_its_range_starts_anew(full):
+def test_a_state_out_of_its_range_is_re_initialised(full):
     """CW-006: each number of it; and cleared memory, which knew an empty cell exactly."""
     good = begun(full)
     for name in good.dtype.names:
