@@ -30,7 +30,7 @@ from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import resample
-from cellwise.printing.firmware import print_header, print_source
+from cellwise.printing.firmware import print_files
 from example_cells import curved_cell
 from firmware_cases import power_asked
 
@@ -122,7 +122,7 @@ def test_the_fraction_of_a_charge_transfer_is_that_of_the_equations():
 def printed(model, **asked):
     """The C of a lean build."""
     options = fixed_step_tables(model, DT_S, wide=False, **asked).options
-    return print_header(options) + print_source(options)
+    return "".join(print_files(options).values())
 
 
 ASKED = {
