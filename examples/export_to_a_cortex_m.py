@@ -5,9 +5,7 @@ from pathlib import Path
 import cellwise as cw
 from cellwise.cli import main
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),), ocv=(cw.load_dataset("nmc_ocv_c20"),)
-)
+tests = cw.CellTests(hppc=cw.load_dataset("nmc_hppc"), ocv=cw.load_dataset("nmc_ocv_c20"))
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 cw.write_model(cell, "cell.json")
 

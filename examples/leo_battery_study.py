@@ -6,9 +6,7 @@ import numpy as np
 
 import cellwise as cw
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),), ocv=(cw.load_dataset("nmc_ocv_c20"),)
-)
+tests = cw.CellTests(hppc=cw.load_dataset("nmc_hppc"), ocv=cw.load_dataset("nmc_ocv_c20"))
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 orbits = cw.load_dataset("nmc_leo")
 print(orbits)

@@ -4,9 +4,7 @@ import cellwise as cw
 from cellwise.forecast.remaining import forecast
 from cellwise.report import replay_page
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),), ocv=(cw.load_dataset("nmc_ocv_c20"),)
-)
+tests = cw.CellTests(hppc=cw.load_dataset("nmc_hppc"), ocv=cw.load_dataset("nmc_ocv_c20"))
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 
 # Your own: cw.read_log("flight.ulg", series="auto"), or an ArduPilot .bin with series=4.

@@ -33,6 +33,7 @@ POWER_LIMITS = (2.8, 4.2, 15.0, 5.0)
 HOST_NS = 100.0
 # Instructions, code [B], stack [B], state [B] that three states with --lean are held to.
 LIMITS = {"cortex-m4f": (520.0, 2048.0, 96.0, 64.0), "cortex-m0plus": (16_500.0, None, None, 64.0)}
+SHOWN = tuple(f"{core}: {name}" for core in LIMITS for name in ("3 states, --lean", "4 states"))
 DESIGN = {
     "cortex-m4f": "prototype: 457 to 502 instructions, 1.75 kB at -O2, stack 80 B, state 48 B",
     "cortex-m0plus": "prototype: 15,500 instructions",
@@ -133,17 +134,23 @@ def _cost(
     design: str,
 ) -> list[Figure]:
     instructions, text, stack, state = held or (None, None, None, None)
-    note = f"{cost.measured} steps counted in QEMU; instructions, not cycles"
+    stack_bytes = float(max(cost.stack_bytes or 0, worst.stack_bytes))
+    note = (
+        f"{cost.measured} steps counted in QEMU, not cycles; "
+        f"most under stress {worst.stress:,.0f}; "
+        f"code {cost.text_bytes:,} B, stack {stack_bytes:,.0f} B, state {cost.state_bytes:,} B"
+    )
+    shown = group in SHOWN
     return [
-        Figure(group, "mean of a drive", cost.instructions_mean, "instructions", note=note),
+        Figure(group, "mean of a drive", cost.instructions_mean, "instructions", note=note,
+               headline=shown),
         Figure(group, "most on it", cost.instructions_most, "instructions", target=instructions,
                note=design if held else ""),
         Figure(group, "most under stress", worst.stress, "instructions", target=instructions,
                note="any bits, every fault"),
         Figure(group, "after a lock-out", worst.reset, "instructions"),
         Figure(group, "code", float(cost.text_bytes), "B", target=text, note="-Os"),
-        Figure(group, "stack", float(max(cost.stack_bytes or 0, worst.stack_bytes)), "B",
-               target=stack),
+        Figure(group, "stack", stack_bytes, "B", target=stack),
         Figure(group, "state", float(cost.state_bytes), "B", target=state),
         Figure(group, "static RAM", float(cost.ram_bytes), "B", target=0.0 if held else None),
         Figure(group, f"tables of {POINTS} points", float(cost.model_bytes), "B"),

@@ -17,8 +17,8 @@ cellwise export: model to C sources and other programs' formats
     --points N  SOC points [the model's]
     --lean  smaller code, slower from a start far off, no watch for frozen or lost sensors
     --without EFFECT...  leave out an effect of the model, e.g. the laboratory's time_skew; several
-    --noise NAME=X...  of the target's sensors, e.g. voltage_V=0.005, current_A=0.05; several [the
-        model's]
+    --sensor F.toml  what the target's sensors are off by, as TOML [a car's]
+    --noise NAME=X...  of the filter, e.g. gap_soc=0.2; several [the model's, with the sensors']
     --prefix NAME  of every file and name, for several models
     --power S  state of power: held for S seconds, 10 say
 <limits>
@@ -45,10 +45,12 @@ from cellwise.cli.common import forecast_options, log_options, options, page_opt
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.sensor import assumed_text, seen_by
 from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_costs
 from cellwise.export.package import Export, check_folder, write_package
 from cellwise.logs import CellLog
 from cellwise.report.export_page import ACCURACY_COLUMNS, cost_rows, export_page
+from cellwise.workflows.starts import start_of
 
 # Options that name what is written beside the folder, each by the module of its name.
 FORMATS = {name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can")}
@@ -61,10 +63,11 @@ def run_export(arguments: argparse.Namespace) -> None:
     page_options.check_page_options(arguments)
     check(arguments)
     model = without(options.read_model(arguments), arguments.without)
+    sensor = options.sensor_of(arguments)
     export = Export(
         model,
         arguments.dt,
-        noise_of(model, arguments.noise),
+        noise_of(seen_by(model, sensor).noise, arguments.noise),
         Asked(
             points=arguments.points,
             wide=not arguments.lean,
@@ -77,6 +80,7 @@ def run_export(arguments: argparse.Namespace) -> None:
         arguments.prefix or "",
         arguments.layout,
         arguments.what or "estimator",
+        sensor,
     )
     report = export.description
     log = read(model, arguments)
@@ -162,8 +166,8 @@ def without(model: CellModel, names: list[str]) -> CellModel:
     return replace(model, effects=kept) if names else model
 
 
-def noise_of(model: CellModel, stated: list[str]) -> Noise:
-    """The model's noise, with what is stated of the target's sensors.
+def noise_of(noise: Noise, stated: list[str]) -> Noise:
+    """The noise with what is stated in its place.
 
     Raises
     ------
@@ -183,7 +187,7 @@ def noise_of(model: CellModel, stated: list[str]) -> Noise:
                 f"NAME=X with one of {', '.join(names)}",
                 "Write e.g. --noise voltage_V=0.005.",
             )
-    return replace(Noise.of_model(model), **values)  # type: ignore[arg-type]
+    return replace(noise, **values)  # type: ignore[arg-type]
 
 
 def write_pages(
@@ -205,13 +209,13 @@ def beside_float64(
 ) -> list[FixedAndFloat]:
     """What is exported and the float64 EKF on the log, by number of SOC points."""
     return fixed_and_float(
-        export.model,
+        export.seen.model,
         log,
         arguments.dt,
-        soc0=options.start_of(log.soc0, arguments.soc0),
+        soc0=start_of(log.soc0, arguments.soc0),
         lean=arguments.lean,
         points=export.asked.points,
-        noise=export.noise,
+        noise=export.seen.noise,
     )
 
 
@@ -241,6 +245,8 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
         rows["state of a pack"] = f"{report['pack_bytes']:,} bytes for {cells} cells"
     title = f"{folder}: {len(report['files'])} files for a step of {report['dt_s']:g} s"
     printing.table(title, ("what", "value"), list(rows.items()))
+    if report["sensor"]["by_default"]:
+        printing.say(assumed_text(report["sensor"]))
     if report["targets"]:
         about = "Cost on the target (instructions, not cycles; counted in QEMU)"
         printing.table(about, *cost_rows(report["targets"]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +12,19 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN  # voltages that did not count
 LEAST_ROWS = 20
+TRACE_COLUMNS = (
+    *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
+    *("test_ratio", "status"),
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trace:
+class Trace(Tabular):
     """Every array has shape (rows,).
 
     ``voltage_V`` is the voltage predicted before the row's own voltage was used; ``innovation_V``
@@ -38,6 +44,10 @@ class Trace:
 
     def __len__(self) -> int:
         return self.time_s.size
+
+    def columns(self) -> dict[str, Any]:
+        """The arrays, which every estimator has."""
+        return {name: getattr(self, name) for name in TRACE_COLUMNS}
 
     @property
     def used(self) -> BoolArray:
