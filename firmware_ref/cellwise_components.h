@@ -81,11 +81,13 @@ static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *c
     column->v3 = 0.0f;
     column->h = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
-        column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
-        column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
-        column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
-        column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
-        column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
+        if (of[k + 1u].cost < LARGE) { /* else it is dropped: no weight, and nobody looks after its memory */
+            column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
+            column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
+            column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
+            column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
+            column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
+        }
     }
     column->variance = 0.0f;
 }
@@ -155,7 +157,9 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
     take_mean(&of[0u], &mean);
     hold_within(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
-        collect(&of[0u], &of[k + 1u]);
+        if (of[k + 1u].cost < LARGE) {
+            collect(&of[0u], &of[k + 1u]);
+        }
     }
     of[0u].mismatch = b->mismatch;
     if ((of[0u].ss <= WIDE_VARIANCE) && (b->looks == LOOKS)) {

@@ -93,8 +93,9 @@ def mean_of(of: States, count: int) -> Column:
     for i in CELL:
         mean[i] = 0.0
     for k in range(count):
-        for i in CELL:
-            mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
+        if of[k + 1].cost < LARGE:  # else it is dropped: no weight, and nobody looks after its memory
+            for i in CELL:
+                mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
     return Column(0.0, *(mean[i] if THERE else 0.0 for i in CELL))
 
 
@@ -130,7 +131,8 @@ def gather(b: Bank, of: States, count: int) -> None:
     take_mean(of[0], mean)
     hold_within(of[0])  # weights add up to one but for rounding
     for k in range(count):
-        collect(of[0], of[k + 1])
+        if of[k + 1].cost < LARGE:
+            collect(of[0], of[k + 1])
     of[0].mismatch = b.mismatch
     if of[0].ss <= WIDE_VARIANCE and b.looks == LOOKS:
         b.spread = U(0)
