@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.notices import Code, Notice, texts
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -94,7 +96,7 @@ class LogOfLife:
             "capacity_share": self.share,
             "capacity_share_std": self.share_std,
             "how": self.how,
-            "notices": list(self.log.notices),
+            "notices": texts(self.log.notices),
         }
 
 
@@ -111,13 +113,13 @@ class Life(Plottable, Tabular):
     over: str
     way: FloatArray
     trend: Trend
-    far_off: tuple[str, ...] = ()
+    far_off: tuple[Notice, ...] = ()
     withheld: bool = False
 
     def __repr__(self) -> str:
         if self.withheld:
             return f"Life({len(self.logs)} logs, FAR OFF this model)"
-        scale, std = self.resistance
+        scale, std = self.resistance_scale, self.resistance_std
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
             f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
@@ -150,14 +152,14 @@ class Life(Plottable, Tabular):
                 "logs of the model's cell, aged or not",
                 "Check the model and how the logs are read.",
             )
-        scale = self.resistance[0]
+        scale = self.resistance_scale
         capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
         aged = changed_model(self.model, capacity, float(np.log(scale)))
         about = {
             "capacity_share": float(self.trend.share[-1]),
             "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
-            "resistance_std": self.resistance[1],
+            "resistance_std": self.resistance_std,
             "logs": [one.log.name for one in self.logs],
         }
         fitted, std = self.model.posterior, self.capacity_std_Ah / self.capacity_Ah
@@ -168,11 +170,17 @@ class Life(Plottable, Tabular):
         )
 
     @property
-    def resistance(self) -> tuple[float, float]:
-        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs.
+    def resistance_scale(self) -> float:
+        """Resistance now over the model's: the mean of the last fifth of the logs."""
+        return self._resistance[0]
 
-        Where these scatter by more than each states, the deviation is as much larger.
-        """
+    @property
+    def resistance_std(self) -> float:
+        """Its deviation; where these logs scatter by more than each states, as much larger."""
+        return self._resistance[1]
+
+    @cached_property
+    def _resistance(self) -> tuple[float, float]:
         last = self.logs[-max(len(self.logs) // 5, 1) :]
         weight = np.array([one.resistance_std**-2.0 for one in last])
         values = np.array([one.resistance_scale for one in last])
@@ -196,7 +204,7 @@ class Life(Plottable, Tabular):
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know of the whole life."""
         temperatures = [
             float(np.nanmean(one.log.temperature_C))
@@ -206,22 +214,23 @@ class Life(Plottable, Tabular):
         found = [*self.far_off]
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
-            found.append(
-                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
-                f"others are compared; the capacity to use is of the whole SOC range: the "
-                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+            text = (
+                f" counts {first.capacity_Ah:.4g} Ah at its load, by which the others are "
+                "compared; the capacity to use is of the whole SOC range: the model's "
+                f"{self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
                 "of the new cell, times the share that remains"
             )
+            found.append(Notice(Code.CAPACITY_AT_LOAD, text, log=first.log.name))
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
-            found.append(
+            text = (
                 f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
                 "at other temperatures are compared through the model, with a wider band"
             )
+            found.append(Notice(Code.TEMPERATURES_DIFFER, text))
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
-        scale, scale_std = self.resistance
         return {
             "logs": [one.to_dict() for one in self.logs],
             "trend": {
@@ -234,14 +243,14 @@ class Life(Plottable, Tabular):
                 "use": {
                     "capacity_Ah": self.capacity_Ah,
                     "capacity_std_Ah": self.capacity_std_Ah,
-                    "resistance_scale": scale,
-                    "resistance_std": scale_std,
+                    "resistance_scale": self.resistance_scale,
+                    "resistance_std": self.resistance_std,
                 },
             },
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[str]) -> Life:
+    def without_health(self, far_off: Sequence[Notice]) -> Life:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
@@ -302,7 +311,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
     references: list[tuple[Stretch, LogOfLife | None]] = []
-    far_off: list[str] = []
+    far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = log_health(model, log) if one is None or not found else None
