@@ -151,14 +151,14 @@ FINDINGS = {
         leaf,
         lambda: _logs(LEAF, "cap_2c_p23"),
         list,
-        "auto",
+        None,
     ),
     "leaf_3c": Finding(
         "Leaf at 3C with the model of 1C",
         leaf,
         lambda: _logs(LEAF, "cap_3c_p23"),
         list,
-        "auto",
+        None,
     ),
 }
 

@@ -64,7 +64,7 @@ def test_after_a_current_that_stood_still_the_longest_part_is_judged_from_a_star
     assert log.time_s[0] >= 798.0
     assert log.time_s[-1] == drive.time_s[-1]
     assert log.soc0 is None
-    assert starts == ["auto"]
+    assert starts == [None]
 
 
 def test_a_current_at_the_end_of_its_range_is_saturated_and_a_tester_at_its_limit_is_not(drive):

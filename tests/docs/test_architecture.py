@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
     "notices": set(),
-    "plotting": {"errors", "typing"},
+    "plotting": {"arguments", "errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
     "printing": BASE | {"cell", "estimate"},

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellwise.arguments import check_kind, number, numbers
+from cellwise.arguments import check_kind, number, numbers, shown
 from cellwise.cell.description import State
 from cellwise.cell.effects import (
     BRANCH_ACTIVATIONS,
@@ -122,6 +122,7 @@ class CellModel(Plottable, Summarised, Tabular):
                 table = _spread_over(np.atleast_2d(table), shape)
             table.setflags(write=False)
             object.__setattr__(self, name, table)
+        _check_parts(self)
         object.__setattr__(self, "effects", tuple(self.effects))
         check_model(self)
 
@@ -318,11 +319,13 @@ class CellModel(Plottable, Summarised, Tabular):
 
     def with_effect(self, effect: Effect) -> CellModel:
         """The model with one effect added or replaced."""
+        check_kind("effect", effect, Effect, "Write Hysteresis(m_V=0.01, gamma=40.0), say.")
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect))
 
     def with_resistances(self, factor: float) -> CellModel:
         """The model with every resistance times a factor, that of a slow branch too."""
+        factor = number("factor", factor, "a number above zero")
         slow = self.effect(SlowDiffusion)
         slower = replace(slow, r3_ohm=factor * np.asarray(slow.r3_ohm))
         changed = replace(self, **{n: factor * getattr(self, n) for n in RESISTANCES})
@@ -425,6 +428,28 @@ def _soc_points(soc: FloatArray) -> tuple[FloatArray, slice]:
             "Divide per cent by 100." if points.size and points[-1] > 2.0 else "Add the ends.",
         )
     return points, order
+
+
+def _check_parts(model: CellModel) -> None:
+    """Refuse what is beside the tables and of another type.
+
+    Raises
+    ------
+    InputError        names it, what it is and what it should be
+    """
+    limits = {n: getattr(model, n) for n in ("voltage_min_V", "voltage_max_V")}
+    for name, value in {"charge_efficiency": model.charge_efficiency, **limits}.items():
+        if value is not None or name not in limits:
+            object.__setattr__(model, name, number(name, value, "a number"))
+    check_kind("error", model.error, ModelError, "Write ModelError.of_white_and_slow(0.002, 0.01).")
+    check_kind("validity", model.validity, Validity, "Write Validity(soc=(0.0, 1.0)), say.")
+    if not isinstance(model.provenance, Mapping):
+        raise InputError(f"provenance = {shown(model.provenance)}", "a mapping", "Pass a dict.")
+    if model.posterior is not None:
+        check_kind("posterior", model.posterior, Posterior, "Leave it out.")
+    effects = model.effects if isinstance(model.effects, (tuple, list)) else (model.effects,)
+    for effect in effects:
+        check_kind("effects", effect, Effect, "Write effects=(Hysteresis(m_V=0.01, gamma=40.0),).")
 
 
 def check_is_model(model: object) -> None:

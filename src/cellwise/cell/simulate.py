@@ -198,6 +198,8 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     check_is_model(model)
     check_is_log(log)
     soc0 = check_soc0(soc0)
+    if h0 is not None:
+        h0 = number("h0", h0, "from -1 after a discharge to 1 after a charge, or None")
     tables = model.parameters()
     voltage = np.empty(len(log))
     soc = np.empty(len(log))

@@ -56,7 +56,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             logs,
             holdout,
             baseline,
-            "auto" if soc0 is None else soc0,
+            soc0,
             causes=arguments.cause or None,
             reference_capacity_Ah=arguments.reference_capacity_ah,
             progress=lambda share, what: follow(what, share),

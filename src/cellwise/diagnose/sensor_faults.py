@@ -122,22 +122,22 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
 
 
 def without_faults(
-    groups: Sequence[Sequence[CellLog]], starts: Iterable[float | str]
-) -> tuple[list[tuple[CellLog, ...]], list[float | str], tuple[SensorFault, ...]]:
+    groups: Sequence[Sequence[CellLog]], starts: Iterable[float | None]
+) -> tuple[list[tuple[CellLog, ...]], list[float | None], tuple[SensorFault, ...]]:
     """Groups of logs without faults, where each starts, and the faults.
 
     ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
     not known any more.
     """
     stated = iter(starts)
-    kept: list[float | str] = []
+    kept: list[float | None] = []
     faults: list[SensorFault] = []
     cleaned: list[tuple[CellLog, ...]] = []
     for group in groups:
         left = [clean(log) for log in group]
         for log, (one, found) in zip(group, left, strict=True):
-            start = next(stated, "auto")
-            kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
+            start = next(stated, None)
+            kept.append(start if one.time_s[0] == log.time_s[0] else None)
             faults += found
         cleaned.append(tuple(one for one, _ in left))
     return cleaned, kept, tuple(faults)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
@@ -23,10 +24,10 @@ from cellwise.cell.plausibility.notice import (
     times_stated,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
-from cellwise.cell.simulate import simulate
+from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive import AdaptiveTrace
-from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.estimators import Estimator, OnlineFilter, estimator_of
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
@@ -286,9 +287,9 @@ def reference_soc(log: CellLog, soc0: float, capacity_Ah: float) -> FloatArray |
 def replay(
     model: CellModel,
     log: CellLog,
-    estimator: str | Estimator = "ekf",
-    *,
+    estimator: str | Estimator | OnlineFilter = "ekf",
     soc0: float | None = None,
+    *,
     soc0_std: float | None = None,
     noise: Noise | None = None,
     sensor: Sensor | None = None,
@@ -300,7 +301,8 @@ def replay(
 
     Parameters
     ----------
-    estimator : str or Estimator      a name of ``ESTIMATORS`` or anything with its ``run``
+    estimator : str, filter or OnlineFilter      a name of ``ESTIMATORS`` in any case, a filter of
+                                      cellwise, or one's own: an object with ``start`` and ``step``
     soc0 : float or None              initial SOC; None: from a rest or a fit at the log's start
     soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
                                       what the search for it says
@@ -319,8 +321,9 @@ def replay(
 
     Raises
     ------
-    InputError        the power is asked for, and no limit is known (see `power_limits`); a sensor
-                      for an estimator that is made already
+    InputError        what is of another type; an estimator that there is not; the power is asked
+                      for, and no limit is known (see `power_limits`); a sensor for an estimator
+                      that is made already
     """
     check_is_model(model)
     check_is_log(log)
@@ -334,7 +337,7 @@ def replay(
         model, of_sensor = seen_by(model, sensor)
         noise = of_sensor if noise is None else noise
     asked = power_settings(model, noise=noise) if power is True else power
-    filter_ = make_estimator(estimator, model, noise) if isinstance(estimator, str) else estimator
+    filter_ = estimator_of(estimator, model, noise)
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:
         start = InitialSoc(start.soc, soc0_std, start.how)
@@ -349,7 +352,9 @@ def replay(
         true0 = reference_soc0
         if true0 is None:
             true0 = initial_soc(model, log, whole_log=True).soc
-        reference = reference_soc(log, true0, reference_capacity_Ah)
+        true0 = check_soc0(true0)
+        capacity = number("reference_capacity_Ah", reference_capacity_Ah, "a number above zero")
+        reference = reference_soc(log, true0, capacity)
     limits = power_along(asked, log, trace) if asked else None
     # fmt: off
     return Replay(

@@ -17,11 +17,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import file_path, number
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed.options import MOST_CELLS, Asked
+from cellwise.estimate.fixed.options import MOST_CELLS, Asked, CellSettings
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.sensor import Seen, Sensor, assumed, seen_by
@@ -177,6 +178,44 @@ def check_folder(folder: Path) -> None:
         raise InputError(
             f"no folder '{folder.resolve().parent}'", "an existing folder", "Create it first."
         )
+
+
+def export_firmware(
+    model: CellModel,
+    folder: Path | str,
+    dt_s: float,
+    *,
+    noise: Noise | None = None,
+    cells: int = 0,
+    prefix: str = "",
+    layout: str | None = None,
+) -> list[Path]:
+    """Write the filter of a model as C sources that step every ``dt_s`` seconds.
+
+    As ``cellwise export --dt S -o DIR`` without a log, and without counting what it costs.
+
+    Parameters
+    ----------
+    folder : path             made where it does not exist
+    dt_s : float              time step of the target [s]
+    cells : int               of a pack in series, 0: one cell
+    noise, prefix, layout     as of :class:`Export`
+
+    Returns
+    -------
+    list of Path              the files, in alphabetical order
+
+    Raises
+    ------
+    InputError                as of :class:`Export`; a folder that cannot be written to
+    """
+    check_is_model(model)
+    place = file_path("folder", folder)
+    step_s = number("dt_s", dt_s, "the time step of the target [s]", "Give dt_s=1, say.")
+    asked = Asked(cells=CellSettings() if cells else None)
+    export = Export(model, step_s, noise, asked, cells, prefix, layout)
+    unmeasured: dict[str, Any] = {"targets": [], "accuracy": [], "sockets": {}, "notices": []}
+    return [place / name for name in write_package(export, place, export.description | unmeasured)]
 
 
 def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> list[str]:

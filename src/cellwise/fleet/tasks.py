@@ -229,7 +229,7 @@ class DiagnoseTask(LogTask):
             self.model,
             log,
             baseline=tuple(self.baseline),
-            soc0="auto" if self.soc0 is None else self.soc0,
+            soc0=self.soc0,
             causes=self.causes,
         ).to_dict()
         causes = found["causes"]

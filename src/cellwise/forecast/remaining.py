@@ -7,9 +7,10 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import place_of, size_of
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
@@ -216,9 +217,10 @@ def forecast(
     ------
     InputError                a cutoff above the model's full OCV, an unknown ``hold``
     """
+    check_is_model(model)
+    check_kind("replay", replay, Replay, "Write forecast(model, replay(model, log)).")
     cutoff = cutoff_of(model, cutoff_V)
-    if hold not in get_args(Hold):
-        raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
+    hold = "power" if choice("hold", hold, get_args(Hold)) == "power" else "current"
     log = replay.log
     load_A, load_W = present_load(log, log.known_current_A())
     wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
@@ -392,7 +394,7 @@ def cutoff_of(model: CellModel, given: float | None) -> float:
     if given is None:
         given = model.voltage_min_V
     lowest, highest = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
-    cutoff = lowest if given is None else float(given)
+    cutoff = lowest if given is None else number("cutoff_V", given, "a voltage of one cell")
     if not 0.0 < cutoff < highest:
         raise InputError(
             f"a cutoff of {cutoff:g} V for a cell of {lowest:.2f} to {highest:.2f} V",

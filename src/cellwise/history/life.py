@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,7 +119,7 @@ class Life(Plottable, Tabular):
     def __repr__(self) -> str:
         if self.withheld:
             return f"Life({len(self.logs)} logs, FAR OFF this model)"
-        scale, std = self.resistance
+        scale, std = self.resistance_scale, self.resistance_std
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
             f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
@@ -151,14 +152,14 @@ class Life(Plottable, Tabular):
                 "logs of the model's cell, aged or not",
                 "Check the model and how the logs are read.",
             )
-        scale = self.resistance[0]
+        scale = self.resistance_scale
         capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
         aged = changed_model(self.model, capacity, float(np.log(scale)))
         about = {
             "capacity_share": float(self.trend.share[-1]),
             "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
-            "resistance_std": self.resistance[1],
+            "resistance_std": self.resistance_std,
             "logs": [one.log.name for one in self.logs],
         }
         fitted, std = self.model.posterior, self.capacity_std_Ah / self.capacity_Ah
@@ -169,11 +170,17 @@ class Life(Plottable, Tabular):
         )
 
     @property
-    def resistance(self) -> tuple[float, float]:
-        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs.
+    def resistance_scale(self) -> float:
+        """Resistance now over the model's: the mean of the last fifth of the logs."""
+        return self._resistance[0]
 
-        Where these scatter by more than each states, the deviation is as much larger.
-        """
+    @property
+    def resistance_std(self) -> float:
+        """Its deviation; where these logs scatter by more than each states, as much larger."""
+        return self._resistance[1]
+
+    @cached_property
+    def _resistance(self) -> tuple[float, float]:
         last = self.logs[-max(len(self.logs) // 5, 1) :]
         weight = np.array([one.resistance_std**-2.0 for one in last])
         values = np.array([one.resistance_scale for one in last])
@@ -224,7 +231,6 @@ class Life(Plottable, Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
-        scale, scale_std = self.resistance
         return {
             "logs": [one.to_dict() for one in self.logs],
             "trend": {
@@ -237,8 +243,8 @@ class Life(Plottable, Tabular):
                 "use": {
                     "capacity_Ah": self.capacity_Ah,
                     "capacity_std_Ah": self.capacity_std_Ah,
-                    "resistance_scale": scale,
-                    "resistance_std": scale_std,
+                    "resistance_scale": self.resistance_scale,
+                    "resistance_std": self.resistance_std,
                 },
             },
             "notices": texts(self.notices),

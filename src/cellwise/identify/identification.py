@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from cellwise.arguments import check_kind, choice, number, shown
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
@@ -45,6 +46,10 @@ class IdentifySettings:
     prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
                                        a stock model where the logs see too little of the SOC range
     name, chemistry : str              written into the model
+
+    Raises
+    ------
+    InputError        a method, tables or branches that there are not; what is no number, no model
     """
 
     nominal_Ah: float | None = None
@@ -59,6 +64,17 @@ class IdentifySettings:
     without_lineage: tuple[str, ...] = ()
     name: str = ""
     chemistry: str = ""
+
+    def __post_init__(self) -> None:
+        for field_, names in (("method", get_args(Method)), ("tables", get_args(TableKind))):
+            object.__setattr__(self, field_, choice(field_, getattr(self, field_), names))
+        if self.branches not in (2, 3):
+            raise InputError(f"branches = {shown(self.branches)}", "2 or 3", "Choose one of them.")
+        for field_ in ("nominal_Ah", "temperature_C"):
+            if (value := getattr(self, field_)) is not None:
+                object.__setattr__(self, field_, number(field_, value, "a number, or None"))
+        if self.prior is not None:
+            check_kind("prior", self.prior, CellModel, "Write stock_model('nmc-18650'), say.")
 
 
 @dataclass(frozen=True, eq=False)

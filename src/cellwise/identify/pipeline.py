@@ -16,6 +16,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
@@ -79,6 +80,9 @@ def identify_cell(
                       capacity choice; tests that neither a model nor a prior fits
     """
     began = time.perf_counter()
+    check_kind("tests", tests, CellTests, "Write CellTests(hppc=log), or CellTests(drive=log).")
+    if settings is not None:
+        check_kind("settings", settings, IdentifySettings, "Write IdentifySettings(nominal_Ah=5).")
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
     checked = check_logs(tests, settings)

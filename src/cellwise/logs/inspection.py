@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.checks import faults, grave, units
 from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, run_edges
@@ -111,6 +111,7 @@ def inspect_log(log: CellLog) -> Inspection:
     -------
     Inspection        its ``notices``: those of reading, and one for every oddity
     """
+    check_is_log(log)
     possible = faults.possible_part(log)
     check = verify_sign(possible)
     counter = units.compare_counter(log)

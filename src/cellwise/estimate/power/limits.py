@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limit_kernels import LimitScalars
@@ -50,7 +51,7 @@ class OperatingLimits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and not np.isfinite(value):
+            if value is not None and not np.isfinite(number(name, value, "a finite number")):
                 raise InputError(f"a limit {name} = {value}", "a finite number", "Correct it.")
         for name in ("discharge_A", "charge_A"):
             value = getattr(self, name)

@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
+from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import grave, units
@@ -342,6 +343,10 @@ def assemble(
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
     """`CellLog.from_table`."""
     where = f"'{source or name}'" if source or name else "the table"
+    if table is None or not hasattr(table, "__getitem__"):
+        raise InputError(
+            f"table = {shown(table)}", "a data frame, or a dict of arrays", "Pass one of them."
+        )
     raw = table_channels(table, TIDY_CHANNELS, where)
     raw = complete(raw, "discharge-positive", where, sign)
     return assemble(raw, None, source, name, sign)
