@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise import InputError, load_dataset, read_log, write_log
+from cellwise import InputError, load_dataset, read_log, read_model, write_log, write_model
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.cli.common.printing import clean
@@ -27,7 +27,6 @@ from cellwise.workflows.simulating import simulate_from_start
 from cellwise.workflows.starts import start_of
 
 CLOCKED = {"seconds", "ns_per_step", "notices"}  # of this run alone; in a command's words
-MODEL = "nmc-18650"
 
 
 @pytest.fixture(scope="module")
@@ -36,17 +35,24 @@ def log():
 
 
 @pytest.fixture(scope="module")
-def model():
-    return named_model(MODEL, 5.0)
+def file(tmp_path_factory):
+    place = tmp_path_factory.mktemp("model") / "cell.json"
+    write_model(named_model("nmc-18650", 5.0), place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def model(file):
+    return read_model(file)
 
 
 @pytest.fixture
-def printed(log, tmp_path, capsys):
+def printed(log, file, tmp_path, capsys):
     """The object that a command prints of the log."""
     place = write_log(log, tmp_path / "drive.parquet")
 
     def run(command, *more, of_log=True):
-        given = ["--model", MODEL, "--capacity-ah", "5", *([str(place)] if of_log else [])]
+        given = ["--model", str(file), *([str(place)] if of_log else [])]
         assert main([command, *given, *map(str, more), "--json"]) == 0
         return json.loads(capsys.readouterr().out)
 
@@ -91,9 +97,9 @@ def test_an_export_is_what_the_command_prints(printed, model, tmp_path, monkeypa
         assert ours.read_bytes() == others.read_bytes()
 
 
-def test_nothing_is_foreseen_of_a_log_that_is_far_off_unless_asked(model, log):
-    other = replace(log, voltage_V=log.voltage_V - 0.6)
-    found = replay_and_forecast(model, other, Asked(soc0=0.9))
+def test_nothing_is_foreseen_of_a_log_that_is_far_off_unless_asked(log):
+    other = named_model("lfp-26650", 5.0)
+    found = replay_and_forecast(other, log)
     assert found.far is not None
     assert found.flight is None
     assert found.power is None
@@ -102,7 +108,7 @@ def test_nothing_is_foreseen_of_a_log_that_is_far_off_unless_asked(model, log):
     withheld = coded(found.notices, found.far.code)[0]
     assert withheld != found.far
     assert withheld.text.startswith(found.far.text)
-    anyway = replay_and_forecast(model, other, Asked(soc0=0.9), Ahead(anyway=True))
+    anyway = replay_and_forecast(other, log, ahead=Ahead(anyway=True))
     assert anyway.flight is not None
     assert anyway.far is None
 

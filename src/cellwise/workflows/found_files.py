@@ -28,7 +28,7 @@ TESTS = ("hppc", "ocv", "capacity")
 # What else lies about, by how its name ends.
 OTHERS = {
     **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
-    ".jsonl": "samples of a stream: cellwise live --source json:FILE",
+    ".jsonl": "samples of a stream: cellwise live `source='json:FILE'`",
     ".json": "a model, a state or settings",
     **dict.fromkeys((".zip", ".7z", ".tar", ".rar", ".bz2", ".xz"), "an archive: unpack it"),
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
