@@ -196,7 +196,7 @@ def place(rows: range) -> Place:
 Piece = str | Option | Place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Notice:
     """What a person should know.
 
@@ -286,6 +286,9 @@ class Notice:
 
     def __str__(self) -> str:
         return self.text
+
+    def __repr__(self) -> str:
+        return f"Notice({self.code.word}: {self.text!r})"
 
 
 def _written(piece: Piece, of_option: Callable[[Option], str]) -> str:

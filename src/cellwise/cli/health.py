@@ -28,10 +28,9 @@ cellwise history: a cell's logs in order to its ageing
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
@@ -90,8 +89,10 @@ def print_pack(found: PackEstimate) -> None:
             ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
         ],
     )  # fmt: skip
-    # What is not known comes last: NaN is no order.
-    rows = sorted(data["per_cell"], key=lambda row: np.nan_to_num(row["capacity_Ah"], nan=np.inf))
+    # What is not known comes last.
+    rows = sorted(
+        data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
+    )
     rows = rows[:SHOWN_CELLS]
     printing.record_table(
         f"the {len(rows)} cells of least capacity",

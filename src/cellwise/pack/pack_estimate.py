@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import far_off, in_order, outside_notices, withheld
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.notices import Code, Notice, texts
+from cellwise.notices import Code, Notice, Option, texts
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
 from cellwise.pack.evidence import PackEvidence, period_evidence
@@ -208,9 +208,10 @@ class PackEstimate(Plottable, Tabular):
         text = (
             f"{self.names[cell]} lost {low:.2g} to {high:.2g} mA against the other cells in the "
             f"last {self.evidence.days:.0f} days: balancing or self-discharge. Only the second "
-            "goes on: logs of further months, with --state or together, decide"
+            "goes on: logs of further months, with "
         )
-        return (Notice(Code.CELL_DRIFTS, text),)
+        said = (text, Option("state", letter="..."), " or together, decide")
+        return (Notice(Code.CELL_DRIFTS, said),)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""

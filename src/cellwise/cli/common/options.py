@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.arguments import beyond
 from cellwise.cli.common import printing
 from cellwise.errors import InputError
 from cellwise.files import file_place
@@ -95,6 +94,7 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     ------
     InputError        neither; no fraction from 0 to 1
     """
+    from cellwise.arguments import beyond  # with numpy, which a help need not wait for
     from cellwise.cell.simulate import check_soc0
 
     if arguments.soc0 == "auto":

@@ -40,7 +40,7 @@ def in_options(text: str) -> str:
 def _written(argument: str, value: str) -> str:
     """An argument as a message has it, as an option."""
     if value.strip("{}") == OPEN:
-        return in_command(Option(argument, True))
+        return in_command(Option(argument, letter=OPEN))
     try:
         plain = ast.literal_eval(value)
     except (SyntaxError, TypeError, ValueError):  # a word that stands for a value: MODEL, ...
@@ -52,6 +52,8 @@ def _written(argument: str, value: str) -> str:
 def in_command(option: Option) -> str:
     """An argument and its value as the option of a command."""
     argument, value = option.argument, option.letter or option.value
+    if value == OPEN:
+        value = True
     name = NAMES.get(argument, argument).replace("_", "-").lower()
     if isinstance(value, bool):
         return f"--{name}" if value else f"--no-{name}"

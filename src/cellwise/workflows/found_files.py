@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import re
-import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from cellwise.logs import CellLog, read_log
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.stated import SUFFIXES, in_order
-from cellwise.notices import Code, coded
+from cellwise.notices import Code, Option, coded, in_python
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash", "blackbox")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
@@ -30,7 +28,7 @@ TESTS = ("hppc", "ocv", "capacity")
 # What else lies about, by how its name ends.
 OTHERS = {
     **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
-    ".jsonl": "samples of a stream: cellwise live --source json:FILE",
+    ".jsonl": "samples of a stream: cellwise live `source='json:FILE'`",
     ".json": "a model, a state or settings",
     **dict.fromkeys((".zip", ".7z", ".tar", ".rar", ".bz2", ".xz"), "an archive: unpack it"),
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
@@ -58,7 +56,8 @@ class FoundFile:
     ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
     ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
     that only the name states; ``other_sign`` what the current's sign would have to mean where the
-    voltage contradicts it; ``instance``: which of several logs in the file.
+    voltage contradicts it; ``instance``: which of several logs in the file; ``channels`` the names
+    under which an unread one reads.
     """
 
     path: Path
@@ -74,6 +73,7 @@ class FoundFile:
     named_C: float | None = None
     other_sign: str = ""
     instance: int | None = None
+    channels: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -88,10 +88,26 @@ class FoundFile:
         return f"{self.path}@{','.join(said)}" if said else str(self.path)
 
 
+class Looked(NamedTuple):
+    """The files of a folder, and the sign by which all of them were read."""
+
+    files: list[FoundFile]
+    sign: str
+
+
 def look_at(
-    folder: Path, arguments: argparse.Namespace, follow: Callable[..., None]
-) -> list[FoundFile]:
+    folder: Path,
+    sign: str = "auto",
+    nominal_Ah: float | None = None,
+    follow: Callable[..., object] = lambda *_: None,
+) -> Looked:
     """Every file of a folder, in the order of time; those of folders in it are left alone.
+
+    Parameters
+    ----------
+    sign : str          as of `read_log`; where ``auto`` contradicts all files alike, the other one
+    nominal_Ah : float or None    of the cell, by which tests are told apart
+    follow : callable   what is read, how many are, of how many
 
     Raises
     ------
@@ -108,26 +124,27 @@ def look_at(
         found = []
         for k, place in enumerate(places):
             follow(f"reading {place.name}", k, len(places))
-            found += _look_at_one(place, sign, arguments.nominal_ah, dbc)
+            found += _look_at_one(place, sign, nominal_Ah, dbc)
         return found
 
-    found = read_as(arguments.sign)
+    found = read_as(sign)
     others = {one.other_sign for one in found if one.other_sign}
-    if arguments.sign == "auto" and len(others) == 1:
-        again = read_as(sign := others.pop())
+    if sign == "auto" and len(others) == 1:
+        again = read_as(other := others.pop())
         if not any(one.other_sign for one in again):
-            arguments.sign, said = sign, f"; {sign}, by its voltage"
+            sign, said = other, f"; {other}, by its voltage"
             found = [
                 replace(now, why=now.why + said) if before.other_sign else now
                 for before, now in zip(found, again, strict=True)
             ]
     found = [_with_a_wrong_sign(one) if one.other_sign else one for one in found]
-    return [_end_of_test(one, found) for one in found]
+    return Looked([_end_of_test(one, found) for one in found], sign)
 
 
 def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
     """Of no use beside files whose sign is another's."""
-    why = f"the sign of the current looks wrong: read it by itself, with --sign {one.other_sign}"
+    why = "the sign of the current looks wrong: read it by itself, with "
+    why += in_python(Option("sign", one.other_sign))
     return replace(one, kind="unread", why=why)
 
 
@@ -161,7 +178,9 @@ def _look_at_one(
         each = (_look_at_one(place, sign, nominal_Ah, dbc, k) for k in several.numbers)
         return [one for found in each for one in found]
     except InputError as error:
-        return [FoundFile(place, "unread", _to_do(place, error), instance=nth)]
+        fitting = error.fitting if isinstance(error, MissingColumnsError) else {}
+        named = tuple(fitting.items())
+        return [FoundFile(place, "unread", _to_do(error), instance=nth, channels=named)]
     series = 1
     if log.typical_voltage_V > ONE_CELL.largest_V:
         series = cells_in_series(log, ONE_CELL.full_V)
@@ -169,16 +188,13 @@ def _look_at_one(
     return [replace(found, instance=nth)]
 
 
-def _to_do(place: Path, error: InputError) -> str:
+def _to_do(error: InputError) -> str:
     """What a file that was refused is, and the one thing to do about it."""
-    missing = error if isinstance(error, MissingColumnsError) else None
-    if missing is not None and missing.fitting:
-        named = [w for a, b in missing.fitting.items() for w in ("--channel", f"{a}={b}")]
-        into = place.with_name(f"{place.name.partition('.')[0]}_tidy.csv")
-        what = ("cellwise", "convert", str(place), *named, "-o", str(into))
-        return f"a log under other names: {shlex.join(what)}"
-    if missing is not None and len(missing.missing) > 1:  # most columns: only what it lacks
-        return f"a table without {', '.join(missing.missing)}: no log"
+    if isinstance(error, MissingColumnsError):
+        if error.fitting:
+            return "a log under other names"
+        if len(error.missing) > 1:  # most columns: only what it lacks
+            return f"a table without {', '.join(error.missing)}: no log"
     return f"{error.found}. {error.action}"
 
 
