@@ -74,7 +74,7 @@ static bool is_lost(const cellwise_state *x)
     return lost;
 }
 
-/* Every number of a bank in its range: memory that lost its content is noticed. */
+/* CW-019. Every number of a bank in its range: memory that lost its content is noticed. */
 static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t count)
 {
     bool good = WITHIN(b->mean_A, -LARGE, LARGE) && WITHIN(b->looked_A, -LARGE, LARGE);

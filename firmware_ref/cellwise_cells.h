@@ -8,7 +8,11 @@
 /* Derivatives of a cell's voltage minus the mean's, and its variance about that. `single_V2` is that of one sample,
  * `variance_V2` of one that shares its error with others. */
 typedef struct {
-    float soc_V, capacity_V, resistance_V, single_V2, variance_V2;
+    float soc_V;
+    float capacity_V;
+    float resistance_V;
+    float single_V2;
+    float variance_V2;
 } cellwise_difference;
 
 /* Every number in its range: memory that lost its content, or was never set, is noticed. */

@@ -5,8 +5,8 @@
 
 #include "cellwise_innovation.h"
 
-/* A voltage beyond the gate, and what follows too long a time of them in a row. With CELLWISE_BANK the state asks
- * for a bank, which begins again over all of the SOC. */
+/* CW-008. A voltage beyond the gate, and what follows too long a time of them in a row. With CELLWISE_BANK the state
+ * asks for a bank, which begins again over all of the SOC. */
 static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
 {
     uint32_t status = CELLWISE_INNOVATION_REJECTED;
@@ -111,7 +111,7 @@ static float evidence_share(const cellwise_constants *c, const cellwise_state *x
  * share one error of the model are one. */
 static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
-    float innovation)
+                        float innovation)
 {
     if (!(x->error_V2 > 0.0f)) {
         x->error_V2 = i->one_V2;
@@ -148,7 +148,7 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
 /* A voltage that is looked at: rejected, or used. */
 static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                       const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
-    float innovation)
+                      float innovation)
 {
     const float square = innovation * innovation;
     const float most = c->gate_square * i->variance_V2;
@@ -170,7 +170,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
     return status;
 }
 
-/* Predicted voltage, innovation, and what follows from it. */
+/* CW-002. Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *w, const cellwise_reading *s, float voltage, cellwise_output *out)
 {

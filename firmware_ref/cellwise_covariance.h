@@ -7,7 +7,12 @@
 
 /* P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains. */
 typedef struct {
-    float variance, s, v1, v2, v3, h;
+    float variance;
+    float s;
+    float v1;
+    float v2;
+    float v3;
+    float h;
 } cellwise_column;
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */

@@ -1,19 +1,11 @@
 /* State of charge of one battery cell: a Kalman filter at a fixed time step. Printed from src/cellwise/estimate by
  * `python -m cellwise.printing`; do not edit. */
-/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the
- * Python. Current is positive on discharge. */
+/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the Python. Current is
+ * positive on discharge. No output is ever NaN or infinite. */
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
 #include "cellwise_model.h"
-
-#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
-    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
-#error "cellwise_ekf: build without -ffast-math, -Ofast and the options that these stand for"
-#endif
-#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
-#error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
-#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -46,7 +38,20 @@ typedef struct {
     float h; /* hysteresis, -1 to 1 */
     float ss;
     float ss_carry; /* what rounding has kept from ss */
-    float s1, s2, s3, sh, p11, p12, p13, p1h, p22, p23, p2h, p33, p3h, phh;
+    float s1;
+    float s2;
+    float s3;
+    float sh;
+    float p11;
+    float p12;
+    float p13;
+    float p1h;
+    float p22;
+    float p23;
+    float p2h;
+    float p33;
+    float p3h;
+    float phh;
     float current_A; /* last valid one */
     float mismatch; /* running mean of squared innovation over variance */
     float heat_K; /* own warming */
@@ -81,9 +86,9 @@ typedef struct {
     uint32_t sequence; /* counts time steps, wraps */
 } cellwise_input;
 
-/* Never NaN, never infinite. */
 typedef struct {
-    float soc, soc_variance;
+    float soc;
+    float soc_variance;
     float voltage_V; /* predicted, before the measured one was used */
     float innovation_V; /* measured minus predicted; 0 where the voltage is invalid */
     float innovation_variance_V2; /* of a single sample */
@@ -121,7 +126,7 @@ uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_
 uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
                             const cellwise_input *sample, cellwise_output *out);
 
-/* State of power, where it is compiled in. Never NaN, never infinite. */
+/* State of power, where it is compiled in. */
 typedef struct {
     float discharge_W; /* what the cell can give, */
     float discharge_low_W; /* and sustains with 95 % */
@@ -134,13 +139,14 @@ typedef struct {
  * Zero throughout for a state that is not sound. */
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
 
-/* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
+/* Remaining time and energy, where they are compiled in. */
 typedef struct {
     float time_s; /* until the load reaches the cutoff, or the cell is empty */
     float time_low_s; /* two deviations less */
     float time_high_s; /* two deviations more */
     float energy_J; /* out until then */
-    float energy_low_J, energy_high_J;
+    float energy_low_J;
+    float energy_high_J;
 } cellwise_outlook;
 
 /* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed. `load_A` is held, or
@@ -150,7 +156,7 @@ typedef struct {
 void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A, bool holds_power,
                         cellwise_outlook *out);
 
-/* A plan of loads: a constant array of phases, and where it ends. Never NaN, never infinite. */
+/* A plan of loads: a constant array of phases, and where it ends. */
 typedef struct {
     float seconds; /* that it lasts */
     float load; /* current [A], or power [W], positive on discharge */
@@ -181,23 +187,26 @@ void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellw
  * state that is not sound. */
 uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share, float resistance_scale);
 
-/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
- * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
- * voltage, cellwise_cells_step. */
+/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for the difference of
+ * every cell. At each sample: cellwise_mean_voltage, cellwise_step with that voltage, cellwise_cells_step. */
 typedef struct {
     float soc; /* more than the mean cell's, where that is 50 % */
     float capacity; /* more than the mean cell's, relative */
     float resistance; /* more than the mean cell's, relative */
     float ss; /* their covariance */
-    float sq, sr, qq, qr, rr;
+    float sq;
+    float sr;
+    float qq;
+    float qr;
+    float rr;
     uint32_t seen_at; /* sequence of its last turn */
     uint32_t rejections; /* in a row */
     uint32_t status; /* of the last sample: bits */
 } cellwise_pack_cell;
 
-/* Never NaN, never infinite. */
 typedef struct {
-    float soc, soc_variance;
+    float soc;
+    float soc_variance;
     float capacity_share; /* of the mean cell's */
     float capacity_variance;
     float resistance_scale; /* beside the mean cell's */

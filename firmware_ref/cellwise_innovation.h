@@ -24,17 +24,22 @@ static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise
  * `explained_V2` what the state and `one_V2` what the voltage brings to it; `polarisation_V` how much of the voltage
  * is current's doing. */
 typedef struct {
-    float voltage_V, variance_V2, explained_V2, one_V2, polarisation_V;
+    float voltage_V;
+    float variance_V2;
+    float explained_V2;
+    float one_V2;
+    float polarisation_V;
     cellwise_column column;
 } cellwise_innovation;
 
 /* How many samples share one model error: `above / below`, never divided. */
 typedef struct {
-    float above, below;
+    float above;
+    float below;
 } cellwise_shared;
 
-/* How often the voltage has gone up and down under a current that repeats itself. A constant current moves a voltage
- * one way. Where it goes both ways by as much as would call a voltage frozen, nobody measures the current. */
+/* CW-010. How often the voltage has gone up and down under a current that repeats itself. A constant current moves a
+ * voltage one way. Where it goes both ways by as much as would call a voltage frozen, nobody measures the current. */
 static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
     const float moved = voltage - x->voltage_V;
@@ -45,9 +50,9 @@ static void watch_current(const cellwise_constants *c, cellwise_state *x, float 
     }
 }
 
-/* Whether the voltage is frozen. A reading that repeats itself, but for its last digits, is frozen once R0 times the
- * change of current says that it must have moved, and the prediction is off by half of that: a held voltage repeats
- * itself, too, but the model expects it there. It stays frozen until it changes. */
+/* CW-009. Whether the voltage is frozen. A reading that repeats itself, but for its last digits, is frozen once R0
+ * times the change of current says that it must have moved, and the prediction is off by half of that: a held
+ * voltage repeats itself, too, but the model expects it there. It stays frozen until it changes. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float seen, float r0_ohm,
                               float innovation)
 {
@@ -90,7 +95,7 @@ static void shared_by(const cellwise_constants *c, const cellwise_state *x, floa
     }
 }
 
-/* Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
+/* CW-018. Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
 static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, const cellwise_reading *s)
 {
     uint32_t status = 0u;

@@ -9,18 +9,35 @@
  * particles' surface is below the mean. */
 typedef struct {
     uint32_t low;
-    float weight, scale, lag;
+    float weight;
+    float scale;
+    float lag;
 } cellwise_place;
 
 /* The tables at one SOC and temperature; a gain is 1 - exp(-dt/tau). */
 typedef struct {
-    float ocv_V, slope_V, noise_V2, r0_ohm, m_V, r1_ohm, r2_ohm, r3_ohm, gain1, gain2, gain3;
+    float ocv_V;
+    float slope_V;
+    float noise_V2;
+    float r0_ohm;
+    float m_V;
+    float r1_ohm;
+    float r2_ohm;
+    float r3_ohm;
+    float gain1;
+    float gain2;
+    float gain3;
 } cellwise_point;
 
 /* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches. `spread` is the
  * standard deviation of SOC, 0 while it is well known. */
 typedef struct {
-    float slope_V, bend_V, spread, rise1, rise2, rise3;
+    float slope_V;
+    float bend_V;
+    float spread;
+    float rise1;
+    float rise2;
+    float rise3;
 } cellwise_slopes;
 
 /* Neighbouring tables of a temperature, and the Arrhenius factor. */

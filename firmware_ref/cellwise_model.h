@@ -9,6 +9,15 @@
 
 #include "cell_table.h"
 
+/* CW-017: what changes the arithmetic does not compile. */
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
+    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "cellwise_ekf: build without -ffast-math, -Ofast and the options that these stand for"
+#endif
+#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
+#error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
+#endif
+
 #define CELLWISE_NEEDS_TEMPERATURE \
     ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \
      (CELLWISE_VALIDITY > 1))
@@ -17,7 +26,10 @@
 typedef struct {
     float ocv_V;
     float error_V; /* slow error of the model's voltage */
-    float r0_ohm, r1_ohm, r2_ohm, r3_ohm;
+    float r0_ohm;
+    float r1_ohm;
+    float r2_ohm;
+    float r3_ohm;
     float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float lag2; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
     float lag3; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
@@ -42,7 +54,9 @@ typedef struct {
     float lately; /* weight of one sample in the running mismatch */
     float mismatch_cap;
     float gap_variance; /* of SOC over a long gap */
-    float current_limit_A, voltage_low_V, voltage_high_V;
+    float current_limit_A;
+    float voltage_low_V;
+    float voltage_high_V;
     float branch_variance_V2; /* of a branch voltage at the start, at rest */
     float rest_A; /* below it a cell counts as resting */
     float start_rest_A; /* what may have flowed before a start at rest, */
@@ -76,16 +90,21 @@ typedef struct {
     float heat_rate; /* dt / thermal time constant */
     float temperature_C; /* until the first valid one */
     float valid_soc_low; /* the model's data, tolerance included */
-    float valid_soc_high, valid_charge_A, valid_discharge_A;
+    float valid_soc_high;
+    float valid_charge_A;
+    float valid_discharge_A;
     float share_per_A; /* of the polarisation, error beyond their current */
-    float valid_cold_C, valid_warm_C;
+    float valid_cold_C;
+    float valid_warm_C;
     float share_per_K; /* of the polarisation, error beyond their temperature */
     float voltage_per_K; /* of the OCV */
     float power_steps; /* time steps of the horizon of the power */
     float power_low_V; /* limits that a power keeps */
-    float power_high_V, power_discharge_A;
+    float power_high_V;
+    float power_discharge_A;
     float power_charge_A; /* without sign */
-    float power_soc_low, power_soc_high;
+    float power_soc_low;
+    float power_soc_high;
     float remaining_low_V; /* voltage at which a load gives up */
     float remaining_least_A; /* a load below it counts as it */
     float remaining_share; /* two deviations of the capacity, relative */
@@ -94,7 +113,8 @@ typedef struct {
     float cell_capacity2; /* capacity, relative, */
     float cell_resistance2; /* resistance, relative, */
     float cell_soc_walk; /* and gained in one step */
-    float cell_capacity_walk, cell_resistance_walk;
+    float cell_capacity_walk;
+    float cell_resistance_walk;
     float cell_V2; /* of a cell's sensor beside the others' */
     float cell_shared; /* samples that share one error of a cell's voltage */
     float cell_lag; /* square of the delay of a cell's polling, in steps */

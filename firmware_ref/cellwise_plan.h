@@ -21,7 +21,7 @@ static bool is_plan_sound(const cellwise_phase *phases, uint32_t count)
  * through in equal parts; a power finds its current by the voltage that it leaves. */
 static NOINLINE void flown(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
                            const cellwise_phase *phases, uint32_t count, bool holds_power, float begun,
-    float per_capacity, float lower, cellwise_end *end)
+                           float per_capacity, float lower, cellwise_end *end)
 {
     const cellwise_constants *const c = &m->constant;
     const float low_V = c->remaining_low_V;

@@ -8,12 +8,21 @@
 /* A cell after a constant current: branches, voltage, variances of it. `variance_V2` is the model's, `kept_V2` what
  * remains of the branches' and of hysteresis. */
 typedef struct {
-    float voltage_V, variance_V2, kept_V2, h, slow_A, v1, v2, v3;
+    float voltage_V;
+    float variance_V2;
+    float kept_V2;
+    float h;
+    float slow_A;
+    float v1;
+    float v2;
+    float v3;
 } cellwise_along;
 
 /* Power one way: the value, what is sustained with 95 %, the current of the value. */
 typedef struct {
-    float power_W, low_W, current_A;
+    float power_W;
+    float low_W;
+    float current_A;
 } cellwise_way;
 
 /* The cell's state, under no load yet. */

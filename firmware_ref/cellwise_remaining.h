@@ -7,7 +7,10 @@
 
 /* Where a plan ends; `failed_s` is when its voltage was at the cutoff or its charge gone. */
 typedef struct {
-    float soc, least_V, energy_J, failed_s;
+    float soc;
+    float least_V;
+    float energy_J;
+    float failed_s;
 } cellwise_end;
 
 /* Two deviations of the voltage by what the model is off by. */

@@ -9,17 +9,25 @@
  * `silent` for how many steps there was no current that could be used. `current` is the one that is held, `seen`
  * what the voltage has seen of it, `flow` what flows without the sensor's offset. */
 typedef struct {
-    uint32_t status, news, missing, silent;
-    float current, seen, flow, unmeasured_A2, temperature_C;
+    uint32_t status;
+    uint32_t news;
+    uint32_t missing;
+    uint32_t silent;
+    float current;
+    float seen;
+    float flow;
+    float unmeasured_A2;
+    float temperature_C;
 } cellwise_reading;
 
 /* What an interval took: samples missing, and the current that bridges them. */
 typedef struct {
-    uint32_t status, missing;
+    uint32_t status;
+    uint32_t missing;
     float bridge;
 } cellwise_charge;
 
-/* Sequence number, current and temperature of a sample; the status `before` with theirs. */
+/* CW-001, CW-004, CW-005. Sequence number, current and temperature of a sample; the status `before` with theirs. */
 static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_input *sample, uint32_t before,
                 cellwise_reading *reading)
 {
@@ -83,7 +91,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
 }
 
-/* SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
+/* CW-003. SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
 static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
                          cellwise_charge *charge)
 {
@@ -150,8 +158,8 @@ static float stated_variance(const cellwise_state *x, float known)
     return stated;
 }
 
-/* Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which lost a bit
- * has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
+/* CW-007. Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which
+ * lost a bit has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
 static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing, uint32_t sequence,
                        cellwise_output *out)
 {

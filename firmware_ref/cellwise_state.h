@@ -5,7 +5,7 @@
 
 #include "cellwise_covariance.h"
 
-/* Every number in its range: memory that lost its content, or was never set, is noticed. */
+/* CW-006. Every number in its range: memory that lost its content, or was never set, is noticed. */
 static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
 {
     (void)c;

@@ -5,7 +5,7 @@
 
 #include "cellwise_correction.h"
 
-/* As :func:`init`, for the estimate of a bank, too. */
+/* As `init`, for the estimate of a bank, too. */
 static uint32_t begin_at(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
 {
     const float positive = soc + 0.0f; /* never -0 */

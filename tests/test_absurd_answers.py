@@ -18,6 +18,7 @@ from cellwise.estimate.status import Status
 from cellwise.estimate.trace import long_innovation, soc_step
 from cellwise.history.trend import FADE, Deviations, trend_of
 from cellwise.live.run import Counts, check_any
+from cellwise.notices import Code
 from example_cells import curved_cell, random_log
 
 MODEL = curved_cell()
@@ -45,9 +46,11 @@ def between(first, last, value):
 
 def test_innovations_of_95_mv_for_43_minutes_are_remarked_on():
     run = followed(between(20, 63, -0.095))
-    (said,) = (n for n in run.notices if "stays" in n)
-    assert re.search(r"9[45] mV below what is predicted for 43 min, from 20 min on", said)
-    assert "stated start" not in said
+    (said,) = (n for n in run.notices if n.code is Code.LONG_INNOVATION)
+    assert re.search(r"9[45] mV below what is predicted for 43 min, from 20 min on", said.text)
+    assert said.rows.start == pytest.approx(20 * 60, abs=60)
+    assert said.rows.stop == pytest.approx(63 * 60, abs=60)
+    assert "stated start" not in said.text
 
 
 @pytest.mark.parametrize(
@@ -73,15 +76,17 @@ def test_noise_of_the_size_that_the_model_states_is_not_remarked_on():
 def test_a_stated_start_is_questioned_where_the_voltage_contradicts_it_from_the_first_row(
     how, said
 ):
-    (notice,) = (n for n in followed(-0.075, how=how).notices if "stays" in n)
-    assert ("the stated start (0.800) may be wrong" in notice) == said
+    notices = followed(-0.075, how=how).notices
+    (notice,) = (n for n in notices if n.code is Code.LONG_INNOVATION)
+    assert ("the stated start (0.800) may be wrong" in notice.text) == said
 
 
 def test_a_step_of_the_soc_in_one_sample_is_marked():
     run = followed(step=-0.06)
-    (said,) = (n for n in run.notices if "steps" in n)
+    (said,) = (n for n in run.notices if n.code is Code.SOC_STEP)
+    assert said.rows == range(30 * MINUTES, 30 * MINUTES + 1)
     before, after = 100.0 * run.soc[30 * MINUTES - 1], 100.0 * run.soc[30 * MINUTES]
-    assert f"from {before:.1f} to {after:.1f} % in one sample after 45 min" in said
+    assert f"from {before:.1f} to {after:.1f} % in one sample after 45 min" in said.text
 
 
 def test_what_flowed_is_no_step_and_neither_is_the_first_minute():

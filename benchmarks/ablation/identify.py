@@ -184,7 +184,7 @@ def identified(case: Case) -> dict[str, Any]:
         "capacity_Ah": found.model.capacity_Ah,
         "pulses": found.pulse_counts,
         "own_mV": 1e3 * found.fit.rmse_V,
-        "notices": list(found.notices),
+        "notices": [notice.text for notice in found.notices],
     }
 
 

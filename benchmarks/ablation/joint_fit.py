@@ -284,7 +284,7 @@ def judged(found: Identification, logs: Sequence[tuple[CellLog, float | None]]) 
         "error": model.error.to_dict(),
         "effects": [e.name for e in model.effects],
         "decided": [d.to_dict() for d in found.decided],
-        "notices": list(found.notices),
+        "notices": [notice.text for notice in found.notices],
         "contradictions": list(found.contradictions),
         "own_logs": {o.simulation.log.name: [o.used, o.simulation.soc0] for o in found.own_logs},
     }

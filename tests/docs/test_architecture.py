@@ -12,7 +12,7 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "arguments", "plotting", "records", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "notices", "plotting", "records", "threads"}
 TOOLS = {
     "logs",
     "cell",
@@ -34,6 +34,7 @@ MAY_IMPORT = {
     "records": {"errors"},
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
+    "notices": set(),
     "plotting": {"arguments", "errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
@@ -53,9 +54,20 @@ MAY_IMPORT = {
     "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
+    "workflows": BASE | TOOLS | {"export", "report", "live"},
     "cli": BASE
     | TOOLS
-    | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets", "first_use"}
+    | {
+        "export",
+        "report",
+        "benchmark",
+        "studies",
+        "live",
+        "fleet",
+        "datasets",
+        "first_use",
+        "workflows",
+    }
     | {"progress"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(

@@ -10,6 +10,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import texts
 from synthetic import HppcPlan, Tester, drive_current, driven_log, finish, hppc_log, nmc_cell
 
 CELL = nmc_cell(3.0)
@@ -175,7 +176,7 @@ def test_one_pulse_and_nothing_else_leaves_most_to_the_population(one_pulse):
 def test_a_drive_from_its_middle_beside_a_low_rate_test(low_rate):
     """The OCV says where the drive begins, but for what its unseen past may have left."""
     found = run(drives(never_rests(0.6), ocv=(low_rate,)))
-    said = next(str(n) for n in found.notices if "by its voltages" in str(n))
+    said = next(str(n) for n in texts(found.notices) if "by its voltages" in str(n))
     two_sigma = float(said.split("+- ")[1].split(" ")[0])
     assert found.simulations[0].soc0 == pytest.approx(0.6, abs=max(two_sigma, 0.03))
     driven = np.linspace(0.3, 0.6, 7)
@@ -195,7 +196,7 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
     found = run(pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK)
     assert found.capacity_choice == "hppc-total"
     assert not any(choice.startswith("rate:") for choice in found.capacities)
-    assert any("lower limit" in n for n in found.notices)
+    assert any("lower limit" in n for n in texts(found.notices))
     with pytest.raises(InputError, match="one of: nominal"):
         run(
             pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK, capacity_choice="rate:C/2"
@@ -237,7 +238,7 @@ def test_a_gap_is_not_bridged(hppc, counter):
 def test_a_log_whose_start_is_unknown_has_it_fitted(hppc, low_rate):
     unknown = replace(never_rests(0.6), name="somewhere")
     found = run(pulses(hppc, ocv=(low_rate,), drive=((unknown, None),)))
-    assert not any("'somewhere' left out" in n for n in found.notices)
+    assert not any("'somewhere' left out" in n for n in texts(found.notices))
     starts = {s.log.name: s.soc0 for s in found.simulations}
     assert starts["somewhere"] == pytest.approx(0.6, abs=0.02)
     assert r0_error(found) < 0.06

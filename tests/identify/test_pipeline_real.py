@@ -18,6 +18,7 @@ from cellwise.cli import main
 from cellwise.estimate.replay import replay
 from cellwise.identify import CellTests, Identification, IdentifySettings, identify_cell
 from cellwise.logs import CellLog, read_log
+from cellwise.notices import texts
 from measured_models import missed
 
 pytestmark = pytest.mark.slow
@@ -128,7 +129,7 @@ def test_the_panasonic_capacities_are_those_of_its_readme(laboratory):
 
 
 def test_the_incomplete_panasonic_charge_branch_is_not_averaged_in(laboratory):
-    assert any("incomplete" in n and "Not averaged" in n for n in laboratory.notices)
+    assert any("incomplete" in n and "Not averaged" in n for n in texts(laboratory.notices))
 
 
 def test_the_panasonic_laboratorys_pulses(laboratory):

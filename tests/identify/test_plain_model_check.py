@@ -14,6 +14,7 @@ from cellwise.data import load_dataset
 from cellwise.fit.rows import BaseOcv
 from cellwise.identify import CellTests, IdentifySettings, identify_cell, pipeline
 from cellwise.logs import CellLog, read_log
+from cellwise.notices import Code
 from example_cells import curved_cell
 from synthetic import drive_current
 
@@ -76,9 +77,9 @@ def test_a_fit_that_is_spoilt_is_refused_and_the_plain_model_handed_out(
 ):
     monkeypatch.setattr(pipeline, "fit_with_effects", spoilt(pipeline.fit_with_effects, OFF_V))
     found = identify_cell(made, SETTINGS)
-    first = found.notices[0]
-    assert found.contradictions[0] == first
-    assert "plain one is handed out" in first
+    assert found.contradictions[0] == found.notices[0]
+    assert found.notices[0].code is Code.PLAIN_MODEL
+    first = found.notices[0].text
     fit_mV, plain_mV = (float(x) for x in re.findall(r"(\d+) mV", first))
     assert fit_mV > 50.0
     assert plain_mV < 5.0
@@ -95,7 +96,7 @@ def test_a_loss_of_millivolts_that_is_sure_is_enough(made, monkeypatch):
     monkeypatch.setattr(pipeline, "fit_with_effects", spoilt(pipeline.fit_with_effects, 0.02))
     found = identify_cell(made, SETTINGS)
     assert found.plain.gain[1] < 0.0
-    assert "plain one is handed out" in found.notices[0]
+    assert found.notices[0].code is Code.PLAIN_MODEL
 
 
 def test_pulses_alone_are_not_judged():

@@ -29,8 +29,7 @@ from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
     assumed_temperature_notices,
     error_notices,
-    far_off_notices,
-    far_off_text,
+    far_off,
     in_order,
     outside_notices,
     soc_notices,
@@ -39,6 +38,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -108,9 +108,9 @@ class Simulation(Plottable, Tabular):
         return error_metrics(self.residual_V)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.far_off)
+        found = [] if self.far_off is None else [self.far_off]
         found += outside_notices(self.validity, self.log, self.soc)
         found += soc_notices(self.log, self.soc)
         if self.model is not None:
@@ -120,9 +120,9 @@ class Simulation(Plottable, Tabular):
         return in_order(found, self.log.notices)
 
     @property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """That the log is many times as far off as the model states of itself; None: it is not."""
-        return far_off_text(self.model, self.log, self.residual_V, self.soc)
+        return far_off(self.model, self.log, self.residual_V, self.soc)
 
     @property
     def bands(self) -> tuple[BandMetrics, ...]:

@@ -177,7 +177,8 @@ def print_benchmark(found: BenchmarkResult) -> None:
     for division in divisions(rows):
         if division.key == "faults":
             printing.table("mean settled RMSE by fault", *division_table(division)[:2])
-    printing.say_notices(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"])
+    for text in dict.fromkeys(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"]):
+        printing.say(f"  ! {text}")
     taken = f", {found.resumed} of them from an earlier run" if found.resumed else ""
     printing.say(f"{len(rows)} runs{taken}: {found.parquet}")
     if found.page is not None:

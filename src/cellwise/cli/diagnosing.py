@@ -34,8 +34,8 @@ from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 from cellwise.logs import CellLog, write_log
-from cellwise.logs.checks.grave import graves_first, is_grave
 from cellwise.logs.stated import logs_of
+from cellwise.notices import graves_first
 
 SHOWN = 6
 
@@ -67,9 +67,10 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         [*found.notices, *(n for log in (*logs, *holdout, *baseline) for n in log.notices)]
     )
     if arguments.json:
-        printing.print_json({**found.to_dict(), **written, "seconds": seconds, "notices": notices})
+        said = {"seconds": seconds, "notices": printing.rendered(notices)}
+        printing.print_json({**found.to_dict(), **written, **said})
         return
-    printing.say_notices(filter(is_grave, notices))
+    printing.say_notices(n for n in notices if n.is_grave)
     print_diagnosis(found)
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:

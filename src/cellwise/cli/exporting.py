@@ -50,6 +50,7 @@ from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_cost
 from cellwise.export.package import Export, check_folder, write_package
 from cellwise.logs import CellLog
 from cellwise.report.export_page import ACCURACY_COLUMNS, cost_rows, export_page
+from cellwise.workflows.starts import start_of
 
 # Options that name what is written beside the folder, each by the module of its name.
 FORMATS = {name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can")}
@@ -211,7 +212,7 @@ def beside_float64(
         export.seen.model,
         log,
         arguments.dt,
-        soc0=options.start_of(log.soc0, arguments.soc0),
+        soc0=start_of(log.soc0, arguments.soc0),
         lean=arguments.lean,
         points=export.asked.points,
         noise=export.seen.noise,

@@ -68,7 +68,8 @@ def run_identify(arguments: argparse.Namespace) -> None:
                 identify_page(found, pages.page, figures=pages.figures)
     write_model(found.model, arguments.output)
     if arguments.json:
-        printing.print_json({**found.to_dict(), "model": arguments.output})
+        said = {"notices": printing.rendered(found.notices), "model": arguments.output}
+        printing.print_json({**found.to_dict(), **said})
         return
     print_identification(found)
     printing.say(f"model written to {arguments.output}")

@@ -66,6 +66,7 @@ from cellwise.live.followed import FORECAST_EVERY_S, Followed, state_row
 from cellwise.live.run import LatencyMeter, check_any
 from cellwise.live.source import sender_to
 from cellwise.logs import Stated
+from cellwise.workflows.starts import start_of
 
 REFRESH_S = 0.25  # of the panel
 SILENT_S = 2.0  # after which the panel says that nothing comes
@@ -110,7 +111,7 @@ def run_live(arguments: argparse.Namespace) -> None:
         takers.append(warned_once(lambda _: getattr(source, "note", None)))
         if not viewed:  # the panel shows both
             takers.append(warned_once(followed.outside))
-            takers.append(warned_once(lambda _: followed.far_off))
+            takers.append(warned_once(lambda _: far_off_of(followed)))
         stack.enter_context(_stopped_by_signal())
         follow_source(
             source,
@@ -150,8 +151,8 @@ def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Foll
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = forecast_options.power_of(arguments, model)
     for notice in () if power is None else power.known.notices:  # limits that nobody stated
-        printing.warn(f"cellwise live: {notice}")
-    how = forecast_options.how_displayed(arguments, model)
+        printing.warn(f"cellwise live: {notice.rendered(printing.in_command)}")
+    how = forecast_options.ahead_of(arguments).shown(model)
     return Followed(
         _filter(seen, stated, arguments),
         outlook,
@@ -162,7 +163,7 @@ def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Foll
 
 
 def _filter(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
-    asked = options.start_of(stated.soc0, options.soc0_of(arguments))
+    asked = start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
         seen.model,
@@ -208,7 +209,7 @@ def _report_end(
     data = {
         **state_row(last),
         **followed.columns(last),
-        "far_off": followed.far_off,
+        "far_off": far_off_of(followed),
         "estimator": followed.live.filter.name,
         "soc0": start.to_dict(),
         "sensor": sensor,
@@ -228,6 +229,12 @@ def _report_end(
         )
         if sensor["by_default"]:
             printing.say(assumed_text(sensor))
+
+
+def far_off_of(followed: Followed) -> str | None:
+    """Why nothing is foreseen, in a command's words; None where something is."""
+    far_off = followed.far_off
+    return None if far_off is None else far_off.rendered(printing.in_command)
 
 
 class LineWriter:
@@ -296,7 +303,8 @@ def panel(name: str, followed: Followed, counts: Counts, silent_s: float = 0.0) 
     if last is None:
         return Panel(f"waiting for samples ({stray} not readable)", title=name)
     row, late = followed.row(last), counts.latency.to_dict()
-    said = {} if followed.far_off is None else {"far off": followed.far_off}
+    far_off = far_off_of(followed)
+    said = {} if far_off is None else {"far off": far_off}
     said |= {
         "current": f"{row['current_A']:.3f} A",
         "voltage": f"{row['measured_voltage_V']:.4f} V, {row['voltage_V']:.4f} expected",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,7 +12,11 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.diagnose.odds import Weighed
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Summarised, Tabular
+
+if TYPE_CHECKING:
+    from cellwise.diagnose.sensor_faults import SensorFault
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,8 @@ class Diagnosis(Plottable, Summarised, Tabular):
     search ended; ``limits`` is the smallest change of every parameter that these logs could show,
     ``inseparable`` groups of causes that they do not separate, ``competing`` explanations left;
     ``runs`` are all logs simulated before and after, which every figure is taken from;
-    ``no_soc_gain`` says why there is no ``soc_gain``.
+    ``no_soc_gain`` says why there is no ``soc_gain``; ``faults`` what sensors did
+    wrong.
     """
 
     verdict: str
@@ -144,6 +149,7 @@ class Diagnosis(Plottable, Summarised, Tabular):
     limits: dict[str, dict[str, float]] = field(default_factory=dict)
     competing: tuple[Weighed, ...] = ()
     inseparable: tuple[tuple[str, ...], ...] = ()
+    faults: tuple[SensorFault, ...] = ()
 
     @property
     def judged(self) -> tuple[LogRun, ...]:
@@ -174,7 +180,7 @@ class Diagnosis(Plottable, Summarised, Tabular):
         return not (self.worse or self.soc_worse)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What `simulate` says of the logs with the model as it was, beside their reading."""
         every = (n for r in self.runs for n in r.before.notices if n not in r.log.notices)
         return tuple(dict.fromkeys(every))

@@ -23,6 +23,7 @@ from cellwise.logs.checks.faults import (
     without,
 )
 from cellwise.logs.gaps import Run, run_edges
+from cellwise.notices import Code, Notice, Place, texts
 
 
 class Failing(NamedTuple):
@@ -71,15 +72,16 @@ class SensorFault:
         """From the first row to the last."""
         return float(self.log.time_s[self.runs[-1].last]) - self.start_s
 
-    def text(self) -> str:
+    def notice(self) -> Notice:
         """For people, who count rows from 1."""
         first, last = self.runs[0].first + 1, self.runs[-1].last + 1
-        where = f"rows {first} to {last}"
+        where, several = f"rows {first} to {last}", ""
         if len(self.runs) > 1:
-            where = f"{self.rows} rows between {first} and {last}"
+            where, several = f"rows between {first} and {last}", f"{self.rows} "
         name = f"{self.log.name}: " if self.log.name else ""
-        how = f"{self.channel} {KINDS[self.kind]}"
-        return f"{name}{how} ({where}, from {self.start_s:.0f} s on)"
+        how = f"{name}{self.channel} {KINDS[self.kind]} ({several}"
+        rows = Place(where, range(first - 1, last))
+        return Notice(Code.SENSOR_FAULT, (how, rows, f", from {self.start_s:.0f} s on)"))
 
 
 def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
@@ -168,10 +170,10 @@ def with_faults(
     one = FoundCause(
         SENSOR_FAULT.name, SENSOR_FAULT.kind, SENSOR_FAULT.meaning, values,
         {name: (value, value) for name, value in values.items()}, before_V, after_V, before_V,
-        after_V, gain, (gain, gain), tuple(f.text() for f in faults), SENSOR_FAULT.confused_with,
-        1.0,
+        after_V, gain, (gain, gain), tuple(texts(f.notice() for f in faults)),
+        SENSOR_FAULT.confused_with, 1.0,
     )  # fmt: skip
-    return replace(said, verdict=one.name, causes=(one, *said.causes))
+    return replace(said, verdict=one.name, causes=(one, *said.causes), faults=tuple(faults))
 
 
 def _rmse_V(model: CellModel, log: CellLog) -> float:

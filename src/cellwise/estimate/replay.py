@@ -16,10 +16,8 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
     ORDER,
-    Notice,
     assumed_temperature_notices,
-    far_off_notices,
-    far_off_text,
+    far_off,
     in_order,
     outside_notices,
     prediction_notices,
@@ -37,6 +35,7 @@ from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
 from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
 from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -157,14 +156,14 @@ class Replay(Plottable, Tabular):
         return self.model, self.log, np.asarray(self.trace.innovation_V), self.trace.soc
 
     @cached_property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """That the voltages are many times as far off as the model states; None: they are not.
 
         A filter moves the SOC to where another cell is followed best: where half of the rows stay
         beyond what the model states even so, the log simulated by itself says it.
         """
         model, log, innovation_V, soc = self._seen
-        found = far_off_text(model, log, innovation_V, soc)
+        found = far_off(model, log, innovation_V, soc)
         if model is None or found is not None:
             return found
         if times_stated(model, log, innovation_V, soc)[0] <= 1.0:
@@ -172,9 +171,9 @@ class Replay(Plottable, Tabular):
         return simulate(model, log, initial_soc(model, log, whole_log=True).soc).far_off
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.far_off)
+        found = [] if self.far_off is None else [self.far_off]
         found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
         if self.model is not None:
@@ -205,7 +204,8 @@ class Replay(Plottable, Tabular):
             stated = self.start.how in ("given", "stated")
             if stated and since_s[span.first] <= MINUTE_S:
                 text += f"; the stated start ({self.start.soc:.3f}) may be wrong: leave it out"
-            found.append(Notice(abs(span.mean_V), text))
+            rows, size_V = range(span.first, span.last + 1), abs(span.mean_V)
+            found.append(Notice(Code.LONG_INNOVATION, text, rows=rows, size_V=size_V))
         row = soc_step(model, log, trace)
         if row is not None:
             before, after = (100.0 * float(trace.soc[k]) for k in (row - 1, row))
@@ -214,7 +214,8 @@ class Replay(Plottable, Tabular):
                 f"{since_s[row] / 60.0:.0f} min: from there on another start explains the voltages "
                 "better, and what was said before was wrong by about as much"
             )
-            found.append(Notice(ORDER.assumed, text))
+            steps = range(row, row + 1)
+            found.append(Notice(Code.SOC_STEP, text, rows=steps, size_V=ORDER.assumed))
         return found
 
     def to_dict(self) -> dict[str, Any]:

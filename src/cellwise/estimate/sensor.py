@@ -1,8 +1,8 @@
 """What the sensors of a target are off by, and what a filter makes of it.
 
-A sensor's errors last: no further sample averages them out, and a filter cannot tell them from the
-model's. They are considered (Schmidt 1966), not estimated: each widens the error of the model or of
-the count that moves the SOC alike (`docs/theory.md`, the table of directions).
+A sensor's errors last: no further sample averages them out, and a filter cannot distinguish them
+from the model's. They are considered (Schmidt 1966), not estimated: each widens the error of the
+model or of the count that moves the SOC alike (`docs/theory.md`, directions that are considered).
 """
 
 from __future__ import annotations

@@ -18,9 +18,21 @@ from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.files import shipped_folder
 from cellwise.printing.firmware import HEADERS, print_files
 
-BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c", "cellwise_cell.h")
+BY_HAND = (
+    "cellwise_float.h",
+    "cellwise_store.h",
+    "cellwise_store.c",
+    "cellwise_clock.h",
+    "cellwise_cell.h",
+)
 # Headers that an application includes; the others are parts of cellwise_ekf.c.
-PUBLIC_HEADERS = (*HEADERS, "cellwise_store.h", "cellwise_cell.h", "cell_table.h")
+PUBLIC_HEADERS = (
+    *HEADERS,
+    "cellwise_store.h",
+    "cellwise_clock.h",
+    "cellwise_cell.h",
+    "cell_table.h",
+)
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (

@@ -33,6 +33,7 @@ from cellwise.forecast.along_kernels import (
     forecast_rows,
 )
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
@@ -149,16 +150,17 @@ class Flight(Plottable, Tabular):
         return "time [h]", tuple(Panel(label, (Line(label, hours, *x),)) for label, *x in shown)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """Whether the last forecast goes where the model's data never were."""
         now = self.last
         if self.validity.soc is None or now.end_soc >= self.validity.bounds().soc_low:
             return ()
-        return (
+        text = (
             f"the forecast goes on to SOC {max(now.end_soc, 0.0):.2f}, and the model's data end at "
             f"SOC {self.validity.soc[0]:.2f}: below, its OCV is an extension, and the band is "
-            "widened by that",
+            "widened by that"
         )
+        return (Notice(Code.FORECAST_OUTSIDE_DATA, text),)
 
     def to_dict(self) -> dict[str, Any]:
         """The last moment as JSON values, keys as the command prints them."""

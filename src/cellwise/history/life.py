@@ -18,6 +18,7 @@ from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.notices import Code, Notice, texts
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -95,7 +96,7 @@ class LogOfLife:
             "capacity_share": self.share,
             "capacity_share_std": self.share_std,
             "how": self.how,
-            "notices": list(self.log.notices),
+            "notices": texts(self.log.notices),
         }
 
 
@@ -112,7 +113,7 @@ class Life(Plottable, Tabular):
     over: str
     way: FloatArray
     trend: Trend
-    far_off: tuple[str, ...] = ()
+    far_off: tuple[Notice, ...] = ()
     withheld: bool = False
 
     def __repr__(self) -> str:
@@ -203,7 +204,7 @@ class Life(Plottable, Tabular):
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know of the whole life."""
         temperatures = [
             float(np.nanmean(one.log.temperature_C))
@@ -213,17 +214,19 @@ class Life(Plottable, Tabular):
         found = [*self.far_off]
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
-            found.append(
-                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
-                f"others are compared; the capacity to use is of the whole SOC range: the "
-                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+            text = (
+                f" counts {first.capacity_Ah:.4g} Ah at its load, by which the others are "
+                "compared; the capacity to use is of the whole SOC range: the model's "
+                f"{self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
                 "of the new cell, times the share that remains"
             )
+            found.append(Notice(Code.CAPACITY_AT_LOAD, text, log=first.log.name))
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
-            found.append(
+            text = (
                 f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
                 "at other temperatures are compared through the model, with a wider band"
             )
+            found.append(Notice(Code.TEMPERATURES_DIFFER, text))
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
@@ -244,10 +247,10 @@ class Life(Plottable, Tabular):
                     "resistance_std": self.resistance_std,
                 },
             },
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[str]) -> Life:
+    def without_health(self, far_off: Sequence[Notice]) -> Life:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
@@ -308,7 +311,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
     references: list[tuple[Stretch, LogOfLife | None]] = []
-    far_off: list[str] = []
+    far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = log_health(model, log) if one is None or not found else None

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.plausibility.validity import check_one_cell
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
@@ -24,11 +23,11 @@ from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.checks.unsigned import signed_by_loads
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import other_temperature
+from cellwise.notices import Code, Notice
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
 # of one cell and two in series by 2.
 OTHER_VOLTAGE = 1.9
-VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the order of notices
 
 
 class _Together(NamedTuple):
@@ -55,7 +54,7 @@ class CheckedLogs(NamedTuple):
     low_rate: tuple[LowRateTest, ...]
     default_C: float
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def check_logs(tests: CellTests, settings: IdentifySettings) -> CheckedLogs:
@@ -82,16 +81,12 @@ def check_logs(tests: CellTests, settings: IdentifySettings) -> CheckedLogs:
     for log, stated in (*tests.hppc, *tests.drive):
         other = None if stated is None else other_temperature(log, stated)
         if other is not None:
-            contradictions.append(Notice(VOLT_PER_KELVIN * other[0], other[1]))
+            contradictions.append(other)
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
     tests = replace(tests, drive=drives)
     # What reading the logs has noted, each with the name of its log.
-    read = [
-        n if log.name and log.name in n else f"'{log.name}': {n}"
-        for log in tests.logs()
-        for n in log.notices
-    ]
+    read = [n.of_log(log.name) for log in tests.logs() for n in log.notices]
     low_rate = tuple(low_rate_tests(tests.ocv, default))
     return CheckedLogs(tests, low_rate, default, tuple(contradictions), (*left_out, *read))
 
@@ -115,14 +110,14 @@ def _check_log(log: CellLog) -> None:
     check_one_cell(log)
 
 
-def _without_wrong_drives(tests: CellTests) -> tuple[CellTests, tuple[str, ...]]:
+def _without_wrong_drives(tests: CellTests) -> tuple[CellTests, tuple[Notice, ...]]:
     """The tests without drives that are refused, where half of the drives or more are right."""
     wrong = {}
     for log, _ in tests.drive:
         try:
             _check_log(log)
         except InputError as error:
-            wrong[id(log)] = f"left out: {error.found}"
+            wrong[id(log)] = Notice(Code.LOG_LEFT_OUT, f"left out: {error.found}")
     if 2 * len(wrong) > len(tests.drive) - 1:
         return tests, ()
     kept = tuple(one for one in tests.drive if id(one[0]) not in wrong)

@@ -12,7 +12,6 @@ from cellwise.arguments import check_kind, choice, number, shown
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.fit.solve import FitResult
@@ -23,6 +22,7 @@ from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice, texts
 from cellwise.plotting import Panel, Plottable, Summarised, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
@@ -237,14 +237,15 @@ class PlainComparison(NamedTuple):
     reason: str
 
     @property
-    def notice(self) -> str:
-        """What a person must read first; empty where the fit is handed out."""
+    def notice(self) -> Notice | None:
+        """What a person must read first; None where the fit is handed out."""
         if not self.reason:
-            return ""
-        return (
+            return None
+        text = (
             f"{self.reason}: the plain one is handed out (low-rate curve, R0, two branches, no "
             "effects, a wide posterior). A fault of the fit or of the logs: please report it"
         )
+        return Notice(Code.PLAIN_MODEL, text)
 
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
@@ -278,7 +279,7 @@ class Fitted:
     choices_Ah: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     contradictions: tuple[Notice, ...] = ()
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     plain: PlainComparison | None = None
 
 
@@ -343,9 +344,9 @@ class Identification(Plottable, Summarised, Tabular):
     own_logs: tuple[OwnLog, ...]
     decided: tuple[Decided, ...]
     fit: ErrorMetrics
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
     seconds: float
-    contradictions: tuple[str, ...] = ()
+    contradictions: tuple[Notice, ...] = ()
     plain: PlainComparison | None = None
 
     @property
@@ -382,7 +383,7 @@ class Identification(Plottable, Summarised, Tabular):
                 f"{s.log.name or 'log'} {1e3 * s.rmse_V:.1f} mV" for s in self.simulations
             ),
             "healthy pulses": f"{counts['healthy']} of {sum(counts.values())}",
-            "notices": "; ".join(self.notices) or "none",
+            "notices": "; ".join(texts(self.notices)) or "none",
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -407,7 +408,7 @@ class Identification(Plottable, Summarised, Tabular):
             "validity": self.model.validity.to_dict(),
             "posterior": None if self.model.posterior is None else self.model.posterior.to_dict(),
             "error": self.model.error.to_dict(),
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
             "seconds": self.seconds,
         }
 

@@ -14,7 +14,6 @@ from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import (
     RANGE_V,
     SHOWN,
-    Notice,
     error_notices,
     in_order,
     soc_notices,
@@ -27,6 +26,7 @@ from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
 from cellwise.identify.ocv.curve import LIMITS
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
@@ -84,7 +84,7 @@ def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
     try:
         check_physical(model, "the model")
     except InputError as error:
-        first = "".join(f"; {text}" for text in in_order(found)[:1])
+        first = "".join(f"; {one.text}" for one in in_order(found)[:1])
         raise InputError(
             f"tests that give {error.found}{first}",
             error.expected,
@@ -100,8 +100,9 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
     InputError        an error of hundreds of millivolts on its own logs, and a contradiction
     """
     if found and rmse_V >= SHOWN.no_model_V:
+        first = in_order(found)[0]
         raise InputError(
-            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
+            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {first.text}",
             "logs of one cell, in one scale",
             "Leave out the log that does not belong, or check the unit of its current (mA for A?).",
         )
@@ -122,11 +123,12 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
         away = start.capacity_scale - 1.0
         if abs(away) > LIMITS.other_capacity:
             text = (
-                f"'{start.log.name}' is of a cell that held {100.0 * away:+.1f} % of the others' "
-                "charge: another sample, another age, or a current sensor that is off. It keeps a "
-                "capacity of its own in the fit, and the model that of the others"
+                f" is of a cell that held {100.0 * away:+.1f} % of the others' charge: another "
+                "sample, another age, or a current sensor that is off. It keeps a capacity of its "
+                "own in the fit, and the model that of the others"
             )
-            found.append(Notice(RANGE_V * abs(away), text))
+            name, size_V = start.log.name, RANGE_V * abs(away)
+            found.append(Notice(Code.OTHER_CAPACITY, text, log=name, size_V=size_V))
     return found
 
 

@@ -21,7 +21,7 @@ from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cell.plausibility.notice import in_order
 from cellwise.errors import InputError
 from cellwise.fit.population import SPREAD
 from cellwise.identify.assemble import plain_model, table_summary
@@ -51,6 +51,7 @@ from cellwise.identify.own_logs import (
 )
 from cellwise.identify.plain_model_check import check_against_plain
 from cellwise.identify.stated_error import leave_out, stated_error
+from cellwise.notices import Code, Notice, texts
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
@@ -99,10 +100,12 @@ def identify_cell(
     found = own_log_notices(own)
     wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
-    first = fitted.plain.notice if fitted.plain is not None else ""
-    contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
+    first = fitted.plain.notice if fitted.plain is not None else None
+    contradictory = (() if first is None else (first,)) + in_order(wrong)
     said = (*capacity.notices, *fitted.notices, *start_notices(own), *checked.notices)
-    reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
+    reasons = [
+        Notice(Code.OWN_LOG, f": {o.reason}", log=o.simulation.log.name) for o in used if o.reason
+    ]
     seconds = time.perf_counter() - began
     choices = {**capacity.choices_Ah, **fitted.choices_Ah}
     provenance = {
@@ -175,7 +178,7 @@ def _fitted(
         decided=() if comparison and comparison.reason else fit.decided,
         choices_Ah={"fitted": model.capacity_Ah},
         provenance={
-            "ocv": {"source": curve.source, "notes": list(curve.notes)},
+            "ocv": {"source": curve.source, "notes": texts(curve.notes)},
             "pulses": {
                 "method": settings.method,
                 "tables": settings.tables,
@@ -207,7 +210,7 @@ def _of_unknown_temperature(checked: CheckedLogs) -> float:
 
 def _curve(
     checked: CheckedLogs, model: CellModel
-) -> tuple[OcvCurve, tuple[Notice, ...], tuple[str, ...]]:
+) -> tuple[OcvCurve, tuple[Notice, ...], tuple[Notice, ...]]:
     """The OCV as a test measured it; where none did, the model's."""
     try:
         measured = measure_ocv(checked, model.capacity_Ah)

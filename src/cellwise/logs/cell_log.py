@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cellwise.arguments import check_kind, held_soc, number, shown
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
@@ -43,7 +44,7 @@ class CellLog(Plottable, Tabular):
                                 that ends at row k (what testers mean); ``interval_start``: it
                                 flows from row k on
     format : str                the file's format as detected, empty for a log made in memory
-    notices : tuple of str      what a person should know of how the log was read
+    notices : tuple of Notice   what a person should know of how the log was read
     soc0 : float or None        true SOC at the first row where somebody knows it, 0..1: it is
                                 believed
 
@@ -63,7 +64,7 @@ class CellLog(Plottable, Tabular):
     source: str = ""
     current_meaning: CurrentMeaning = "interval_end"
     format: str = ""
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     soc0: float | None = None
 
     def __post_init__(self) -> None:
@@ -202,7 +203,7 @@ class CellLog(Plottable, Tabular):
         counted = summed + drift - (summed[0] + drift[0])
         return counted
 
-    def with_notices(self, notices: Iterable[str]) -> Self:
+    def with_notices(self, notices: Iterable[Notice]) -> Self:
         """The same log with other notices."""
         return replace(self, notices=tuple(notices))
 

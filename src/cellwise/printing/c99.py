@@ -48,7 +48,8 @@ class Program:
 
     ``structs`` are the fields of every record and named tuple with their type, ``constants`` the
     type and text of every name that is one, ``columns`` the fields of the table by column,
-    ``public`` how functions that others call are named there.
+    ``public`` how functions that others call are named there, ``requirements`` the numbers of those
+    that a function meets.
     """
 
     structs: dict[str, dict[str, str]]
@@ -58,6 +59,7 @@ class Program:
     temperatures: bool = False
     functions: dict[str, Any] = field(default_factory=dict)
     public: dict[str, str] = field(default_factory=dict)
+    requirements: dict[str, str] = field(default_factory=dict)
 
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
@@ -140,7 +142,8 @@ class Function:
         if "read" in self.uses:
             self.lines += [LOW, HIGH] if self.program.temperatures else [LOW]
         self._block(self._body(), 4)
-        said = comment(ast.get_docstring(self.node) or "") if static else []
+        met = self.program.requirements.get(self.node.name, "")
+        said = comment(met + (ast.get_docstring(self.node) or "")) if static else []
         return [*said, *self.signature(name, static), "{", *self.lines, "}"]
 
     def signature(self, name: str, static: bool) -> list[str]:

@@ -42,6 +42,19 @@ PUBLIC = {
     "cell_of": "cellwise_cell_of",
     "pack_power": "cellwise_pack_power",
 }
+# Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
+REQUIREMENTS = {
+    "see": "CW-001, CW-004, CW-005. ",
+    "correct": "CW-002. ",
+    "count_charge": "CW-003. ",
+    "is_sound": "CW-006. ",
+    "finish": "CW-007. ",
+    "reject": "CW-008. ",
+    "watch_voltage": "CW-009. ",
+    "watch_current": "CW-010. ",
+    "outside": "CW-018. ",
+    "bank_is_sound": "CW-019. ",
+}
 # What of these is there only with options.
 ASKED = {
     **dict.fromkeys(("start_bank", "step_bank"), ("BANK",)),
@@ -166,6 +179,7 @@ def program(read: list[Source], options: Options) -> Program:
         sizes={f.name: size_of(f) for f in layout.CONSTANTS if f.size},
         temperatures=options.temperatures > 1,
         public=PUBLIC,
+        requirements=REQUIREMENTS,
     )
     for source in read:
         for node in source.tree.body:
@@ -190,16 +204,11 @@ def size_of(field: layout.Field) -> str:
 
 def struct(name: str, fields: list[tuple[str, str, str]]) -> list[str]:
     """A struct from types, names and meanings."""
-    lines: list[str] = []
-    plain = ""  # the type of the line before, if it says nothing
+    lines = []
     for kind, text, meaning in fields:
         line = f"    {kind} {text};"
         said = [f"{line} /* {meaning} */"] if meaning else [line]
-        if not meaning and kind == plain and len(lines[-1]) + len(text) < WIDTH:
-            lines[-1] = f"{lines[-1][:-1]}, {text};"
-        else:
-            lines += said if len(said[0]) <= WIDTH else [*comment(meaning, 4), line]
-        plain = "" if meaning else kind
+        lines += said if len(said[0]) <= WIDTH else [*comment(meaning, 4), line]
     return ["typedef struct {", *lines, f"}} {name};"]
 
 

@@ -37,7 +37,7 @@ def test_a_whole_test_ends_empty_and_a_part_does_not(steps):
     assert measured(log, 3.0).choices_Ah["hppc-total"] == pytest.approx(3.0, rel=0.01)
     part = measured(cut(log, 0.85), 3.0)
     assert list(part.choices_Ah) == ["nominal"]
-    assert "is no capacity" in part.notices[0]
+    assert "is no capacity" in part.notices[0].text
 
 
 def test_without_a_nominal_capacity_a_part_counts_and_is_said():

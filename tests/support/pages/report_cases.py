@@ -27,6 +27,7 @@ from cellwise.identify.identification import (
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 
 CAPACITY_AH = 3.0
 POINTS = 41
@@ -186,7 +187,7 @@ def identification(
         ),
         decided=(),
         fit=error_metrics(sims[0].residual_V),
-        notices=("a notice with <angle> brackets",),
+        notices=(Notice(Code.OWN_LOG, "a notice with <angle> brackets"),),
         seconds=1.5,
     )
 
@@ -199,7 +200,7 @@ def capacity_test(rate_C, cc_Ah, cv_Ah):
         cc_Ah=cc_Ah,
         cv_Ah=cv_Ah,
         temperature_C=25.0,
-        notices=("ends <early>",),
+        notices=(Notice(Code.CAPACITY_TEST_INCOMPLETE, "ends <early>"),),
     )
 
 

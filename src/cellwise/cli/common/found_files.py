@@ -16,18 +16,16 @@ from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
-from cellwise.logs.checks.sign import CONTRADICTED
+from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
-from cellwise.logs.reading import AS_MEAN_CELL
 from cellwise.logs.stated import SUFFIXES, in_order
+from cellwise.notices import Code, coded
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash", "blackbox")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
 CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
-MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused
 # A temperature in a name: _p25, _n10, -10degC.
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
-OTHER_SIGN = re.compile(CONTRADICTED + r".*`sign='([a-z-]+)'`", re.DOTALL)  # in a notice
 TESTS = ("hppc", "ocv", "capacity")
 # What else lies about, by how its name ends.
 OTHERS = {
@@ -38,8 +36,6 @@ OTHERS = {
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg"), "a picture"),
 }
-PROPOSED = re.compile(r"Name the columns with `channels=\{(.+?)\}`")
-_PAIR = re.compile(r"'(\w+)': '([^']+)'")
 MOST_IN_FILE = 12  # logs of one file that are looked at one by one
 
 
@@ -175,14 +171,14 @@ def _look_at_one(
 
 def _to_do(place: Path, error: InputError) -> str:
     """What a file that was refused is, and the one thing to do about it."""
-    if proposed := PROPOSED.search(error.action):
-        named = [w for a, b in _PAIR.findall(proposed[1]) for w in ("--channel", f"{a}={b}")]
+    missing = error if isinstance(error, MissingColumnsError) else None
+    if missing is not None and missing.fitting:
+        named = [w for a, b in missing.fitting.items() for w in ("--channel", f"{a}={b}")]
         into = place.with_name(f"{place.name.partition('.')[0]}_tidy.csv")
         what = ("cellwise", "convert", str(place), *named, "-o", str(into))
         return f"a log under other names: {shlex.join(what)}"
-    lacks = MISSING_COLUMNS.search(error.found)
-    if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
-        return f"a table without {lacks[1]}: no log"
+    if missing is not None and len(missing.missing) > 1:  # most columns: only what it lacks
+        return f"a table without {', '.join(missing.missing)}: no log"
     return f"{error.found}. {error.action}"
 
 
@@ -192,11 +188,11 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
     kind: str = "flight" if log.format in FLIGHTS else test.kind
     why = test.why if series == 1 else f"{series} cells in series; {test.why}"
     moved_Ah = float(np.ptp(log.counted_charge_Ah()))
-    mean = next((n for n in log.notices if AS_MEAN_CELL in n), None)
-    if mean is not None:  # what a test is called by its load says nothing of a day on the road
+    for mean in coded(log.notices, Code.PACK_AS_MEAN_CELL):
+        # What a test is called by its load says nothing of a day on the road.
         hours = log.duration_s / 3600.0
         kind = "pack"
-        why = f"{mean.partition(',')[0]}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
+        why = f"{mean.head}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
     return FoundFile(
         place,
         kind,
@@ -209,7 +205,7 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
         highest_V=float(np.nanmax(log.voltage_V)),
         usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
         named_C=_named_C(log),
-        other_sign=next((m[1] for n in log.notices if (m := OTHER_SIGN.search(n))), ""),
+        other_sign=next((str(n.value) for n in coded(log.notices, Code.SIGN_CONTRADICTED)), ""),
     )
 
 

@@ -18,6 +18,7 @@ from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
+from cellwise.workflows import served
 
 if TYPE_CHECKING:
     from cellwise.identify import CellTests
@@ -118,19 +119,14 @@ def each_that_serves(logs: Sequence[Log], do: Callable[[Log], Made]) -> list[Mad
     ------
     InputError        as ``do``, of the first where none serves
     """
-    made, refused = [], []
-    for log in logs:
-        try:
-            made.append(do(log))
-        except MachineError:
-            raise
-        except InputError as error:
-            refused.append(error)
-    if refused and not made:
-        raise refused[0]
-    for one in refused:
+    return serving(served.each_that_serves(logs, do))
+
+
+def serving(found: served.Served[Made]) -> list[Made]:
+    """What was made; what was refused is said on standard error."""
+    for one in found.refused:
         printing.warn(f"left out: {one.found}")
-    return made
+    return found.made
 
 
 def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:

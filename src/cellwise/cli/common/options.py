@@ -110,22 +110,6 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     return held
 
 
-def start_of(stated: float | None, asked: float | None, option: str = "--soc0") -> float | None:
-    """The start that is asked for; None where the log's own stated one holds, or none is known.
-
-    Raises
-    ------
-    InputError        an option that contradicts what is stated of the log
-    """
-    if stated is not None and asked is not None and asked != stated:
-        raise InputError(
-            f"{option} {asked:g} for a log whose initial SOC is stated as {stated:g}",
-            "one initial SOC",
-            f"Leave out {option}, or what is stated behind the @.",
-        )
-    return asked if stated is None else None
-
-
 def sensor_of(arguments: argparse.Namespace) -> Sensor | None:
     """The sensors that the arguments state, None where they state none.
 

@@ -11,6 +11,7 @@ from cellwise.arguments import number
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limit_kernels import LimitScalars
+from cellwise.notices import Code, Notice
 
 # The usual window of a cell by what its chemistry's name begins with [V].
 WINDOWS: Mapping[str, tuple[float, float]] = {
@@ -89,7 +90,7 @@ class KnownLimits:
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know: limits that nobody stated."""
         found = []
         known = self.limits
@@ -113,7 +114,7 @@ class KnownLimits:
                 "no limit of current is stated or in the model's data on "
                 f"{' and '.join(ways['none'])}: voltage and SOC alone limit that power"
             )
-        return tuple(found)
+        return tuple(Notice(Code.POWER_LIMIT_ASSUMED, text) for text in found)
 
 
 def operating_limits(model: CellModel, given: OperatingLimits | None = None) -> KnownLimits:

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code
 from cellwise.report.diagnosis.pictures import before_after_plot, residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
@@ -36,6 +37,7 @@ from cellwise.report.page.markup import (
     clock_of,
     details,
     escape,
+    linked,
     linked_among,
     paragraph,
     record_table,
@@ -137,10 +139,10 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
 def alerts(diagnosis: Diagnosis) -> list[Markup]:
     """What sensors did wrong and where the model was not measured, with links to where."""
     logs = [run.log for run in diagnosis.runs]
-    faults = (t for c in diagnosis.causes if c.name == "sensor_fault" for t in c.evidence)
-    far_off = {run.before.far_off for run in diagnosis.runs}
-    worst_first = sorted(diagnosis.notices, key=lambda text: text not in far_off)
-    return [linked_among(text, logs) for text in (*faults, *worst_first)]
+    shown = {log.name: log for log in logs}
+    faults = [linked(f.notice(), f.log, shown.get(f.log.name)) for f in diagnosis.faults]
+    worst_first = sorted(diagnosis.notices, key=lambda n: n.code is not Code.FAR_OFF)
+    return [*faults, *(linked_among(n, logs) for n in worst_first)]
 
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
