@@ -13,7 +13,7 @@ print(orbits)
 
 # From the right start: how deep the eclipses go.
 known = cw.replay(cell, orbits, soc0=0.997)
-print(f"SOC from {known.trace.soc.min():.2f} to {known.trace.soc.max():.2f} in twelve orbits")
+print(f"SOC from {known.soc.min():.2f} to {known.soc.max():.2f} in twelve orbits")
 print(f"lowest voltage {np.nanmin(orbits.voltage_V):.3f} V, allowed {cell.voltage_min_V} V")
 
 # Twenty points wrong at the start, the second time with a sensor that adds 50 mA. The judge is the

@@ -5,6 +5,33 @@
 
 #include "cellwise_float.h"
 
+#define COLDEST_C (-60.0f)
+#define HOTTEST_C 120.0f
+#define FROZEN_READINGS 3u /* repeats of a voltage, before which nobody calls it frozen */
+#define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself: the last digits of a converter */
+#define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself bit by bit */
+#define SWINGS_MOST 100.0f /* counting on says nothing more */
+#define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more, whatever its resistance */
+#define START_LOAD_SHARE 0.5f
+#define NO_LIMIT_V 1000.0f /* no cell's branch holds that */
+#define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12: of the SOC: rounding takes no more away */
+#define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond 2 points of SOC the tangent is no guide */
+#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06: of the SOC: both ends are beyond the same end of the tables */
+#define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09: after voltages that contradicted it for long: anywhere */
+#define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3: and the most */
+#define SQUARE_MOST 4.0f /* [V^2] of an error: no cell's voltage is off by more */
+#define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
+#define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
+#define DENSE 3.0f /* deviations of a start within which the components lie close */
+#define LEAST_WIDTH 0x1.0624dep-10f /* 0.001: of a component in SOC */
+#define TAIL 4.0f /* degrees of freedom of a stated start: how sure it is, is itself not sure */
+#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
+#define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
+#define LOOK_FACTOR 4u /* and each time so much longer */
+#define LOOKS 3u /* times */
+#define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
+#define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
+#define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06: a millivolt of what it has left is always open */
 #define SIXTH 0x1.555556p-3f /* 0.166667 */
 #define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
 #define THIRD 0x1.555556p-2f /* 0.333333 */
@@ -14,23 +41,11 @@
 #define KNOW_NOTHING_SOC 0.5f
 #define KNOW_NOTHING_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
 #define SOC_VARIANCE_MOST 1.0f /* SOC lies in 0..1: more says nothing */
-#define VARIANCE_FLOOR 0x1.197998p-40f /* 1e-12 */
 #define BEYOND 0x1.99999ap-5f /* 0.05: how far the OCV goes on outside 0..1 */
-#define WIDE_VARIANCE 0x1.a36e2ep-12f /* 0.0004: beyond it the tangent is no guide */
-#define SHORTEST_CHORD 0x1.0c6f7ap-20f /* 1e-06 */
-#define RECOVERY_VARIANCE 0x1.70a3d8p-4f /* 0.09 */
-#define TEMPERATURE_LOW_C (-60.0f)
-#define TEMPERATURE_HIGH_C 120.0f
 #define HEAT_MOST_K 200.0f
 #define LARGE 0x1p+20f /* no sound state goes beyond it, in V, A or their squares */
 #define CARRY_MOST 0x1p-10f
 #define LEAST_FALL 0x1.99999ap-4f /* 0.1: with the current a resistance rises by ten at most */
-#define TRANSFER_1 0x1.52cbf6p-1f /* 0.661712: asinh(y) / y as a fraction in powers of y */
-#define ABOVE_2 0x1.af8c1ap-2f /* 0.421433 */
-#define ABOVE_3 0x1.711d9p-7f /* 0.0112645 */
-#define BELOW_2 0x1.2f92eap-1f /* 0.592918 */
-#define BELOW_3 0x1.e9c80ep-4f /* 0.119576 */
-#define BELOW_4 0x1.bdadcap-10f /* 0.00170013 */
 #define LONGEST_GAP 0x100000u /* samples */
 #define NOT_BEGUN 0u /* evidence before the first sample */
 #define NO_VOLTAGE_YET 1u
@@ -39,30 +54,13 @@
 #define REPEATED 0u /* a sample that was seen before, */
 #define NO_INTERVAL 1u /* the first one, which ends no interval, */
 #define INTERVAL 2u /* and one that ends an interval */
-#define START_LOAD_SHARE 0.5f
-#define REST_LIMIT_V 0x1.eb851ep-6f /* 0.03: a rested branch holds no more */
-#define LOAD_LIMIT_V 0x1.333334p-2f /* 0.3 */
 #define ALONE 0u /* a state that stands for itself, */
 #define COMPONENT 1u /* one of a bank, */
 #define CONTRADICTED 2u /* one whose voltages have contradicted it for long, */
 #define UNCOUNTED 3u /* and one of whose charge a part is not known */
-#define SPREAD_VARIANCE 0x1.a36e2ep-10f /* 0.0016: beyond it a SOC is no longer known well enough for one filter */
-#define COMPONENT_WIDTH 0x1.333334p-1f /* 0.6: deviation of a component over the distance to the next */
-#define DENSE 3.0f /* deviations of a start within which the components lie close */
-#define LEAST_WIDTH 0x1.0624dep-10f /* 0.001 */
-#define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
-#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
-#define LOOKS 3u /* times that a past is looked at, each four times as long after the start */
 #define NEVER_LOOKED 0xFFFFFFFFu
-#define SQUARE_MOST 4.0f /* that a root is taken of */
-#define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
-#define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
-#define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06 */
 #define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
-#define FROZEN_READINGS 3u
-#define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself */
-#define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself */
 #define POWER_TRIALS 8u
 #define LONGEST 0x1.dcd65p+29f /* 1e+09: remaining seconds, and joules: no cell lasts for more */
 #define REMAINING_PARTS 64.0f /* of the SOC down to empty */
@@ -87,7 +85,6 @@
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
-#define SWINGS_MOST 100.0f
 
 /* Whether two numbers are the same. */
 static bool is_same(float a, float b)
@@ -99,18 +96,6 @@ static bool is_same(float a, float b)
 static float between(float a, float b, float f)
 {
     return a + (f * (b - a));
-}
-
-/* Held within low..high. */
-static float clip(float x, float low, float high)
-{
-    return (x < low) ? low : ((x > high) ? high : x);
-}
-
-/* Held above low. */
-static float at_least(float x, float low)
-{
-    return (x < low) ? low : x;
 }
 
 /* Bit for a number that no cell of this kind gives; asked of readings that were refused. */

@@ -41,12 +41,11 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
     out->innovation_V = 0.0f;
     if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
         out->innovation_V = sample->voltage_V - out->voltage_V;
-        float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
+        const float ratio = (out->innovation_V * out->innovation_V) / out->innovation_variance_V2;
         if (ratio > c->gate_square) {
             status = status | CELLWISE_INNOVATION_REJECTED;
         }
-        ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-        b->mismatch = b->mismatch + (c->lately * (ratio - b->mismatch));
+        b->mismatch = lately_shown(b->mismatch, ratio, c->mismatch_cap, c->lately);
     }
     return status;
 }
@@ -142,12 +141,8 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
         of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
         b->looks = LOOKS;
-        if ((count > 0u) && (of[0u].in_bank == CONTRADICTED)) {
-            loosen(m, &of[0u]);
+        if (((count > 0u) && (of[0u].in_bank == CONTRADICTED)) || ((count > 0u) && is_lost(&of[0u]))) {
             spread_out(b, of, count);
-        } else if ((count > 0u) && is_lost(&of[0u])) {
-            spread_out(b, of, count);
-        } else { /* as before */
         }
     } else {
         status = step_components(m, b, of, count, sample, out);
@@ -164,7 +159,7 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
     }
     status = status | lost;
     out->soc = of[0u].soc;
-    out->soc_variance = stated_variance(&of[0u], of[0u].ss);
+    out->soc_variance = variance_of(&of[0u], of[0u].ss);
     out->status = status;
     return status;
 }

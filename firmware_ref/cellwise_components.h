@@ -5,32 +5,13 @@
 
 #include "cellwise_step.h"
 
-/* SOC between two components: `t` from -1 to 1 goes from 0 to 1, densely about the start. */
-static float edge(float t, float soc, float std)
-{
-    float room = soc;
-    if (t > 0.0f) {
-        room = 1.0f - soc;
-    }
-    float near = DENSE * std;
-    near = (near < room) ? near : room;
-    const float size = magnitude(t);
-    const float away = size * (near + ((room - near) * (size * size)));
-    float at = soc - away;
-    if (t > 0.0f) {
-        at = soc + away;
-    }
-    return at;
-}
-
 /* A component between two edges, else as the estimate `first` is. */
 static void component_start(cellwise_state *a, cellwise_state *first, float low, float high)
 {
     const float width = at_least(high - low, LEAST_WIDTH);
     const float soc = 0.5f * (low + high);
     const float away = soc - first->soc;
-    /* How sure a stated start is, is itself not sure: Student's t of four degrees of freedom. */
-    a->cost = (2.5f * log_of_more((away * away) / (4.0f * first->ss))) + log_of_more((1.0f / width) - 1.0f);
+    a->cost = start_cost(away, first->ss, width);
     a->soc = soc;
     a->soc_carry = 0.0f;
     a->ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width);
@@ -40,23 +21,6 @@ static void component_start(cellwise_state *a, cellwise_state *first, float low,
         a->h = (soc > 0.5f) ? 1.0f : -1.0f;
     }
     a->in_bank = COMPONENT;
-}
-
-/* After voltages that contradicted the estimate for long the branches may hold anything. */
-static void loosen(const cellwise_model *m, cellwise_state *x)
-{
-    const cellwise_constants *const c = &m->constant;
-    cellwise_place place;
-    place_now(m, x, &place);
-    cellwise_point p;
-    look_up(m, &place, x->soc, x->current_A, &p);
-    float kept = x->v1_V * x->v1_V;
-    x->p11 = admitted(c->branch_variance_V2, c->recovery_A * p.r1_ohm, LOAD_LIMIT_V) + kept;
-    kept = x->v2_V * x->v2_V;
-    x->p22 = admitted(c->branch_variance_V2, c->recovery_A * p.r2_ohm, LOAD_LIMIT_V) + kept;
-    kept = x->v3_V * x->v3_V;
-    x->p33 = admitted(c->branch_variance_V2, c->recovery_A * p.r3_ohm, LOAD_LIMIT_V) + kept;
-    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
 }
 
 /* Weights that add up to one; the likeliest component costs nothing. */
@@ -117,11 +81,14 @@ static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *c
     column->v3 = 0.0f;
     column->h = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
-        column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
-        column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
-        column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
-        column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
-        column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
+        /* One that was dropped has no weight, and nobody looks after its memory. */
+        if (of[k + 1u].cost < LARGE) {
+            column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
+            column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
+            column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
+            column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
+            column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
+        }
     }
     column->variance = 0.0f;
 }
@@ -191,7 +158,9 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
     take_mean(&of[0u], &mean);
     hold_within(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
-        collect(&of[0u], &of[k + 1u]);
+        if (of[k + 1u].cost < LARGE) {
+            collect(&of[0u], &of[k + 1u]);
+        }
     }
     of[0u].mismatch = b->mismatch;
     if ((of[0u].ss <= WIDE_VARIANCE) && (b->looks == LOOKS)) {

@@ -18,25 +18,19 @@ static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cel
         x->contradicted = 0.0f;
         x->persistent = 0.0f;
         x->in_bank = CONTRADICTED;
-        widen(c, x, p, seen);
+        x->evidence = FIRST_VOLTAGE;
+        open_up(c, x, p, seen);
     }
     return status;
 }
 
-/* Running mean of the SOC that the voltages say is missing, as far as the count may be off. Were the current off,
- * the count would by now be off by `drift`, and of an innovation the part that this explains would be the count's.
- * It widens what is said of the SOC, and nothing else. Beyond the model's data a voltage may contradict the count,
- * but confirms nothing. */
+/* What the voltages say against the count. Beyond the model's data they confirm nothing. */
 static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
                        const cellwise_reading *s, float one_V2, float innovation)
 {
-    float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
-    drift = (drift < 1.0f) ? drift : 1.0f;
-    const float swing_V = (drift * drift) * w->slope_V;
-    float missing = (swing_V * innovation) / ((swing_V * w->slope_V) + one_V2);
-    missing = clip(missing, -1.0f, 1.0f);
-    if (SIZE_WITHIN(missing, 1.0f)) { /* a number */
-        const float now = x->contradicted + (c->contradicted_share * (missing - x->contradicted));
+    const float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
+    const float now = contradicted_step(x->contradicted, innovation, w->slope_V, one_V2, drift, c->contradicted_share);
+    if (SIZE_WITHIN(now, 1.0f)) { /* a number */
         uint32_t beyond = 0u;
         if (magnitude(now) < magnitude(x->contradicted)) {
             beyond = outside(c, x, s);
@@ -47,17 +41,11 @@ static void contradict(const cellwise_constants *c, cellwise_state *x, const cel
     }
 }
 
-/* SOC error that a persistent error of the model has brought in, after a voltage with a gain. No further voltage
- * averages it out: in the end the SOC is off by that error over the slope. */
+/* SOC error by a persistent error of the model, after a voltage with a gain. */
 static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float slope_V, float gain)
 {
-    float square = p->noise_V2 - c->fixed_V2;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        square = square * x->mismatch;
-    }
-    const float error_V = c->persistent * root((square < SQUARE_MOST) ? square : SQUARE_MOST);
-    const float kept = clip(1.0f - (gain * slope_V), 0.0f, 1.0f);
-    float now = (kept * x->persistent) + (gain * error_V);
+    const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, x->mismatch);
+    float now = persistent_step(gain, slope_V, x->persistent, error_V);
     if (!SIZE_WITHIN(now, 1.0f)) {
         now = 1.0f;
     }
@@ -71,12 +59,9 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
 {
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
-    float weight = i->one_V2 * shared.above;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        weight = weight * x->mismatch;
-    }
+    const float weight = as_shown(i->one_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        const float inverse = shared.below / ((i->explained_V2 * shared.below) + weight);
+        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
         move(x, &i->column, inverse, innovation);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);
@@ -90,25 +75,9 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
     }
 }
 
-/* How much of a voltage's evidence is new, where a part of the model's error stays for good. What a mean says never
- * exceeds one error over that part, however long it is taken. */
-static float evidence_share(const cellwise_constants *c, const cellwise_state *x)
-{
-    uint32_t since = 0u;
-    if (x->evidence > FIRST_VOLTAGE) {
-        since = x->evidence - FIRST_VOLTAGE;
-    }
-    since = (since < EVIDENCE_MOST) ? since : EVIDENCE_MOST;
-    const float left = c->fades + (c->stays * (float)since);
-    const float share = (c->fades * c->shared) / (left * left);
-    return (share < 1.0f) ? share : 1.0f;
-}
-
-/* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass. Beyond that it speaks
- * against a component in proportion to how far it is off (Huber): below empty the lowest of them is the nearest. The
- * variance of a voltage is that of the likeliest component, for all: one whose tables state a larger error must not
- * explain everything. What a voltage says against a component counts as often as it moves the state: samples that
- * share one error of the model are one. */
+/* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass. The variance of a
+ * voltage is that of the likeliest component, for all: one whose tables state a larger error must not explain
+ * everything. */
 static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                         const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
                         float innovation)
@@ -118,25 +87,16 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
     }
     cellwise_shared shared;
     shared_by(c, x, s->seen, &shared);
-    float weight = x->error_V2 * shared.above;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        weight = weight * x->mismatch;
-    }
+    const float weight = as_shown(x->error_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        float off = innovation;
-        const float most = c->gate_square * i->variance_V2;
-        const float square = off * off;
-        float grows = 1.0f;
-        if (POSITIVE_ABOVE(square, most)) {
-            const float passed = at_least(root(most / square), LEAST_PASSED);
-            off = off * passed;
-            grows = (2.0f / passed) - 1.0f;
-        }
+        cellwise_passed passed;
+        let_pass(innovation, i->variance_V2, c->gate_square, &passed);
+        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
+        const float share = evidence_share(c->fades, c->stays, c->shared, steps_of_evidence(x));
         const float explained = i->explained_V2 * shared.below;
-        const float inverse = shared.below / (explained + weight);
-        const float against = (grows * ((off * off) * inverse)) + log_of_more(explained / weight);
-        x->cost = x->cost + (evidence_share(c, x) * (0.5f * against));
-        move(x, &i->column, inverse, off);
+        const float cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight);
+        x->cost = x->cost + cost;
+        move(x, &i->column, inverse, passed.off_V);
         narrow(x, &i->column, inverse);
         persist(c, x, p, w->slope_V, i->column.s * inverse);
     }
@@ -157,9 +117,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         use_in_bank(c, x, p, w, s, i, innovation);
     } else {
         if (s->news == INTERVAL) {
-            float ratio = square / i->variance_V2;
-            ratio = (ratio < c->mismatch_cap) ? ratio : c->mismatch_cap;
-            x->mismatch = x->mismatch + (c->lately * (ratio - x->mismatch));
+            const float ratio = square / i->variance_V2;
+            x->mismatch = lately_shown(x->mismatch, ratio, c->mismatch_cap, c->lately);
         }
         if (POSITIVE_ABOVE(square, most)) {
             status = reject(c, x, p, s->seen);

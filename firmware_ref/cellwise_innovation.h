@@ -12,14 +12,6 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
     return voltage;
 }
 
-/* The gate may have locked the truth out: anything is admitted, and the next voltage passes. */
-static void widen(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
-{
-    x->ss = RECOVERY_VARIANCE;
-    x->evidence = FIRST_VOLTAGE;
-    guess_branches(c, x, p, seen);
-}
-
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
  * `explained_V2` what the state and `one_V2` what the voltage brings to it; `polarisation_V` how much of the voltage
  * is current's doing. */
@@ -32,27 +24,15 @@ typedef struct {
     cellwise_column column;
 } cellwise_innovation;
 
-/* How many samples share one model error: `above / below`, never divided. */
-typedef struct {
-    float above;
-    float below;
-} cellwise_shared;
-
-/* CW-010. How often the voltage has gone up and down under a current that repeats itself. A constant current moves a
- * voltage one way. Where it goes both ways by as much as would call a voltage frozen, nobody measures the current. */
+/* CW-010. How often the voltage has gone up and down under a current that repeats itself. */
 static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
-    const float moved = voltage - x->voltage_V;
-    if (!SIZE_WITHIN(moved, c->frozen_V) && !((x->swings * moved) > 0.0f)) {
-        float count = magnitude(x->swings) + 1.0f;
-        count = (count < SWINGS_MOST) ? count : SWINGS_MOST;
-        x->swings = (moved > 0.0f) ? count : -count;
+    if (x->evidence >= FIRST_VOLTAGE) {
+        x->swings = swings_after(x->swings, voltage - x->voltage_V, c->frozen_V);
     }
 }
 
-/* CW-009. Whether the voltage is frozen. A reading that repeats itself, but for its last digits, is frozen once R0
- * times the change of current says that it must have moved, and the prediction is off by half of that: a held
- * voltage repeats itself, too, but the model expects it there. It stays frozen until it changes. */
+/* CW-009. Whether the voltage is frozen. It stays so until it changes. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float seen, float r0_ohm,
                               float innovation)
 {
@@ -64,12 +44,11 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     } else if (x->repeats == FROZEN) {
         status = CELLWISE_VOLTAGE_FROZEN;
     } else {
-        const float moved = magnitude(r0_ohm * (seen - x->frozen_A));
-        const bool off = magnitude(innovation) > (0.5f * moved);
+        const bool frozen = is_frozen(seen - x->frozen_A, r0_ohm, innovation, c->frozen_V);
         if (x->repeats < COUNT_MOST) {
             x->repeats = x->repeats + 1u;
         }
-        if ((x->repeats >= FROZEN_READINGS) && (moved > c->frozen_V) && off) {
+        if ((x->repeats >= FROZEN_READINGS) && frozen) {
             x->repeats = FROZEN;
             status = CELLWISE_VOLTAGE_FROZEN;
         }
@@ -77,22 +56,23 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     return status;
 }
 
-/* How many samples share one model error, as a fraction: at least 1. The model's error is a sum of processes with
- * memories of a second to half an hour. The quick ones average out first, so the rest of a mean has an ever longer
- * memory. The first voltage at rest is evidence by itself. */
+/* Steps since the first voltage, or since a recovery. */
+static float steps_of_evidence(const cellwise_state *x)
+{
+    uint32_t since = 0u;
+    if (x->evidence >= FIRST_VOLTAGE) {
+        since = x->evidence - FIRST_VOLTAGE;
+        since = (since < EVIDENCE_MOST) ? since : EVIDENCE_MOST;
+    }
+    return (float)since;
+}
+
+/* How many samples share one model error; the first voltage at rest stands alone. */
 static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen, cellwise_shared *shared)
 {
-    uint32_t seen_before = 0u;
-    if (x->evidence >= FIRST_VOLTAGE) {
-        seen_before = x->evidence - FIRST_VOLTAGE;
-        seen_before = (seen_before < EVIDENCE_MOST) ? seen_before : EVIDENCE_MOST;
-    }
-    const float since = (float)seen_before;
-    shared->below = since + c->shared_half;
-    shared->above = shared->below;
-    if ((x->evidence >= FIRST_VOLTAGE) || !SIZE_BELOW(seen, c->rest_A)) {
-        shared->above = (c->shared * since) + c->shared_early;
-    }
+    const float since = steps_of_evidence(x);
+    const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(seen, c->rest_A);
+    shared_evidence(c->shared, c->shared_early, c->shared_half, since, 1.0f, alone, shared);
 }
 
 /* CW-018. Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
@@ -116,13 +96,10 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, co
  * table of the error. */
 static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float seen, float polarisation_V)
 {
-    const float far_A = at_least(c->valid_charge_A - seen, seen - c->valid_discharge_A);
-    float share = c->share_per_A * at_least(far_A, 0.0f);
+    float share = c->share_per_A * distance_beyond(seen, c->valid_charge_A, c->valid_discharge_A);
     float moved_V = 0.0f;
-    float far_K = at_least(c->valid_cold_C - x->temperature_C, x->temperature_C - c->valid_warm_C);
-    far_K = at_least(far_K, 0.0f);
-    const float z = c->share_per_K * far_K;
-    share = share + (z * (1.0f + (z * (0.5f + (z * SIXTH)))));
+    const float far_K = distance_beyond(x->temperature_C, c->valid_cold_C, c->valid_warm_C);
+    share = share + exponential_rise(c->share_per_K * far_K);
     moved_V = c->voltage_per_K * far_K;
     return (share * polarisation_V) + moved_V;
 }
@@ -135,14 +112,12 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
     const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
-    innovation->one_V2 = p->noise_V2 +
-        ((share * (innovation->polarisation_V * innovation->polarisation_V)) +
-         ((c->current_variance_A2 + s->unmeasured_A2) * (p->r0_ohm * p->r0_ohm)));
+    const float current_A2 = c->current_variance_A2 + s->unmeasured_A2;
+    innovation->one_V2 = voltage_variance(p->noise_V2, share, innovation->polarisation_V, current_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
-    /* An OCV that bends by c at one standard deviation is off its tangent by c z^2. */
     column_of(x, p, w->slope_V, &innovation->column);
-    innovation->explained_V2 = innovation->column.variance + (3.0f * (w->bend_V * w->bend_V));
+    innovation->explained_V2 = bent_variance(innovation->column.variance, w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
 }
 

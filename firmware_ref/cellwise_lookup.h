@@ -3,7 +3,7 @@
 #ifndef CELLWISE_LOOKUP_H
 #define CELLWISE_LOOKUP_H
 
-#include "cellwise_arithmetic.h"
+#include "cellwise_likelihood.h"
 
 /* Where a temperature lies between two tables, and what it does to every resistance. `lag` is the SOC that the
  * particles' surface is below the mean. */
@@ -133,16 +133,6 @@ static uint32_t index_of(float x, uint32_t points)
     return k;
 }
 
-/* Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0. The fraction of the float64
- * equations, which is asinh(y) / y to 0.05 % up to y = 60. */
-static float charge_transfer(float overvoltage)
-{
-    const float y = (overvoltage < LARGE) ? overvoltage : LARGE;
-    const float above = 1.0f + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))));
-    const float below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))));
-    return KNOWN_FRACTION(above / (1.0f + (y * below)));
-}
-
 /* Outside 0..1 the OCV goes on along its last segment, every other table stays at its end. Without CELLWISE_WIDE the
  * OCV stays, too. With CELLWISE_SURFACE resistances and gains are those of the particles' surface. */
 static void look_up(const cellwise_model *m, const cellwise_place *place, float soc, float current,
@@ -159,8 +149,7 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->ocv_V = READ(k, ocv_V, f);
     point->slope_V = RISE(k, ocv_V) * (float)(points - 1u);
     const float error_V = READ(k, error_V, g);
-    point->noise_V2 = (m->constant.fixed_V2 + (error_V * error_V)) +
-        (m->constant.ocv_soc2 * (point->slope_V * point->slope_V));
+    point->noise_V2 = error_variance(m->constant.fixed_V2, error_V, m->constant.ocv_soc2, point->slope_V);
     uint32_t at = k;
     float share = g;
     const float below = within_one(soc - place->lag) * (float)(points - 1u);
@@ -184,7 +173,8 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->r0_ohm = point->r0_ohm * scale;
     point->r1_ohm = point->r1_ohm * scale;
     point->r2_ohm = point->r2_ohm * scale;
-    point->r1_ohm = point->r1_ohm * charge_transfer((m->constant.asinh_per_V * point->r1_ohm) * magnitude(current));
+    const float overvoltage = (m->constant.asinh_per_V * point->r1_ohm) * magnitude(current);
+    point->r1_ohm = point->r1_ohm * KNOWN_FRACTION(charge_transfer(at_most(overvoltage, LARGE)));
 }
 
 /* SOC is well known: the OCV's tangent, and nothing else. */
@@ -198,9 +188,7 @@ static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
     slopes->rise3 = 0.0f;
 }
 
-/* While SOC is badly known slopes are chords over one standard deviation to either side. A far-off start must not be
- * corrected with the slope of where it stands. A SOC that is far off brings the resistances of another SOC with it,
- * so R0's slope joins the OCV's. */
+/* While SOC is badly known slopes are chords over one standard deviation to either side. */
 static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *place, float soc, float spread,
                                float current, const cellwise_point *p, cellwise_slopes *slopes)
 {
@@ -215,20 +203,19 @@ static NOINLINE void slopes_of(const cellwise_model *m, const cellwise_place *pl
         const float per = 1.0f / (high - low);
         cellwise_point end;
         look_up(m, place, low, current, &end);
-        float ocv = end.ocv_V;
-        float ohmic = end.r0_ohm;
+        const float ocv = end.ocv_V;
+        const float ohmic = end.r0_ohm;
         slopes->rise1 = end.r1_ohm;
         slopes->rise2 = end.r2_ohm;
         slopes->rise3 = end.r3_ohm;
-        slopes->bend_V = end.ocv_V - p->ocv_V;
         look_up(m, place, high, current, &end);
-        ocv = (end.ocv_V - ocv) * per;
-        ohmic = (end.r0_ohm - ohmic) * per;
         slopes->rise1 = (end.r1_ohm - slopes->rise1) * per;
         slopes->rise2 = (end.r2_ohm - slopes->rise2) * per;
         slopes->rise3 = (end.r3_ohm - slopes->rise3) * per;
-        slopes->slope_V = ocv - (ohmic * current);
-        slopes->bend_V = slopes->bend_V + (ocv * (soc - low));
+        cellwise_chord chord;
+        chord_of(ocv, ohmic, end.ocv_V, end.r0_ohm, per, current, soc - low, p->ocv_V, &chord);
+        slopes->slope_V = chord.slope_V;
+        slopes->bend_V = chord.bend_V;
     }
     slopes->spread = spread;
 }

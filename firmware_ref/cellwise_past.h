@@ -41,14 +41,14 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     look_up(m, &place, a->soc, mean_A, &p);
     const float before = left_by_load(m, &place, mean_A, a->soc);
     const float gone = risen(since * p.gain3);
-    float spread = (PAST_SPREAD * magnitude(before)) + (p.r3_ohm * m->constant.past_A);
-    spread = (1.0f - gone) * spread;
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, mean_A, before, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    const float variance = d.variance + ((spread * spread) + LEAST_PAST_V2);
-    const float off = ((gone * (p.r3_ohm * mean_A)) + ((1.0f - gone) * before)) - a->v3_V;
+    const float variance = d.variance + past.variance_V2;
+    const float off = past.held_V - a->v3_V;
     const float inverse = 1.0f / variance;
-    a->cost = a->cost + (0.5f * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)));
+    a->cost = a->cost + cost_of_past(off, variance);
     move(a, &d, inverse, off);
     narrow(a, &d, inverse);
     hold_within(a);
@@ -66,11 +66,11 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     const float taken = left_by_load(m, &place, before_A, a->soc);
     const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
     const float gone = risen(since * p.gain3);
-    float spread = (PAST_SPREAD * magnitude(taken)) + (p.r3_ohm * m->constant.past_A);
-    spread = (1.0f - gone) * spread;
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    move(a, &d, 1.0f / at_least(d.variance, (spread * spread) + LEAST_PAST_V2), (1.0f - gone) * more);
+    move(a, &d, 1.0f / at_least(d.variance, past.variance_V2), (1.0f - gone) * more);
 }
 
 /* The mean of the load since a start under load, and what it says of the past, three times. */
@@ -95,7 +95,7 @@ static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state 
             }
             b->looked_A = b->mean_A;
             b->looks = b->looks + 1u;
-            b->next_look = b->next_look * 4u;
+            b->next_look = b->next_look * LOOK_FACTOR;
         }
     } else if (elapsed > 1u) { /* nobody knows what flowed */
         b->looks = LOOKS;

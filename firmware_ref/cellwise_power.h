@@ -95,7 +95,7 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     const float spread_V = p.m_V * keep;
     along->kept_V2 = along->kept_V2 + ((spread_V * spread_V) * x->phh);
     const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    along->variance_V2 = p.noise_V2 + ((share * (held_V * held_V)) + (c->current_variance_A2 * (p.r0_ohm * p.r0_ohm)));
+    along->variance_V2 = voltage_variance(p.noise_V2, share, held_V, c->current_variance_A2, p.r0_ohm);
     const float beyond_V = extrapolated(c, x, current, held_V);
     along->variance_V2 = along->variance_V2 + (beyond_V * beyond_V);
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
@@ -182,7 +182,7 @@ static NOINLINE void one_way(const cellwise_model *m, const cellwise_place *plac
     const float by_soc_V = end.voltage_V - worse.voltage_V;
     const float variance_V2 = end.variance_V2 + end.kept_V2;
     const float square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2);
-    const float off_V = root((square < 4.0f) ? square : 4.0f);
+    const float off_V = root(at_most(square, SQUARE_MOST));
     const float low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0f);
     const float low_V = limit_V + (side * off_V);
     const float sure = able(m, place, x, soc, side, low_V, (most_A < low_soc_A) ? most_A : low_soc_A);

@@ -16,7 +16,7 @@ typedef struct {
 /* Two deviations of the voltage by what the model is off by. */
 static float off_by(const cellwise_along *at)
 {
-    return 2.0f * root((at->variance_V2 < 4.0f) ? at->variance_V2 : 4.0f);
+    return 2.0f * root(at_most(at->variance_V2, SQUARE_MOST));
 }
 
 /* Time until a voltage, taken as linear within a part, is at a cutoff; it ends there for good. `least_V` is its

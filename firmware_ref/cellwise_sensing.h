@@ -57,13 +57,13 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
     if (!is_same(reading->current, x->current_A)) {
         x->swings = 0.0f;
-    } else if (magnitude(x->swings) >= DEAD_SWINGS) {
+    } else if (is_dead(x->swings)) {
         reading->status = reading->status | CELLWISE_CURRENT_INVALID;
         reading->silent = 1u;
     } else { /* as before */
     }
     reading->temperature_C = 0.0f;
-    if (!WITHIN(sample->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) {
+    if (!WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C)) {
         reading->status = reading->status | CELLWISE_TEMPERATURE_INVALID;
     } else if (reading->news != REPEATED) {
         x->temperature_C = sample->temperature_C;
@@ -119,9 +119,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
         }
         add(&x->soc, &x->soc_carry, -used);
         if (s->unmeasured_A2 > 0.0f) {
-            /* It may keep one sign for as long as it is away: the deviation grows, not the variance. */
-            const float drift = root(x->ss) + c->lost_soc;
-            x->ss = drift * drift;
+            x->ss = drifted_variance(x->ss, c->lost_soc);
             if (x->in_bank == ALONE) {
                 x->in_bank = UNCOUNTED;
             }
@@ -142,20 +140,11 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
     }
 }
 
-/* What is stated of the SOC: P's variance, a persistent error's, what voltages contradict. P trusted the errors as
- * stated; where innovations show `mismatch` times as much, so much more may be wrong with the SOC. */
-static float stated_variance(const cellwise_state *x, float known)
+/* What is stated of the SOC beside P's variance `known`; LARGE where it is no number. */
+static float variance_of(const cellwise_state *x, float known)
 {
-    float times = 1.0f;
-    if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {
-        times = x->mismatch;
-    }
-    const float beside = (x->persistent * x->persistent) + (x->contradicted * x->contradicted);
-    float stated = (times * known) + beside;
-    if (!NOT_NEGATIVE(stated, LARGE)) {
-        stated = LARGE;
-    }
-    return stated;
+    const float stated = stated_variance(known, x->mismatch, x->persistent, x->contradicted);
+    return NOT_NEGATIVE(stated, LARGE) ? stated : LARGE;
 }
 
 /* CW-007. Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which
@@ -179,7 +168,7 @@ static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t mi
     }
     out->soc = x->soc;
     out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
-    out->soc_variance = stated_variance(x, out->soc_variance);
+    out->soc_variance = variance_of(x, out->soc_variance);
     return status;
 }
 

@@ -20,7 +20,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!(SIZE_WITHIN(x->current_A, LARGE) && NOT_NEGATIVE(x->mismatch, LARGE))) { return false; }
     if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) { return false; }
     if (!SIZE_WITHIN(x->slow_A, LARGE)) { return false; }
-    if (!WITHIN(x->temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C)) { return false; }
+    if (!WITHIN(x->temperature_C, COLDEST_C, HOTTEST_C)) { return false; }
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
     if (!SIZE_WITHIN(x->swings, SWINGS_MOST)) { return false; }
@@ -83,39 +83,44 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->evidence = NOT_BEGUN;
 }
 
-/* Variance of a branch that holds anything up to what a current leaves there. */
-static float admitted(float rested_V2, float held_V, float limit_V)
-{
-    const float most = (held_V < limit_V) ? held_V : limit_V;
-    return rested_V2 + (most * most);
-}
-
-/* What the branches hold when nobody knows what was before. Nearly nothing at rest, half of the load's steady
- * voltage under load. */
+/* What the branches hold when nobody knows what was before. */
 static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
                                     float current)
 {
-    float flow = 0.0f;
-    float spread = c->start_rest_A;
-    float limit_V = REST_LIMIT_V;
-    if (!SIZE_BELOW(current, c->rest_A)) {
-        flow = START_LOAD_SHARE * current;
-        spread = at_least(magnitude(flow), c->start_load_A);
-        limit_V = LARGE;
-    }
+    const float rested_V2 = c->branch_variance_V2;
     forget_correlations(x);
-    x->v1_V = p->r1_ohm * flow;
-    x->p11 = admitted(c->branch_variance_V2, spread * p->r1_ohm, limit_V);
-    x->v2_V = p->r2_ohm * flow;
-    x->p22 = admitted(c->branch_variance_V2, spread * p->r2_ohm, limit_V);
-    x->v3_V = p->r3_ohm * flow;
+    cellwise_before before;
+    flow_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
+    x->v1_V = p->r1_ohm * before.flow_A;
+    x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
+    x->v2_V = p->r2_ohm * before.flow_A;
+    x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
+    x->v3_V = p->r3_ohm * before.flow_A;
     x->v3_carry_V = 0.0f;
-    x->p33 = admitted(c->branch_variance_V2, spread * p->r3_ohm, limit_V);
+    x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
     if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
         /* What flowed for hours no first sample shows; it is looked at once more is known. */
         const float wide_V = c->bank_A * p->r3_ohm;
         x->p33 = x->p33 + (wide_V * wide_V);
     }
+}
+
+/* After voltages that contradicted it for long the SOC is open, branches may hold anything. Without CELLWISE_WIDE
+ * they are what they would be at a start. */
+static void open_up(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
+{
+    (void)seen;
+    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
+    forget_correlations(x);
+    float kept = x->v1_V * x->v1_V;
+    float held = held_variance(c->branch_variance_V2, p->r1_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p11 = held + kept;
+    kept = x->v2_V * x->v2_V;
+    held = held_variance(c->branch_variance_V2, p->r2_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p22 = held + kept;
+    kept = x->v3_V * x->v3_V;
+    held = held_variance(c->branch_variance_V2, p->r3_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p33 = held + kept;
 }
 
 /* Charge that leaves the cell in one step, in SOC. */
@@ -137,9 +142,11 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
     const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
     const float steps = (float)missing;
     float spread = c->gap_variance;
+    const float moved = c->soc_per_A * steps;
     if (missing <= c->gap_steps) {
-        const float moved = c->soc_per_A * steps;
         spread = (moved * moved) * unknown_A2;
+    } else {
+        spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
     }
     x->ss = x->ss + spread;
     const float gain1 = risen(steps * p->gain1);
@@ -150,13 +157,12 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
     x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
 }
 
-/* One interval of constant current. A resistance that is off by a share drives its branch like a current that is off
- * by it, and so does a current that nobody measured. */
+/* One interval of constant current. */
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
                     float flow, float unmeasured_A2)
 {
     const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float square_A2 = (share * (flow * flow)) + unmeasured_A2;
+    const float square_A2 = unknown_square(share, flow, unmeasured_A2);
     relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(flow));
     const float keep = 1.0f - rise;

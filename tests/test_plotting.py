@@ -69,6 +69,7 @@ def test_a_plot_into_axes_of_ones_own_with_a_style_of_ones_own():
     first, second = figures.Figure().subplots(2)
     run.plot([first, second])
     assert [a.get_ylabel() for a in (first, second)] == [p.y_label for p in run.panels()[1][:2]]
+    assert [a.get_xlabel() for a in (first, second)] == ["", "time [h]"]  # none between two rows
 
 
 def test_a_plot_looks_as_rcparams_say():

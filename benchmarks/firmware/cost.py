@@ -12,18 +12,20 @@ from benchmarks.figures import Figure, Progress, clock, missing
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.fixed.layout import BANK
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.export.accuracy import WorstCase, worst_case
-from cellwise.export.cross import Cost, cores_here, run_on_target
+from cellwise.export.cross import COMPONENTS, Cost, cores_here, run_on_target
 from cellwise.logs import CellLog
 
 DT_S = 1.0
 POINTS = 101
 STEPS = 5000
 EVERY = 10
+BANK_STEPS = 300
 START_STD = 0.01
 HORIZON_S = 10.0
 CUTOFF_V = 2.8
@@ -69,9 +71,27 @@ def target_figures(data: Path | None, say: Progress) -> list[Figure]:
             worst = worst_case(model, tables, core)
             held = LIMITS.get(core) if name == "3 states, --lean" else None
             figures += _cost(f"{core}: {name}", cost, worst, held, DESIGN.get(core, ""))
+            if tables.options.bank:
+                records = records[:BANK_STEPS]
+                bank = run_on_target(
+                    tables, core, records, START_SOC - 0.3, 0.15**2, measure_every=1, of="bank"
+                ).cost
+                figures += _bank_cost(f"{core}: {name}, a bank of {COMPONENTS}", bank)
         say(f"{core}, state of power and remaining time")
         figures += _beside_cost(core, log)
     return figures
+
+
+def _bank_cost(group: str, cost: Cost) -> list[Figure]:
+    """A step while a bank looks for a start that is 30 points off."""
+    memory = (1 + COMPONENTS) * cost.state_bytes + BANK.itemsize
+    note = f"the first {cost.measured} steps of the drive, counted in QEMU"
+    return [
+        Figure(group, "mean", cost.instructions_mean, "instructions", note=note),
+        Figure(group, "most", cost.instructions_most, "instructions"),
+        Figure(group, "stack", cost.stack_bytes, "B"),
+        Figure(group, "memory", float(memory), "B", note="states and the record of the bank"),
+    ]
 
 
 def _beside_cost(core: str, log: CellLog) -> list[Figure]:

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from cellwise.report.identification.page import identify_page as identify_page
     from cellwise.report.pack_page import pack_page as pack_page
     from cellwise.report.replay.page import replay_page as replay_page
+    from cellwise.workflows.replaying import replay_and_forecast as replay_and_forecast
 
     __version__: str
 
@@ -110,6 +111,7 @@ _NAMES = {
     "cellwise.report.identification.page": "identify_page",
     "cellwise.report.pack_page": "pack_page",
     "cellwise.report.replay.page": "replay_page",
+    "cellwise.workflows.replaying": "replay_and_forecast",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = sorted(_HOMES, key=lambda name: (name[0].islower(), name))

@@ -102,10 +102,16 @@ class Plottable:
             return drawn
         axes = axes_of(ax, len(chosen))
         draw_on(axes, chosen, **style)
-        for place in axes:
+        for place in filter(_shows_x, axes):
             place.set_xlabel(x_label)
         whole: Figure = axes[0].figure
         return whole
+
+
+def _shows_x(ax: Any) -> bool:
+    """Whether axes that somebody made show an x label: those above others leave it to them."""
+    spec = ax.get_subplotspec()
+    return spec is None or bool(spec.is_last_row())
 
 
 def panel_of(panels: Sequence[Panel], name: str) -> Panel:

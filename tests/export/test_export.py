@@ -16,6 +16,7 @@ from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import SEQUENCE_GAP
+from cellwise.export.package import DESCRIPTION, export_firmware
 from example_cells import curved_cell
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -42,6 +43,15 @@ SOURCES = ("cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
 )  # fmt: skip
 def test_what_a_target_cannot_hold_is_refused(refused, tmp_path, arguments, said):
     assert said in refused(*arguments, "-o", tmp_path / "out")
+
+
+def test_python_writes_what_the_command_writes(export, tmp_path):
+    told = export("--dt", 1, "-o", tmp_path / "command")
+    paths = export_firmware(curved_cell(), tmp_path / "python", 1.0)
+    assert [str(p.relative_to(tmp_path / "python")) for p in paths] == told["files"]
+    for path in paths:
+        other = tmp_path / "command" / path.relative_to(tmp_path / "python")
+        assert path.name == DESCRIPTION or path.read_bytes() == other.read_bytes(), path.name
 
 
 def test_what_is_written_is_described(export, tmp_path):

@@ -245,6 +245,20 @@ def test_a_bank_whose_memory_is_damaged_begins_over_all_of_the_soc(plain):
         assert all(np.all(np.isfinite(out[field])) for field in FLOATS)
 
 
+@needs_gcc
+def test_the_memory_of_a_component_that_was_dropped_moves_nothing(plain):
+    """CW-019: one bit of it that no longer mattered once gave a SOC of 1 for ever, unsaid."""
+    banks = [plain.start_bank(5, 0.5, 0.0225) for _ in range(2)]
+    for (bank, of), value in zip(banks, (0.3, np.nan), strict=True):
+        plain.bank_rows(bank, of, rows(5, 1.0, 3.7))
+        of["cost"][3], of["weight"][3] = 2.0**20, 0.0  # as `weigh_components` drops one
+        for name in ("soc", "v2_V", "ss", "p11"):
+            of[name][3] = value
+    first, second = (plain.bank_rows(*bank, rows(50, 1.0, 3.7, start=6)) for bank in banks)
+    assert banks[0][0]["spread"][0] == 1
+    assert first.tobytes() == second.tobytes()
+
+
 def in_c():
     """The numbers that stand in the C, printed or by hand."""
     files = [*firmware_folder().glob("*.c"), *firmware_folder().glob("*.h")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cellwise.cli.common import printing
@@ -86,9 +86,20 @@ def print_replay(found: Replay, run: ReplayAndForecast | None = None, *, sure: b
         elif one["probability"] is not None:
             rows[label] += f" ({100 * one['probability']:.0f} % that it is not the model's)"
     if values:
-        by_capacity = f"{percent(values['soh_capacity'], 1)} % by capacity"
-        rows["state of health"] = f"{by_capacity}, resistance x {values['soh_resistance']:.3f}"
+        rows["state of health"] = state_of_health(values)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), list(rows.items()))
+
+
+def state_of_health(values: Mapping[str, Any]) -> str:
+    """Of the parameters of an adaptive replay: only what the log shows, not what was stated."""
+    capacity, share = values["capacity_Ah"], values["soh_capacity"]
+    std = share * capacity["std"] / capacity["value"]
+    by_capacity = (
+        f"{band(100.0 * share, 100.0 * std, 1)} % of the stated capacity"
+        if capacity["shown"]
+        else "not determined: this log does not show another capacity than the stated one"
+    )
+    return f"{by_capacity}, resistance x {values['soh_resistance']:.3f}"
 
 
 def _after(seconds: float | None) -> str:

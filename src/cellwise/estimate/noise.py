@@ -16,9 +16,9 @@ from cellwise.cell.plausibility.validity_kernels import (
     validity_scalars,
 )
 from cellwise.errors import InputError
+from cellwise.estimate.equations.constants import IMPOSSIBLE_RATE
 
-# Beyond these a reading is the sensor's fault.
-IMPOSSIBLE_RATE = 200.0
+# Beyond these a voltage is the sensor's fault.
 IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
 WANDERS = 1.0 / 3.0  # of the drift of the counted charge, what no constant offset explains

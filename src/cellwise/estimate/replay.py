@@ -15,6 +15,7 @@ from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
+    ORDER,
     assumed_temperature_notices,
     far_off,
     in_order,
@@ -32,9 +33,9 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
-from cellwise.estimate.trace import Trace, nis_by_scale
+from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
 from cellwise.logs.cell_log import CellLog, check_is_log
-from cellwise.notices import Notice
+from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -181,8 +182,41 @@ class Replay(Plottable, Tabular):
         trace = self.trace
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
             found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
+            found += self._remarks()
         limits = () if self.power is None else self.power.known.notices
         return (*in_order(found, self.log.notices), *limits)
+
+    def _remarks(self) -> list[Notice]:
+        """A voltage that stays off for long, a SOC that steps: what a figure at the end hides."""
+        model, log, trace = self.model, self.log, self.trace
+        if model is None:
+            return []
+        found, since_s = [], log.time_s - log.time_s[0]
+        span = long_innovation(model, log, trace)
+        if span is not None:
+            side = "below" if span.mean_V < 0.0 else "above"
+            text = (
+                f"the voltage stays {1e3 * abs(span.mean_V):.0f} mV {side} what is predicted for "
+                f"{(since_s[span.last] - since_s[span.first]) / 60.0:.0f} min, from "
+                f"{since_s[span.first] / 60.0:.0f} min on: {span.times:.1f} times what the model "
+                "states of its error, so that the SOC's band is too narrow"
+            )
+            stated = self.start.how in ("given", "stated")
+            if stated and since_s[span.first] <= MINUTE_S:
+                text += f"; the stated start ({self.start.soc:.3f}) may be wrong: leave it out"
+            rows, size_V = range(span.first, span.last + 1), abs(span.mean_V)
+            found.append(Notice(Code.LONG_INNOVATION, text, rows=rows, size_V=size_V))
+        row = soc_step(model, log, trace)
+        if row is not None:
+            before, after = (100.0 * float(trace.soc[k]) for k in (row - 1, row))
+            text = (
+                f"the SOC steps from {before:.1f} to {after:.1f} % in one sample after "
+                f"{since_s[row] / 60.0:.0f} min: from there on another start explains the voltages "
+                "better, and what was said before was wrong by about as much"
+            )
+            steps = range(row, row + 1)
+            found.append(Notice(Code.SOC_STEP, text, rows=steps, size_V=ORDER.assumed))
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""

@@ -21,7 +21,7 @@ from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
 from cellwise.estimate.fixed.options import Options, flags_of
-from cellwise.estimate.fixed.stepper import STEP_MODULES
+from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
 from cellwise.printing.text import WIDTH, comment, comments_of, float_literal
@@ -76,6 +76,11 @@ EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
 # 596 instructions on a Cortex-M4F instead of 367, and three times the stack: they are one.
 PARTS = {
     "arithmetic": "Constants of the algorithm, small helpers.",
+    "scalar": "Equations of single numbers.",
+    "evidence": "How much a voltage weighs, and what stays of the model's error.",
+    "sensors": "Readings that a sensor cannot have meant, and a charge that nobody counted.",
+    "start": "What branches may hold that nobody has seen before.",
+    "likelihood": "What a voltage and the past say against one of several filters.",
     "lookup": "Tables at one SOC, temperature and current.",
     "covariance": "What a step does to P, and to the state through it.",
     "state": "Whether a state is sound, where it starts, what an interval does to it.",
@@ -93,6 +98,7 @@ PARTS = {
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
 }
 FIRST = {
+    "components.py": "likelihood",
     "step.py": "correction", "begin_at": "step",
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
@@ -148,7 +154,7 @@ def written_out(tree: ast.Module, scope: dict[str, Any]) -> ast.Module:
 def constants() -> dict[str, tuple[str, str]]:
     """Type and text of every name that is a constant."""
     found = {"True": ("bool", "true"), "False": ("bool", "false")}
-    for name, value in vars(arithmetic).items():
+    for name, value in (vars(arithmetic) | SINGLE).items():
         if isinstance(value, np.float32):
             found[name] = ("float", name)
         elif isinstance(value, np.uint32):
@@ -242,7 +248,7 @@ def defines(read: Source, made: Program) -> Iterator[str]:
             name = ast.unparse(target)
             if name not in used or name not in made.constants:
                 continue
-            value = getattr(arithmetic, name)
+            value = SINGLE.get(name, getattr(arithmetic, name))
             if isinstance(value, np.float32):
                 text, note = float_literal(value), ""
                 if text.startswith("0x1."):
@@ -287,7 +293,8 @@ def headed(about: str) -> list[str]:
 def parts_of(read: list[Source], made: Program) -> dict[str, list[str]]:
     """Lines of every part: what C has of the module, or modules, from its first function on."""
     parts: dict[str, list[str]] = {name: [] for name in PARTS}
-    parts["arithmetic"] += [*defines(read[0], made), ""]
+    numbers = (line for source in read[:2] for line in defines(source, made))
+    parts["arithmetic"] += [*numbers, ""]
     for source in read:
         file = source.name.rsplit("/", 1)[-1]
         part = FIRST.get(file, file.removesuffix(".py"))

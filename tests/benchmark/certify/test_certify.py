@@ -200,7 +200,7 @@ def test_drawn_cells_have_the_posteriors_spread(folder):
     ("name", "old", "new", "found"),
     [
         ("cell_table.c", "0x1", "0x1.8p+0f + 0x1", "bits that are not those"),
-        ("cellwise_ekf.c", "float ", "flaot ", "does not compile"),
+        ("cellwise_step.h", "float ", "flaot ", "does not compile"),
         ("cellwise_export.json", "{", "[", "missing or damaged"),
         ("cell.json", '"name": "', '"name": "other ', "sha256"),
     ],
