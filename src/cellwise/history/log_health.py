@@ -24,6 +24,7 @@ from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice
 from cellwise.typing import FloatArray
 
 
@@ -89,7 +90,7 @@ class LogHealth:
     soc_start: float
     soc_end: float
     covered: float
-    far_off: str | None
+    far_off: Notice | None
 
 
 class _Fitted(NamedTuple):
