@@ -81,8 +81,7 @@ static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *c
     column->v3 = 0.0f;
     column->h = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
-        /* One that was dropped has no weight, and nobody looks after its memory. */
-        if (of[k + 1u].cost < LARGE) {
+        if (of[k + 1u].cost < LARGE) { /* else dropped: nobody looks after its memory */
             column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
             column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
             column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);

@@ -71,6 +71,7 @@ PROVED = [
     *(("eva_any_bits", build) for build in BUILDS),
     ("eva_any_start", "lean"),
     ("eva_any_start", "three states"),
+    ("eva_any_bank_alone", "three states"),
     ("eva_any_power", "power"),
     ("eva_any_remaining", "remaining"),
     ("eva_any_plan", "remaining"),

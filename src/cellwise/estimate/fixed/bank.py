@@ -93,8 +93,7 @@ def mean_of(of: States, count: int) -> Column:
     for i in CELL:
         mean[i] = 0.0
     for k in range(count):
-        # One that was dropped has no weight, and nobody looks after its memory.
-        if of[k + 1].cost < LARGE:
+        if of[k + 1].cost < LARGE:  # else dropped: nobody looks after its memory
             for i in CELL:
                 mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
     return Column(0.0, *(mean[i] if THERE else 0.0 for i in CELL))
