@@ -66,7 +66,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import Counts, LiveFilter, open_source, run_live
     from cellwise.live.can_stream import SocSender
-    from cellwise.live.followed import Followed
+    from cellwise.live.followed import FollowedFilter
     from cellwise.live.run import LatencyMeter
     from cellwise.live.source import BUS_EVERY_S, Sending
     from cellwise.logs.files.source import ReadOptions
@@ -84,7 +84,7 @@ def follow(rate_Hz: float, seconds: float) -> dict[str, float]:
         behind: list[float] = []
         vehicle = threading.Thread(target=play, args=(channel, dbc, rate_Hz, samples, behind))
         with (Path(folder) / "out.jsonl").open("w") as file:
-            write = LineWriter(file, Followed(live, outlook))
+            write = LineWriter(file, FollowedFilter(live, outlook))
 
             def take(update):
                 outlook.take(update)

@@ -182,20 +182,20 @@ def in_python(option: Option) -> str:
     return f"`{key}={option.letter or written}`"
 
 
-class Place(NamedTuple):
+class RowPlace(NamedTuple):
     """Words of a text that name rows of the log, counted from 0."""
 
     words: str
     rows: range
 
 
-def place(rows: range) -> Place:
+def place(rows: range) -> RowPlace:
     """Rows as people count them, from 1."""
     first, last = rows.start + 1, rows.stop
-    return Place(f"row {last}" if first == last else f"rows {first} to {last}", rows)
+    return RowPlace(f"row {last}" if first == last else f"rows {first} to {last}", rows)
 
 
-Piece = str | Option | Place
+Piece = str | Option | RowPlace
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,7 +227,7 @@ class Notice:
             proposed = (p for p in self.pieces if isinstance(p, Option))
             object.__setattr__(self, "option", next(proposed, None))
         if self.rows is None:
-            places = (p.rows for p in self.pieces if isinstance(p, Place))
+            places = (p.rows for p in self.pieces if isinstance(p, RowPlace))
             object.__setattr__(self, "rows", next(places, None))
 
     @property
@@ -296,7 +296,7 @@ class Notice:
 def _written(piece: Piece, of_option: Callable[[Option], str]) -> str:
     if isinstance(piece, Option):
         return of_option(piece)
-    return piece.words if isinstance(piece, Place) else piece
+    return piece.words if isinstance(piece, RowPlace) else piece
 
 
 def texts(notices: Iterable[Notice]) -> list[str]:
@@ -308,7 +308,7 @@ def to_json(notice: Notice) -> dict[str, object]:
     """All of a notice as JSON values, for a file from which `from_json` makes it again."""
 
     def piece(one: Piece | None) -> object:
-        if isinstance(one, Place):
+        if isinstance(one, RowPlace):
             return {"words": one.words, "rows": [one.rows.start, one.rows.stop]}
         return one._asdict() if isinstance(one, Option) else one
 
@@ -325,7 +325,7 @@ def from_json(data: Mapping[str, Any]) -> Notice:
         if isinstance(one, str) or one is None:
             return one
         if "words" in one:
-            return Place(one["words"], range(*one["rows"]))
+            return RowPlace(one["words"], range(*one["rows"]))
         value = one["value"]
         return Option(**one | {"value": tuple(value) if isinstance(value, list) else value})
 

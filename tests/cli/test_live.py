@@ -179,14 +179,14 @@ def test_the_view_shows_what_a_person_asks_for(model, stream_file):
     from cellwise.cli.live import live_panel, panel
     from cellwise.forecast.outlook import Outlook
     from cellwise.live import LiveFilter, open_source, run_live
-    from cellwise.live.followed import Followed
+    from cellwise.live.followed import FollowedFilter
 
     cell = read_model(model)
     live, source = LiveFilter(cell), open_source(f"json:{stream_file}")
     outlook = Outlook(cell, 2.6)
     written = io.StringIO()
     console = Console(file=written, force_terminal=True, width=100)
-    followed = Followed(live, outlook)
+    followed = FollowedFilter(live, outlook)
     with live_panel(source.name, followed, console) as look:
         counts = run_live(source, live, followed.take, look=look)
     console.print(panel(source.name, followed, counts, silent_s=5.0))

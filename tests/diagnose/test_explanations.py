@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.priors import starts_to_try
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.odds import RARE, Rarity
-from cellwise.diagnose.sets import Explanations, Outcome, decide
+from cellwise.diagnose.sets import Explanations, SearchOutcome, decide
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load
@@ -58,7 +58,7 @@ def fits_of(
     return CauseFits.of(gather(model, logs[:2], logs[2:]), Coordinates(model), 0)
 
 
-def decided(fits: CauseFits) -> Outcome:
+def decided(fits: CauseFits) -> SearchOutcome:
     sets = Explanations(fits, Rarity())
     sets.search(TRIED, *fits.base())
     return decide(sets)

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.errors import InputError
-from cellwise.estimate.adaptive import ESTIMABLE, Adaptive, AdaptiveSettings, Held, reason
+from cellwise.estimate.adaptive import ESTIMABLE, Adaptive, AdaptiveSettings, WhyHeld, reason
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.status import Status
@@ -172,15 +172,15 @@ class TestHeld:
         wrong = replace(MODEL, r0_ohm=1.2 * MODEL.r0_ohm)
         trace = Adaptive(wrong).run(log, 0.9, 0.02)
         late = trace.held[1, len(trace) // 2 :]
-        assert np.all(late & Held.NO_EXCITATION)
+        assert np.all(late & WhyHeld.NO_EXCITATION)
         assert np.ptp(trace.resistance_scale[len(trace) // 2 :]) == 0.0
 
     def test_nothing_is_blamed_while_soc_is_unsure(self):
         flat = lfp_cell()
         log = drive(flat, hours=0.3, soc0=0.6)
         trace = Adaptive(flat).run(log, 0.35, 0.3)
-        assert np.all(trace.held[2, 1:200] & Held.SOC_UNSURE)
-        assert trace.parameters(200).capacity_Ah.held == reason(Held.SOC_UNSURE)
+        assert np.all(trace.held[2, 1:200] & WhyHeld.SOC_UNSURE)
+        assert trace.parameters(200).capacity_Ah.held == reason(WhyHeld.SOC_UNSURE)
 
     def test_on_a_plateau_the_capacity_stays_the_models(self):
         flat = lfp_cell()
@@ -196,7 +196,7 @@ class TestHeld:
         values = getattr(LOG, name).copy()
         values[3000:3600] = np.nan
         trace = Adaptive(MODEL).run(replace(LOG, **{name: values}), 0.95, 0.02)
-        bit = Held.NO_VOLTAGE if name == "voltage_V" else Held.NO_CURRENT
+        bit = WhyHeld.NO_VOLTAGE if name == "voltage_V" else WhyHeld.NO_CURRENT
         assert np.all(trace.held[:, 3010:3590] & bit)
         for parameter in (trace.gain, trace.resistance_scale):
             assert np.ptp(parameter[3010:3590]) == 0.0
@@ -208,7 +208,7 @@ class TestHeld:
         assert np.all(trace.offset_A == 0.0)
         assert np.all(trace.capacity_Ah == CAPACITY)
         told = trace.parameters()
-        assert told.offset_A.held == told.capacity_Ah.held == reason(Held.NOT_CHOSEN)
+        assert told.offset_A.held == told.capacity_Ah.held == reason(WhyHeld.NOT_CHOSEN)
 
     def test_capacity_and_gain_cannot_both_be_learnt(self):
         with pytest.raises(InputError, match="no data can separate them"):

@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import multivariate_normal
 
-from cellwise.fit.solver import Normal, Prior, Search, bounded_step, minimise
+from cellwise.fit.solver import Normal, Prior, SolverSettings, bounded_step, minimise
 
 ALL = np.ones(4, dtype=bool)
 PRIOR = Prior(
     np.array([0.5, -1.0, 0.0, 2.0]), np.linalg.inv(0.3 * np.eye(4) + 0.7 * np.ones((4, 4))), ALL
 )
-EXACT = Search(iterations=60, least_gain=1e-14, least_share=0.0, damping=0.0)
+EXACT = SolverSettings(iterations=60, least_gain=1e-14, least_share=0.0, damping=0.0)
 
 
 def linear(seed=1, rows=12):

@@ -13,7 +13,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.replay import replay
 from cellwise.estimate.saved_state import read_state
 from cellwise.live import LiveFilter, Sample
-from cellwise.live.live_filter import AGREEING, Interval, Timeline
+from cellwise.live.live_filter import AGREEING, SampleInterval, Timeline
 from cellwise.logs.gaps import find_gaps
 from example_cells import curved_cell, lfp_cell
 from streams import driven, samples
@@ -143,7 +143,7 @@ def fed(times, arrived=None):
 def test_intervals_are_the_differences_of_the_stamps():
     times = np.cumsum(np.random.default_rng(1).uniform(0.01, 2.0, 200))
     found = fed(times)
-    assert found[0] == Interval(0.0, gap=False)
+    assert found[0] == SampleInterval(0.0, gap=False)
     np.testing.assert_allclose([i.dt_s for i in found[1:]], np.diff(times))
 
 
@@ -162,14 +162,14 @@ def test_gaps_are_those_of_the_finished_log(seed):
 def test_a_late_sample_is_left_out_and_the_next_one_counts_from_the_last_good():
     found = fed([0.0, 1.0, 2.0, 1.5, 3.0])
     assert found[3] is None
-    assert found[4] == Interval(1.0, gap=False)
+    assert found[4] == SampleInterval(1.0, gap=False)
 
 
 @pytest.mark.parametrize("broken", [1e15, -1e15, np.nan, np.inf])
 def test_a_broken_stamp_is_left_out(broken):
     found = fed([0.0, 1.0, broken, 2.0, 3.0])
     assert found[2] is None
-    assert found[3:] == [Interval(1.0, gap=False)] * 2
+    assert found[3:] == [SampleInterval(1.0, gap=False)] * 2
 
 
 @pytest.mark.parametrize("jump", [-5000.0, 1e6])
@@ -179,12 +179,12 @@ def test_a_clock_that_was_set_is_a_gap_as_long_as_our_own_clock_says(jump):
     times[20:] += jump
     found = fed(times, arrived)
     assert found[20 : 20 + AGREEING - 1] == [None] * (AGREEING - 1)
-    assert found[20 + AGREEING - 1] == Interval(float(AGREEING), gap=True)
-    assert all(i == Interval(1.0, gap=False) for i in found[20 + AGREEING :])
+    assert found[20 + AGREEING - 1] == SampleInterval(float(AGREEING), gap=True)
+    assert all(i == SampleInterval(1.0, gap=False) for i in found[20 + AGREEING :])
 
 
 def test_after_a_restart_the_first_sample_ends_the_gap():
     line = Timeline()
     line.resume(500.0)
-    assert line.advance(3.0) == Interval(500.0, gap=True)
-    assert line.advance(4.0) == Interval(1.0, gap=False)
+    assert line.advance(3.0) == SampleInterval(500.0, gap=True)
+    assert line.advance(4.0) == SampleInterval(1.0, gap=False)

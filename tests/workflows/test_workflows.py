@@ -21,7 +21,12 @@ from cellwise.workflows.exporting import (
     without_effects,
 )
 from cellwise.workflows.found_files import look_at
-from cellwise.workflows.replaying import Ahead, Asked, replay_and_forecast, replay_each
+from cellwise.workflows.replaying import (
+    ForecastRequest,
+    ReplayRequest,
+    replay_and_forecast,
+    replay_each,
+)
 from cellwise.workflows.served import each_that_serves
 from cellwise.workflows.simulating import simulate_from_start
 from cellwise.workflows.starts import start_of
@@ -70,8 +75,8 @@ def same(ours, printed):
 
 
 def test_a_replay_with_all_that_is_ahead_is_what_the_command_prints(printed, model, log):
-    ahead = Ahead(cutoff_V=3.0, load=10.0, display=0.1, anyway=True)
-    found = replay_and_forecast(model, log, Asked("ekf", soc0=0.9, soc0_std=0.02), ahead)
+    ahead = ForecastRequest(cutoff_V=3.0, load=10.0, display=0.1, anyway=True)
+    found = replay_and_forecast(model, log, ReplayRequest("ekf", soc0=0.9, soc0_std=0.02), ahead)
     assert found.flight is not None
     assert found.at_load is not None
     same(
@@ -108,7 +113,7 @@ def test_nothing_is_foreseen_of_a_log_that_is_far_off_unless_asked(log):
     withheld = coded(found.notices, found.far.code)[0]
     assert withheld != found.far
     assert withheld.text.startswith(found.far.text)
-    anyway = replay_and_forecast(other, log, ahead=Ahead(anyway=True))
+    anyway = replay_and_forecast(other, log, ahead=ForecastRequest(anyway=True))
     assert anyway.flight is not None
     assert anyway.far is None
 
@@ -120,8 +125,8 @@ def test_behind_a_pause_what_is_stated_of_the_start_does_not_hold(model, log):
     runs = replay_each(
         model,
         [paused],
-        Asked(soc0=0.7),
-        Ahead(),
+        ReplayRequest(soc0=0.7),
+        ForecastRequest(),
         lambda what, done, total: steps.append((done, total)),
     ).made
     assert steps == [(0, 2), (1, 2)]
@@ -138,7 +143,7 @@ def test_what_is_stated_of_a_log_holds(stated, asked, start):
 
 def test_two_starts_are_refused_by_the_argument_that_gives_one(model, log):
     with pytest.raises(InputError, match=r"`soc0=0\.5`") as refusal:
-        replay_and_forecast(model, replace(log, soc0=0.9), Asked(soc0=0.5))
+        replay_and_forecast(model, replace(log, soc0=0.9), ReplayRequest(soc0=0.5))
     assert "Leave out `soc0=...`" in refusal.value.action
 
 

@@ -46,7 +46,7 @@ FRACTIONS = ("settled_rmse", "settled_max", "soc_final_error", "coverage_2sigma"
 Entry = Mapping[str, Any]
 
 
-class Part(NamedTuple):
+class Standings(NamedTuple):
     """The standings of a suite, or of its quick cut."""
 
     title: str
@@ -190,7 +190,7 @@ def _check_runs(row: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> 
     )
 
 
-def parts_of(entries: Sequence[Entry]) -> list[Part]:
+def parts_of(entries: Sequence[Entry]) -> list[Standings]:
     """The whole suite, then its quick cut with slow rows too."""
     made = {e["row"]["estimator"]: e for e in entries}
     runs = {name: e["row"]["runs"] for name, e in made.items()}
@@ -207,7 +207,7 @@ def parts_of(entries: Sequence[Entry]) -> list[Part]:
             row.extend((entry["made_with"].partition(",")[0] or "-", entry.get("by", "-")))
         count = sum(r["quick"] or not quick for r in runs[found[0].estimator])
         title = f"{title}: {len(found)} estimators, {count} runs each"
-        parts.append(Part(title, found, (table_of(found, COLUMNS, (1,)), bands)))
+        parts.append(Standings(title, found, (table_of(found, COLUMNS, (1,)), bands)))
     return parts
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.benchmark.faults import NONE
-from cellwise.benchmark.leaderboard import Part
+from cellwise.benchmark.leaderboard import Standings
 from cellwise.benchmark.package_rows import NotRun
 from cellwise.benchmark.standings import (
     Standing,
@@ -58,11 +58,11 @@ ROWS = (
 TABLES = (STANDINGS, BANDS)
 
 
-def own_part(rows: Rows) -> Part:
+def own_part(rows: Rows) -> Standings:
     """The standings of the rows as they are."""
     found = standings(by_estimator(rows), fewer=True)
     title = f"{plural(len(found), 'estimator')}, {plural(len(rows), 'run')}"
-    return Part(title, found, suite_tables(found))
+    return Standings(title, found, suite_tables(found))
 
 
 class Division(NamedTuple):
@@ -129,7 +129,7 @@ def benchmark_page(
     suite: Suite,
     rows: Rows,
     path: str | Path,
-    parts: Sequence[Part] = (),
+    parts: Sequence[Standings] = (),
     *,
     figures: str | Path | FigureFiles | None = None,
 ) -> Path:
@@ -162,7 +162,7 @@ def benchmark_page(
     )
 
 
-def benchmark_finding(name: str, part: Part) -> str:
+def benchmark_finding(name: str, part: Standings) -> str:
     """One line: who is first, and who may be as good."""
     ranked = [s for s in part.found if s.rank is not None]
     if not ranked:
@@ -192,7 +192,7 @@ def problems(rows: Rows) -> Markup:
 @pictured(
     "standings", "Settled RMSE over hard runs (dot), and the largest settled error of any (bar)."
 )
-def standings_picture(part: Part) -> style.Figure:
+def standings_picture(part: Standings) -> style.Figure:
     """Every estimator that has a rank."""
     found = _pictured(part)
     hard, worst = ([100.0 * getattr(s, k) for s in found] for k in ("hard", "worst"))
@@ -200,11 +200,11 @@ def standings_picture(part: Part) -> style.Figure:
     return style.dots_on_bars([s.estimator for s in found], hard, worst, text, "SOC error [points]")
 
 
-def _pictured(part: Part) -> list[Standing]:
+def _pictured(part: Standings) -> list[Standing]:
     return [s for s in part.found if None not in (s.rank, s.hard, s.worst)]
 
 
-def standings_sections(parts: Sequence[Part], not_run: Sequence[NotRun] = ()) -> list[Section]:
+def standings_sections(parts: Sequence[Standings], not_run: Sequence[NotRun] = ()) -> list[Section]:
     """A section for each part."""
     said = bullets([f"{one.name}: {one.why}" for one in not_run], "notices")
     left = Markup(paragraph("Not run:") + said) if said else EMPTY
@@ -221,7 +221,7 @@ def standings_sections(parts: Sequence[Part], not_run: Sequence[NotRun] = ()) ->
     return sections
 
 
-def standings_page(suite: str, parts: Sequence[Part], path: Path) -> Path:
+def standings_page(suite: str, parts: Sequence[Standings], path: Path) -> Path:
     """The leaderboard alone, as a page."""
     about = f"Leaderboard '{suite}', by cellwise"
     finding = benchmark_finding(suite, parts[0])

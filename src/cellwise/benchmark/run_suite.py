@@ -37,7 +37,15 @@ from cellwise.benchmark.package_rows import (
 from cellwise.benchmark.standings import by_estimator, latex, standings
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate
-from cellwise.benchmark.work import SEED, Place, Run, make_model, marks, run_all, runs_of
+from cellwise.benchmark.work import (
+    SEED,
+    BenchmarkRun,
+    SuiteFolders,
+    make_model,
+    marks,
+    run_all,
+    runs_of,
+)
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.logs.writing import write_columns
@@ -113,7 +121,7 @@ def run_suite(
     check_files(suite, data)
     if processes < 1:
         raise InputError(f"{processes} processes", "at least one", "Give e.g. 2.")
-    place = Place(suite, data, made_folder(folder, "the results"))
+    place = SuiteFolders(suite, data, made_folder(folder, "the results"))
     made_folder(place.folder / "models", "the models")
     if fresh:
         (place.folder / KEPT).unlink(missing_ok=True)
@@ -151,14 +159,14 @@ def run_suite(
     return _finish(place, found, resumed, page, figures)
 
 
-def _task(run: Run, order: dict[str, int]) -> tuple[Any, ...]:
+def _task(run: BenchmarkRun, order: dict[str, int]) -> tuple[Any, ...]:
     """Runs that are one task: of a log and a fault, of a row of another package all of a log."""
     if run.estimator in order:
         return run.estimator, run.log
     return "", run.log, run.fault, run.dt_s
 
 
-def _with_rows(place: Place, adapters: Path | None, say: Progress) -> Place:
+def _with_rows(place: SuiteFolders, adapters: Path | None, say: Progress) -> SuiteFolders:
     """The place with a Python for every row of another package; what cannot be had is not run."""
     suite, where = place.suite, adapters_folder(adapters)
     ready, pythons, missing = [], [], list(suite.not_run)
@@ -176,7 +184,7 @@ def _with_rows(place: Place, adapters: Path | None, say: Progress) -> Place:
 
 
 def _finish(
-    place: Place,
+    place: SuiteFolders,
     kept: Sequence[dict[str, Any]],
     resumed: int,
     page: bool,
@@ -224,8 +232,8 @@ def _adapter_digests(suite: Suite) -> dict[str, str]:
     return {name: file_digest(file) for name, file in files.items() if file is not None}
 
 
-def _every_run(suite: Suite, data: Path | None) -> list[Run]:
-    runs: list[Run] = []
+def _every_run(suite: Suite, data: Path | None) -> list[BenchmarkRun]:
+    runs: list[BenchmarkRun] = []
     for k, one in enumerate(suite.logs):
         runs += runs_of(suite, k, judged_log(one, suite, data))
     if not runs:
@@ -237,7 +245,7 @@ def _every_run(suite: Suite, data: Path | None) -> list[Run]:
     return list(dict.fromkeys(runs))
 
 
-def _cell_key(place: Place, number: int) -> str:
+def _cell_key(place: SuiteFolders, number: int) -> str:
     """Name of a model that changes with whatever it is made from."""
     cell = place.suite.cells[number]
     locations = (*cell.tests, *([cell.model] if cell.model else []))
@@ -245,7 +253,9 @@ def _cell_key(place: Place, number: int) -> str:
     return key_of([asdict(cell), files, version("cellwise")])
 
 
-def _run_key(place: Place, run: Run, cell_key: str, log: str, digests: dict[str, str]) -> str:
+def _run_key(
+    place: SuiteFolders, run: BenchmarkRun, cell_key: str, log: str, digests: dict[str, str]
+) -> str:
     one, adapter = place.suite.logs[run.log], digests.get(run.estimator, "")
     named = replace(one, log="")
     rest = [asdict(named), log, asdict(run.fault), *run[2:], place.suite.soc0_std]

@@ -42,7 +42,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import Stated
 
 
-class Run(NamedTuple):
+class BenchmarkRun(NamedTuple):
     """One estimator on one log from one start with one fault."""
 
     log: int
@@ -52,7 +52,7 @@ class Run(NamedTuple):
     dt_s: float | None
 
 
-def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[Run]:
+def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[BenchmarkRun]:
     """Runs on one of the suite's logs.
 
     A start beyond full or empty does not exist and is left out, and so is a fault that the log
@@ -75,13 +75,13 @@ def runs_of(suite: Suite, log: int, judged: JudgedLog) -> Iterator[Run]:
                 continue
             for name in suite.estimators:
                 if _wanted(suite, name, fault, error):
-                    yield Run(log, fault, error, name, _step(suite, name))
+                    yield BenchmarkRun(log, fault, error, name, _step(suite, name))
             for row in suite.rows:  # the fault of a model that they do not use is none
                 if (in_quick or row.cut != "quick") and fault.capacity == 1.0:
-                    yield Run(log, fault, error, row.name, suite.dt_s)
+                    yield BenchmarkRun(log, fault, error, row.name, suite.dt_s)
 
 
-def marks(suite: Suite, run: Run) -> dict[str, bool]:
+def marks(suite: Suite, run: BenchmarkRun) -> dict[str, bool]:
     """Whether a run is easy, and whether it is in the quick cut, as the suite now has it."""
     in_quick = suite.quick.has(suite.logs[run.log], run.fault.name, run.start_error)
     return {"easy": run.fault.name == NONE and run.start_error == 0.0, "quick": in_quick}
@@ -115,7 +115,7 @@ SHORT_S = 0.1
 CLOCKED = 3
 
 
-class Place(NamedTuple):
+class SuiteFolders(NamedTuple):
     """A suite, its data and results; the folder of other packages' rows, and a Python for each."""
 
     suite: Suite
@@ -129,7 +129,7 @@ class Place(NamedTuple):
         return self.folder / "models" / f"{key}.{kind}"
 
 
-def make_model(place: Place, number: int, key: str) -> str:
+def make_model(place: SuiteFolders, number: int, key: str) -> str:
     """Identify the cell, unless it has been done before; its name."""
     cell = place.suite.cells[number]
     if not place.file(key).is_file():
@@ -161,13 +161,13 @@ def _temperature_C(cell: SuiteCell) -> float:
     return next(known, ROOM_C)
 
 
-def run_all(place: Place, runs: tuple[Run, ...], key: str) -> list[dict[str, Any]]:
+def run_all(place: SuiteFolders, runs: tuple[BenchmarkRun, ...], key: str) -> list[dict[str, Any]]:
     """Rows of runs that share a log and a fault, each with the run's own number as ``key``."""
     return [_run(place, run, key) for run in runs]
 
 
 @lru_cache(maxsize=KEPT_LOGS)
-def _judged(place: Place, number: int, dt_s: float | None) -> JudgedLog:
+def _judged(place: SuiteFolders, number: int, dt_s: float | None) -> JudgedLog:
     return at_step(judged_log(place.suite.logs[number], place.suite, place.data), dt_s)
 
 
@@ -179,7 +179,7 @@ def _model(model_file: Path, noise_file: Path) -> tuple[CellModel, Noise | None]
     return read_model(model_file), noise
 
 
-def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
+def _run(place: SuiteFolders, run: BenchmarkRun, key: str) -> dict[str, Any]:
     suite = place.suite
     one = suite.logs[run.log]
     judged = _judged(place, run.log, run.dt_s)
@@ -211,7 +211,11 @@ def _run(place: Place, run: Run, key: str) -> dict[str, Any]:
 
 
 def _judge(
-    place: Place, run: Run, judged: JudgedLog, identified: tuple[CellModel, Noise | None], key: str
+    place: SuiteFolders,
+    run: BenchmarkRun,
+    judged: JudgedLog,
+    identified: tuple[CellModel, Noise | None],
+    key: str,
 ) -> dict[str, Any]:
     suite, (true_model, noise) = place.suite, identified
     rng = np.random.default_rng([SEED, zlib.crc32(f"{judged.log.name}{run.fault.name}".encode())])
@@ -261,7 +265,9 @@ def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -
     return make_estimator(name, model, noise)
 
 
-def _row_estimator(place: Place, row: PackageRow, model: CellModel, key: str) -> RowEstimator:
+def _row_estimator(
+    place: SuiteFolders, row: PackageRow, model: CellModel, key: str
+) -> RowEstimator:
     """A row in its process, fitted to the cell's tests the first time.
 
     Raises

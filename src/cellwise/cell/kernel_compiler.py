@@ -104,7 +104,7 @@ class NoEnvironment:
         """Nothing to put it into."""
 
 
-class Part(JITCodeLibrary):
+class KernelPart(JITCodeLibrary):
     """Bitcode for the kernels that a function is part of; no machine code of its own."""
 
     @property
@@ -143,7 +143,7 @@ class PartCompiler(KernelCompiler):
     def __init__(self, typing: Any, target: Any, library: Any, *others: Any) -> None:
         of_part: Any = library
         if library is None:
-            of_part = Part(target.codegen(), "part")  # type: ignore[no-untyped-call]
+            of_part = KernelPart(target.codegen(), "part")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, of_part, *others)  # type: ignore[no-untyped-call]
 
 
@@ -155,7 +155,7 @@ class PartCacheImpl(CompileResultCacheImpl):
         (name, _, bitcode), fndesc, environment, signature, _, _, _, on_load, envs = payload
         for function in on_load:
             function()
-        library: Any = Part(target_context.codegen(), name)  # type: ignore[no-untyped-call]
+        library: Any = KernelPart(target_context.codegen(), name)  # type: ignore[no-untyped-call]
         library._final_module = parse_bitcode(bitcode)
         library._finalize_final_module()
         result: Any = CompileResult

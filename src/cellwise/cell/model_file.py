@@ -28,7 +28,7 @@ SCHEMA_VERSION = 1
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
 
 
-class Range(NamedTuple):
+class AllowedRange(NamedTuple):
     """What a number of a model may be, and the slip that mostly stands behind another."""
 
     low: float
@@ -38,30 +38,30 @@ class Range(NamedTuple):
 
 
 # Of a cell: wider than any chemistry, narrow enough for every slip of a unit by a thousand.
-VOLTAGE = Range(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.")
+VOLTAGE = AllowedRange(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.")
 # What a resistance takes at 1C: resistances alone differ by cells' sizes. Today's cells take
 # 0.02 to 0.2 V at room temperature, in the cold and empty up to some volts.
-DROP = Range(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
-TIME = Range(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
-TEMPERATURE = Range(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
-SHARE = Range(0.0, 10.0, "of the polarisation", "A share, not per cent.")
+DROP = AllowedRange(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
+TIME = AllowedRange(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
+TEMPERATURE = AllowedRange(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
+SHARE = AllowedRange(0.0, 10.0, "of the polarisation", "A share, not per cent.")
 SIZES = {
-    "capacity_Ah": Range(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs."),
+    "capacity_Ah": AllowedRange(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs."),
     "temperature_C": TEMPERATURE,
     "ocv_V": VOLTAGE,
     "tau1_s": TIME,
     "tau2_s": TIME,
     "voltage_min_V": VOLTAGE,
     "voltage_max_V": VOLTAGE,
-    "error.std_V": Range(0.0, 6.0, "V", "Volts: not mV."),
+    "error.std_V": AllowedRange(0.0, 6.0, "V", "Volts: not mV."),
     "error.scales_s": TIME._replace(low=0.0),
-    "error.correlation_soc": Range(0.0, 10.0, "of the SOC", "A fraction, not per cent."),
+    "error.correlation_soc": AllowedRange(0.0, 10.0, "of the SOC", "A fraction, not per cent."),
     "error.temperature_C": TEMPERATURE,
     # Of its data: a counter may run a little beyond 0..1, a sensor see a short circuit.
-    "validity.soc": Range(-0.5, 1.5, "", "A fraction, not per cent."),
+    "validity.soc": AllowedRange(-0.5, 1.5, "", "A fraction, not per cent."),
     "validity.temperature_C": TEMPERATURE,
 }
-RATE = Range(-1e3, 1e3, "C", "Ampere: not mA.")
+RATE = AllowedRange(-1e3, 1e3, "C", "Ampere: not mA.")
 
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
@@ -216,7 +216,7 @@ def check_physical(model: CellModel, where: str) -> None:
             )
 
 
-def _sizes(model: CellModel) -> Iterator[tuple[str, Any, Range]]:
+def _sizes(model: CellModel) -> Iterator[tuple[str, Any, AllowedRange]]:
     """Every entry with its range; resistances as the voltage that they take at 1C."""
     for path, allowed in SIZES.items():
         holder, _, name = path.rpartition(".")

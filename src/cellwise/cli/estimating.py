@@ -51,7 +51,7 @@ from cellwise.estimate.sensor import seen_by
 from cellwise.logs import CellLog
 from cellwise.logs.stated import logs_of
 from cellwise.logs.writing import write_columns
-from cellwise.workflows.replaying import Asked, check_replay, replay_each, write_replays
+from cellwise.workflows.replaying import ReplayRequest, check_replay, replay_each, write_replays
 from cellwise.workflows.simulating import simulate_from_start
 
 
@@ -127,11 +127,11 @@ def run_replay(arguments: argparse.Namespace) -> None:
         page_options.say_pages(arguments)
 
 
-def asked_of(model: CellModel, arguments: argparse.Namespace) -> Asked:
+def asked_of(model: CellModel, arguments: argparse.Namespace) -> ReplayRequest:
     """How the arguments ask for a log to be replayed."""
     sensor = options.sensor_of(arguments)
     seen = seen_by(model, sensor).model
-    return Asked(
+    return ReplayRequest(
         arguments.estimator,
         soc0=options.soc0_of(arguments),
         soc0_std=arguments.soc0_std,

@@ -56,13 +56,13 @@ from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
-from cellwise.estimate.sensor import Seen, assumed, assumed_text, seen_by
+from cellwise.estimate.sensor import SensorReadings, assumed, assumed_text, seen_by
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of
 from cellwise.live import Counts, LiveFilter, Update, open_source
 from cellwise.live import run_live as follow_source
-from cellwise.live.followed import FORECAST_EVERY_S, Followed, state_row
+from cellwise.live.followed import FORECAST_EVERY_S, FollowedFilter, state_row
 from cellwise.live.run import LatencyMeter, check_any
 from cellwise.live.source import sender_to
 from cellwise.logs import Stated
@@ -144,7 +144,9 @@ def _stated(source: str) -> tuple[str, Stated]:
     return f"{kind}:{stated.path}" if colon else stated.path, stated
 
 
-def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Followed:
+def _followed(
+    seen: SensorReadings, stated: Stated, arguments: argparse.Namespace
+) -> FollowedFilter:
     """The filter, and what else is asked of the stream."""
     model = seen.model
     charger = (arguments.charge_limit_v, arguments.charge_end_a)
@@ -153,7 +155,7 @@ def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Foll
     for notice in () if power is None else power.known.notices:  # limits that nobody stated
         printing.warn(f"cellwise live: {notice.rendered(printing.in_command)}")
     how = forecast_options.ahead_of(arguments).shown(model)
-    return Followed(
+    return FollowedFilter(
         _filter(seen, stated, arguments),
         outlook,
         None if power is None else PowerFollower(power),
@@ -162,7 +164,7 @@ def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Foll
     )
 
 
-def _filter(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
+def _filter(seen: SensorReadings, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
     asked = start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
@@ -197,7 +199,7 @@ def _stopped_by_signal() -> Iterator[None]:
 
 def _report_end(
     arguments: argparse.Namespace,
-    followed: Followed,
+    followed: FollowedFilter,
     counts: Counts,
     viewed: bool,
     sensor: dict[str, Any],
@@ -231,7 +233,7 @@ def _report_end(
             printing.say(assumed_text(sensor))
 
 
-def far_off_of(followed: Followed) -> str | None:
+def far_off_of(followed: FollowedFilter) -> str | None:
     """Why nothing is foreseen, in a command's words; None where something is."""
     far_off = followed.far_off
     return None if far_off is None else far_off.rendered(printing.in_command)
@@ -240,7 +242,7 @@ def far_off_of(followed: Followed) -> str | None:
 class LineWriter:
     """One JSON object per update, at most one in ``every_s`` of the stream's time."""
 
-    def __init__(self, file: IO[str], followed: Followed, every_s: float = 0.0) -> None:
+    def __init__(self, file: IO[str], followed: FollowedFilter, every_s: float = 0.0) -> None:
         self._file, self._followed, self._every_s = file, followed, every_s
         self._waited_s = self._since_forecast_s = math.inf
 
@@ -274,7 +276,7 @@ def warned_once(what: Callable[[Update], str | None]) -> Callable[[Update], None
 
 @contextmanager
 def live_panel(
-    name: str, followed: Followed, console: Console | None = None
+    name: str, followed: FollowedFilter, console: Console | None = None
 ) -> Iterator[Callable[[Counts], None]]:
     """A panel that is drawn at most four times a second, and what it is shown the counts by."""
     seen, latest = 0, None
@@ -297,7 +299,7 @@ def live_panel(
                 shown.update(panel(name, followed, latest))
 
 
-def panel(name: str, followed: Followed, counts: Counts, silent_s: float = 0.0) -> Panel:
+def panel(name: str, followed: FollowedFilter, counts: Counts, silent_s: float = 0.0) -> Panel:
     """What stands on the terminal: the state, and all that a line of JSON would say beside it."""
     last, stray = counts.last, sum(counts.stray.values())
     if last is None:

@@ -41,7 +41,7 @@ MISSING = {
 }
 
 
-class _Limits(NamedTuple):
+class _StartLimits(NamedTuple):
     """Which files go together, and how many of a kind are used."""
 
     other_full_V: float = 0.4  # LFP is full this much below all others; a loaded test is not
@@ -52,10 +52,10 @@ class _Limits(NamedTuple):
     same_K: float = 5.0
 
 
-LIMITS = _Limits()
+LIMITS = _StartLimits()
 
 
-class Plan(NamedTuple):
+class CellPlan(NamedTuple):
     """The commands of one cell, where they write, the page that they end on, what is missing."""
 
     place: Path
@@ -126,7 +126,7 @@ def _nothing(folder: Path, files: list[FoundFile]) -> InputError:
     return InputError(what, "logs with time, current and voltage of a cell", hint)
 
 
-def run_all(plans: list[Plan], *, quiet: bool) -> list[dict[str, Any]]:
+def run_all(plans: list[CellPlan], *, quiet: bool) -> list[dict[str, Any]]:
     """Run each cell's commands; what came of each cell.
 
     Raises
@@ -216,7 +216,7 @@ def _may_belong(one: FoundFile, group: list[FoundFile]) -> bool:
     )
 
 
-def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) -> Plan:
+def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) -> CellPlan:
     """The commands for a group's files; what they write goes to ``place``."""
     used, held_out = _chosen(group)
     series = group[0].series
@@ -239,7 +239,7 @@ def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) 
             page = str(place / f"{command}.html")
             paths = (one.stated for one in logs)
             commands.append([command, "--model", model, *paths, *read, "--report", page])
-    return Plan(place, commands, page, _missing(group, nominal, held_out))
+    return CellPlan(place, commands, page, _missing(group, nominal, held_out))
 
 
 def _chosen(group: list[FoundFile]) -> tuple[list[FoundFile], list[FoundFile]]:

@@ -35,9 +35,9 @@ from cellwise.diagnose.causes.coordinates import (
 )
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.coordinate_fit import Fit
-from cellwise.diagnose.fit.rows import FITTED, Evidence, shifted_current
+from cellwise.diagnose.fit.rows import FITTED, ScoredRows, shifted_current
 from cellwise.diagnose.result import LogRun, judged_runs
-from cellwise.diagnose.sets import Outcome
+from cellwise.diagnose.sets import SearchOutcome
 from cellwise.estimate.replay import replay
 from cellwise.identify.own_logs import joined, log_validity
 from cellwise.logs.cell_log import CellLog
@@ -58,7 +58,7 @@ class Gain(NamedTuple):
 
 
 def gain_between(
-    evidence: Evidence, one: Iterable[Simulation], two: Iterable[Simulation], seed: int
+    evidence: ScoredRows, one: Iterable[Simulation], two: Iterable[Simulation], seed: int
 ) -> Gain:
     """What one more cause gains; simulations of all logs without and with it.
 
@@ -97,7 +97,7 @@ def plain_runs(
 
 
 def with_own_starts(
-    model: CellModel, runs: Sequence[LogRun], evidence: Evidence
+    model: CellModel, runs: Sequence[LogRun], evidence: ScoredRows
 ) -> tuple[LogRun, ...]:
     """The runs with what a new model shows from the starts that it finds itself."""
     found = []
@@ -182,7 +182,7 @@ def starts_with(
     )
 
 
-def applied(fits: CauseFits, outcome: Outcome, plain: Sequence[LogRun]) -> Applied | None:
+def applied(fits: CauseFits, outcome: SearchOutcome, plain: Sequence[LogRun]) -> Applied | None:
     """The accepted causes applied, without those that leave held-out rows no better off.
 
     The last first; None where nothing is left. What is of one fitted log alone moves no other, and

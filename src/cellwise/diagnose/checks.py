@@ -14,7 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.diagnose.causes.catalogue import CAUSES, ON_REQUEST, Cause
 from cellwise.diagnose.fit.coordinate_fit import Fit
 from cellwise.diagnose.fit.noise import STATED, share_claimed
-from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
 from cellwise.fit.model_error import charged_for_minutes, polarisation_V
@@ -141,7 +141,7 @@ def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
     return ""
 
 
-def another_cell(model: CellModel, evidence: Evidence, base: Fit) -> str:
+def another_cell(model: CellModel, evidence: ScoredRows, base: Fit) -> str:
     """Why the log cannot be of the model's kind of cell; empty if it can.
 
     ``base`` is the best the model can do within its tolerances. A voltage far outside the model's
@@ -165,7 +165,7 @@ def another_cell(model: CellModel, evidence: Evidence, base: Fit) -> str:
     return ""
 
 
-def unseen_temperature_C(model: CellModel, evidence: Evidence) -> float | None:
+def unseen_temperature_C(model: CellModel, evidence: ScoredRows) -> float | None:
     """The logs' temperature where the model was not measured at it; None where it was."""
     middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
     seen = [*model.temperature_C, *(model.validity.temperature_C or ())]
@@ -195,7 +195,7 @@ class ClaimCheck(NamedTuple):
 
 
 def claim_checks(
-    model: CellModel, runs: Sequence[LogRun], evidence: Evidence
+    model: CellModel, runs: Sequence[LogRun], evidence: ScoredRows
 ) -> tuple[ClaimCheck, ...]:
     """Every log as `simulate` shows it before any correction.
 

@@ -39,7 +39,7 @@ from cellwise.diagnose.checks import (
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.priors import GOOD
 from cellwise.diagnose.fit.rows import gather
-from cellwise.diagnose.limits import LONGER_LOG, Limits, limits, next_test
+from cellwise.diagnose.limits import LONGER_LOG, DetectionLimits, limits, next_test
 from cellwise.diagnose.odds import NAMING, RARE, Rarity, probability_of
 from cellwise.diagnose.residual import residual_analysis
 from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
@@ -48,8 +48,8 @@ from cellwise.diagnose.sets import (
     Accepted,
     Explanation,
     Explanations,
-    Outcome,
     Progress,
+    SearchOutcome,
     decide,
 )
 from cellwise.errors import InputError
@@ -161,7 +161,11 @@ def _starts(
 
 
 def _judged(
-    plain: Diagnosis, fits: CauseFits, outcome: Outcome, shown: Limits, reference_Ah: float | None
+    plain: Diagnosis,
+    fits: CauseFits,
+    outcome: SearchOutcome,
+    shown: DetectionLimits,
+    reference_Ah: float | None,
 ) -> Diagnosis:
     """What was decided, applied to the logs."""
     evidence, model, logs, runs = fits.evidence, plain.model, plain.logs, plain.runs
@@ -223,7 +227,7 @@ def _with_own_error(new: CellModel, runs: Sequence[LogRun], fits: CauseFits) -> 
 
 
 def _found_causes(
-    fits: CauseFits, outcome: Outcome, runs: Sequence[LogRun], known: Applied
+    fits: CauseFits, outcome: SearchOutcome, runs: Sequence[LogRun], known: Applied
 ) -> tuple[FoundCause, ...]:
     """Every cause with what it gains on top of those before it, as `simulate` would show it."""
     logs, final = fits.evidence.logs, known.fit

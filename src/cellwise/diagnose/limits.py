@@ -27,12 +27,12 @@ from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.coordinate_fit import Fit, shear
 from cellwise.diagnose.fit.priors import GOOD, start_readings
-from cellwise.diagnose.fit.rows import Evidence
-from cellwise.diagnose.sets import Explanation, Outcome
+from cellwise.diagnose.fit.rows import ScoredRows
+from cellwise.diagnose.sets import Explanation, SearchOutcome
 from cellwise.typing import FloatArray
 
 
-class Shown(NamedTuple):
+class DetectionRule(NamedTuple):
     """When logs show an effect.
 
     ``neutral_std``: a coordinate that the tolerances do not have is known to be neutral [its unit];
@@ -47,11 +47,11 @@ class Shown(NamedTuple):
     apart: float = math.log(9.0)
 
 
-SHOWN = Shown()
+SHOWN = DetectionRule()
 
 
 @dataclass(frozen=True)
-class Limits:
+class DetectionLimits:
     """``sizes``: cause to parameter to the smallest change that these logs could show.
 
     ``inseparable``: groups of causes that they do not separate at twice their limits.
@@ -85,7 +85,7 @@ class _Seen:
 
 def limits(
     fits: CauseFits, causes: Sequence[Cause], base: Fit, scale: float, least: float
-) -> Limits:
+) -> DetectionLimits:
     """Limits of every cause; ``least`` is the evidence that is asked for [nats]."""
     names = list(dict.fromkeys([*fits.prior.names, *(n for c in causes for n in _keys(fits, c))]))
     jacobian = fits.evidence.jacobian(base.coordinates, base.z, names)
@@ -112,7 +112,7 @@ def limits(
         for one, two in combinations(at_limit, 2)
         if _alike(at_limit[one], places[two], seen) and _alike(at_limit[two], places[one], seen)
     ]
-    return Limits(sizes, _groups(pairs, list(at_limit)))
+    return DetectionLimits(sizes, _groups(pairs, list(at_limit)))
 
 
 def _keys(fits: CauseFits, cause: Cause) -> list[str]:
@@ -216,7 +216,7 @@ EXPERIMENTS = (
 )
 
 
-def next_test(outcome: Outcome, model: CellModel, evidence: Evidence) -> str:
+def next_test(outcome: SearchOutcome, model: CellModel, evidence: ScoredRows) -> str:
     """What to measure next; for any verdict but none.
 
     The experiment that would separate what competes; where one cause is left, the one in which it

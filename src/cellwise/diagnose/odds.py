@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.cell.metrics import block_sums
-from cellwise.diagnose.fit.rows import START, Evidence
+from cellwise.diagnose.fit.rows import START, ScoredRows
 from cellwise.typing import FloatArray
 
 
@@ -132,7 +132,7 @@ class Weighed:
 
 def weigh(
     sets: Sequence[tuple[tuple[str, ...], float, FloatArray]],
-    evidence: Evidence,
+    evidence: ScoredRows,
     rng: np.random.Generator,
 ) -> tuple[Weighed, ...]:
     """Probability of every set of causes, most probable first.

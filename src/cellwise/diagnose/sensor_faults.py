@@ -22,8 +22,8 @@ from cellwise.logs.checks.faults import (
     stuck_runs,
     without,
 )
-from cellwise.logs.gaps import Run, run_edges
-from cellwise.notices import Code, Notice, Place, texts
+from cellwise.logs.gaps import RowRange, run_edges
+from cellwise.notices import Code, Notice, RowPlace, texts
 
 
 class Failing(NamedTuple):
@@ -55,7 +55,7 @@ class SensorFault:
     log: CellLog
     channel: str
     kind: str
-    runs: tuple[Run, ...]
+    runs: tuple[RowRange, ...]
 
     @property
     def rows(self) -> int:
@@ -80,7 +80,7 @@ class SensorFault:
             where, several = f"rows between {first} and {last}", f"{self.rows} "
         name = f"{self.log.name}: " if self.log.name else ""
         how = f"{name}{self.channel} {KINDS[self.kind]} ({several}"
-        rows = Place(where, range(first - 1, last))
+        rows = RowPlace(where, range(first - 1, last))
         return Notice(Code.SENSOR_FAULT, (how, rows, f", from {self.start_s:.0f} s on)"))
 
 
@@ -103,7 +103,7 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
     faults = _faults(log)
     if not faults:
         return log, ()
-    runs: dict[str, list[Run]] = {}
+    runs: dict[str, list[RowRange]] = {}
     for fault in faults:
         runs.setdefault(fault.channel, []).extend(fault.runs)
     wrong = np.zeros(len(log), dtype=bool)
@@ -186,7 +186,7 @@ def _faults(log: CellLog) -> tuple[SensorFault, ...]:
     """Every fault, by channel."""
     impossible = impossible_runs(log)
     rest = without(log, impossible)
-    spikes = [Run(int(k), int(k)) for k in find_spikes(rest)]
+    spikes = [RowRange(int(k), int(k)) for k in find_spikes(rest)]
     found = {
         "impossible": impossible,
         "stuck": stuck_runs(rest),

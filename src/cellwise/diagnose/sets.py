@@ -25,7 +25,7 @@ from cellwise.diagnose.odds import NAMING, Rarity, Weighed, probability_of, weig
 Progress = Callable[[float, str], None]
 
 
-class Search(NamedTuple):
+class CauseSearch(NamedTuple):
     """How far sets of causes are searched.
 
     ``beam`` sets of one size get further causes, ``added`` to each, up to ``most_causes``. One
@@ -39,7 +39,7 @@ class Search(NamedTuple):
     tried_share: float = 0.5
 
 
-SEARCH = Search()
+SEARCH = CauseSearch()
 
 
 NOT_MEASURED_THERE = (
@@ -256,7 +256,7 @@ class Accepted:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SearchOutcome:
     """Named causes, most needed first, and the fit of them alone; all single causes.
 
     ``alternatives`` are the sets that make up the probability (none, where nothing is likelier than
@@ -283,7 +283,7 @@ class Outcome:
         return () if self.accepted else self.alternatives
 
 
-def decide(sets: Explanations) -> Outcome:
+def decide(sets: Explanations) -> SearchOutcome:
     """Name every cause that the sets that hold it make probable; leave open what they do not."""
     fits, none, ranked = sets.fits, sets.none, sets.best()
     weighed = weigh(
@@ -305,7 +305,9 @@ def decide(sets: Explanations) -> Outcome:
     first = tuple(sets.best(len(known), 1))
     reasons = () if accepted or ranked[0].causes else _reasons(sets, first)
     reasons = (*(NOT_MEASURED_THERE.format(name) for name in hidden), *reasons)
-    return Outcome(tuple(accepted), fit, scale, none, first, tuple(alternatives), reasons, weighed)
+    return SearchOutcome(
+        tuple(accepted), fit, scale, none, first, tuple(alternatives), reasons, weighed
+    )
 
 
 def _as_explained(ranked: Sequence[Explanation], names: frozenset[str]) -> tuple[Cause, ...]:

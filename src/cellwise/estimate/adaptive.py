@@ -28,7 +28,7 @@ from cellwise.typing import FloatArray, IntArray
 ESTIMABLE = ("current_offset", "resistance", "capacity", "current_gain")
 
 
-class Held(IntFlag):
+class WhyHeld(IntFlag):
     """Why a parameter was held in a step; 0: it was estimated."""
 
     NOT_CHOSEN = 1
@@ -39,7 +39,7 @@ class Held(IntFlag):
     NO_CURRENT = 32
 
 
-REASONS = dict(zip(Held, (
+REASONS = dict(zip(WhyHeld, (
     "not among the parameters to estimate", "SOC not known well enough", "the load hardly moves",
     "the model does not explain the voltage", "no voltage", "no current",
 ), strict=True))  # fmt: skip
@@ -161,7 +161,7 @@ def mostly(bits_of_rows: IntArray) -> str | None:
     """Words for the reasons of most rows, if most rows were held."""
     if bits_of_rows.size == 0 or np.mean(bits_of_rows != 0) <= MOSTLY:
         return None
-    common = sum(bit for bit in Held if np.mean(bits_of_rows & bit != 0) > MOSTLY)
+    common = sum(bit for bit in WhyHeld if np.mean(bits_of_rows & bit != 0) > MOSTLY)
     return reason(common or int(np.bitwise_or.reduce(bits_of_rows)))
 
 
@@ -397,13 +397,15 @@ class Adaptive(kalman.FilterOfModel):
         An offset is asked for from the first voltage on, the others once the SOC is settled.
         """
         v, status, rules = out.values, out.status, self._rules
-        seen = np.where(status & (bits.VOLTAGE_INVALID | bits.VOLTAGE_FROZEN), Held.NO_VOLTAGE, 0)
-        seen |= np.where(status & bits.CURRENT_INVALID, Held.NO_CURRENT, 0)
+        seen = np.where(
+            status & (bits.VOLTAGE_INVALID | bits.VOLTAGE_FROZEN), WhyHeld.NO_VOLTAGE, 0
+        )
+        seen |= np.where(status & bits.CURRENT_INVALID, WhyHeld.NO_CURRENT, 0)
         unsure = v[layout.OUT_SOC_VARIANCE] > rules.settled_variance
-        settled = seen | np.where(unsure, Held.SOC_UNSURE, 0)
-        outside = np.where(status & (bits.CLAMPED | bits.OUTSIDE), Held.MODEL_MISFIT, 0)
-        still = np.where(v[layout.OUT_MOVES] > 0.0, 0, Held.NO_EXCITATION)
+        settled = seen | np.where(unsure, WhyHeld.SOC_UNSURE, 0)
+        outside = np.where(status & (bits.CLAMPED | bits.OUTSIDE), WhyHeld.MODEL_MISFIT, 0)
+        still = np.where(v[layout.OUT_MOVES] > 0.0, 0, WhyHeld.NO_EXCITATION)
         held = np.stack([seen, settled | still, settled | outside])
         sizes = self.settings.offset_share, rules.resistances.variance, rules.capacity
-        held |= np.where(np.array(sizes) > 0.0, 0, Held.NOT_CHOSEN)[:, None]
+        held |= np.where(np.array(sizes) > 0.0, 0, WhyHeld.NOT_CHOSEN)[:, None]
         return held.astype(np.int32)

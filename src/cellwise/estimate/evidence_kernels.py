@@ -25,7 +25,7 @@ from cellwise.estimate.equations.evidence import (
 )
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
-    Sample,
+    CheckedReading,
     Watch,
     watch_on,
     watch_voltage,
@@ -125,7 +125,7 @@ def stated_deviation(
     return math.sqrt(stated_variance(soc_variance, mismatch, persistent, contradicted))
 
 
-class Innovation(NamedTuple):
+class InnovationSources(NamedTuple):
     """Measured minus predicted voltage, and what it may be due to.
 
     ``state_variance`` is what the state's uncertainty explains of it, ``one`` the variance of a
@@ -168,11 +168,11 @@ def gate(
     cell: CellScalars,
     noise: NoiseScalars,
     watch: Watch,
-    s: Sample,
+    s: CheckedReading,
     evidence_s: float,
     rejections: float,
     mismatch: float,
-    i: Innovation,
+    i: InnovationSources,
 ) -> Verdict:
     """Gate, count, and weigh one innovation."""
     status = 0

@@ -23,7 +23,7 @@ from cellwise.estimate.fixed.stepper import (
 )
 
 
-class PackState(NamedTuple):
+class FixedPackState(NamedTuple):
     """One record of the mean cell, and one for each cell: what a target keeps."""
 
     mean: NDArray[Any]
@@ -59,16 +59,16 @@ class FixedPack:
         self.filter = filter_
         self.count = cells
 
-    def init(self, soc0: float, soc0_std: float = 0.15) -> PackState:
+    def init(self, soc0: float, soc0_std: float = 0.15) -> FixedPackState:
         """A pack at rest: its mean cell at ``soc0``, known to ``soc0_std``."""
         stepper = self._stepper()
         cells = np.zeros(self.count, dtype=CELL)
         stepper.call("start_cells", cells, self.count)
-        return PackState(start_state(stepper, soc0, soc0_std), cells)
+        return FixedPackState(start_state(stepper, soc0, soc0_std), cells)
 
     def step(
         self,
-        state: PackState,
+        state: FixedPackState,
         current_A: float,
         cell_V: ArrayLike,
         temperature_C: float | None = None,
@@ -105,14 +105,14 @@ class FixedPack:
         out = stepper.pack_rows(state.mean, state.cells, sample, voltages[None, :])[0]
         return info_of(out, self.filter.noise)
 
-    def cells(self, state: PackState) -> NDArray[Any]:
+    def cells(self, state: FixedPackState) -> NDArray[Any]:
         """What is known of every cell: records of ``layout.CELL_OUTPUT``, shape (cells,)."""
         stepper = self._stepper()
         self._check(state, stepper)
         handed = state.mean, state.cells, self.count
         return stepper.answer("cells_of", CELL_OUTPUT, *handed, count=self.count)
 
-    def power(self, state: PackState) -> NDArray[Any]:
+    def power(self, state: FixedPackState) -> NDArray[Any]:
         """State of power of the pack as its weakest cell allows: one record of CAPABILITY [W].
 
         Raises
@@ -127,9 +127,9 @@ class FixedPack:
     def _stepper(self) -> Stepper:
         return self.filter.stepper(self.filter.known_dt_s)
 
-    def _check(self, state: PackState, stepper: Stepper) -> None:
+    def _check(self, state: FixedPackState, stepper: Stepper) -> None:
         """Refuse what is no state of this pack: the kernel would read past it."""
-        if not isinstance(state, PackState):
+        if not isinstance(state, FixedPackState):
             raise InputError(
                 f"state = {shown(state)}",
                 "a PackState, as init(soc0) gives it",

@@ -53,11 +53,11 @@ from cellwise.estimate.filters.filter_state import (
 )
 from cellwise.estimate.filters.kalman import BankState, Ekf, check_state
 from cellwise.estimate.filters.kalman_kernels import bank_or_alone
-from cellwise.estimate.filters.predict_kernels import Interval, with_noise
+from cellwise.estimate.filters.predict_kernels import PredictedInterval, with_noise
 from cellwise.estimate.filters.step_kernels import innovate, say
 from cellwise.estimate.filters.update_kernels import Predicted, update
 from cellwise.estimate.noise import Noise, NoiseScalars
-from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
+from cellwise.estimate.sensing_kernels import CheckedReading, MeasuredSample, read_sample
 from cellwise.estimate.slopes_kernels import tangent
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
@@ -112,7 +112,7 @@ def read_lane(
     noise: NoiseScalars,
     start: EkfStart,
     old: EkfState,
-    reading: Reading,
+    reading: MeasuredSample,
     work: FloatArray,
     lane: int,
 ) -> None:
@@ -141,13 +141,13 @@ def plain_step(
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
     cell, point, flow_A = tables.cell, lane.point, lane.seen_A
     # fmt: off
-    s = Sample(
+    s = CheckedReading(
         lane.current_A, flow_A, flow_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,
         lane.no_warm_s, dt_s, False, 0,
     )
     t = transition(cell, point, flow_A, dt_s)
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
-    over = Interval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
+    over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     p = with_noise(decayed(old.p, t), noise, s, over, 0.0, tables.cell.charge_As)
     x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
@@ -191,7 +191,7 @@ def full_lane(
     start: EkfStart,
     block: FloatArray,
     lane: int,
-    reading: Reading,
+    reading: MeasuredSample,
     work: FloatArray,
     bank: FloatArray,
 ) -> None:
@@ -247,7 +247,7 @@ def lockstep(
         lanes = min(LANES, cells - first)
         for k in range(lanes):
             at = first + k
-            reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
+            reading = MeasuredSample(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
             read_lane(tables, noise, start, get_state(block, k), reading, work, k)
             if banks.spread[at]:
                 work[PLAIN * LANES + k] = 0.0
@@ -257,7 +257,9 @@ def lockstep(
             if work[PLAIN * LANES + k] > 0.0:
                 short += 1
             else:
-                reading = Reading(current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at])
+                reading = MeasuredSample(
+                    current_A[at], voltage_V[at], temperature_C[at], dt_s, gap[at]
+                )
                 full_lane(tables, noise, start, block, k, reading, work, banks.states[at])
                 banks.spread[at] = is_spread(banks.states[at])
             for row in range(OUTPUTS):

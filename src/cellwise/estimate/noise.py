@@ -188,7 +188,7 @@ def impossible_current_A(model: CellModel) -> float:
     return float(min(IMPOSSIBLE_RATE * model.capacity_Ah, shorted_A))
 
 
-class Memory(NamedTuple):
+class ErrorMemory(NamedTuple):
     """For how long an error is remembered: at first, when half way, in the end [s]."""
 
     first_s: float
@@ -196,7 +196,7 @@ class Memory(NamedTuple):
     last_s: float
 
 
-def memory_of(error: ModelError) -> Memory:
+def memory_of(error: ModelError) -> ErrorMemory:
     r"""The memory of a sum of first-order processes: at first, half way, in the end.
 
     A mean over t of processes with memories tau_k and weights w_k in the variance keeps about
@@ -213,7 +213,7 @@ def memory_of(error: ModelError) -> Memory:
     last, first, mid = float(weight @ tau), memory_s(0.0), memory_s(AFTER_S)
     rise = mid / last - first / last
     half = AFTER_S * (1.0 - mid / last) / rise if rise > 0.0 else AFTER_S
-    return Memory(first, max(half, 1.0), last)
+    return ErrorMemory(first, max(half, 1.0), last)
 
 
 def noise_for(model: CellModel, noise: Noise | None) -> Noise:

@@ -56,7 +56,7 @@ class Watch(NamedTuple):
     swings: float
 
 
-class Reading(NamedTuple):
+class MeasuredSample(NamedTuple):
     """What the sensors say at the end of an interval of ``dt_s`` seconds; NaN where missing.
 
     ``gap`` says that nobody knows what flowed within the interval.
@@ -69,7 +69,7 @@ class Reading(NamedTuple):
     gap: bool
 
 
-class Sample(NamedTuple):
+class CheckedReading(NamedTuple):
     """A sample as the filter takes it.
 
     ``seen_A`` is the current that the voltage has seen, ``flow_A`` what moved charge;
@@ -99,8 +99,8 @@ def first_watch(current_A: float) -> Watch:
 
 @inline
 def read_sample(
-    tables: CellTables, noise: NoiseScalars, watch: Watch, default_C: float, reading: Reading
-) -> Sample:
+    tables: CellTables, noise: NoiseScalars, watch: Watch, default_C: float, reading: MeasuredSample
+) -> CheckedReading:
     """Readings that are missing or impossible replaced, and flagged in the status."""
     status = 0
     dt_s, gap = reading.dt_s, reading.gap
@@ -150,14 +150,14 @@ def read_sample(
     elif dt_s <= 0.0:
         status |= DUPLICATE
     # fmt: off
-    return Sample(
+    return CheckedReading(
         current, seen, flow, unknown, lost, voltage, warm, no_current, no_warm, dt_s, gap, status
     )
     # fmt: on
 
 
 @inline
-def watch_current(noise: NoiseScalars, watch: Watch, s: Sample) -> float:
+def watch_current(noise: NoiseScalars, watch: Watch, s: CheckedReading) -> float:
     """How often the voltage has gone up and down under a current that repeats itself bit by bit."""
     after = swings_after(watch.swings, s.voltage_V - watch.voltage_V, noise.frozen_V)
     return after if s.current_A == watch.current_A else 0.0
@@ -165,7 +165,7 @@ def watch_current(noise: NoiseScalars, watch: Watch, s: Sample) -> float:
 
 @inline
 def watch_voltage(
-    noise: NoiseScalars, watch: Watch, s: Sample, innovation_V: float, r0_ohm: float
+    noise: NoiseScalars, watch: Watch, s: CheckedReading, innovation_V: float, r0_ohm: float
 ) -> tuple[float, float, float, float, int]:
     """Is the voltage frozen? Last reading, its current, its repeats, swings, status bits.
 
@@ -186,7 +186,7 @@ def watch_voltage(
 @inline
 def watch_on(
     noise: NoiseScalars,
-    s: Sample,
+    s: CheckedReading,
     used: bool,
     evidence_s: float,
     no_voltage_s: float,

@@ -161,14 +161,14 @@ def assumed_text(sensor: dict[str, Any]) -> str:
     return f"sensors: {whose}: {text}"
 
 
-class Seen(NamedTuple):
+class SensorReadings(NamedTuple):
     """A model and the noise of a filter on it, both with what the sensors add."""
 
     model: CellModel
     noise: Noise
 
 
-def seen_by(model: CellModel, sensor: Sensor | None = None) -> Seen:
+def seen_by(model: CellModel, sensor: Sensor | None = None) -> SensorReadings:
     """A model as it is seen through its sensors; None: a car's, which `Noise` assumes.
 
     What is within a car's sensor is in the defaults of :class:`Noise` and in the model's own error,
@@ -181,7 +181,7 @@ def seen_by(model: CellModel, sensor: Sensor | None = None) -> Seen:
     - the last digit: noise, and an offset too, since what stands still is rounded one way.
     """
     if sensor is None:
-        return Seen(model, Noise.of_model(model))
+        return SensorReadings(model, Noise.of_model(model))
     size_Ah = model.capacity_Ah
     current_A, voltage_V = last_digit(sensor.current_resolution_A, sensor.voltage_resolution_V)
     offset_V = beyond(CAR.voltage_offset_V, sensor.voltage_offset_V, voltage_V)
@@ -204,7 +204,7 @@ def seen_by(model: CellModel, sensor: Sensor | None = None) -> Seen:
         current_limit_A=min(base.current_limit_A, saturated_A(sensor)),
         frozen_V=max(base.frozen_V, sensor.voltage_resolution_V),
     )
-    return Seen(model, noise)
+    return SensorReadings(model, noise)
 
 
 def last_digit(*resolutions: float) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from cellwise.estimate.equations.evidence import chord_of
 from cellwise.estimate.filters.covariance_kernels import Branches, no_branches
 
 
-class Slopes(NamedTuple):
+class VoltageSlopes(NamedTuple):
     """Slopes as a step takes them: tangents, or chords where SOC is badly known.
 
     Of the voltage over SOC, its bend, ``rise`` of the branches' resistances (0 for tangents);
@@ -29,9 +29,9 @@ class Slopes(NamedTuple):
 
 
 @inline
-def tangent(slope_V: float, spread: float) -> Slopes:
+def tangent(slope_V: float, spread: float) -> VoltageSlopes:
     """The voltage as a straight line over SOC."""
-    return Slopes(slope_V, 0.0, spread, no_branches())
+    return VoltageSlopes(slope_V, 0.0, spread, no_branches())
 
 
 @inline
@@ -44,7 +44,7 @@ def slopes_at(
     temperature_C: float,
     current_A: float,
     slow_A: float,
-) -> Slopes:
+) -> VoltageSlopes:
     """Tangents while SOC is known to WIDE_VARIANCE; beyond, chords over a deviation either side.
 
     Those of the branches' resistances drive the branch voltages.
@@ -64,7 +64,7 @@ def slopes_at(
         a.ocv_V, a.r0_ohm, b.ocv_V, b.r0_ohm, per, current_A, soc - low, point.ocv_V
     )
     # fmt: on
-    return Slopes(
+    return VoltageSlopes(
         chord.slope_V,
         chord.bend_V,
         spread,

@@ -25,7 +25,7 @@ from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.options import MOST_CELLS, Asked, CellSettings
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensor import Seen, Sensor, assumed, seen_by
+from cellwise.estimate.sensor import Sensor, SensorReadings, assumed, seen_by
 from cellwise.export.c_tables import (
     PUBLIC_HEADERS,
     filled,
@@ -99,7 +99,7 @@ class Export:
             prefixed({}, self.prefix)
 
     @cached_property
-    def seen(self) -> Seen:
+    def seen(self) -> SensorReadings:
         """Model and noise of the filter: with what the sensors add, and the noise as stated."""
         found = seen_by(self.model, self.sensor)
         return found if self.noise is None else found._replace(noise=self.noise)

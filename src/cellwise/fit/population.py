@@ -37,7 +37,7 @@ HOME_C = 25.0  # of the members' curves
 TABLES = ("r0", "r1", "tau1", "r2", "tau2", "r3", "tau3")
 
 
-class Spread(NamedTuple):
+class PopulationSpread(NamedTuple):
     """How cells differ beyond what a few members show.
 
     Parameters
@@ -89,7 +89,7 @@ class SameCell(NamedTuple):
     activation_K: float = 1000.0
 
 
-SPREAD, SAME_CELL = Spread(), SameCell()
+SPREAD, SAME_CELL = PopulationSpread(), SameCell()
 MODEL_STEP_K = 9.0  # between rows of a model that is a prior
 NUGGET_LN, NUGGET_V = 0.01, 3e-4  # of a knot by itself: keeps covariances apart from singular
 

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cellwise.fit.rows import ROWS, BaseOcv, FitLog, PreparedLog, prepare_log
-from cellwise.fit.sensitivity_kernels import LogRows, add_block, voltage_and_jacobian
-from cellwise.fit.solver import Normal, Prior, Search, minimise
+from cellwise.fit.sensitivity_kernels import FittedRows, add_block, voltage_and_jacobian
+from cellwise.fit.solver import Normal, Prior, SolverSettings, minimise
 from cellwise.fit.splines import SplineRows, spline_values
 from cellwise.fit.unknowns import LEAST_RATIO, Layout, bends_of, bounds_of, scalars_of
 from cellwise.typing import FloatArray, IndexArray
@@ -24,7 +24,7 @@ Products = list[tuple[IndexArray, FloatArray]]  # places of some unknowns, and t
 LARGEST_STEP = 0.7  # of a logarithm in one iteration: a factor of two
 
 
-class Evidence(NamedTuple):
+class ErrorEvidence(NamedTuple):
     """What a residual may be, and how much a log says.
 
     Parameters
@@ -57,7 +57,7 @@ class Evidence(NamedTuple):
     memory_s: float = 300.0
 
 
-EVIDENCE = Evidence()
+EVIDENCE = ErrorEvidence()
 
 
 class Exposed(NamedTuple):
@@ -185,7 +185,7 @@ class Problem:
         return residual, jacobian
 
     @staticmethod
-    def _slope(rows: LogRows, ocv: FloatArray) -> FloatArray:
+    def _slope(rows: FittedRows, ocv: FloatArray) -> FloatArray:
         """Slope of the OCV at the compared rows [V]."""
         slopes = SplineRows(rows.ocv.first, rows.ocv.slopes, rows.ocv.slopes)
         return np.asarray(rows.base_slope_V + spline_values(slopes, ocv))
@@ -241,7 +241,7 @@ class Problem:
             seen = self.rows(theta)
             return seen[0].cost, seen
 
-        search = Search(iterations, largest_step=LARGEST_STEP)
+        search = SolverSettings(iterations, largest_step=LARGEST_STEP)
         found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
         rows, residuals = found.seen
         return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals

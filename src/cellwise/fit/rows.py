@@ -12,7 +12,7 @@ from cellwise.cell.compiled import cached
 from cellwise.cell.effects import SurfaceSoc
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.errors import InputError
-from cellwise.fit.sensitivity_kernels import LogRows
+from cellwise.fit.sensitivity_kernels import FittedRows
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, SplineRows, spline_rows
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
@@ -99,7 +99,7 @@ class PreparedLog:
     """
 
     item: FitLog
-    rows: LogRows
+    rows: FittedRows
     soc: FloatArray
     depth_soc: FloatArray
     measured_V: FloatArray
@@ -123,7 +123,7 @@ class PreparedLog:
         inverse = self.rows.inverse_K[self.rows.evaluate]
         return np.asarray(1.0 / (inverse + 1.0 / kelvin) - ZERO_CELSIUS_K)
 
-    def moved(self, base: BaseOcv, away: float, ln_capacity: float) -> LogRows:
+    def moved(self, base: BaseOcv, away: float, ln_capacity: float) -> FittedRows:
         """The rows of a log that begins ``away``, of a cell of another capacity."""
         if away == 0.0 and ln_capacity == 0.0:
             return self.rows
@@ -148,8 +148,8 @@ class BaseOcv(NamedTuple):
 
 
 def _at_soc(
-    rows: LogRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
-) -> LogRows:
+    rows: FittedRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
+) -> FittedRows:
     shown = soc[rows.evaluate]
     base_V, slope_V = base.rows(shown)
     ends = rows.ends
@@ -216,7 +216,7 @@ def prepare_log(
     none = np.empty(0)
     blank = SplineRows(np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty((0, 4)))
     ends = np.flatnonzero(run_ends(soc, warm_C, shown))
-    rows = LogRows(dt, mean, inverse, row, share, blank, blank, none, none, none, shown, ends)
+    rows = FittedRows(dt, mean, inverse, row, share, blank, blank, none, none, none, shown, ends)
     return PreparedLog(
         item=item,
         rows=_at_soc(rows, soc, depth_soc, soc[0] - soc, base),

@@ -53,7 +53,7 @@ SUPPORT = 4  # cubic B-splines: four are active at any SOC
 FADED, NOTHING_V = 1e-6, 1e-12  # when what fades is written out, and what is then none of it
 
 
-class LogRows(NamedTuple):
+class FittedRows(NamedTuple):
     """What the kernel reads of one log, arrays over its kept rows.
 
     ``row`` is the number of the first of the two temperatures between which a row lies, ``share``
@@ -95,7 +95,7 @@ def _value(
 
 @cached(error_model="numpy", nogil=True)
 def voltage_and_jacobian(
-    log: LogRows,
+    log: FittedRows,
     cell: CellScalars,
     lay: Layout,
     h0: float,

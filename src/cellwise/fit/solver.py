@@ -20,7 +20,7 @@ UNDAMPED, DAMPED = 1e-9, 1e-3
 NONE, EXCHANGES = 1e-9, 60  # a pull that is none, in deviations; unknowns to bounds and back
 
 
-class Search(NamedTuple):
+class SolverSettings(NamedTuple):
     """When a search ends, and how far a step may go.
 
     Parameters
@@ -145,7 +145,7 @@ def minimise(
     cost_of: Callable[[FloatArray], tuple[float, T]],
     normal_of: Callable[[FloatArray, T], tuple[FloatArray, FloatArray]],
     theta: FloatArray,
-    search: Search,
+    search: SolverSettings,
     inside: Callable[[FloatArray], FloatArray] | None = None,
 ) -> Minimum[T]:
     """Damped Gauss-Newton within bounds (Levenberg-Marquardt).

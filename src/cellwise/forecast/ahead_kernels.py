@@ -105,7 +105,7 @@ class Ends(NamedTuple):
     high: float
 
 
-class Outcome(NamedTuple):
+class ForecastOutcome(NamedTuple):
     """A forecast, its ends at two deviations of time, energy and end voltage, the load it began."""
 
     usual: Remaining
@@ -313,7 +313,7 @@ def remaining_at(
 @rows
 def with_ends(
     tables: CellTables, state: CellState, soc_std: float, asked: Going, uncertain: Uncertain
-) -> Outcome:
+) -> ForecastOutcome:
     """A forecast from a state, and its ends: by what is not known of SOC, voltage and capacity."""
     go = with_current(tables, state, asked) if asked.power_W == asked.power_W else asked
     usual = remaining_at(tables, state, soc_std, go, uncertain, USUAL)
@@ -349,7 +349,7 @@ def with_ends(
     if usual.reason != NEVER and (high.reason == NEVER or higher.reason == NEVER):
         time_s, energy_J = Ends(time_s.low, math.inf), Ends(energy_J.low, math.inf)
     at_end = Ends(min(low.voltage_V, high.voltage_V), max(low.voltage_V, high.voltage_V))
-    return Outcome(usual, time_s, energy_J, at_end, go.load_A)
+    return ForecastOutcome(usual, time_s, energy_J, at_end, go.load_A)
 
 
 @rows

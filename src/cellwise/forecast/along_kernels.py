@@ -35,7 +35,7 @@ class FilteredRows(NamedTuple):
     soc_std: FloatArray
 
 
-class Load(NamedTuple):
+class LoadAhead(NamedTuple):
     """What goes on: the load of every row, whether its power is held, and until when.
 
     ``power_W`` is what is held where that was given, with a current near it; NaN: what the current
@@ -53,7 +53,7 @@ class Load(NamedTuple):
     taper_A: float = 0.0
 
 
-class Followed(NamedTuple):
+class FollowedCell(NamedTuple):
     """A cell along a log, with the filter's SOC, and what the model is off by of late."""
 
     state: CellState
@@ -96,7 +96,7 @@ def parts_of(
 
 
 @inline
-def row_followed(tables: CellTables, was: Followed, log: FilteredRows, k: int) -> Followed:
+def row_followed(tables: CellTables, was: FollowedCell, log: FilteredRows, k: int) -> FollowedCell:
     """One row on: the model's present error is a mean over about `WINDOW_S`."""
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, _ = log
     seen = seen_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
@@ -112,16 +112,16 @@ def row_followed(tables: CellTables, was: Followed, log: FilteredRows, k: int) -
         bias += share * (measured_V[k] - voltage - bias)
         held += share * ((point.ocv_V - voltage) - held)
     warming = observed(was.warming, tables.cell.charge_As, lost_W, measured_C[k], dt_s[k])
-    return Followed(state, current_A[k], bias, held, begun, warming, point.error_V)
+    return FollowedCell(state, current_A[k], bias, held, begun, warming, point.error_V)
 
 
 @inline
 def going_of(
     tables: CellTables,
-    now: Followed,
+    now: FollowedCell,
     warm_C: float,
     load_A: float,
-    load: Load,
+    load: LoadAhead,
     uncertain: Uncertain,
 ) -> Going:
     """What goes on from a row at a load."""
@@ -135,10 +135,10 @@ def going_of(
 
 @rows
 def moment(
-    tables: CellTables, start: CellState, log: FilteredRows, load: Load, uncertain: Uncertain
+    tables: CellTables, start: CellState, log: FilteredRows, load: LoadAhead, uncertain: Uncertain
 ) -> tuple[CellState, Going]:
     """The state at the last row of a log, and what goes on from there, with no load yet."""
-    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
+    now = FollowedCell(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     for k in range(log.soc.size):
         now = row_followed(tables, now, log, k)
     warm_C = log.temperature_C[log.soc.size - 1]
@@ -150,7 +150,7 @@ def forecast_rows(
     tables: CellTables,
     start: CellState,
     log: FilteredRows,
-    load: Load,
+    load: LoadAhead,
     uncertain: Uncertain,
     out: FloatArray,
 ) -> None:
@@ -159,7 +159,7 @@ def forecast_rows(
     ``out`` has shape (wanted rows, numbers of an `Outcome`). The model's present error is the mean
     of measured minus modelled voltage over about `WINDOW_S`.
     """
-    now = Followed(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
+    now = FollowedCell(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     place = 0
     for k in range(log.soc.size):
         now = row_followed(tables, now, log, k)

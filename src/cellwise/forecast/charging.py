@@ -8,7 +8,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.along_kernels import WINDOW_S, Load
+from cellwise.forecast.along_kernels import WINDOW_S, LoadAhead
 from cellwise.forecast.remaining import Flight, at_most, flight_of, present_load, warms_unseen
 from cellwise.typing import FloatArray
 
@@ -175,7 +175,7 @@ def forecast_charge(
     wanted = at_most(charging & steady & (mean_A < -max(least_A, taper)))
     if not wanted.any():
         return None
-    load = Load(mean_A, np.nan, wanted, False, limit, warms_unseen(model), taper)
+    load = LoadAhead(mean_A, np.nan, wanted, False, limit, warms_unseen(model), taper)
     found = flight_of(model, replay, load, mean_W)
     held = charging & (log.voltage_V > limit - HELD_V)
     before_s = np.maximum.accumulate(np.where(held, -np.inf, log.time_s))

@@ -25,7 +25,7 @@ LARGEST_EMPTY = 0.5  # a load at which half of the charge cannot be had is not w
 LEAST_SPAN = 1e-6  # of the charge: a difference is gone at the very end
 
 
-class Display(NamedTuple):
+class PercentageDisplay(NamedTuple):
     """How a percentage is shown.
 
     Parameters
@@ -63,7 +63,7 @@ def moved_on(shown: float, target: float, moved: float, catch_up: float) -> floa
 
 @rows
 def displayed(
-    how: Display,
+    how: PercentageDisplay,
     ends: tuple[float, float],
     shown: float,
     soc: float,
@@ -94,7 +94,7 @@ def displayed(
 
 @rows
 def displayed_rows(
-    how: Display,
+    how: PercentageDisplay,
     ends: tuple[FloatArray, FloatArray],
     log: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     out: FloatArray,
@@ -111,7 +111,7 @@ def displayed_rows(
 
 def display_of(
     model: CellModel, cutoff_V: float, limit_V: float, taper_A: float, catch_up: float = CATCH_UP
-) -> Display:
+) -> PercentageDisplay:
     """How a percentage of this cell is shown.
 
     Parameters
@@ -132,13 +132,13 @@ def display_of(
         )
     idle_A = IDLE_C * model.capacity_Ah
     charge_As = 3600.0 * model.capacity_Ah
-    return Display(charge_As, catch_up, idle_A, cutoff_V, limit_V - HELD_V, taper_A)
+    return PercentageDisplay(charge_As, catch_up, idle_A, cutoff_V, limit_V - HELD_V, taper_A)
 
 
 class Displayed:
     """What is shown, sample by sample."""
 
-    def __init__(self, how: Display) -> None:
+    def __init__(self, how: PercentageDisplay) -> None:
         self.share = math.nan
         self._how = how
         self._empty, self._full = 0.0, 1.0
@@ -157,7 +157,7 @@ class Displayed:
 
 
 def display_along(
-    how: Display, replay: Replay, flight: Flight | None, charge: Flight | None
+    how: PercentageDisplay, replay: Replay, flight: Flight | None, charge: Flight | None
 ) -> FloatArray:
     """Percentage at every row of a replay, shape (n,), with what its forecasts say of the ends."""
     log = replay.log

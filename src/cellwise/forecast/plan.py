@@ -21,7 +21,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.ahead_kernels import Away, Going, Uncertain, through
-from cellwise.forecast.along_kernels import FilteredRows, Load, moment
+from cellwise.forecast.along_kernels import FilteredRows, LoadAhead, moment
 from cellwise.forecast.remaining import (
     cutoff_of,
     filtered_rows,
@@ -60,7 +60,7 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class PlanOutcome:
     """Where plans end from one moment of a log.
 
     ``chance`` is that of ending at ``above`` or more without the voltage at ``cutoff_V`` before;
@@ -179,7 +179,7 @@ def forecast_plan(
     cutoff_V: float | None = None,
     row: int | None = None,
     capacity_std: float | None = None,
-) -> Outcome:
+) -> PlanOutcome:
     """Where plans end from a moment of a replay, and the chance to end above a SOC.
 
     Each plan is followed at two deviations either way of what is not known: SOC, the model's
@@ -226,7 +226,7 @@ def forecast_plan(
         low, high = np.quantile(values, BAND)
         return float(low), float(high)
 
-    return Outcome(
+    return PlanOutcome(
         time_s=float(replay.log.time_s[at]),
         soc=float(replay.trace.soc[at]),
         soc_std=soc_std,
@@ -249,7 +249,7 @@ def state_at(
 ) -> tuple[CellState, Going, float]:
     """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
     rows = FilteredRows(*(x[: row + 1] for x in filtered_rows(model, replay)))
-    load = Load(rows.current_A, np.nan, rows.soc < 0.0, True, cutoff_V, warms_unseen(model))
+    load = LoadAhead(rows.current_A, np.nan, rows.soc < 0.0, True, cutoff_V, warms_unseen(model))
     state, go = moment(model.parameters(), start_state(rows), rows, load, uncertain_of(model))
     return CellState(*state), Going(*go), float(rows.soc_std[-1])
 

@@ -22,13 +22,13 @@ from cellwise.forecast.ahead_kernels import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
-    Outcome,
+    ForecastOutcome,
     Uncertain,
 )
 from cellwise.forecast.along_kernels import (
     WINDOW_S,
     FilteredRows,
-    Load,
+    LoadAhead,
     asks_temperature,
     forecast_rows,
 )
@@ -226,7 +226,7 @@ def forecast(
     wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
     if not wanted.any():
         return None
-    load = Load(load_A, np.nan, wanted, hold == "power", cutoff, warms_unseen(model))
+    load = LoadAhead(load_A, np.nan, wanted, hold == "power", cutoff, warms_unseen(model))
     flight = flight_of(model, replay, load, load_W)
     busy = under_way(load_A[wanted])
     usual_A, usual_W = (
@@ -289,7 +289,7 @@ def forecast_at(
     power = hold == "power"
     load_A = np.full(rows, load / ocv_V if power else load)
     wanted, power_W = np.arange(rows) == rows - 1, load if power else np.nan
-    asked = Load(load_A, power_W, wanted, power, cutoff, warms_unseen(model))
+    asked = LoadAhead(load_A, power_W, wanted, power, cutoff, warms_unseen(model))
     return flight_of(model, replay, asked, load_A * ocv_V).last
 
 
@@ -309,17 +309,17 @@ def check_load(load: float, hold: str) -> None:
         )
 
 
-def flight_of(model: CellModel, replay: Replay, load: Load, load_W: FloatArray) -> Flight:
+def flight_of(model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatArray) -> Flight:
     """The wanted rows through the kernel; ``load_W`` is what is said of the load's power.
 
     An end that never comes is infinite.
     """
     log, trace, rows, wanted = replay.log, replay.trace, filtered_rows(model, replay), load.wanted
-    out = np.empty((int(np.count_nonzero(wanted)), size_of(Outcome)))
+    out = np.empty((int(np.count_nonzero(wanted)), size_of(ForecastOutcome)))
     forecast_rows(model.parameters(), start_state(rows), rows, load, uncertain_of(model), out)
 
     def found(path: str, many: int = 1) -> FloatArray:
-        first = place_of(Outcome, path)
+        first = place_of(ForecastOutcome, path)
         return out[:, first : first + many] if many > 1 else out[:, first]
 
     time_s, energy_Wh = found("usual.time_s"), found("usual.energy_J") / 3600.0

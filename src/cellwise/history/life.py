@@ -14,7 +14,13 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
-from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles, longest_stretch
+from cellwise.history.stretches import (
+    ComparedSegments,
+    CurrentSegment,
+    compare,
+    cut_at_cycles,
+    longest_stretch,
+)
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
@@ -310,7 +316,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
-    references: list[tuple[Stretch, LogOfLife | None]] = []
+    references: list[tuple[CurrentSegment, LogOfLife | None]] = []
     far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
@@ -350,7 +356,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
 def _by_stretch(
     model: CellModel,
     log: CellLog,
-    references: list[tuple[Stretch, LogOfLife | None]],
+    references: list[tuple[CurrentSegment, LogOfLife | None]],
     before: Sequence[LogOfLife],
 ) -> LogOfLife | None:
     """By its stretch of constant current; None: it has none, or none to be compared with.
@@ -368,7 +374,7 @@ def _by_stretch(
         if one.moved_Ah <= TESTED.complete * share * model.capacity_Ah:
             return None
         references.append(known)
-        result = Compared(1.0, 0.001, 0.0, 1e-5, True)
+        result = ComparedSegments(1.0, 0.001, 0.0, 1e-5, True)
     else:
         result = compare(one, known[0])
     reference, aged = known
@@ -413,7 +419,9 @@ def _by_fit(model: CellModel, log: CellLog, fit: LogHealth) -> LogOfLife:
     )
 
 
-def _soc_of(one: Stretch, reference: Stretch, result: Compared) -> tuple[float, float]:
+def _soc_of(
+    one: CurrentSegment, reference: CurrentSegment, result: ComparedSegments
+) -> tuple[float, float]:
     """SOC at the beginning and end of a stretch: its voltages on the reference's curve."""
     begin = float(np.interp(
         -np.sign(one.current_A) * (one.voltage_V[0] + result.added_ohm * one.current_A),

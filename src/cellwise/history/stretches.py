@@ -14,7 +14,7 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
-class Usable(NamedTuple):
+class UsableSegment(NamedTuple):
     """A stretch lasts ``length_s``, has ``rows`` and a load of ``rate_C``, at least.
 
     ``points`` are kept of it, of which one in ``thin`` is compared.
@@ -66,13 +66,13 @@ class Ageing(NamedTuple):
     counter: float = 0.002
 
 
-USABLE, SAME, COMPLETE, AGEING = Usable(), SameLoad(), Complete(), Ageing()
+USABLE, SAME, COMPLETE, AGEING = UsableSegment(), SameLoad(), Complete(), Ageing()
 SHARES = np.linspace(0.5, 1.15, 131)
 BEGINS = np.linspace(-0.15, 1.0, 93)  # of the reference's range
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class CurrentSegment:
     """A stretch of a log at one current.
 
     ``charge_Ah`` (n,) moved since its beginning, ``voltage_V`` (n,), thinned; ``temperature_C``
@@ -89,14 +89,14 @@ class Stretch:
         """Charge from the first row to the last."""
         return float(self.charge_Ah[-1])
 
-    def alike(self, other: Stretch) -> bool:
+    def alike(self, other: CurrentSegment) -> bool:
         """The same load: direction, current, temperature."""
         if abs(self.current_A / other.current_A - 1.0) > SAME.current:
             return False
         a, b = self.temperature_C, other.temperature_C
         return a is None or b is None or abs(a - b) < SAME.temperature_K
 
-    def as_complete_as(self, other: Stretch) -> bool:
+    def as_complete_as(self, other: CurrentSegment) -> bool:
         """It begins charged and ends at the limit as the other does."""
         end = abs(self.voltage_V[-1] - other.voltage_V[-1]) < COMPLETE.end_V
         drop = _resistance_at_same_share(self, other) * self.current_A
@@ -105,7 +105,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedSegments:
     """One stretch against another: shares of capacity and their deviations, added resistance."""
 
     capacity: float
@@ -115,15 +115,15 @@ class Compared:
     counted: bool
 
 
-class _Rows(NamedTuple):
+class _SegmentRows(NamedTuple):
     """Rows at one current, and the stretch that they are."""
 
     first: int
     stop: int
-    stretch: Stretch
+    stretch: CurrentSegment
 
 
-def _usable(log: CellLog, capacity_Ah: float) -> list[_Rows]:
+def _usable(log: CellLog, capacity_Ah: float) -> list[_SegmentRows]:
     """The stretches of constant current, discharges before charges; none to use: none."""
     current, interval = log.known_current_A(), log.interval_s
     for sign in (1.0, -1.0):
@@ -143,13 +143,13 @@ def _usable(log: CellLog, capacity_Ah: float) -> list[_Rows]:
                 continue
             warm = None if log.temperature_C is None else float(log.temperature_C[a])
             warm = None if warm is None or not np.isfinite(warm) else warm
-            found.append(_Rows(a, b, _thinned(charge, log.voltage_V[a:b], usual, warm)))
+            found.append(_SegmentRows(a, b, _thinned(charge, log.voltage_V[a:b], usual, warm)))
         if found:
             return found
     return []
 
 
-def longest_stretch(log: CellLog, capacity_Ah: float) -> Stretch | None:
+def longest_stretch(log: CellLog, capacity_Ah: float) -> CurrentSegment | None:
     """The longest stretch of constant current, a discharge before a charge; None: none to use."""
     found = _usable(log, capacity_Ah)
     return max(found, key=lambda one: one.stop - one.first).stretch if found else None
@@ -174,7 +174,7 @@ def cut_at_cycles(log: CellLog, capacity_Ah: float) -> tuple[CellLog, ...]:
     return (replace(parts[0], notices=(*log.notices, said)), *parts[1:])
 
 
-def compare(one: Stretch, reference: Stretch) -> Compared:
+def compare(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegments:
     """A later stretch against an earlier one at the same load.
 
     Both complete: the charges are counted. Else the earlier curve over charge is stretched by the
@@ -185,12 +185,14 @@ def compare(one: Stretch, reference: Stretch) -> Compared:
     if one.as_complete_as(reference):
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
-        return Compared(share, AGEING.counter * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True)
+        return ComparedSegments(
+            share, AGEING.counter * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
+        )
 
     return _marginal(one, reference)
 
 
-def _marginal(one: Stretch, reference: Stretch) -> Compared:
+def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegments:
     """Mean and spread of all shares and beginnings that explain a window, by their likelihood.
 
     Curves resemble themselves elsewhere, so that one best fit says little. The error's size is
@@ -222,12 +224,12 @@ def _marginal(one: Stretch, reference: Stretch) -> Compared:
     # and stretches nothing between them.
     unseen = (1.0 - min(covered / capacity, 1.0)) * AGEING.share
     std = float(np.sqrt(variance + unseen**2 + AGEING.counter**2))
-    return Compared(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
+    return ComparedSegments(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 
 
 def _thinned(
     charge: FloatArray, voltage: FloatArray, current: float, warm: float | None
-) -> Stretch:
+) -> CurrentSegment:
     moved = charge - charge[0]
     width = max(voltage.size // USABLE.points, 1)
     smooth = voltage
@@ -238,10 +240,10 @@ def _thinned(
         middle = np.convolve(voltage, kernel, "valid")
         smooth[half : half + middle.size] = middle
     at = np.unique(np.linspace(0, voltage.size - 1, USABLE.points).astype(np.int64))
-    return Stretch(moved[at], smooth[at], current, warm)
+    return CurrentSegment(moved[at], smooth[at], current, warm)
 
 
-def _extended(at: FloatArray, reference: Stretch) -> FloatArray:
+def _extended(at: FloatArray, reference: CurrentSegment) -> FloatArray:
     """The reference curve, straight on beyond its ends."""
     x, y = reference.charge_Ah, reference.voltage_V
     inside = np.interp(at, x, y)
@@ -252,7 +254,7 @@ def _extended(at: FloatArray, reference: Stretch) -> FloatArray:
     return np.asarray(inside + below + above)
 
 
-def _resistance_at_same_share(one: Stretch, reference: Stretch) -> float:
+def _resistance_at_same_share(one: CurrentSegment, reference: CurrentSegment) -> float:
     """By how much more the voltage drops over the middle half of the charge [ohm]."""
     share = np.linspace(0.25, 0.75, 51)
     a = np.interp(share * one.moved_Ah, one.charge_Ah, one.voltage_V)

@@ -24,7 +24,7 @@ from cellwise.identify.joint_fit import JointLogs
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
-class Evidence(NamedTuple):
+class EffectEvidence(NamedTuple):
     """What an effect must show, and on how much.
 
     ``gain``: of the held-out RMSE, less is no reason for a parameter; surely so, or with a marginal
@@ -43,7 +43,7 @@ class Evidence(NamedTuple):
     block_s: float = 120.0
 
 
-NEEDED = Evidence()
+NEEDED = EffectEvidence()
 TRIAL_ITERATIONS = 24  # an effect needs its tables moved
 SOC_PARTS = 10  # pulses are held out by tenths of the SOC in turn
 LOADED = 0.02  # of the largest current

@@ -213,7 +213,7 @@ class Decided:
         return vars(self)
 
 
-class JudgedLog(NamedTuple):
+class LogErrors(NamedTuple):
     """RMSE of the fit and of the plain model over one log, fitted on it or without it [V]."""
 
     log: str
@@ -233,7 +233,7 @@ class PlainComparison(NamedTuple):
     fit_V: float
     plain_V: float
     gain: tuple[float, float]
-    logs: tuple[JudgedLog, ...]
+    logs: tuple[LogErrors, ...]
     reason: str
 
     @property

@@ -28,7 +28,7 @@ from cellwise.fit.rows import NO_SURFACE, BaseOcv, FitLog, inverse_K, prepare_lo
 from cellwise.identify.assemble import monotone, own_model, temperatures_of
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.effect_selection import JointFit
-from cellwise.identify.identification import JudgedLog, PlainComparison
+from cellwise.identify.identification import LogErrors, PlainComparison
 from cellwise.identify.joint_fit import QUICK_ROWS
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.stated_error import Fold, left_out_logs, residual_log
@@ -85,7 +85,7 @@ TENTHS = 10  # of SOC: what is drawn together, both of one log
 NONE_OUT: Mapping[int, BoolArray] = {}
 
 
-class _Rows(NamedTuple):
+class _ComparedRows(NamedTuple):
     """Compared rows of a log: what the unknowns do, what they must, weights, rows of the log."""
 
     matrix: FloatArray
@@ -107,7 +107,7 @@ class PlainFit:
     usual: FloatArray
     precision: FloatArray
     mean: FloatArray
-    rows: tuple[_Rows, ...]
+    rows: tuple[_ComparedRows, ...]
 
     def model(self, out: Mapping[int, BoolArray] = NONE_OUT) -> CellModel:
         """The plain model of all logs but the rows ``out`` of some of them."""
@@ -183,7 +183,7 @@ def _base_ocv(checked: CheckedLogs, fit: JointFit) -> tuple[BaseOcv, float]:
     return BaseOcv(monotone(own + mean.voltage_V - mean.rows(shown)[0])), PLAIN.measured
 
 
-def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _Rows:
+def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _ComparedRows:
     """What the unknowns do to the compared rows of one log."""
     joint = fit.joint
     of_log = replace(item, surface=NO_SURFACE)
@@ -204,7 +204,7 @@ def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _Row
     size_V = np.hypot(PLAIN.size_V, PLAIN.off_soc * slope_V)
     weight = evidence_of(known) / known.compared / size_V**2
     row = np.searchsorted(item.log.time_s, known.time_s)
-    return _Rows(matrix, known.measured_V - level_V, weight, row)
+    return _ComparedRows(matrix, known.measured_V - level_V, weight, row)
 
 
 def _branch(driven: FloatArray, x: FloatArray) -> FloatArray:
@@ -266,7 +266,7 @@ def check_against_plain(checked: CheckedLogs, fit: JointFit, folds: Sequence[Fol
         squares = _mean_squares(*both)
         if squares is not None:
             fit_V, plain_V = np.sqrt(squares.sum(axis=0)).tolist()
-            judged.append(JudgedLog(logs[k].log.name, left_out, fit_V, plain_V))
+            judged.append(LogErrors(logs[k].log.name, left_out, fit_V, plain_V))
             blocks[k] += squares
     return PlainCheck(model, tuple(found), _compared(judged, blocks.reshape(-1, 2)))
 
@@ -286,7 +286,7 @@ def _mean_squares(fit: ResidualLog, plain: ResidualLog) -> FloatArray | None:
     return np.array([np.bincount(tenth, r * r, TENTHS) for r in each]).T / a.size
 
 
-def _compared(judged: Sequence[JudgedLog], blocks: FloatArray) -> PlainComparison:
+def _compared(judged: Sequence[LogErrors], blocks: FloatArray) -> PlainComparison:
     """Both models over all logs, and why the plain one is handed out, if it is."""
     if not judged:
         return PlainComparison(0.0, 0.0, (0.0, 0.0), (), "")

@@ -24,7 +24,7 @@ NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
 GRID_POINTS = 201
 
 
-class _Smoothing(NamedTuple):
+class _TableSmoothing(NamedTuple):
     """From single pulses to a table."""
 
     spread: float = 0.05  # pulses of one level differ by rate and direction: no less is an error
@@ -36,7 +36,7 @@ class _Smoothing(NamedTuple):
     lowest: float = 0.05  # of the least value: a cubic may dip below zero outside its data
 
 
-SMOOTHING = _Smoothing()
+SMOOTHING = _TableSmoothing()
 
 
 @dataclass(frozen=True, eq=False)

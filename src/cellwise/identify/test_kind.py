@@ -17,7 +17,7 @@ from cellwise.logs.checks.sign import is_at_rest
 Kind = Literal["hppc", "ocv", "capacity", "charge", "drive", "rest"]
 
 
-class _Limits(NamedTuple):
+class _TestKindLimits(NamedTuple):
     """What makes a test one of its kind."""
 
     driven: float = 0.5  # of the time under current, at currents that hold no level
@@ -26,7 +26,7 @@ class _Limits(NamedTuple):
     steady: float = 0.5  # of the charge that the log moves, by one constant current
 
 
-LIMITS = _Limits()
+LIMITS = _TestKindLimits()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from cellwise.cell.plausibility.notice import FarOffStream, outside_moment, withheld
 from cellwise.estimate.power.along import PowerFollower
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.status import Status
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
@@ -19,7 +19,7 @@ FORECAST_EVERY_S = 1.0
 
 
 @dataclass
-class Followed:
+class FollowedFilter:
     """A filter on a stream, and what follows it: time and energy left, power, a percentage."""
 
     live: LiveFilter
@@ -47,7 +47,9 @@ class Followed:
             dt_s = 0.0 if update.gap else update.dt_s
             self.percent = self.displayed.take(info.soc, sample.current_A, sample.voltage_V, dt_s)
         if self.power is not None and state is not None:
-            reading = Reading(sample.current_A, sample.voltage_V, warm, update.dt_s, update.gap)
+            reading = MeasuredSample(
+                sample.current_A, sample.voltage_V, warm, update.dt_s, update.gap
+            )
             self.power.take(reading, state, info.status)
 
     @property

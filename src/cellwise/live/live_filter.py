@@ -23,7 +23,7 @@ from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.layout import CELL
 from cellwise.estimate.fixed.options import CellSettings
-from cellwise.estimate.fixed_pack import FixedPack, PackState
+from cellwise.estimate.fixed_pack import FixedPack, FixedPackState
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_dict
 from cellwise.files import write_atomically
@@ -40,7 +40,7 @@ AGREEING = 5
 SHOWN = {"soc": "soc", "capacity_share": "capacity", "resistance_scale": "resistance"}
 
 
-class Interval(NamedTuple):
+class SampleInterval(NamedTuple):
     """The interval that ends at a sample, and whether its current is unknown."""
 
     dt_s: float
@@ -67,7 +67,7 @@ class Timeline:
         """Make the next sample end a gap of this length, as after a restart."""
         self._away_s = max(away_s, 0.0)
 
-    def advance(self, time_s: float, arrived_s: float = math.nan) -> Interval | None:
+    def advance(self, time_s: float, arrived_s: float = math.nan) -> SampleInterval | None:
         """The interval that a stamp ends, or None for a sample to leave out.
 
         Parameters
@@ -80,7 +80,9 @@ class Timeline:
         if math.isnan(self.time_s):
             away, self._away_s = self._away_s, None
             self._accept(time_s, arrived_s)
-            return Interval(0.0, gap=False) if away is None else Interval(away, gap=True)
+            return (
+                SampleInterval(0.0, gap=False) if away is None else SampleInterval(away, gap=True)
+            )
         dt = time_s - self.time_s
         if dt < 0.0 or dt > JUMP_S:
             if not self._clock_was_set(time_s):
@@ -89,12 +91,12 @@ class Timeline:
             away = passed if passed > 0.0 else max(dt, 0.0)
             self._accept(time_s, arrived_s)
             self._intervals.clear()
-            return Interval(away, gap=True)
+            return SampleInterval(away, gap=True)
         gap = self._is_gap(dt)
         self._accept(time_s, arrived_s)
         if dt > 0.0:
             self._intervals.append(dt)
-        return Interval(dt, gap)
+        return SampleInterval(dt, gap)
 
     def _accept(self, time_s: float, arrived_s: float) -> None:
         self.time_s = time_s
@@ -130,7 +132,7 @@ class LivePack:
     def __init__(self, model: CellModel, cells: int, noise: Noise | None = None) -> None:
         self._model, self._cells, self._noise = model, cells, noise
         self._pack = self._stepped_by(SHORTEST_S)
-        self._state: PackState | None = None
+        self._state: FixedPackState | None = None
         self._kept: NDArray[Any] | None = None
         self._kept_s = self._passed_s = 0.0
         self._sequence = 0

@@ -27,7 +27,7 @@ PORTS = {"mqtt": 1883, "mqtts": 8883}
 DISCOVERY = "homeassistant"  # the prefix that Home Assistant listens to
 
 
-class Shown(NamedTuple):
+class EntityOfValue(NamedTuple):
     """A value as Home Assistant shows it: key of the row, name, factor, unit, class, digits."""
 
     key: str
@@ -39,13 +39,13 @@ class Shown(NamedTuple):
 
 
 SHOWN = (
-    Shown("soc", "Charge", 100.0, "%", "battery", 2),
-    Shown("soc_std", "Charge deviation", 100.0, "%", "", 2),
-    Shown("remaining_s", "Remaining time", 1.0, "s", "duration", 0),
-    Shown("remaining_Wh", "Remaining energy of a cell", 1.0, "Wh", "energy_storage"),
-    Shown("current_A", "Current of a cell", 1.0, "A", "current"),
-    Shown("measured_voltage_V", "Voltage of a cell", 1.0, "V", "voltage"),
-    Shown("temperature_C", "Temperature", 1.0, "°C", "temperature", 1),
+    EntityOfValue("soc", "Charge", 100.0, "%", "battery", 2),
+    EntityOfValue("soc_std", "Charge deviation", 100.0, "%", "", 2),
+    EntityOfValue("remaining_s", "Remaining time", 1.0, "s", "duration", 0),
+    EntityOfValue("remaining_Wh", "Remaining energy of a cell", 1.0, "Wh", "energy_storage"),
+    EntityOfValue("current_A", "Current of a cell", 1.0, "A", "current"),
+    EntityOfValue("measured_voltage_V", "Voltage of a cell", 1.0, "V", "voltage"),
+    EntityOfValue("temperature_C", "Temperature", 1.0, "°C", "temperature", 1),
 )
 
 
@@ -253,7 +253,7 @@ def discovery(topic: str) -> dict[str, dict[str, Any]]:
     own = "cellwise_" + re.sub(r"\W+", "_", topic)
     device = {"identifiers": [own], "name": topic, "manufacturer": "cellwise"}
     found = {}
-    for one in (*SHOWN, Shown("flags", "Flags")):
+    for one in (*SHOWN, EntityOfValue("flags", "Flags")):
         said: dict[str, Any] = {
             "name": one.name,
             "unique_id": f"{own}_{one.key}",

@@ -95,7 +95,7 @@ def _usual(interval: FloatArray, at: NDArray[np.intp], side: int) -> FloatArray:
     return np.where(count > 0, usual, 0.0)
 
 
-class Run(NamedTuple):
+class RowRange(NamedTuple):
     """Rows from ``first`` to ``last``, both included."""
 
     first: int
@@ -109,9 +109,9 @@ def rows_between(time_s: FloatArray, low_s: float, high_s: float) -> range:
     return range(min(first, time_s.size - 1), max(stop, min(first + 1, time_s.size)))
 
 
-def runs_of(flags: BoolArray) -> list[Run]:
+def runs_of(flags: BoolArray) -> list[RowRange]:
     """Every run of True."""
-    return [Run(int(a), int(b)) for a, b in zip(*run_edges(flags), strict=True)]
+    return [RowRange(int(a), int(b)) for a, b in zip(*run_edges(flags), strict=True)]
 
 
 def run_edges(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -11,7 +11,7 @@ from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.checks import faults, grave, units
 from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, run_edges
-from cellwise.notices import Code, Notice, Place, coded, graves_first
+from cellwise.notices import Code, Notice, RowPlace, coded, graves_first
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -30,7 +30,7 @@ class Noted(NamedTuple):
 NOTED = Noted()
 
 
-class Rest(NamedTuple):
+class RestPeriod(NamedTuple):
     """A time without current: where it starts, its length, the voltage at its end."""
 
     start_s: float
@@ -38,7 +38,7 @@ class Rest(NamedTuple):
     voltage_V: float
 
 
-class Range(NamedTuple):
+class ValueRange(NamedTuple):
     """Smallest and largest value of a channel."""
 
     min: float
@@ -71,14 +71,14 @@ class Inspection:
     sign_evidence: tuple[str, ...]
     gaps: tuple[Gap, ...]
     duplicates: int
-    current_A: Range
-    voltage_V: Range
-    temperature_C: Range | None
+    current_A: ValueRange
+    voltage_V: ValueRange
+    temperature_C: ValueRange | None
     charge_Ah: float
     sampling: Sampling
     counter_mismatch_percent: float | None
-    rests: tuple[Rest, ...]
-    stuck: dict[str, faults.Stretch]
+    rests: tuple[RestPeriod, ...]
+    stuck: dict[str, faults.FaultSegment]
     missing: dict[str, int]
     notices: tuple[Notice, ...]
     soc0: float | None = None
@@ -165,8 +165,8 @@ def inspect_log(log: CellLog) -> Inspection:
     )
 
 
-def _range(values: FloatArray) -> Range:
-    return Range(float(np.nanmin(values)), float(np.nanmax(values)))
+def _range(values: FloatArray) -> ValueRange:
+    return ValueRange(float(np.nanmin(values)), float(np.nanmax(values)))
 
 
 def _sampling(log: CellLog) -> Sampling:
@@ -197,7 +197,7 @@ def _time_notices(log: CellLog) -> list[Notice]:
             if gap.charge_Ah is None
             else f"the counter moved by {gap.charge_Ah:.4f} Ah"
         )
-        at = Place(f"at {gap.start_s:.1f} s", range(max(gap.row - 1, 0), gap.row + 1))
+        at = RowPlace(f"at {gap.start_s:.1f} s", range(max(gap.row - 1, 0), gap.row + 1))
         said = (f"a gap of {_duration(gap.duration_s)} without rows ", at, f": {counted}")
         notices.append(Notice(Code.GAP, said))
     if len(gaps) > NOTED.gaps:
@@ -211,7 +211,7 @@ def _time_notices(log: CellLog) -> list[Notice]:
 def _channel_notices(
     log: CellLog,
     missing: dict[str, int],
-    stuck: dict[str, faults.Stretch],
+    stuck: dict[str, faults.FaultSegment],
     spikes: int,
     mismatch: float | None,
 ) -> list[Notice]:
@@ -222,7 +222,7 @@ def _channel_notices(
     ]
     for field, stretch in stuck.items():
         other = "current" if field == "voltage_V" else "voltage"
-        since = Place(f"from {stretch.start_s:.1f} s", stretch.rows_of(log))
+        since = RowPlace(f"from {stretch.start_s:.1f} s", stretch.rows_of(log))
         text = f"{field} stands still for {_duration(stretch.duration_s)} "
         said = (text, since, f" on while the {other} moves: a stuck channel?")
         notices.append(Notice(Code.CHANNEL_STUCK, said))
@@ -249,13 +249,13 @@ def _is_quiet(log: CellLog) -> BoolArray:
     return np.asarray(current <= NOTED.quiet * np.max(current))
 
 
-def find_rests(log: CellLog) -> list[Rest]:
+def find_rests(log: CellLog) -> list[RestPeriod]:
     """Times of at least a minute without current; a gap ends a rest."""
     first, last = run_edges(_is_quiet(log) & ~log.gap_rows)
     begins = np.maximum(first - 1, 0)  # the interval that ends at the first quiet row is at rest
     duration_s = log.time_s[last] - log.time_s[begins]
     return [
-        Rest(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
+        RestPeriod(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
         for a, b, seconds in zip(begins, last, duration_s, strict=True)
         if seconds >= NOTED.rest_s
     ]

@@ -22,7 +22,7 @@ LEAST_V = 0.5  # of a cell, typically
 MOST_A, SLOWEST_S = 300.0, 1000.0  # beyond these another unit is more likely
 
 
-class Passed(NamedTuple):
+class TriedProposal(NamedTuple):
     """What speaks for names that read: the voltage answers, is a cell's, the rest is usual."""
 
     answers: bool
@@ -42,7 +42,7 @@ def tried(
     read : callable                 a file, with what is stated of it, to its log
     """
     begin = _beginning(source)
-    found: list[tuple[Passed, Mapping[str, str]]] = []
+    found: list[tuple[TriedProposal, Mapping[str, str]]] = []
     for proposal in refusal.proposals:
         stated = replace(source.options, channels={**source.options.channels, **proposal})
         passed = _passes(replace(begin, options=stated, progress=None), read)
@@ -82,7 +82,7 @@ def _beginning(source: LogSource) -> LogSource:
     return replace(source, content=text[: text.rfind(b"\n") + 1], gzipped=False, size=len(text))
 
 
-def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed | None:
+def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedProposal | None:
     """What speaks for what is stated of a file; None: it does not read, or is no cell's."""
     try:
         log = read(source)
@@ -99,4 +99,4 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed |
         return None
     peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
     usual = bool(NEEDED.current_A <= peak < MOST_A and every_s < SLOWEST_S)
-    return Passed(check.verdict != "undetermined", one_cell, usual)
+    return TriedProposal(check.verdict != "undetermined", one_cell, usual)

@@ -28,10 +28,10 @@ from cellwise.logs.files.columns import Channel
 from cellwise.logs.files.format import Format, damaged, detect_format, one_battery
 from cellwise.logs.files.source import (
     FROM_FILE,
-    Limits,
     LogSource,
     Progress,
     RawLog,
+    ReadLimits,
     ReadOptions,
     open_source,
 )
@@ -201,7 +201,7 @@ def read_channels(source: LogSource, known: Format) -> RawLog:
     can_start = bool(sys.executable) and not getattr(sys, "frozen", False)
     if not (known.isolated and can_start):
         return known.read(source, known)
-    process, limits = _process(), Limits.of(source.size)
+    process, limits = _process(), ReadLimits.of(source.size)
     timer = threading.Timer(limits.seconds, process.kill)
     timer.daemon = True
     timer.start()
@@ -249,7 +249,7 @@ def _process() -> subprocess.Popen[bytes]:
     )
 
 
-def _why_ended(code: int, source: LogSource, known: Format, limits: Limits) -> InputError:
+def _why_ended(code: int, source: LogSource, known: Format, limits: ReadLimits) -> InputError:
     if code == _FOR_TIME or limits.time_is_over:
         return limits.too_slow(source.where)
     if code in _FOR_MEMORY:
@@ -273,7 +273,7 @@ def _answer(
     options: ReadOptions,
     name: str,
     channels: Sequence[Channel],
-    limits: Limits,
+    limits: ReadLimits,
 ) -> RawLog | InputError:
     known = replace(next(one for one in FORMATS if one.name == name), channels=channels)
     try:
@@ -296,7 +296,7 @@ def _send(message: Any, out: IO[bytes]) -> None:
     out.flush()
 
 
-def _confine(limits: Limits) -> None:
+def _confine(limits: ReadLimits) -> None:
     """Bound memory and processor time, where the system can."""
     try:
         import resource

@@ -34,7 +34,7 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
-class Compared(NamedTuple):
+class ComparedRows(NamedTuple):
     """Which rows of a pack's log are compared, and over how long.
 
     ``fewest_rows`` between two pauses that nobody counted. ``rate_s``: rates of the mean voltage
@@ -48,7 +48,7 @@ class Compared(NamedTuple):
     longest_intervals: float = 3.0
 
 
-COMPARED = Compared()
+COMPARED = ComparedRows()
 PERIOD_DAYS = 30.0
 
 

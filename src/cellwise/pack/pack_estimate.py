@@ -58,7 +58,7 @@ class CellsEstimate:
 
 
 @dataclass(frozen=True)
-class Usable:
+class UsableCharge:
     """Charge and energy of a pack between its first full and its first empty cell.
 
     ``usable_Ah`` as the cells are; ``balanced_Ah`` when all are full together, so that the smallest
@@ -76,7 +76,7 @@ class Usable:
         return {**vars(self), "balancing_gain_Ah": round(self.balanced_Ah - self.usable_Ah, 9)}
 
 
-UNKNOWN = Usable(np.nan, np.nan, np.nan, np.nan)
+UNKNOWN = UsableCharge(np.nan, np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class PackEstimate(Plottable, Tabular):
     model: CellModel
     days: tuple[PackDay, ...]
     cells: CellsEstimate
-    usable: Usable
+    usable: UsableCharge
     evidence: PackEvidence
     suspicions: tuple[Suspicion, ...]
     exchanged: tuple[Notice, ...]
@@ -399,7 +399,7 @@ def _cells(
 
 def usable_charge(
     model: CellModel, log: PackLog, soc: FloatArray, capacity_Ah: FloatArray
-) -> Usable:
+) -> UsableCharge:
     """What cells in series give, from SOC and capacity of each, shape (cells,); NaN: unknown.
 
     All of the log's parallel strings give so many times as much.
@@ -415,4 +415,4 @@ def usable_charge(
     volts = OcvSlope(model, log.mean).ocv_V(at).sum(axis=1)
     volts *= soc.size / z.size  # cells without a sensor are there all the same
     usable = left + room
-    return Usable(usable, float(np.min(q)), left, usable * float(np.mean(volts)))
+    return UsableCharge(usable, float(np.min(q)), left, usable * float(np.mean(volts)))

@@ -114,7 +114,7 @@ WHOLE = (
 )
 
 
-class Source(NamedTuple):
+class StepModule(NamedTuple):
     """A module of the step with its functions; ``first`` is the line from which on C is printed."""
 
     name: str
@@ -123,7 +123,7 @@ class Source(NamedTuple):
     first: int
 
 
-def sources(options: Options) -> list[Source]:
+def sources(options: Options) -> list[StepModule]:
     """The modules as they are read, with what options leave of them."""
     found = []
     flags, kept = flags_of(options), dict[str, list[bool]]()
@@ -137,7 +137,7 @@ def sources(options: Options) -> list[Source]:
                 with_notes(node.body, node.body[0].end_lineno or 0, alone)
         name = f"src/{module.__name__.replace('.', '/')}.py"
         first = text.count("\n", 0, max(line, 0))
-        found.append(Source(name, chosen(tree, flags, kept), behind, first))
+        found.append(StepModule(name, chosen(tree, flags, kept), behind, first))
     return found
 
 
@@ -164,7 +164,7 @@ def constants() -> dict[str, tuple[str, str]]:
     return found
 
 
-def program(read: list[Source], options: Options) -> Program:
+def program(read: list[StepModule], options: Options) -> Program:
     """Everything that is printed, functions in the order of their calls."""
     structs: dict[str, dict[str, str]] = {
         name: {f.name: "float" if f.type == "f4" else "int" for f in table}
@@ -236,7 +236,7 @@ def named_tuple(node: ast.ClassDef, fields: dict[str, str]) -> list[str]:
     ]  # fmt: skip
 
 
-def defines(read: Source, made: Program) -> Iterator[str]:
+def defines(read: StepModule, made: Program) -> Iterator[str]:
     """Constants that the step uses."""
     used: set[str] = set().union(*(f.uses for f in made.functions.values()))
     for node in read.tree.body:
@@ -290,7 +290,7 @@ def headed(about: str) -> list[str]:
     )
 
 
-def parts_of(read: list[Source], made: Program) -> dict[str, list[str]]:
+def parts_of(read: list[StepModule], made: Program) -> dict[str, list[str]]:
     """Lines of every part: what C has of the module, or modules, from its first function on."""
     parts: dict[str, list[str]] = {name: [] for name in PARTS}
     numbers = (line for source in read[:2] for line in defines(source, made))

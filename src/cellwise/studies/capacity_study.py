@@ -70,7 +70,7 @@ class SocFigures(NamedTuple):
     axis_share: float
 
 
-class Difference(NamedTuple):
+class RmseDifference(NamedTuple):
     """RMSE of the other less RMSE of the best, with its 95 % interval."""
 
     value: float
@@ -106,7 +106,7 @@ class Winner:
     kind: str
     choice: str
     value: float
-    behind: Mapping[str, Difference]
+    behind: Mapping[str, RmseDifference]
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -251,7 +251,7 @@ def judge(
     return ChoiceResult(choice, model.capacity_Ah, fit_rmse_V, rmse_V, above_V, soc, kept)
 
 
-class Drawn(NamedTuple):
+class StudyDraws(NamedTuple):
     """How a study is judged: SOC's deviation at the start, blocks drawn from a log, the seed."""
 
     soc0_std: float = 0.02
@@ -259,14 +259,14 @@ class Drawn(NamedTuple):
     seed: int = 1
 
 
-DRAWN = Drawn()
+DRAWN = StudyDraws()
 
 
 def difference(
     other: Sequence[FloatArray],
     best: Sequence[FloatArray],
     rng: np.random.Generator | None = None,
-) -> Difference:
+) -> RmseDifference:
     """How much larger one RMSE is than another on the same logs.
 
     The logs are cut into blocks that hold an error for longer than it is remembered, and the blocks
@@ -289,7 +289,7 @@ def difference(
 
     drawn = between(drawn_sums(block, sums, DRAWN.seed if rng is None else rng))
     low, high = np.quantile(drawn, (0.025, 0.975))
-    return Difference(float(between(sums.sum(axis=0))), float(low), float(high))
+    return RmseDifference(float(between(sums.sum(axis=0))), float(low), float(high))
 
 
 def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> float:

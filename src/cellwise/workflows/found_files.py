@@ -88,7 +88,7 @@ class FoundFile:
         return f"{self.path}@{','.join(said)}" if said else str(self.path)
 
 
-class Looked(NamedTuple):
+class FolderContents(NamedTuple):
     """The files of a folder, and the sign by which all of them were read."""
 
     files: list[FoundFile]
@@ -100,7 +100,7 @@ def look_at(
     sign: str = "auto",
     nominal_Ah: float | None = None,
     follow: Callable[..., object] = lambda *_: None,
-) -> Looked:
+) -> FolderContents:
     """Every file of a folder, in the order of time; those of folders in it are left alone.
 
     Parameters
@@ -138,7 +138,7 @@ def look_at(
                 for before, now in zip(found, again, strict=True)
             ]
     found = [_with_a_wrong_sign(one) if one.other_sign else one for one in found]
-    return Looked([_end_of_test(one, found) for one in found], sign)
+    return FolderContents([_end_of_test(one, found) for one in found], sign)
 
 
 def _with_a_wrong_sign(one: FoundFile) -> FoundFile:

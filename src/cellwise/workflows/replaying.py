@@ -20,8 +20,8 @@ from cellwise.estimate.power.state_of_power import Hold, PowerSettings
 from cellwise.estimate.replay import Replay, expected_convergence_s, replay
 from cellwise.estimate.sensor import Sensor, seen_by
 from cellwise.forecast.charging import forecast_charge, limit_of, taper_of
-from cellwise.forecast.display import Display, display_along, display_of
-from cellwise.forecast.plan import Outcome, Plan, forecast_plan
+from cellwise.forecast.display import PercentageDisplay, display_along, display_of
+from cellwise.forecast.plan import Plan, PlanOutcome, forecast_plan
 from cellwise.forecast.remaining import (
     Flight,
     Forecast,
@@ -49,7 +49,7 @@ HELD = ("held_offset", "held_resistance", "held_charge")
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReplayRequest:
     """How a log is replayed.
 
     Parameters
@@ -74,7 +74,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Ahead:
+class ForecastRequest:
     """What of a replay's end is foreseen.
 
     Parameters
@@ -99,7 +99,7 @@ class Ahead:
     display: float | None = None
     anyway: bool = False
 
-    def shown(self, model: CellModel) -> Display | None:
+    def shown(self, model: CellModel) -> PercentageDisplay | None:
         """How a percentage is displayed; None where it is not asked for.
 
         Raises
@@ -128,7 +128,7 @@ class ReplayAndForecast:
     flight: Flight | None = None
     at_load: Forecast | None = None
     charge: Flight | None = None
-    plan: Outcome | None = None
+    plan: PlanOutcome | None = None
     displayed_percent: FloatArray | None = None
     hold: Hold = "power"
     cutoff_V: float = math.nan
@@ -190,7 +190,7 @@ class ReplayAndForecast:
         return columns if self.power is None else columns | self.power.columns()
 
 
-def check_replay(model: CellModel, asked: Asked, ahead: Ahead) -> None:
+def check_replay(model: CellModel, asked: ReplayRequest, ahead: ForecastRequest) -> None:
     """Refuse what could only fail after the work is done.
 
     Raises
@@ -206,8 +206,8 @@ def check_replay(model: CellModel, asked: Asked, ahead: Ahead) -> None:
 def replay_and_forecast(
     model: CellModel,
     log: CellLog,
-    asked: Asked | None = None,
-    ahead: Ahead | None = None,
+    asked: ReplayRequest | None = None,
+    ahead: ForecastRequest | None = None,
     *,
     begins: bool = True,
 ) -> ReplayAndForecast:
@@ -228,7 +228,7 @@ def replay_and_forecast(
     ------
     InputError            as `replay` and `forecast`; a start other than the log's stated one
     """
-    asked, ahead = asked or Asked(), ahead or Ahead()
+    asked, ahead = asked or ReplayRequest(), ahead or ForecastRequest()
     log = log if asked.dt_s is None else resample(log, asked.dt_s)
     found = replay(
         model,
@@ -259,7 +259,9 @@ def replay_and_forecast(
     return replace(run, displayed_percent=display_along(how, found, run.flight, run.charge))
 
 
-def _with_forecasts(run: ReplayAndForecast, model: CellModel, ahead: Ahead) -> ReplayAndForecast:
+def _with_forecasts(
+    run: ReplayAndForecast, model: CellModel, ahead: ForecastRequest
+) -> ReplayAndForecast:
     """The same with all that is foreseen."""
     found, cutoff_V, hold = run.replay, run.cutoff_V, ahead.hold
     at_load = None
@@ -283,8 +285,8 @@ def _with_forecasts(run: ReplayAndForecast, model: CellModel, ahead: Ahead) -> R
 def replay_each(
     model: CellModel,
     logs: Sequence[CellLog],
-    asked: Asked,
-    ahead: Ahead,
+    asked: ReplayRequest,
+    ahead: ForecastRequest,
     follow: Callable[[str, int, int], object] = lambda what, done, total: None,
 ) -> Served[ReplayAndForecast]:
     """Replay logs, each cut where minutes passed that nobody counted.

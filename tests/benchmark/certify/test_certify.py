@@ -11,7 +11,7 @@ import pytest
 
 from cellwise.benchmark.certify import Limits, certify, lives, read_export
 from cellwise.benchmark.certify import run as certify_run
-from cellwise.benchmark.certify.virtual_cells import Spread, aged, draw_cell
+from cellwise.benchmark.certify.virtual_cells import CellSpread, aged, draw_cell
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cli import main
@@ -30,7 +30,7 @@ PERFECT = Sensor(
     voltage_noise_V=0.0,
     temperature_K=0.0,
 )
-SAME = Spread(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SAME = CellSpread(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def run(capsys, *arguments):
@@ -141,7 +141,7 @@ def test_the_last_digit_and_the_range_are_in_what_the_filter_sees(folder):
 
 def test_age_takes_capacity_and_adds_resistance(folder):
     model = read_export(folder).model
-    cells = [aged(model, 1.0, np.random.default_rng(k), Spread()) for k in range(40)]
+    cells = [aged(model, 1.0, np.random.default_rng(k), CellSpread()) for k in range(40)]
     assert np.mean([c.capacity_Ah for c in cells]) / model.capacity_Ah == pytest.approx(
         0.8, abs=0.03
     )
@@ -156,7 +156,7 @@ def test_a_capacity_that_is_known_worse_widens_the_certificate(of_capacity_std, 
     On aged and faulty cells age and fault are all there is to see: a filter that knows its capacity
     to be open follows the voltage more closely, and is no worse there.
     """
-    new = replace(Spread(), faded=0.0, resistance_grown=0.0, slipped_soc=0.0)
+    new = replace(CellSpread(), faded=0.0, resistance_grown=0.0, slipped_soc=0.0)
     monkeypatch.setattr(
         lives, "draw_cell", lambda cell, k, *asked: draw_cell(cell, 2 * k, *asked[:-1], new)
     )

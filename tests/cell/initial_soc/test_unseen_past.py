@@ -8,7 +8,7 @@ import pytest
 from cellwise.cell.initial_soc.rest import (
     RECKONED,
     Branches,
-    Load,
+    PastLoad,
     rested_ocv,
     usual_load,
 )
@@ -28,7 +28,7 @@ def rest(lasted_s, branch_A, rng):
 @pytest.mark.parametrize("lasted_s", [1, 10, 100, 1000])
 def test_pasts_like_the_log_are_inside_two_deviations(lasted_s):
     rng = np.random.default_rng(lasted_s)
-    load = Load(1.5, np.array([4.0, 2.5, 1.5]))
+    load = PastLoad(1.5, np.array([4.0, 2.5, 1.5]))
     sizes = []
     for _ in range(150):
         past = np.zeros(3)
@@ -43,7 +43,7 @@ def test_pasts_like_the_log_are_inside_two_deviations(lasted_s):
 
 def test_a_moment_without_current_is_as_unsure_as_what_a_load_leaves():
     rng = np.random.default_rng(1)
-    load = Load(3.0, np.full(3, 3.0))
+    load = PastLoad(3.0, np.full(3, 3.0))
     moment = rested_ocv(*rest(1, np.full(3, 3.0), rng), NOISE_V, BRANCHES, load)
     assert moment.std_V > 0.3 * float(np.sum(BRANCHES.r_ohm)) * 3.0
     hours = rested_ocv(*rest(10_000, np.full(3, 3.0), rng), NOISE_V, BRANCHES, load)

@@ -9,13 +9,13 @@ import pytest
 
 from cellwise.cell.equations import advance, empty_state
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.power.along import Memory, no_memory, remembered
+from cellwise.estimate.power.along import CorrectionMemory, no_memory, remembered
 from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
     correction_variance,
     fast_factor,
 )
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -28,13 +28,13 @@ def load(seed: int = 2, rows: int = 3000) -> np.ndarray:
     return np.repeat(np.random.default_rng(seed).uniform(-2.0, 6.0, rows // 20), 20)
 
 
-def followed(current_A: np.ndarray, voltage_V: np.ndarray) -> Memory:
+def followed(current_A: np.ndarray, voltage_V: np.ndarray) -> CorrectionMemory:
     """The memory after a log, beside the model's own states."""
     state, memory = empty_state(0.8), no_memory()
     for k, (current, voltage) in enumerate(zip(current_A, voltage_V, strict=True)):
         dt_s = 1.0 if k else 0.0
         state, _ = advance(TABLES, state, current, dt_s, 25.0)
-        reading = Reading(current, voltage, 25.0, dt_s, False)
+        reading = MeasuredSample(current, voltage, 25.0, dt_s, False)
         memory = remembered(TABLES, memory, state, reading, current, 0)
     return memory
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from cellwise.notices import Code, Notice, Place, place
+from cellwise.notices import Code, Notice, RowPlace, place
 from cellwise.report import replay_page
 from cellwise.report.page.markup import linked, linked_among
 from report_cases import Page, drive, replay
@@ -22,7 +22,7 @@ def in_row(row, log=""):
         (("1e6 A in ", place(range(100, 101)), " of x"), None, 100.0, 100.0, ">row 101<"),
         (("stands still (", place(range(10, 21)), ")"), None, 10.0, 20.0, ">rows 11 to 21<"),
         (
-            ("off ", Place("after 0.3 h", range(1080, 1081))),
+            ("off ", RowPlace("after 0.3 h", range(1080, 1081))),
             None,
             1080.0,
             1080.0,

@@ -15,7 +15,7 @@ from cellwise.benchmark.certify.virtual_cells import (
     FAULTS,
     NO_FAULT,
     START_STD,
-    Spread,
+    CellSpread,
     draw_cell,
     with_sensor,
 )
@@ -38,7 +38,7 @@ SETTLED_S = 3600.0  # what a filter has to find its start is not scored
 
 
 @dataclass(frozen=True, eq=False)
-class Life:
+class CertifiedLife:
     """A cell from its start on.
 
     Parameters
@@ -83,14 +83,14 @@ class Fleet:
         counts = {PHYSICS: self.physics, MODEL: self.cells, MEASURED: logs}
         return [(source, k) for source, count in counts.items() for k in range(count)]
 
-    def life(self, model: CellModel, source: str, number: int, dt_s: float) -> Life:
+    def life(self, model: CellModel, source: str, number: int, dt_s: float) -> CertifiedLife:
         """The life of a number: the same for the same seed, whatever is drawn beside it."""
         if source == MEASURED:
             return self._measured(number)
         physics = source == PHYSICS
         index = number + PHYSICS_SEED * physics
         hours = min(self.hours, PHYSICS_HOURS) if physics else self.hours
-        spread = Spread(model_error=0.0) if physics else Spread()
+        spread = CellSpread(model_error=0.0) if physics else CellSpread()
         cell = draw_cell(model, index, self.seed, hours, dt_s, self.sensor, spread)
         if physics:
             porous = physics_cell(cell.truth, cell.temperature_C)
@@ -112,9 +112,9 @@ class Fleet:
             "fault": cell.fault.name,
             "started_at": cell.given_soc0,
         }
-        return Life(about, log, soc, faulty_log(cell.fault, log, capacity_Ah, rng))
+        return CertifiedLife(about, log, soc, faulty_log(cell.fault, log, capacity_Ah, rng))
 
-    def _measured(self, number: int) -> Life:
+    def _measured(self, number: int) -> CertifiedLife:
         which, what = divmod(number, 1 + len(FAULTS))
         one = self.measured[which]
         rng = np.random.default_rng([self.seed, which, what, 2])
@@ -133,7 +133,9 @@ class Fleet:
             "fault": plain.name,
             "started_at": start,
         }
-        return Life(about, one.log, one.truth, faulty_log(fault, one.log, capacity_Ah, rng))
+        return CertifiedLife(
+            about, one.log, one.truth, faulty_log(fault, one.log, capacity_Ah, rng)
+        )
 
 
 def measured_log(

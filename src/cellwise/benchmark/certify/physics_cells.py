@@ -40,7 +40,7 @@ KELVIN = 273.15
 
 
 @dataclass(frozen=True)
-class Pulse:
+class ScalingPulse:
     """What the scaling is done on: a rest, and a load at which two drops are read."""
 
     soc: float = 0.5
@@ -74,7 +74,7 @@ class Porous:
     atol: float = 1e-6
 
 
-PULSE, POROUS = Pulse(), Porous()
+PULSE, POROUS = ScalingPulse(), Porous()
 _one_at_a_time = threading.Lock()  # PyBaMM's models are built in global state
 
 

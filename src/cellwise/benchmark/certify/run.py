@@ -16,8 +16,8 @@ from cellwise.benchmark.certify.exported import Exported
 from cellwise.benchmark.certify.lives import (
     PHYSICS_HOURS,
     SETTLED_S,
+    CertifiedLife,
     Fleet,
-    Life,
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
 from cellwise.benchmark.certify.virtual_cells import START_STD
@@ -149,7 +149,7 @@ class LifeTask:
         return {"name": name, "problem": reason}
 
 
-def run_life(exported: Exported, life: Life) -> dict[str, Any]:
+def run_life(exported: Exported, life: CertifiedLife) -> dict[str, Any]:
     """One life through the C: what it was, and how wrong the filter was."""
     log = life.log
     samples = samples_of(exported.model, life.seen, exported.dt_s)
@@ -197,7 +197,7 @@ def _check(row: dict[str, Any]) -> None:
         )
 
 
-def _with_truth(life: Life) -> CellLog:
+def _with_truth(life: CertifiedLife) -> CellLog:
     """What the filter saw, and beside it a counter that knows the truth."""
     return replace(life.seen, charge_Ah=(life.soc[0] - life.soc) * life.about["capacity_Ah"])
 

@@ -18,7 +18,7 @@ from cellwise.typing import FloatArray
 
 
 @dataclass(frozen=True)
-class Spread:
+class CellSpread:
     """How cells of one kind differ (standard deviations), and what age 1 has made of them.
 
     A cell is at its end of life at 80 % of its capacity or twice its resistance, as vehicle makers
@@ -71,12 +71,12 @@ def draw_cell(
     hours: float,
     dt_s: float,
     sensor: Sensor,
-    spread: Spread | None = None,
+    spread: CellSpread | None = None,
 ) -> VirtualCell:
     """The cell of an index: the same for the same seed, whatever is drawn beside it."""
     rng = np.random.default_rng([seed, index])
     age = float(rng.uniform())
-    truth = aged(model, age, rng, spread or Spread())
+    truth = aged(model, age, rng, spread or CellSpread())
     low, high = model.validity.temperature_C or (model.temperature_C[0], model.temperature_C[-1])
     temperature_C = float(rng.uniform(low, high))
     soc0 = float(rng.uniform(0.2, 1.0))
@@ -107,7 +107,7 @@ def with_sensor(
     )
 
 
-def aged(model: CellModel, age: float, rng: np.random.Generator, spread: Spread) -> CellModel:
+def aged(model: CellModel, age: float, rng: np.random.Generator, spread: CellSpread) -> CellModel:
     """A sample of the cell after a part of its life, off by what the model says of its error too.
 
     What the model's fit left open is drawn from its posterior: capacity, OCV, resistances.

@@ -133,7 +133,7 @@ def initial_soc(
         def by_rest(soc0: FloatArray) -> FloatArray:
             return ln_likelihood_of_ocv(model, soc0, rested_V, unfinished, warm)
 
-        return _from_whole_log(model, log, found, Past(-moves, unfinished), by_rest)
+        return _from_whole_log(model, log, found, UnknownPast(-moves, unfinished), by_rest)
     # The first minute, from its first voltage on.
     first = int(np.argmax(np.isfinite(log.voltage_V)))
     end = int(np.searchsorted(log.time_s, log.time_s[first] + LOOKED.fit_s, side="right"))
@@ -156,7 +156,7 @@ def _from_whole_log(
     model: CellModel,
     log: CellLog,
     beginning: InitialSoc,
-    past: Past,
+    past: UnknownPast,
     by_rest: Callable[[FloatArray], FloatArray] | None = None,
 ) -> InitialSoc:
     # After a pause that nobody counted another start may hold.
@@ -187,7 +187,7 @@ class WeighedRows(NamedTuple):
     past: FloatArray
 
 
-class Past(NamedTuple):
+class UnknownPast(NamedTuple):
     """What the slow states may hold at the first row: mean and standard deviation [V]."""
 
     mean_V: float
@@ -232,7 +232,7 @@ def sum_errors(
 def likeliest_soc(
     model: CellModel,
     log: CellLog,
-    past: Past,
+    past: UnknownPast,
     before: Callable[[FloatArray], FloatArray] | None = None,
     *,
     other_resistance: float = 0.0,
@@ -262,7 +262,7 @@ def likeliest_soc(
 def ln_likelihood_of_starts(
     model: CellModel,
     log: CellLog,
-    past: Past,
+    past: UnknownPast,
     before: Callable[[FloatArray], FloatArray] | None,
     soc0: FloatArray,
     *,
@@ -299,7 +299,7 @@ def _sums_of_errors(model: CellModel, log: CellLog, soc0: FloatArray) -> FloatAr
 def _ln_likelihood(
     model: CellModel,
     log: CellLog,
-    past: Past,
+    past: UnknownPast,
     before: Callable[[FloatArray], FloatArray] | None,
     other_resistance: float,
     soc0: FloatArray,
@@ -335,7 +335,7 @@ def _weighed(model: CellModel, log: CellLog) -> WeighedRows:
     return WeighedRows(log.interval_s, current, warm, voltage, weight / weight.sum(), past)
 
 
-def past_voltage(model: CellModel, log: CellLog) -> Past:
+def past_voltage(model: CellModel, log: CellLog) -> UnknownPast:
     """What the slow states may hold of a past that was like the first minutes of the log.
 
     Between nothing (the load has just begun) and all of it: the middle, and half of the range. In
@@ -350,4 +350,6 @@ def past_voltage(model: CellModel, log: CellLog) -> Past:
     early = log.time_s <= log.time_s[0] + PAST_S
     mean_A = float(np.mean(log.known_current_A()[early]))
     full_V = -slow_ohm * mean_A
-    return Past(0.5 * full_V, math.hypot(SHORT_REST_V, 0.5 * full_V, 0.5 * fast_ohm * mean_A))
+    return UnknownPast(
+        0.5 * full_V, math.hypot(SHORT_REST_V, 0.5 * full_V, 0.5 * fast_ohm * mean_A)
+    )

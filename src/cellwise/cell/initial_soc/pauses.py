@@ -20,7 +20,7 @@ from cellwise.notices import Code, Notice
 FEWEST_VOLTAGES = 3  # fewer say nothing of where a stretch begins
 
 
-class Stretch(NamedTuple):
+class LogSegment(NamedTuple):
     """Rows ``first`` to ``stop`` (not included) of a log, and where they begin."""
 
     first: int
@@ -33,7 +33,7 @@ class Stretch(NamedTuple):
         return log if whole else log.part(self.first, self.stop)
 
 
-def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretch, ...]:
+def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[LogSegment, ...]:
     """A log cut at the pauses that nobody counted: a car may have been charged meanwhile.
 
     What is too short to say where it begins stays with what lies before; a first row that stands
@@ -43,7 +43,7 @@ def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretc
     ----------
     start : InitialSoc      of the log's first row
     """
-    found = [Stretch(0, len(log), start)]
+    found = [LogSegment(0, len(log), start)]
     for row, stop in pairwise((*uncounted_pauses(log), len(log))):
         measured = np.isfinite(log.voltage_V[row:stop])
         if np.count_nonzero(measured) < FEWEST_VOLTAGES or np.isnan(log.current_A[row:stop]).all():
@@ -52,9 +52,9 @@ def stretches(model: CellModel, log: CellLog, start: InitialSoc) -> tuple[Stretc
         before = found[-1]._replace(stop=row)
         alone = row - before.first < 2 or not np.isfinite(log.voltage_V[before.first : row]).any()
         found[-1:] = (
-            [Stretch(before.first, len(log), begun)]
+            [LogSegment(before.first, len(log), begun)]
             if alone
-            else [before, Stretch(row, len(log), begun)]
+            else [before, LogSegment(row, len(log), begun)]
         )
     return tuple(found)
 
@@ -79,7 +79,7 @@ def simulate_stretches(
     )
 
 
-def _begun_again(log: CellLog, part: Stretch) -> Notice:
+def _begun_again(log: CellLog, part: LogSegment) -> Notice:
     """That a simulation begins again behind a pause."""
     text = (
         f"nobody counted in the pause before {log.time_s[part.first]:.0f} s: there the simulation "

@@ -117,7 +117,7 @@ class Branches(NamedTuple):
     tau_s: FloatArray
 
 
-class Load(NamedTuple):
+class PastLoad(NamedTuple):
     """A use of the cell: its mean current, and the RMS that each branch sees of it, (branches,)."""
 
     mean_A: float
@@ -134,25 +134,25 @@ class Rested(NamedTuple):
 
 def usual_load(
     interval_s: FloatArray, current_A: FloatArray, tau_s: FloatArray, capacity_Ah: float
-) -> Load:
+) -> PastLoad:
     """The load of some rows as branches of these time constants see it; without any a usual one."""
     time = np.cumsum(interval_s)
     charge = np.cumsum(current_A * interval_s)
     whole_s = float(time[-1] - time[0]) if time.size else 0.0
     least = RECKONED.least_rate * capacity_Ah
     if whole_s <= 0.0:
-        return Load(0.0, np.full(tau_s.size, RECKONED.usual_rate * capacity_Ah))
+        return PastLoad(0.0, np.full(tau_s.size, RECKONED.usual_rate * capacity_Ah))
     mean = float(charge[-1] - charge[0]) / whole_s
     rms = []
     for tau in tau_s:
         count = int(min(max(whole_s / (2.0 * tau), 1.0), time.size))
         at = np.interp(np.linspace(time[0], time[-1], count + 1), time, charge)
         rms.append(math.sqrt(float(np.mean((np.diff(at) / (whole_s / count)) ** 2))))
-    return Load(mean, np.maximum(rms, least))
+    return PastLoad(mean, np.maximum(rms, least))
 
 
 def rested_ocv(
-    time_s: FloatArray, voltage_V: FloatArray, white_V: float, branches: Branches, load: Load
+    time_s: FloatArray, voltage_V: FloatArray, white_V: float, branches: Branches, load: PastLoad
 ) -> Rested:
     r"""The OCV under a rest, whatever its past was.
 

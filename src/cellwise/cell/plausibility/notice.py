@@ -20,7 +20,7 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import contradiction, verify_sign
-from cellwise.notices import Code, Notice, Option, Piece, Place
+from cellwise.notices import Code, Notice, Option, Piece, RowPlace
 from cellwise.typing import FloatArray
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
@@ -77,7 +77,7 @@ class Order(NamedTuple):
     assumed: float = 0.01
 
 
-class Shown(NamedTuple):
+class NoticeThresholds(NamedTuple):
     """From where on something is said.
 
     Fewer ``rows``, or a smaller ``share`` of all, are a sensor's spikes. No cell holds so many
@@ -96,7 +96,7 @@ class Shown(NamedTuple):
     rejected: float = 0.1
 
 
-FAR_OFF, ORDER, SHOWN = FarOff(), Order(), Shown()
+FAR_OFF, ORDER, SHOWN = FarOff(), Order(), NoticeThresholds()
 OTHER: tuple[Piece, ...] = (
     "a log of another cell, number of cells in series (",
     Option("series", letter="N"),
@@ -362,7 +362,7 @@ def error_notices(
     said: tuple[Piece, ...] = (
         f" is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
         f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} ",
-        Place(f"after {(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h", range(row, row + 1)),
+        RowPlace(f"after {(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h", range(row, row + 1)),
     )
     if everywhere:
         said += (": ", *OTHER, " than the model's, or another initial SOC?")

@@ -35,7 +35,7 @@ class Supply(NamedTuple):
     temperature_C: float
 
 
-class Held(NamedTuple):
+class SuppliedInterval(NamedTuple):
     """A current over an interval, and where it takes the cell."""
 
     current_A: float
@@ -55,10 +55,10 @@ class Progress(NamedTuple):
 @kernel
 def interval(
     tables: CellTables, state: CellState, current_A: float, dt_s: float, temperature_C: float
-) -> Held:
+) -> SuppliedInterval:
     """An interval of constant current."""
     after, point = advance(tables, state, current_A, dt_s, temperature_C)
-    return Held(current_A, after, voltage_of(point, after, current_A))
+    return SuppliedInterval(current_A, after, voltage_of(point, after, current_A))
 
 
 @kernel
@@ -102,7 +102,7 @@ def held(
     low_A: float,
     high_A: float,
     guess_A: float,
-) -> Held:
+) -> SuppliedInterval:
     """The current within [low, high] with which the interval ends at the supply's voltage.
 
     The end voltage falls with the current. It is solved by bracketing, then false position
@@ -115,7 +115,7 @@ def held(
         guess_A = low_A
     a = min(max(guess_A, low_A), high_A)
     after, point = advance(tables, state, a, dt_s, warm)
-    at_a = Held(a, after, voltage_of(point, after, a))
+    at_a = SuppliedInterval(a, after, voltage_of(point, after, a))
     fa = at_a.voltage_V - voltage_V
     if abs(fa) <= VOLTAGE_TOLERANCE_V or a == (high_A if fa > 0.0 else low_A):
         return at_a
@@ -152,7 +152,7 @@ def held(
 
 
 @kernel
-def at_limit(supply: Supply, now: Held, until_A: float, high_A: float) -> bool:
+def at_limit(supply: Supply, now: SuppliedInterval, until_A: float, high_A: float) -> bool:
     """Whether an interval ends at the voltage with the very current that ends the step."""
     beside_V = abs(now.voltage_V - kept_voltage(supply, high_A))
     return now.current_A == until_A and beside_V <= VOLTAGE_TOLERANCE_V

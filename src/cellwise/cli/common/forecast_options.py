@@ -16,7 +16,7 @@ from cellwise.estimate.power.state_of_power import (
     power_settings,
 )
 from cellwise.forecast.plan import Plan, is_plan, plan_of_log, read_plan
-from cellwise.workflows.replaying import Ahead
+from cellwise.workflows.replaying import ForecastRequest
 
 LIMITS = ("voltage_limits", "current_limits", "soc_limits")
 
@@ -85,10 +85,10 @@ def plans_of(arguments: argparse.Namespace) -> list[Plan]:
     return plans
 
 
-def ahead_of(arguments: argparse.Namespace, plans: Sequence[Plan] = ()) -> Ahead:
+def ahead_of(arguments: argparse.Namespace, plans: Sequence[Plan] = ()) -> ForecastRequest:
     """What the arguments ask to foresee; a stream's have no load or plan of their own."""
     said = vars(arguments)
-    return Ahead(
+    return ForecastRequest(
         hold=said.get("hold") or "power",
         cutoff_V=arguments.cutoff_v,
         load=said.get("load"),

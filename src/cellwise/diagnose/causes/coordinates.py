@@ -49,7 +49,7 @@ class Shapes(NamedTuple):
     heating_s: float = 600.0
 
 
-class Range(NamedTuple):
+class CoordinateRange(NamedTuple):
     """How far a cell of the model's kind may be off.
 
     ``capacity``: between these shares of the model's. ``slowed``: diffusion becomes slower by a
@@ -69,7 +69,7 @@ class Steps(NamedTuple):
     other: float = 1e-5
 
 
-KNOTS, STARTS, RANGE, STEPS = Knots(), Shapes(), Range(), Steps()
+KNOTS, STARTS, RANGE, STEPS = Knots(), Shapes(), CoordinateRange(), Steps()
 REFERENCE_C = 25.0
 
 OCV_NAMES = tuple(f"ocv_{k}" for k in range(KNOTS.ocv))

@@ -33,7 +33,7 @@ from cellwise.diagnose.fit.coordinate_fit import (
 from cellwise.diagnose.fit.noise import STATED, KnownScale, Objective, stated_objective
 from cellwise.diagnose.fit.priors import calibrated, ln_size, tolerances, widened_for
 from cellwise.diagnose.fit.rests import RestVoltages, rest_voltages
-from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.typing import FloatArray
 
 
@@ -72,7 +72,7 @@ class CauseFits:
     voltages at rest; ``same_age`` says that a good log of the same cell is known.
     """
 
-    evidence: Evidence
+    evidence: ScoredRows
     coordinates: Coordinates
     prior: Tolerances
     rests: RestVoltages
@@ -82,7 +82,7 @@ class CauseFits:
     stated: Objective = field(init=False)
 
     @classmethod
-    def of(cls, evidence: Evidence, coordinates: Coordinates, seed: int) -> CauseFits:
+    def of(cls, evidence: ScoredRows, coordinates: Coordinates, seed: int) -> CauseFits:
         """Fits with the tolerances of a good laboratory."""
         model, prior = coordinates.model, tolerances(coordinates, evidence)
         rests = rest_voltages(evidence.logs, model.capacity_Ah, model.charge_efficiency)

@@ -16,13 +16,15 @@ import numpy as np
 
 from cellwise.diagnose.causes.coordinates import Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.noise import Objective, normal_of
-from cellwise.diagnose.fit.rows import FITTED, START, Evidence
-from cellwise.fit.solver import UNDAMPED, Prior, Search, minimise
+from cellwise.diagnose.fit.rows import FITTED, START, ScoredRows
+from cellwise.fit.solver import UNDAMPED, Prior, SolverSettings, minimise
 from cellwise.typing import FloatArray
 
 Values = Mapping[str, float]
 Simulated = tuple[FloatArray, FloatArray]  # voltage [V] and SOC
-SEARCH = Search(iterations=7, least_gain=0.02, damping=UNDAMPED)  # less than it separates no causes
+SEARCH = SolverSettings(
+    iterations=7, least_gain=0.02, damping=UNDAMPED
+)  # less than it separates no causes
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class Frozen:
     names: tuple[str, ...]
     jacobian: FloatArray
 
-    def jacobian_near(self, found: Fit, evidence: Evidence, moving: Sequence[str]) -> FloatArray:
+    def jacobian_near(self, found: Fit, evidence: ScoredRows, moving: Sequence[str]) -> FloatArray:
         """Derivatives at a fit nearby, fresh by the coordinates in ``moving`` and by new ones."""
         fresh = [n for n in found.names if n in moving or n not in self.names]
         columns = np.empty((evidence.rows, len(found.names)))

@@ -21,12 +21,12 @@ import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
-from cellwise.diagnose.fit.rows import SPLIT, Evidence
+from cellwise.diagnose.fit.rows import SPLIT, ScoredRows
 from cellwise.fit.model_error import charged_for_minutes, polarisation_V
 from cellwise.typing import BoolArray, FloatArray
 
 
-class Stated(NamedTuple):
+class StatedError(NamedTuple):
     """What a model's statement of its error counts as, and what it cannot say.
 
     ``errors``: as many independent errors as some drives hold; ``shape``: share of a model's whole
@@ -42,7 +42,7 @@ class Stated(NamedTuple):
     clip: float = 6.0
 
 
-STATED = Stated()
+STATED = StatedError()
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Objective:
     a window of :attr:`Evidence.windows` has a size of its own, ``fast_V``, and more errors.
     """
 
-    evidence: Evidence
+    evidence: ScoredRows
     size_V: FloatArray
     weight: FloatArray
     fast_V: FloatArray
@@ -170,7 +170,7 @@ def normal_of(white: FloatArray, rows: BoolArray, clip: float) -> tuple[FloatArr
 
 
 def stated_objective(
-    model: CellModel, evidence: Evidence, soc: FloatArray, voltage_V: FloatArray
+    model: CellModel, evidence: ScoredRows, soc: FloatArray, voltage_V: FloatArray
 ) -> Objective:
     """What the model states of its error at every scored row; SOC and voltage as simulated.
 

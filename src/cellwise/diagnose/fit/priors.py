@@ -28,7 +28,7 @@ from cellwise.diagnose.causes.coordinates import (
 )
 from cellwise.diagnose.fit.coordinate_fit import Fit, Tolerances
 from cellwise.diagnose.fit.rests import OCV_KNOWN
-from cellwise.diagnose.fit.rows import Evidence
+from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.typing import FloatArray
 
 
@@ -87,7 +87,7 @@ AGE = {
 CLASS = {"ln_gain": (0.02, 0.2), "offset_V": (0.005, 0.05)}
 
 
-def tolerances(coordinates: Coordinates, evidence: Evidence) -> Tolerances:
+def tolerances(coordinates: Coordinates, evidence: ScoredRows) -> Tolerances:
     """Standard deviations about neutral of everything that a good laboratory leaves uncertain."""
     model = coordinates.model
     capacity = model.capacity_Ah
@@ -137,7 +137,7 @@ def _bounded(prior: Tolerances) -> Tolerances:
 
 
 def widened_for(
-    prior: Tolerances, cause: Cause, coordinates: Coordinates, evidence: Evidence
+    prior: Tolerances, cause: Cause, coordinates: Coordinates, evidence: ScoredRows
 ) -> Tolerances:
     """The prior with a cause's coordinates as wide as a fault may be."""
     model = coordinates.model
@@ -202,7 +202,7 @@ def calibrated(prior: Tolerances, found: Fit) -> Tolerances:
 
 
 def starts_to_try(
-    cause: Cause, coordinates: Coordinates, evidence: Evidence
+    cause: Cause, coordinates: Coordinates, evidence: ScoredRows
 ) -> list[tuple[Coordinates, dict[str, float]]]:
     """Where the search for a cause begins: coordinates, and what is not at the base there.
 
@@ -229,7 +229,7 @@ def starts_to_try(
 
 
 def start_readings(
-    names: Collection[str], coordinates: Coordinates, evidence: Evidence
+    names: Collection[str], coordinates: Coordinates, evidence: ScoredRows
 ) -> dict[str, dict[str, float]]:
     """By how much a unit of each coordinate moves the SOC that each start stands for.
 

@@ -105,7 +105,7 @@ def rest_reading(logs: Sequence[CellLog], capacity_Ah: float) -> RestReading:
 
 
 @dataclass(frozen=True)
-class Rest:
+class FittedRest:
     """The end of one rest: charge and time since the log's start, and where the OCV must be.
 
     ``direction`` is 1 after a discharge (OCV at or above ``voltage_V``) and -1 after a charge;
@@ -135,7 +135,7 @@ class Rest:
 class RestVoltages:
     """All rests of a diagnosis."""
 
-    rests: tuple[Rest, ...]
+    rests: tuple[FittedRest, ...]
     starts: tuple[float, ...]
 
     def ln_likelihood(self, coordinates: Coordinates, z: Mapping[str, float]) -> float:
@@ -206,7 +206,7 @@ def rest_voltages(logs: Sequence[LogRows], capacity_Ah: float, efficiency: float
     return RestVoltages(tuple(rests), tuple(g.start.soc for g in logs))
 
 
-def _of_log(k: int, rows: LogRows, capacity_Ah: float, efficiency: float) -> list[Rest]:
+def _of_log(k: int, rows: LogRows, capacity_Ah: float, efficiency: float) -> list[FittedRest]:
     log, current = rows.log, rows.current_A
     used = np.where(current > 0.0, current, current * efficiency)
     charge = np.cumsum(used * np.nan_to_num(rows.dt_s)) / 3600.0
@@ -224,7 +224,7 @@ def _of_log(k: int, rows: LogRows, capacity_Ah: float, efficiency: float) -> lis
     return found
 
 
-def _rest(k: int, rows: LogRows, charge_Ah: FloatArray, part: slice) -> Rest | None:
+def _rest(k: int, rows: LogRows, charge_Ah: FloatArray, part: slice) -> FittedRest | None:
     time_s, voltage = rows.log.time_s[part], rows.log.voltage_V[part]
     length = float(time_s[-1] - time_s[0])
 
@@ -246,7 +246,7 @@ def _rest(k: int, rows: LogRows, charge_Ah: FloatArray, part: slice) -> Rest | N
     elif after >= before > 0.0:
         left = before + after
     moved = abs(three - float(voltage[np.isfinite(voltage)][0]))
-    return Rest(
+    return FittedRest(
         k,
         float(charge_Ah[part.stop - 1]),
         float(time_s[-1] - rows.log.time_s[0]) / 3600.0,

@@ -84,7 +84,7 @@ class LogRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ScoredRows:
     """All logs of a diagnosis; arrays run over the scored rows of one log after the other."""
 
     logs: tuple[LogRows, ...]
@@ -100,7 +100,7 @@ class Evidence:
         return int(self.role.size)
 
     @cached_property
-    def fitted(self) -> Evidence:
+    def fitted(self) -> ScoredRows:
         """The logs that have rows to fit: those that are only held out are left off."""
         many = sum(bool(np.any(g.role == FITTED)) for g in self.logs)
         return self if many == len(self.logs) else _evidence(self.logs[:many], self.rest)
@@ -212,7 +212,7 @@ def gather(
     logs: Sequence[tuple[CellLog, InitialSoc]],
     holdout: Sequence[tuple[CellLog, InitialSoc]] = (),
     whole: bool = False,
-) -> Evidence:
+) -> ScoredRows:
     """Make logs ready: rows thinned evenly, fitted and held-out rows marked.
 
     Without ``holdout`` the later blocks of every log are held out; with it every row of ``logs`` is
@@ -248,10 +248,10 @@ def gather(
     return _evidence(tuple(made), rest_reading([g.log for g in made], model.capacity_Ah))
 
 
-def _evidence(logs: tuple[LogRows, ...], rest: RestReading = NO_READING) -> Evidence:
+def _evidence(logs: tuple[LogRows, ...], rest: RestReading = NO_READING) -> ScoredRows:
     """Evidence of logs that are ready."""
     voltage = np.concatenate([g.voltage_V for g in logs])
-    return Evidence(
+    return ScoredRows(
         logs,
         voltage,
         np.isfinite(voltage),

@@ -56,7 +56,7 @@ from cellwise.estimate.equations.constants import (
 from cellwise.estimate.equations.evidence import as_shown, inverse_weight
 from cellwise.estimate.equations.start import held_variance
 from cellwise.estimate.evidence_kernels import (
-    Innovation,
+    InnovationSources,
     Verdict,
     mismatch_step,
     repeated_evidence,
@@ -79,8 +79,8 @@ from cellwise.estimate.filters.update_kernels import counted, update
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NOT_BEGUN_S,
-    Reading,
-    Sample,
+    CheckedReading,
+    MeasuredSample,
     read_sample,
     watch_on,
     watch_voltage,
@@ -381,7 +381,7 @@ def know_past_better(
 
 
 @part
-def look_back(tables: CellTables, bank: FloatArray, s: Sample, first: bool) -> None:
+def look_back(tables: CellTables, bank: FloatArray, s: CheckedReading, first: bool) -> None:
     """The mean of the load since a start under load, and what it says of the past, three times."""
     b = record_of(bank)
     resting = abs(s.seen_A) * 3600.0 < REST_RATE * tables.cell.charge_As
@@ -441,9 +441,9 @@ def use_in_bank(
     cell: CellScalars,
     noise: NoiseScalars,
     state: EkfState,
-    s: Sample,
+    s: CheckedReading,
     evidence_s: float,
-    i: Innovation,
+    i: InnovationSources,
     error_V2: float,
     mismatch: float,
 ) -> Seen:
@@ -489,7 +489,7 @@ def step_component(
     sigma: SigmaScalars | None,
     start: EkfStart,
     state: EkfState,
-    s: Sample,
+    s: CheckedReading,
     error_V2: float,
     mismatch: float,
 ) -> tuple[EkfState, EkfInfo, float, float]:
@@ -516,7 +516,7 @@ def step_bank(
     sigma: SigmaScalars | None,
     start: EkfStart,
     bank: FloatArray,
-    reading: Reading,
+    reading: MeasuredSample,
 ) -> EkfInfo:
     """Every component over one interval, the likeliest first; the estimate is in the first row."""
     b = record_of(bank)

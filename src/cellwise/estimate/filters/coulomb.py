@@ -23,7 +23,7 @@ from cellwise.estimate.filters.kalman import (
 )
 from cellwise.estimate.filters.predict_kernels import gap_variance
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
@@ -69,7 +69,7 @@ class CountRules(NamedTuple):
 
 @inline
 def counted(
-    tables: CellTables, rules: CountRules, state: CoulombState, r: Reading
+    tables: CellTables, rules: CountRules, state: CoulombState, r: MeasuredSample
 ) -> tuple[CoulombState, int]:
     """One interval counted: the new state and the status bits."""
     cell = tables.cell
@@ -110,7 +110,7 @@ def soc_at(tables: CellTables, voltage_V: float, temperature_C: float) -> float:
 
 @kernel
 def gauge_step(
-    tables: CellTables, rules: CountRules, state: CoulombState, r: Reading
+    tables: CellTables, rules: CountRules, state: CoulombState, r: MeasuredSample
 ) -> tuple[CoulombState, bool, int]:
     """Count one interval; where the cell has rested for long enough, read the OCV instead."""
     new, bits = counted(tables, rules, state, r)
@@ -147,7 +147,7 @@ def gauge_rows(
     for k in range(log.dt_s.size):
         if math.isfinite(log.temperature_C[k]):
             warm = log.temperature_C[k]
-        reading = Reading(log.current_A[k], log.voltage_V[k], warm, log.dt_s[k], log.gap[k])
+        reading = MeasuredSample(log.current_A[k], log.voltage_V[k], warm, log.dt_s[k], log.gap[k])
         state, _, bits = gauge_step(tables, rules, state, reading)
         out[0, k] = state.soc
         out[1, k] = math.sqrt(state.variance)

@@ -29,7 +29,7 @@ from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
 
 
-class Interval(NamedTuple):
+class MatrixInterval(NamedTuple):
     """One interval: length, currents, what may have flowed unseen, temperature of the surface.
 
     ``heat_K`` and ``slow_A`` are what the cell carries beside the filter's states at its start.
@@ -69,15 +69,15 @@ class FilterpyFilter(FilterOfModel):
     def _filter(self) -> Any:
         raise NotImplementedError
 
-    def predict(self, kf: Any, now: Interval, after: CellState, diagonal: FloatArray) -> None:
+    def predict(self, kf: Any, now: MatrixInterval, after: CellState, diagonal: FloatArray) -> None:
         """Over one interval: the mean's state after it, the transition's diagonal, ``kf.Q``."""
         raise NotImplementedError
 
-    def seen(self, kf: Any, now: Interval) -> tuple[float, float]:
+    def seen(self, kf: Any, now: MatrixInterval) -> tuple[float, float]:
         """The voltage that is expected, and what the state's variance adds to its own."""
         raise NotImplementedError
 
-    def update(self, kf: Any, voltage_V: float, now: Interval, weight: FloatArray) -> None:
+    def update(self, kf: Any, voltage_V: float, now: MatrixInterval, weight: FloatArray) -> None:
         """With a voltage of the variance ``weight``, shape (1, 1)."""
         raise NotImplementedError
 
@@ -101,7 +101,7 @@ class FilterpyFilter(FilterOfModel):
             unknown = seen**2 + previous**2 if gaps[k] else 0.0
             previous = held
             flow = 0.0 if gaps[k] else seen
-            now = Interval(dt, seen, flow, unknown, float(temperature[k]), heat_K, slow_A)
+            now = MatrixInterval(dt, seen, flow, unknown, float(temperature[k]), heat_K, slow_A)
             if k == 0:
                 point = self.point(float(kf.x[0]), now)
                 flow_A, spread_A, limit_V = before_start(self.cell, seen)
@@ -133,18 +133,18 @@ class FilterpyFilter(FilterOfModel):
         ratio = innovation**2 / (self.noise.gate**2 * variance)
         return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
 
-    def point(self, soc: float, now: Interval) -> CellPoint:
+    def point(self, soc: float, now: MatrixInterval) -> CellPoint:
         """The tables at one SOC, under load."""
         warm_C = now.temperature_C + now.heat_K
         return loaded(self._tables, soc, warm_C, now.seen_A, now.slow_A)
 
-    def moved(self, x: FloatArray, now: Interval) -> CellState:
+    def moved(self, x: FloatArray, now: MatrixInterval) -> CellState:
         """The model's own step of a whole state."""
         state = CellState._make((*(float(v) for v in x), now.heat_K, now.slow_A))
         after, _ = advance(self._tables, state, now.flow_A, now.dt_s, now.temperature_C)
         return after
 
-    def process(self, soc: float, now: Interval) -> tuple[FloatArray, FloatArray]:
+    def process(self, soc: float, now: MatrixInterval) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition, shape (states,), and process noise."""
         noise = self._noise
         point = self.point(soc, now)
@@ -161,12 +161,12 @@ class FilterpyFilter(FilterOfModel):
         q += now.gap_A2 * np.outer(branches, branches)
         return np.array([1.0, *a, t.ah]), q
 
-    def voltage(self, x: FloatArray, now: Interval) -> FloatArray:
+    def voltage(self, x: FloatArray, now: MatrixInterval) -> FloatArray:
         """Terminal voltage of a state, shape (1,)."""
         state = CellState._make((*(float(v) for v in x), 0.0, 0.0))
         return np.array([voltage_of(self.point(state.soc, now), state, now.seen_A)])
 
-    def voltage_variance(self, x: FloatArray, now: Interval) -> tuple[float, int]:
+    def voltage_variance(self, x: FloatArray, now: MatrixInterval) -> tuple[float, int]:
         """Of one voltage about a perfect state, wider beyond the model's data; the status."""
         noise, soc = self._noise, float(x[0])
         point, held = self.point(soc, now), float(np.abs(x[1:-1]).sum())
@@ -188,25 +188,25 @@ class FilterpyEkf(FilterpyFilter):
         return ExtendedKalmanFilter(dim_x=STATES, dim_z=1)
 
     def predict(
-        self, kf: ExtendedKalmanFilter, now: Interval, after: CellState, diagonal: FloatArray
+        self, kf: ExtendedKalmanFilter, now: MatrixInterval, after: CellState, diagonal: FloatArray
     ) -> None:
         """By the model's step and its derivatives."""
         kf.F = np.diag(diagonal)
         kf.P = kf.F @ kf.P @ kf.F.T + kf.Q
         kf.x = np.array(after[:STATES])
 
-    def slopes(self, kf: ExtendedKalmanFilter, now: Interval) -> FloatArray:
+    def slopes(self, kf: ExtendedKalmanFilter, now: MatrixInterval) -> FloatArray:
         """Derivatives of the voltage, shape (1, states)."""
         point = self.point(float(kf.x[0]), now)
         return np.array([[point.ocv_slope_V, *(-1.0 for _ in BRANCHES), point.m_V]])
 
-    def seen(self, kf: ExtendedKalmanFilter, now: Interval) -> tuple[float, float]:
+    def seen(self, kf: ExtendedKalmanFilter, now: MatrixInterval) -> tuple[float, float]:
         """At the mean, and by the derivatives there."""
         slopes = self.slopes(kf, now)
         return float(self.voltage(kf.x, now)[0]), float((slopes @ kf.P @ slopes.T)[0, 0])
 
     def update(
-        self, kf: ExtendedKalmanFilter, voltage_V: float, now: Interval, weight: FloatArray
+        self, kf: ExtendedKalmanFilter, voltage_V: float, now: MatrixInterval, weight: FloatArray
     ) -> None:
         """As filterpy does."""
         slopes = self.slopes(kf, now)
@@ -238,19 +238,19 @@ class FilterpyUkf(FilterpyFilter):
         )
 
     def predict(
-        self, kf: UnscentedKalmanFilter, now: Interval, after: CellState, diagonal: FloatArray
+        self, kf: UnscentedKalmanFilter, now: MatrixInterval, after: CellState, diagonal: FloatArray
     ) -> None:
         """As filterpy does."""
         kf.predict(dt=now.dt_s, now=now)
 
-    def seen(self, kf: UnscentedKalmanFilter, now: Interval) -> tuple[float, float]:
+    def seen(self, kf: UnscentedKalmanFilter, now: MatrixInterval) -> tuple[float, float]:
         """Over the sigma points."""
         voltages = np.array([self.voltage(s, now) for s in kf.sigmas_f])[:, 0]
         mean = float(kf.Wm @ voltages)
         return mean, float(kf.Wc @ (voltages - mean) ** 2)
 
     def update(
-        self, kf: UnscentedKalmanFilter, voltage_V: float, now: Interval, weight: FloatArray
+        self, kf: UnscentedKalmanFilter, voltage_V: float, now: MatrixInterval, weight: FloatArray
     ) -> None:
         """As filterpy does."""
         kf.update(np.array([voltage_V]), R=weight, now=now)

@@ -23,7 +23,7 @@ from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.evidence_kernels import Verdict
 from cellwise.estimate.filters.drift_kernels import Drift, student
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Sample
+from cellwise.estimate.sensing_kernels import CheckedReading
 from cellwise.estimate.status import CURRENT_INVALID
 
 SCALE_LOW, SCALE_HIGH = 0.2, 5.0  # of a resistance
@@ -312,7 +312,7 @@ def watched_resistances(
     rules: FreeRules | None,
     free: Free | None,
     noise: NoiseScalars,
-    s: Sample,
+    s: CheckedReading,
     drop_V: float,
     v: Verdict,
     soc_variance: float,

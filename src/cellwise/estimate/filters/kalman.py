@@ -33,7 +33,7 @@ from cellwise.estimate.filters.filter_state import (
 from cellwise.estimate.filters.kalman_kernels import kalman_rows, kalman_step_of_rows
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise, noise_for
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.typing import FloatArray
@@ -208,7 +208,7 @@ def trace_fields(log: CellLog, out: TraceArrays) -> dict[str, Any]:
 
 def reading_from(
     current_A: float, voltage_V: float, temperature_C: float | None, dt_s: float, gap: bool
-) -> Reading:
+) -> MeasuredSample:
     """What an online step is given, as the kernels read it.
 
     Raises
@@ -218,7 +218,7 @@ def reading_from(
     interval = number("dt_s", dt_s, "seconds, at least 0", "Pass the interval's length.")
     if not (math.isfinite(interval) and interval >= 0.0):
         raise InputError(f"dt_s = {dt_s}", "seconds, at least 0", "Pass the interval's length.")
-    return Reading(
+    return MeasuredSample(
         one_reading("current_A", current_A, "ampere"),
         one_reading("voltage_V", voltage_V, "volt"),
         math.nan if temperature_C is None else one_reading("temperature_C", temperature_C, "degC"),

@@ -45,7 +45,7 @@ from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_know
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import NOT_BEGUN_S, Reading
+from cellwise.estimate.sensing_kernels import NOT_BEGUN_S, MeasuredSample
 from cellwise.typing import FloatArray
 
 # Where the constants of a filter begin in their row: the cell, its noise, the start of the unknown.
@@ -60,7 +60,7 @@ def bank_or_alone(
     sigma: SigmaScalars | None,
     start: EkfStart,
     bank: FloatArray,
-    reading: Reading,
+    reading: MeasuredSample,
 ) -> EkfInfo:
     """One step of a bank in memory: of its components, or of the estimate alone."""
     state = state_in(bank, 0)
@@ -100,7 +100,7 @@ def kalman_step_of_rows(
     tables = CellTables(table, grid_C, record_at(CellScalars, constants, 0, 1))
     noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
     unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
-    reading = Reading(current_A, voltage_V, temperature_C, dt_s, gap)
+    reading = MeasuredSample(current_A, voltage_V, temperature_C, dt_s, gap)
     info = bank_or_alone(tables, noise, sigma, unknown, bank, reading)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
@@ -118,9 +118,9 @@ def put_info(values: FloatArray, k: int, info: EkfInfo) -> None:
 
 
 @inline
-def reading_of(log: LogArrays, k: int) -> Reading:
+def reading_of(log: LogArrays, k: int) -> MeasuredSample:
     """What the sensors say in one row."""
-    return Reading(
+    return MeasuredSample(
         log.current_A[k], log.voltage_V[k], log.temperature_C[k], log.dt_s[k], log.gap[k]
     )
 
@@ -233,7 +233,7 @@ def adaptive_step(
     start: EkfStart,
     bank: FloatArray,
     free: Free,
-    reading: Reading,
+    reading: MeasuredSample,
     out: TraceArrays,
 ) -> Free:
     """One step for online use; ``bank`` goes on, ``out`` is its one row."""

@@ -44,8 +44,8 @@ from cellwise.estimate.filters.covariance_kernels import (
     noisy,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes, slopes_at
+from cellwise.estimate.sensing_kernels import CheckedReading
+from cellwise.estimate.slopes_kernels import VoltageSlopes, slopes_at
 from cellwise.estimate.status import OUTSIDE
 
 SOC_LOW = 0.0
@@ -53,7 +53,7 @@ SOC_HIGH = 1.0
 RESTED_V2 = START_BRANCH_V * START_BRANCH_V
 
 
-class Interval(NamedTuple):
+class PredictedInterval(NamedTuple):
     """An interval as a filter finds it: where it starts, what it does, the tables at its end.
 
     Where the cell is new to the filter, ``old`` holds what its branches may hold and ``unknown``
@@ -82,8 +82,8 @@ def before_start(cell: CellScalars, seen_A: float) -> Before:
 @inline
 @unrolled
 def over_interval(
-    tables: CellTables, noise: NoiseScalars, x: ByState, soc: float, s: Sample, begins: bool
-) -> Interval:
+    tables: CellTables, noise: NoiseScalars, x: ByState, soc: float, s: CheckedReading, begins: bool
+) -> PredictedInterval:
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
     warm = s.temperature_C + x.heat_K
@@ -109,7 +109,9 @@ def over_interval(
         point = widened(point, more)
     if s.no_warm_s > 0.0:
         point = widened(point, lost_temperature_V(s.no_warm_s, drop_V))
-    return Interval(old, point, t, end, warm, Branches(*(unknown[i] for i in BRANCHES)), status)
+    return PredictedInterval(
+        old, point, t, end, warm, Branches(*(unknown[i] for i in BRANCHES)), status
+    )
 
 
 @inline
@@ -117,8 +119,8 @@ def over_interval(
 def with_noise(
     p: Covariance,
     noise: NoiseScalars,
-    s: Sample,
-    now: Interval,
+    s: CheckedReading,
+    now: PredictedInterval,
     no_voltage_s: float,
     charge_As: float,
 ) -> Covariance:
@@ -153,7 +155,9 @@ def gap_variance(gap_soc: float, charge_As: float, gap_A2: float, dt_s: float) -
 
 
 @inline
-def variance_after_gap(tables: CellTables, noise: NoiseScalars, s: Sample, ss: float) -> float:
+def variance_after_gap(
+    tables: CellTables, noise: NoiseScalars, s: CheckedReading, ss: float
+) -> float:
     """SOC's variance after a gap: nobody knows what flowed in it."""
     if s.gap:
         ss += gap_variance(noise.gap_soc, tables.cell.charge_As, s.gap_A2, s.dt_s)
@@ -161,7 +165,7 @@ def variance_after_gap(tables: CellTables, noise: NoiseScalars, s: Sample, ss: f
 
 
 @inline
-def drifted(tables: CellTables, s: Sample, ss: float) -> float:
+def drifted(tables: CellTables, s: CheckedReading, ss: float) -> float:
     """SOC's variance while the current is lost."""
     if s.lost_A <= 0.0:
         return ss
@@ -173,11 +177,11 @@ def drifted(tables: CellTables, s: Sample, ss: float) -> float:
 def by_tangents(
     tables: CellTables,
     noise: NoiseScalars,
-    s: Sample,
-    now: Interval,
+    s: CheckedReading,
+    now: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
-) -> tuple[CellState, Covariance, Slopes]:
+) -> tuple[CellState, Covariance, VoltageSlopes]:
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     end, point = now.end, now.point
     t: ByState = now.t

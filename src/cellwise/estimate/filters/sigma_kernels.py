@@ -32,14 +32,14 @@ from cellwise.estimate.filters.covariance_kernels import (
     without_outer,
 )
 from cellwise.estimate.filters.predict_kernels import (
-    Interval,
+    PredictedInterval,
     drifted,
     variance_after_gap,
     with_noise,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes, tangent
+from cellwise.estimate.sensing_kernels import CheckedReading
+from cellwise.estimate.slopes_kernels import VoltageSlopes, tangent
 
 
 class SigmaScalars(NamedTuple):
@@ -83,11 +83,11 @@ def by_points(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars,
-    s: Sample,
-    now: Interval,
+    s: CheckedReading,
+    now: PredictedInterval,
     p: Covariance,
     no_voltage_s: float,
-) -> tuple[CellState, Covariance, Slopes]:
+) -> tuple[CellState, Covariance, VoltageSlopes]:
     """Mean and covariance at the end: first and second differences along the pair, the rest mapped.
 
     The slopes are those of the centre; their ``spread`` is above zero where the points have their
@@ -134,9 +134,9 @@ def by_points(
 def voltage_by_points(
     tables: CellTables,
     sigma: SigmaScalars,
-    s: Sample,
+    s: CheckedReading,
     point: CellPoint,
-    at: Slopes,
+    at: VoltageSlopes,
     warm_C: float,
     x: ByState,
     p: Covariance,

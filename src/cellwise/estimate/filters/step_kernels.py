@@ -28,7 +28,7 @@ from cellwise.cell.equations import (
 )
 from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.evidence_kernels import (
-    Innovation,
+    InnovationSources,
     Verdict,
     gate,
     stated_deviation,
@@ -63,8 +63,8 @@ from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NO_VOLTAGE_YET_S,
     NOT_BEGUN_S,
-    Reading,
-    Sample,
+    CheckedReading,
+    MeasuredSample,
     read_sample,
 )
 from cellwise.estimate.status import CLAMPED, OUTSIDE, STATE_RESET
@@ -79,7 +79,7 @@ def predict(
     start: EkfStart,
     state: EkfState,
     free: Free | None,
-    s: Sample,
+    s: CheckedReading,
 ) -> Predicted:
     """Charge first, then the tables at the new SOC; a state that is not finite starts again."""
     cell = tables.cell
@@ -118,9 +118,9 @@ def innovate(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
-    s: Sample,
+    s: CheckedReading,
     now: Predicted,
-) -> tuple[Innovation, Voltage]:
+) -> tuple[InnovationSources, Voltage]:
     """Measured less predicted voltage; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
     branches = held_in_branches(x)
@@ -140,7 +140,7 @@ def innovate(
     predicted = seen.predicted_V + drift.believed * dropped
     followed = slope * now.followed + drift.believed * dropped
     # fmt: off
-    i = Innovation(
+    i = InnovationSources(
         predicted, s.voltage_V - predicted, seen.variance_V2, one, free_variance, point.r0_ohm,
         branches, of_offset, followed,
     )
@@ -149,7 +149,7 @@ def innovate(
 
 
 @inline
-def say(i: Innovation, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
+def say(i: InnovationSources, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
     """SOC held within 0..1, and what there is to report."""
     soc = e.x.soc
     if soc < SOC_LOW or soc > SOC_HIGH:
@@ -175,7 +175,7 @@ def filter_step(
     start: EkfStart,
     state: EkfState,
     free: Free | None,
-    reading: Reading,
+    reading: MeasuredSample,
 ) -> tuple[EkfState, Free | None, EkfInfo]:
     """Over the interval that ends now, then the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)

@@ -9,7 +9,7 @@ from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.equations.evidence import persistent_step
 from cellwise.estimate.evidence_kernels import (
-    Innovation,
+    InnovationSources,
     Verdict,
     contradicted_after,
     lasting_V,
@@ -30,8 +30,8 @@ from cellwise.estimate.filters.free_kernels import (
 )
 from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import Sample
-from cellwise.estimate.slopes_kernels import Slopes
+from cellwise.estimate.sensing_kernels import CheckedReading
+from cellwise.estimate.slopes_kernels import VoltageSlopes
 from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
 
 
@@ -47,7 +47,7 @@ class Predicted(NamedTuple):
     x: CellState
     p: Covariance
     point: CellPoint
-    at: Slopes
+    at: VoltageSlopes
     warm_C: float
     evidence_s: float
     drift: Drift
@@ -80,10 +80,10 @@ def counted(now: Predicted) -> Estimate:
 def update(
     noise: NoiseScalars,
     rules: FreeRules | None,
-    s: Sample,
+    s: CheckedReading,
     now: Predicted,
     seen: Voltage,
-    i: Innovation,
+    i: InnovationSources,
     v: Verdict,
 ) -> Estimate:
     """After an accepted voltage."""

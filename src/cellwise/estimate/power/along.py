@@ -32,13 +32,13 @@ from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
     FACTOR_VARIANCE,
     Correction,
+    CorrectionCovariance,
     Present,
-    Spread,
     falling_share,
     moment_of,
 )
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings, StateOfPower, present_of
-from cellwise.estimate.sensing_kernels import Reading
+from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
@@ -63,7 +63,7 @@ class Smoothed(NamedTuple):
     far: float
 
 
-class Memory(NamedTuple):
+class CorrectionMemory(NamedTuple):
     """A correction, the voltages ``seen_s`` it goes by, and the means it is estimated from.
 
     ``fast`` is R0 I + V1, ``fallen`` the same times the share that falls with the current, ``tail``
@@ -81,10 +81,10 @@ class Memory(NamedTuple):
 
 
 @kernel
-def no_memory() -> Memory:
+def no_memory() -> CorrectionMemory:
     """Before any sample."""
     none = Smoothed(0.0, 0.0)
-    return Memory(AS_MODEL, 0.0, none, none, none, none, 0.0, 0.0)
+    return CorrectionMemory(AS_MODEL, 0.0, none, none, none, none, 0.0, 0.0)
 
 
 @inline
@@ -95,10 +95,10 @@ def smoothed(was: Smoothed, value: float, near: float, far: float) -> Smoothed:
 
 
 @inline
-def forgetting(s: Spread, dt_s: float) -> Spread:
+def forgetting(s: CorrectionCovariance, dt_s: float) -> CorrectionCovariance:
     """Variances grow towards what they were before anything was seen."""
     more, most = FORGOTTEN_PER_S * dt_s, FACTOR_VARIANCE
-    return Spread(
+    return CorrectionCovariance(
         min(s.cc + more, most), s.cf, s.ct, min(s.ff + more, most), s.ft, min(s.tt + more, most)
     )
 
@@ -119,7 +119,7 @@ def least_squares(
     f = s.cf * fast_V + (s.ff * fallen_V + s.ft * tail_V)
     t = s.ct * fast_V + (s.ft * fallen_V + s.tt * tail_V)
     k = 1.0 / (noise_V2 + (fast_V * c + (fallen_V * f + tail_V * t)))
-    spread = Spread(
+    spread = CorrectionCovariance(
         max(s.cc - k * c * c, 0.0), s.cf - k * c * f, s.ct - k * c * t,
         max(s.ff - k * f * f, 0.0), s.ft - k * f * t, max(s.tt - k * t * t, 0.0),
     )  # fmt: skip
@@ -130,12 +130,12 @@ def least_squares(
 @kernel
 def remembered(
     tables: CellTables,
-    was: Memory,
+    was: CorrectionMemory,
     x: CellState,
-    reading: Reading,
+    reading: MeasuredSample,
     seen_A: float,
     status: int,
-) -> Memory:
+) -> CorrectionMemory:
     """One sample on; ``seen_A`` is the current that the voltage has seen.
 
     The bias is the mean over ``BIAS_S`` of measured less corrected voltage, a plain one until that
@@ -169,7 +169,7 @@ def remembered(
     off_V = miss_V + taken_off(but, fast_V, fallen_V, x.v2_V)
     share = min(dt_s / seen_s, 1.0) if seen_s > 0.0 else 1.0
     but = changed(but, "bias_V", but.bias_V + share * (off_V - but.bias_V))
-    return Memory(but, seen_s, fast, fallen, tail, miss, swing_V2, miss_V2)
+    return CorrectionMemory(but, seen_s, fast, fallen, tail, miss, swing_V2, miss_V2)
 
 
 class Carried(NamedTuple):
@@ -177,12 +177,12 @@ class Carried(NamedTuple):
 
     cell: CellState
     previous_A: float
-    memory: Memory
+    memory: CorrectionMemory
 
 
 @kernel
 def carried_on(
-    tables: CellTables, was: Carried, reading: Reading, soc: float, status: int
+    tables: CellTables, was: Carried, reading: MeasuredSample, soc: float, status: int
 ) -> Carried:
     """One sample on, at a known temperature: a missing current is the last, over a gap none."""
     last_A = was.previous_A if math.isfinite(was.previous_A) else 0.0
@@ -305,12 +305,12 @@ class PowerFollower:
     def __init__(self, settings: PowerSettings) -> None:
         self.settings = settings
         self._carried: Carried | None = None
-        self.take(Reading(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
+        self.take(MeasuredSample(0.0, float("nan"), 25.0, 0.0, False), empty_state(0.5))  # compiles
         settings.of(present_of(empty_state(0.5), 25.0))
         self._carried = None
 
     def take(
-        self, reading: Reading, state: EkfState | AdaptiveState | CellState, status: int = 0
+        self, reading: MeasuredSample, state: EkfState | AdaptiveState | CellState, status: int = 0
     ) -> None:
         """Follow one sample; ``state`` is what the filter has made of it."""
         soc = present_of(state, reading.temperature_C).cell.soc

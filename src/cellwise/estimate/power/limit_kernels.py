@@ -9,7 +9,7 @@ from cellwise.cell.compiled import kernel, part, rows
 from cellwise.cell.equations import CellTables, with_soc
 from cellwise.cell.packed import changed, record_at
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.power.load_kernels import Held, Present, end_variance, held, moment_of
+from cellwise.estimate.power.load_kernels import LoadedState, Present, end_variance, held, moment_of
 from cellwise.typing import FloatArray
 
 # Which limit a load reaches first.
@@ -18,7 +18,7 @@ IMPOSSIBLE = -1.0
 SMALLEST_SHIFT = 1e-6  # of SOC: below it there is no chord
 
 
-class Search(NamedTuple):
+class LimitSearch(NamedTuple):
     """How the largest load is looked for."""
 
     widenings: int = 24  # doublings of the bracket at most
@@ -27,7 +27,7 @@ class Search(NamedTuple):
     near: float = 0.02  # of the load: how far a neighbour's answer is tried to either side
 
 
-SEARCH = Search()
+SEARCH = LimitSearch()
 
 SUSTAINED_SIGMAS = 1.6449  # one-sided 95 % of a normal distribution
 
@@ -66,7 +66,7 @@ class Trial(NamedTuple):
     ``off_V`` is by how much the voltage may be lower or higher than it says.
     """
 
-    load: Held
+    load: LoadedState
     off_V: float
     margin: float
     reason: int
@@ -86,7 +86,7 @@ class Capability(NamedTuple):
 
 
 @part
-def led_to(q: Question, load: float, soc: float) -> Held:
+def led_to(q: Question, load: float, soc: float) -> LoadedState:
     """Where a load, without sign, leads to from a SOC."""
     start = with_soc(q.now.cell, soc)
     return held(

@@ -33,7 +33,7 @@ STEPS = 5
 REPETITIONS = 2
 
 
-class Spread(NamedTuple):
+class CorrectionCovariance(NamedTuple):
     """Covariance of the three numbers of a correction: common, falling, tail."""
 
     cc: float
@@ -56,12 +56,12 @@ class Correction(NamedTuple):
     falling: float
     tail: float
     bias_V: float
-    spread: Spread
+    spread: CorrectionCovariance
 
 
 # Of each number beforehand: resistances differ by a fifth from cell to cell and over a life.
 FACTOR_VARIANCE = 0.2**2
-UNSEEN = Spread(FACTOR_VARIANCE, 0.0, 0.0, FACTOR_VARIANCE, 0.0, FACTOR_VARIANCE)
+UNSEEN = CorrectionCovariance(FACTOR_VARIANCE, 0.0, 0.0, FACTOR_VARIANCE, 0.0, FACTOR_VARIANCE)
 AS_MODEL = Correction(0.0, 0.0, 0.0, 0.0, UNSEEN)
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 
@@ -88,7 +88,7 @@ class Moment(NamedTuple):
     possible: bool
 
 
-class Held(NamedTuple):
+class LoadedState(NamedTuple):
     """A load after a horizon; ``lowest_V`` and ``highest_V`` from its first moment on."""
 
     end: CellState
@@ -117,7 +117,9 @@ def fast_factor(cell: CellScalars, but: Correction, current_A: float) -> float:
 
 
 @inline
-def variance_along(s: Spread, common_V: float, falling_V: float, tail_V: float) -> float:
+def variance_along(
+    s: CorrectionCovariance, common_V: float, falling_V: float, tail_V: float
+) -> float:
     """Variance of the drop that a correction makes, by what each of its numbers counts [V^2]."""
     common = s.cc * common_V + (2.0 * s.cf * falling_V + 2.0 * s.ct * tail_V)
     falling = s.ff * falling_V + 2.0 * s.ft * tail_V
@@ -190,7 +192,7 @@ def held(
     horizon_s: float,
     temperature_C: float,
     but: Correction,
-) -> Held:
+) -> LoadedState:
     """Hold a load, positive on discharge: a power [W], else a current [A], over a horizon.
 
     The current of a power is renewed at the beginning of each of ``STEPS`` even intervals, and at
@@ -209,12 +211,12 @@ def held(
         lowest = min(lowest, now.voltage_V)
         highest = max(highest, now.voltage_V)
         largest = max(largest, abs(now.current_A))
-    return Held(x, now, lowest, highest, largest)
+    return LoadedState(x, now, lowest, highest, largest)
 
 
 @part
 def end_variance(
-    tables: CellTables, noise: NoiseScalars, known: Present, load: Held, slope_V: float
+    tables: CellTables, noise: NoiseScalars, known: Present, load: LoadedState, slope_V: float
 ) -> float:
     """Variance of the voltage at the end of a load [V^2].
 

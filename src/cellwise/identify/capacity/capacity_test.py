@@ -14,13 +14,18 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
-from cellwise.identify.capacity.half_cycles import HalfCycle, Trace, find_half_cycles, join_logs
+from cellwise.identify.capacity.half_cycles import (
+    CapacityTrace,
+    HalfCycle,
+    find_half_cycles,
+    join_logs,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
 
 
-class _Limits(NamedTuple):
+class _CapacityTestLimits(NamedTuple):
     """What a full discharge is."""
 
     at_limit_V: float = 0.01  # so near to a voltage limit is at it, ...
@@ -45,7 +50,7 @@ class _Limits(NamedTuple):
     tolerance_V: float = 0.004
 
 
-LIMITS = _Limits()
+LIMITS = _CapacityTestLimits()
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ class CapacityTest:
         return self.total_Ah / charged
 
 
-class _Window(NamedTuple):
+class _VoltageWindow(NamedTuple):
     """Voltage limits that a set of logs shows [V]; whether more than one test met the lower one."""
 
     low_V: float
@@ -149,23 +154,23 @@ def measure_capacities(
     ends = [_lowest_V(trace, halves[k]) for _, trace, halves, k in found]
     high_V = max(float(np.max(trace.voltage_V)) for trace in traces)
     near = max(map(_tolerance_V, traces))
-    window = _Window(min(ends), high_V, sum(e <= min(ends) + near for e in ends) > 1)
+    window = _VoltageWindow(min(ends), high_V, sum(e <= min(ends) + near for e in ends) > 1)
     tests = [_measure(*one, window) for one in found]
     whole = [t.total_Ah for t in tests if t.complete] or [t.total_Ah for t in tests]
     capacity = nominal_Ah or max(whole)
     return tuple(replace(t, rate_C=t.current_A / capacity) for t in tests)
 
 
-def _lowest_V(trace: Trace, half: HalfCycle) -> float:
+def _lowest_V(trace: CapacityTrace, half: HalfCycle) -> float:
     return float(np.min(trace.voltage_V[half.steady_start : half.stop]))
 
 
-def _tolerance_V(trace: Trace) -> float:
+def _tolerance_V(trace: CapacityTrace) -> float:
     """How near to a limit counts as at it [V]."""
     return max(LIMITS.at_limit_V, LIMITS.at_limit * float(np.ptp(trace.voltage_V)))
 
 
-def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:
+def _is_capacity_test(trace: CapacityTrace, half: HalfCycle) -> bool:
     """Whether a half cycle discharges without a pause at one current, to its lowest voltage."""
     if half.charge_Ah <= 0.0:
         return False
@@ -177,7 +182,7 @@ def _is_capacity_test(trace: Trace, half: HalfCycle) -> bool:
     return bool(idle_s <= LIMITS.idle_s and moved[off].sum() <= (1.0 - LIMITS.steady) * moved.sum())
 
 
-def _cc_stop(trace: Trace, half: HalfCycle, limit_V: float) -> int:
+def _cc_stop(trace: CapacityTrace, half: HalfCycle, limit_V: float) -> int:
     """Row after the last one of a discharge's CC part: where it met the limit, else its end."""
     voltage = trace.voltage_V[half.steady_start : half.stop]
     at = np.flatnonzero(voltage <= limit_V + _tolerance_V(trace))
@@ -189,7 +194,7 @@ def _cc_stop(trace: Trace, half: HalfCycle, limit_V: float) -> int:
 
 
 def _measure(
-    name: str, trace: Trace, halves: tuple[HalfCycle, ...], k: int, window: _Window
+    name: str, trace: CapacityTrace, halves: tuple[HalfCycle, ...], k: int, window: _VoltageWindow
 ) -> CapacityTest:
     half = halves[k]
     begin, end, first = half.begin, half.end, half.steady_start
@@ -232,7 +237,7 @@ def _measure(
 
 
 def _not_full(
-    trace: Trace, halves: tuple[HalfCycle, ...], k: int, window: _Window
+    trace: CapacityTrace, halves: tuple[HalfCycle, ...], k: int, window: _VoltageWindow
 ) -> tuple[str, ...]:
     """Why a discharge did not begin full; a log that begins with it is taken to begin full."""
     half, low_V, high_V = halves[k], window.low_V, window.high_V
@@ -251,7 +256,7 @@ def _not_full(
 
 
 def _complete_charge(
-    trace: Trace, halves: tuple[HalfCycle, ...], k: int, window: _Window
+    trace: CapacityTrace, halves: tuple[HalfCycle, ...], k: int, window: _VoltageWindow
 ) -> float | None:
     """Charge of a half cycle that goes from the lower to the upper limit, else None [Ah]."""
     if not 0 < k < len(halves):
@@ -263,7 +268,7 @@ def _complete_charge(
     return -half.charge_Ah if from_empty and to_full else None
 
 
-def _looks_like_end(trace: Trace, start: int, stop: int) -> bool:
+def _looks_like_end(trace: CapacityTrace, start: int, stop: int) -> bool:
     """Whether the discharge in rows start to stop ends as one does: bending down, or at a round V.
 
     For a lone test without given limits, where it is all there is. Of 49 measured discharges all

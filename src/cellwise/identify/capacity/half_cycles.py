@@ -20,7 +20,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 
-class _Limits(NamedTuple):
+class _HalfCycleLimits(NamedTuple):
     """What a half cycle is; all are shares."""
 
     turn: float = 0.1  # of the whole movement: less is a pulse, not a new half cycle
@@ -30,10 +30,10 @@ class _Limits(NamedTuple):
     whole: float = 0.5  # of the largest: what moves less is a part
 
 
-LIMITS = _Limits()
+LIMITS = _HalfCycleLimits()
 
 
-class Trace(NamedTuple):
+class CapacityTrace(NamedTuple):
     """One log, or several that follow one another, as plain columns.
 
     charge_Ah : (n,) removed since the first row; intervals between logs move nothing
@@ -75,7 +75,7 @@ class HalfCycle(NamedTuple):
         """Last row before the main current flows."""
         return max(self.steady_start - 1, 0)
 
-    def at_main_current(self, trace: Trace) -> BoolArray:
+    def at_main_current(self, trace: CapacityTrace) -> BoolArray:
         """Rows of the trace at its main current, shape (n,)."""
         near_A = LIMITS.steady * abs(self.main_current_A)
         rows = np.abs(trace.current_A - self.main_current_A) <= near_A
@@ -83,7 +83,7 @@ class HalfCycle(NamedTuple):
         return rows
 
 
-def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
+def join_logs(logs: CellLog | Sequence[CellLog]) -> CapacityTrace:
     """Columns of one log, or of several that follow one another on the same cell.
 
     Between two logs the cell is taken to rest: nothing flows from the last row of one to the first
@@ -101,7 +101,7 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
         charge.append(before + part.counted_charge_Ah())
         before = float(charge[-1][-1])
     warm = [p.temperature_C for p in parts]
-    return Trace(
+    return CapacityTrace(
         charge_Ah=np.concatenate(charge),
         current_A=np.concatenate([part.known_current_A() for part in parts]),
         interval_s=np.concatenate([part.interval_s for part in parts]),
@@ -113,7 +113,7 @@ def join_logs(logs: CellLog | Sequence[CellLog]) -> Trace:
     )
 
 
-def find_half_cycles(trace: Trace) -> tuple[HalfCycle, ...]:
+def find_half_cycles(trace: CapacityTrace) -> tuple[HalfCycle, ...]:
     """Stretches between the turning points of the counted charge."""
     charge = trace.charge_Ah
     turns = _turning_rows(charge, LIMITS.turn * float(np.ptp(charge)))
@@ -144,7 +144,7 @@ def discharge_rows(log: CellLog) -> BoolArray:
     return rows
 
 
-def _half_cycle(trace: Trace, start: int, stop: int) -> HalfCycle | None:
+def _half_cycle(trace: CapacityTrace, start: int, stop: int) -> HalfCycle | None:
     moved = float(trace.charge_Ah[stop - 1] - trace.charge_Ah[start - 1])
     current = trace.current_A[start:stop]
     share = np.maximum(current * np.sign(moved), 0.0) * trace.interval_s[start:stop]

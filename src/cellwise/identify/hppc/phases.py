@@ -14,7 +14,7 @@ from cellwise.identify.hppc.plateaus import (
     RISE_S,
     CurrentScale,
     PhaseKind,
-    Span,
+    PlateauSpan,
     current_scale,
     find_plateaus,
 )
@@ -22,7 +22,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 
-class _Limits(NamedTuple):
+class _PhaseLimits(NamedTuple):
     """What a phase is."""
 
     drive_s: float = 5.0  # levels held for less, one after another, are a drive ...
@@ -32,7 +32,7 @@ class _Limits(NamedTuple):
     held: float = 1e-3
 
 
-LIMITS = _Limits()
+LIMITS = _PhaseLimits()
 HEAD = 0.03  # of a current: what leads to a constant voltage may drift by so much
 
 
@@ -122,9 +122,9 @@ def filled(voltage_V: FloatArray) -> FloatArray:
     return np.interp(rows, rows[~bad], voltage_V[~bad])
 
 
-def _assemble(plateaus: list[Span], s: _Signals) -> list[Span]:
+def _assemble(plateaus: list[PlateauSpan], s: _Signals) -> list[PlateauSpan]:
     """Plateaus and what lies between them, as spans that touch."""
-    spans: list[Span] = []
+    spans: list[PlateauSpan] = []
     at, n = 0, s.time_s.size
     for plateau in plateaus:
         start = plateau.start
@@ -141,8 +141,8 @@ def _assemble(plateaus: list[Span], s: _Signals) -> list[Span]:
 
 
 def _between(
-    a: int, b: int, before: Span | None, after_A: float, s: _Signals
-) -> tuple[list[Span], int]:
+    a: int, b: int, before: PlateauSpan | None, after_A: float, s: _Signals
+) -> tuple[list[PlateauSpan], int]:
     """What rows a to b between two plateaus are, and where the second one begins with its rise."""
     inside = s.current_A[a:b]
     begin_A = before.level_A if before is not None else float(inside[0])
@@ -163,7 +163,7 @@ def _rises(inside: FloatArray, begin_A: float, end_A: float, scale: CurrentScale
     return bool(within and np.all(on >= -scale.step_A))
 
 
-def _moving(a: int, b: int, s: _Signals) -> tuple[list[Span], int]:
+def _moving(a: int, b: int, s: _Signals) -> tuple[list[PlateauSpan], int]:
     """Rows that hold no level: constant voltage with what leads to it, or dynamic; where they end.
 
     The last rows, up to a tester's rise, may lead from the constant voltage to what follows.
@@ -180,14 +180,14 @@ def _moving(a: int, b: int, s: _Signals) -> tuple[list[Span], int]:
     if not whole and _held(a, b, s):
         first, last, whole = a, b, True
     if not whole:
-        return [Span("dynamic", a, b, float(np.mean(s.current_A[a:b])))], b
+        return [PlateauSpan("dynamic", a, b, float(np.mean(s.current_A[a:b])))], b
     spans = []
     if first > a:
         head = s.current_A[a:first]
         flat = np.ptp(head) <= max(s.scale.step_A, HEAD * float(np.max(np.abs(head))))
         kind: PhaseKind = "cc" if flat or s.seconds(a, first) <= RISE_S else "dynamic"
-        spans.append(Span(kind, a, first, float(np.mean(head))))
-    spans.append(Span("cv", first, last, float(np.mean(s.current_A[first:last]))))
+        spans.append(PlateauSpan(kind, a, first, float(np.mean(head))))
+    spans.append(PlateauSpan("cv", first, last, float(np.mean(s.current_A[first:last]))))
     return spans, last
 
 
@@ -205,18 +205,20 @@ def _held(a: int, b: int, s: _Signals) -> bool:
     return bool(high - low <= 2.0 * s.tolerance_V)
 
 
-def _join_cv(spans: list[Span], s: _Signals) -> list[Span]:
+def _join_cv(spans: list[PlateauSpan], s: _Signals) -> list[PlateauSpan]:
     """Steps of a falling current at one voltage belong to one constant-voltage phase."""
-    out: list[Span] = []
+    out: list[PlateauSpan] = []
     for span in spans:
         while out and _continues(out[-1], span, out[-2] if len(out) > 1 else None, s):
             last = out.pop()
-            span = Span("cv", last.start, span.stop, span.level_A)
+            span = PlateauSpan("cv", last.start, span.stop, span.level_A)
         out.append(span)
     return out
 
 
-def _continues(last: Span, span: Span, before: Span | None, s: _Signals) -> bool:
+def _continues(
+    last: PlateauSpan, span: PlateauSpan, before: PlateauSpan | None, s: _Signals
+) -> bool:
     """Whether two spans are parts of one constant-voltage phase."""
     if "rest" in (last.kind, span.kind) or last.level_A * span.level_A <= 0.0:
         return False
@@ -233,21 +235,21 @@ def _continues(last: Span, span: Span, before: Span | None, s: _Signals) -> bool
     return constant and larger and s.still(last.start, last.stop, held)
 
 
-def _join_dynamic(spans: list[Span], s: _Signals) -> list[Span]:
+def _join_dynamic(spans: list[PlateauSpan], s: _Signals) -> list[PlateauSpan]:
     """Short levels one after another, and what moves between them, are one dynamic phase."""
-    out: list[Span] = []
+    out: list[PlateauSpan] = []
     for short, spans_ in groupby(
         spans, lambda x: x.kind == "dynamic" or s.seconds(x.start, x.stop) < LIMITS.drive_s
     ):
         group = list(spans_)
         moves = any(x.kind == "dynamic" for x in group)
         if short and len(group) > 1 and (moves or len(group) >= LIMITS.drive_levels):
-            group = [Span("dynamic", group[0].start, group[-1].stop, 0.0)]
+            group = [PlateauSpan("dynamic", group[0].start, group[-1].stop, 0.0)]
         out += group
     return out
 
 
-def _finish(spans: list[Span], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
+def _finish(spans: list[PlateauSpan], s: _Signals, log: CellLog) -> tuple[Phase, ...]:
     charge = log.counted_charge_Ah()
     flow = np.concatenate(([0.0], np.cumsum(s.current_A * log.interval_s)))
     phases = []

@@ -21,7 +21,7 @@ PhaseKind = Literal["rest", "cc", "cv", "dynamic"]
 RowArray = NDArray[np.int64]
 
 
-class _Limits(NamedTuple):
+class _PlateauLimits(NamedTuple):
     """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
     near_zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
@@ -54,7 +54,7 @@ class _White(NamedTuple):
     quiet: float = 1.25  # ... whose sum is below this
 
 
-LIMITS, WHITE = _Limits(), _White()
+LIMITS, WHITE = _PlateauLimits(), _White()
 MEAN_BEND = math.sqrt(12.0 / math.pi)  # mean size of a second difference of noise of unit sigma
 LOWER_BEND = 1.367  # mean of the smaller four fifths of them
 # Up to this long, what lies between two plateaus is the tester's rise.
@@ -76,7 +76,7 @@ class CurrentScale(NamedTuple):
     range_A: float
 
 
-class Span(NamedTuple):
+class PlateauSpan(NamedTuple):
     """Rows ``start`` to ``stop`` (not included) of one kind, and their mean current [A]."""
 
     kind: PhaseKind
@@ -123,7 +123,7 @@ def _lower_mean(x: FloatArray, lag: int) -> float:
     return float(np.mean(lower)) if lower.size else 0.0
 
 
-def find_plateaus(current_A: FloatArray, scale: CurrentScale) -> list[Span]:
+def find_plateaus(current_A: FloatArray, scale: CurrentScale) -> list[PlateauSpan]:
     """Rests and constant currents of at least two rows, in order; what lies between them moves.
 
     Parameters
@@ -150,7 +150,7 @@ def find_plateaus(current_A: FloatArray, scale: CurrentScale) -> list[Span]:
             found += _without_slopes(x, total, parts[:count])
     # The first row of a log may be all that is seen of the rest before.
     return [
-        Span("rest" if rest[a] else "cc", a, b, float(total[b] - total[a]) / (b - a))
+        PlateauSpan("rest" if rest[a] else "cc", a, b, float(total[b] - total[a]) / (b - a))
         for a, b in found
         if b - a >= 2 or (a == 0 and rest[0])
     ]

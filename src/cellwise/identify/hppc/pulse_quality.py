@@ -28,7 +28,7 @@ PulseRole = Literal["pulse", "move"]
 PulseQuality = Literal["healthy", "trimmed", "distorted", "spurious"]
 
 
-class _Limits(NamedTuple):
+class _QualityLimits(NamedTuple):
     """What separates healthy pulses from others; shares without a unit."""
 
     same_duration: float = 0.05  # durations this near to each other were planned alike
@@ -49,7 +49,7 @@ class _Limits(NamedTuple):
     siblings: int = 6
 
 
-class _Window(NamedTuple):
+class _ShapeWindow(NamedTuple):
     """What of a pulse and its relaxation is looked at for its shape."""
 
     edge: float = 0.03  # a row is part of an edge whose current is off by this share of the pulse
@@ -62,7 +62,7 @@ class _Window(NamedTuple):
     per_decade: int = 3  # time constants
 
 
-LIMITS, WINDOW = _Limits(), _Window()
+LIMITS, WINDOW = _QualityLimits(), _ShapeWindow()
 
 
 @dataclass(frozen=True)

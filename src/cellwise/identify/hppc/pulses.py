@@ -14,7 +14,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 
-class _Limits(NamedTuple):
+class _PulseLimits(NamedTuple):
     """What a pulse is, and what a move."""
 
     rest_s: float = 5.0  # before it
@@ -32,7 +32,7 @@ class _Limits(NamedTuple):
     many_moves: int = 3  # healthy ones for one short pulse, and the test is one of moves
 
 
-KINDS = _Limits()
+KINDS = _PulseLimits()
 
 
 def find_pulses(log: CellLog) -> tuple[Pulse, ...]:

@@ -32,7 +32,7 @@ class _Points(NamedTuple):
     same_soc: float = 1e-4
 
 
-class _Smoothing(NamedTuple):
+class _CurveSmoothing(NamedTuple):
     """Of the spline: cells between knots, and the penalty on its second differences.
 
     Over the normal equations: the best penalty of 32 measured curves, sampled as rests or densely,
@@ -53,7 +53,7 @@ class _Moved(NamedTuple):
     steep_V: float = 0.67
 
 
-class _Limits(NamedTuple):
+class _CurveLimits(NamedTuple):
     """What separates two cells from one."""
 
     between_soc: tuple[float, float] = (0.08, 0.97)  # at the steep ends rests say nothing of charge
@@ -64,7 +64,7 @@ class _Limits(NamedTuple):
     other_shape_V: float = 0.015  # beyond: another chemistry, or a cell of another age
 
 
-POINTS, SMOOTHING, MOVED, LIMITS = _Points(), _Smoothing(), _Moved(), _Limits()
+POINTS, SMOOTHING, MOVED, LIMITS = _Points(), _CurveSmoothing(), _Moved(), _CurveLimits()
 Points = tuple[FloatArray, FloatArray, FloatArray]
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import (
+    CapacityTrace,
     HalfCycle,
-    Trace,
     find_half_cycles,
     join_logs,
 )
@@ -30,7 +30,7 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
-class _Limits(NamedTuple):
+class _LowRateLimits(NamedTuple):
     """What makes a branch whole, and two branches fit for a mean."""
 
     low_rate: float = 1.0 / 9.0  # [1/h] of the branch's own charge: faster is said
@@ -50,7 +50,7 @@ class _Limits(NamedTuple):
     outside: float = 0.02  # of the SOC range: rows beyond the ends that are still taken
 
 
-LIMITS = _Limits()
+LIMITS = _LowRateLimits()
 BOTH = "mean of both branches"
 
 
@@ -149,7 +149,7 @@ def _slowest(halves: Sequence[HalfCycle], sign: float) -> HalfCycle | None:
     return max(slow, key=lambda h: abs(h.charge_Ah), default=None)
 
 
-def _branch(trace: Trace, half: HalfCycle, soc_begin: float, scale_Ah: float) -> Branch:
+def _branch(trace: CapacityTrace, half: HalfCycle, soc_begin: float, scale_Ah: float) -> Branch:
     """Rows at the low current, in the log in which it began, from the SOC at which it did."""
     rows = half.at_main_current(trace) & (trace.log == trace.log[half.steady_start])
     soc = soc_begin - (trace.charge_Ah[rows] - trace.charge_Ah[half.begin]) / scale_Ah

@@ -14,7 +14,7 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
-class _Limits(NamedTuple):
+class _RestLimits(NamedTuple):
     """Which rests say something of OCV, and how much."""
 
     # Shorter rests show relaxation more than OCV, unless there are not as many longer ones.
@@ -29,7 +29,7 @@ class _Limits(NamedTuple):
     begins_full: float = 0.02
 
 
-LIMITS = _Limits()
+LIMITS = _RestLimits()
 # Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
 RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
 

@@ -15,7 +15,7 @@ from cellwise.typing import BoolArray, FloatArray
 OcvTable = Callable[[FloatArray], FloatArray]
 
 
-class _Window(NamedTuple):
+class _PulseWindow(NamedTuple):
     """How much of a log belongs to a pulse, and what its rows count."""
 
     rest_s: float = 60.0  # of rest before it that is compared, if there is as much
@@ -46,7 +46,7 @@ class _Settling(NamedTuple):
     early: float = 0.5  # of the step: so much before the current, and the voltage has stepped
 
 
-WINDOW, SETTLING = _Window(), _Settling()
+WINDOW, SETTLING = _PulseWindow(), _Settling()
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import CELL
-from cellwise.logs.gaps import Run, rows_between, run_edges, runs_of
+from cellwise.logs.gaps import RowRange, rows_between, run_edges, runs_of
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -56,7 +56,7 @@ class Still(NamedTuple):
     lost: int = 20
 
 
-class Held(NamedTuple):
+class SaturationRule(NamedTuple):
     """When a channel is at the end of its range: so many rows in a row, so many times."""
 
     rows: int = 3
@@ -71,10 +71,10 @@ class Spiked(NamedTuple):
     drops: float = 2.0
 
 
-IMPOSSIBLE, STILL, HELD, SPIKED = Impossible(), Still(), Held(), Spiked()
+IMPOSSIBLE, STILL, HELD, SPIKED = Impossible(), Still(), SaturationRule(), Spiked()
 
 
-class Stretch(NamedTuple):
+class FaultSegment(NamedTuple):
     """A part of the log during which a channel did something."""
 
     start_s: float
@@ -85,7 +85,7 @@ class Stretch(NamedTuple):
         return rows_between(log.time_s, self.start_s, self.start_s + self.duration_s)
 
 
-def impossible_runs(log: CellLog) -> dict[str, list[Run]]:
+def impossible_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Rows that are impossible, by channel; none where there are too many to be a fault."""
     found = {"voltage_V": _impossible_voltages(log), "current_A": _impossible_currents(log)}
     if log.temperature_C is not None:
@@ -100,7 +100,7 @@ def possible_part(log: CellLog) -> CellLog:
     return without(log, impossible_runs(log))
 
 
-def without(log: CellLog, runs: dict[str, list[Run]]) -> CellLog:
+def without(log: CellLog, runs: dict[str, list[RowRange]]) -> CellLog:
     """The log with the values of some rows missing."""
     if not runs:
         return log
@@ -161,7 +161,7 @@ def _impossible_currents(log: CellLog) -> BoolArray:
     return np.asarray(bad)
 
 
-def stuck_runs(log: CellLog) -> dict[str, list[Run]]:
+def stuck_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Rows in which a channel stood still while the other one moved to and fro, by channel.
 
     A voltage held by the tester stands still too, but the current then only dies away; a constant
@@ -171,20 +171,20 @@ def stuck_runs(log: CellLog) -> dict[str, list[Run]]:
     return {name: runs for name, runs in found.items() if runs}
 
 
-def longest(log: CellLog, runs: list[Run]) -> Stretch | None:
+def longest(log: CellLog, runs: list[RowRange]) -> FaultSegment | None:
     """The longest time of some runs of rows; None of none."""
     times = [(float(log.time_s[max(r.first - 1, 0)]), float(log.time_s[r.last])) for r in runs]
-    stretches = [Stretch(begins, ends - begins) for begins, ends in times]
+    stretches = [FaultSegment(begins, ends - begins) for begins, ends in times]
     return max(stretches, key=lambda s: s.duration_s, default=None)
 
 
-def stuck_voltage(log: CellLog) -> list[Run]:
+def stuck_voltage(log: CellLog) -> list[RowRange]:
     """Rows in which the voltage stood still while the current moved to and fro."""
     still = _standstills(log.voltage_V)
     return _moved(still, log.current_A, STILL.share * _swing(log.current_A)) if still else []
 
 
-def _stuck_current(log: CellLog) -> list[Run]:
+def _stuck_current(log: CellLog) -> list[RowRange]:
     """Rows in which the current stood still while the voltage moved to and fro.
 
     The load before or after a rest is still in a voltage, or already, that is logged late or early.
@@ -197,14 +197,14 @@ def _stuck_current(log: CellLog) -> list[Run]:
     return _moved(still, voltage, _current_jump(log), _late_rows(log))
 
 
-def _standstills(values: FloatArray) -> list[Run]:
+def _standstills(values: FloatArray) -> list[RowRange]:
     """Rows that repeat the value before them, many of them."""
     first, last = run_edges(np.diff(values, prepend=np.nan) == 0.0)
     long = last - first + 1 >= STILL.repeats
-    return [Run(int(a), int(b)) for a, b in zip(first[long], last[long], strict=True)]
+    return [RowRange(int(a), int(b)) for a, b in zip(first[long], last[long], strict=True)]
 
 
-def _moved(runs: list[Run], other: FloatArray, jump: float, late: int = 0) -> list[Run]:
+def _moved(runs: list[RowRange], other: FloatArray, jump: float, late: int = 0) -> list[RowRange]:
     """The runs in which the other channel moves both ways by more than ``jump`` so often.
 
     So often also without what ``late`` rows show at one end, whichever: they may be the load there.
@@ -219,7 +219,7 @@ def _moved(runs: list[Run], other: FloatArray, jump: float, late: int = 0) -> li
     return [run for run, enough in zip(runs, moves >= STILL.moves, strict=True) if enough]
 
 
-def clipped_runs(log: CellLog) -> dict[str, list[Run]]:
+def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Rows at which a sensor is at its end while the other one shows that the truth moves on.
 
     A tester at its limit stands there, too, but then the voltage only drifts, or the current dies
@@ -229,7 +229,7 @@ def clipped_runs(log: CellLog) -> dict[str, list[Run]]:
         "current_A": (log.voltage_V, _current_jump(log)),
         "voltage_V": (log.current_A, STILL.share * _swing(log.current_A)),
     }
-    runs: dict[str, list[Run]] = {}
+    runs: dict[str, list[RowRange]] = {}
     for channel, (other, jump) in others.items():
         values = getattr(log, channel)
         change = np.diff(other, prepend=np.nan)
@@ -271,7 +271,7 @@ def find_spikes(log: CellLog) -> NDArray[np.intp]:
     return np.flatnonzero(alone) + 1
 
 
-def lost_runs(log: CellLog) -> dict[str, list[Run]]:
+def lost_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Stretches of many rows without a value, by channel; of a temperature that most rows have."""
     missing = {"voltage_V": np.isnan(log.voltage_V), "current_A": np.isnan(log.current_A)}
     if log.temperature_C is not None:

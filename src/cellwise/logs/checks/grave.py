@@ -8,10 +8,16 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
+from cellwise.logs.checks.faults import (
+    FaultSegment,
+    impossible_runs,
+    longest,
+    stuck_voltage,
+    without,
+)
 from cellwise.logs.checks.units import CELL
-from cellwise.logs.gaps import Run, runs_of
-from cellwise.notices import Code, Notice, Piece, Place, place
+from cellwise.logs.gaps import RowRange, runs_of
+from cellwise.notices import Code, Notice, Piece, RowPlace, place
 from cellwise.typing import FloatArray
 
 MOST_NAMED = 3  # rows, in a notice
@@ -115,16 +121,18 @@ def grave_notices(log: CellLog) -> list[Notice]:
     notices += [_impossible(log, name, runs) for name, runs in impossible.items()]
     stuck = longest(log, stuck_voltage(without(log, impossible)))
     if stuck is None and moves and np.fmax.reduce(log.voltage_V) == np.fmin.reduce(log.voltage_V):
-        stuck = Stretch(float(log.time_s[0]), log.duration_s)  # any current that moves is enough
+        stuck = FaultSegment(
+            float(log.time_s[0]), log.duration_s
+        )  # any current that moves is enough
     if stuck is not None:
         text = f"the voltage LOOKS WRONG: it stands still for {stuck.duration_s:.0f} s "
-        since = Place(f"from {stuck.start_s:.1f} s", stuck.rows_of(log))
+        since = RowPlace(f"from {stuck.start_s:.1f} s", stuck.rows_of(log))
         said = (text, since, " on while the current moves")
         notices.append(Notice(Code.VOLTAGE_STUCK, said))
     return notices
 
 
-def _impossible(log: CellLog, channel: str, runs: list[Run]) -> Notice:
+def _impossible(log: CellLog, channel: str, runs: list[RowRange]) -> Notice:
     """What no cell has, with its rows."""
     quantity, _, unit = channel.partition("_")
     values = getattr(log, channel)

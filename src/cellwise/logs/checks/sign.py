@@ -20,7 +20,7 @@ WINDOWS_S = (1.0, 1000.0)  # from a step of the load to minutes of diffusion
 LARGEST_SERIES = 100_000  # rows; a longer log is first averaged down to this
 
 
-class Evidence(NamedTuple):
+class SignEvidence(NamedTuple):
     """What a log must show before it says anything of its sign.
 
     ``variance_ratio`` is an F statistic: white noise reaches 20 less than once in a thousand
@@ -50,7 +50,7 @@ class Evidence(NamedTuple):
     falls: float = 0.9
 
 
-NEEDED = Evidence()
+NEEDED = SignEvidence()
 
 
 class Contrast(NamedTuple):

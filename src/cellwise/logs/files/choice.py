@@ -21,7 +21,7 @@ from cellwise.logs.files.columns import (
     TIDY_NAME,
     TIDY_NAMES,
     Channel,
-    Column,
+    ChosenColumn,
     Unit,
     folded,
     listed,
@@ -57,7 +57,7 @@ _UNSAID = {
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ColumnEvidence:
     """What names and first cells of a table say of its columns."""
 
     names: Sequence[str]
@@ -72,7 +72,9 @@ class Evidence:
         cells = [cell for cell in self.look(k) if cell.strip(" -")]
         return 2 * sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= len(cells)
 
-    def by_words(self, channel: Channel, taken: Collection[int]) -> tuple[Column | None, list[str]]:
+    def by_words(
+        self, channel: Channel, taken: Collection[int]
+    ) -> tuple[ChosenColumn | None, list[str]]:
         """The column whose name is a word for the quantity with its unit: 'Strom [mA]'; the others.
 
         Clocks and dates need no unit. A counter's name does not say its sign.
@@ -90,13 +92,13 @@ class Evidence:
             return None, []
         name = self.names[best[0]]
         unit = channel.names.get(tidy_of(field, name))
-        column = None if unit is None else Column(field, best[0], name, unit, by_words=True)
+        column = None if unit is None else ChosenColumn(field, best[0], name, unit, by_words=True)
         return column, [self.names[k] for k in found if k != best[0]]
 
     def _free(self, taken: Collection[int]) -> Iterator[int]:
         return (k for k, name in enumerate(self.names) if name and k not in taken)
 
-    def _time(self, taken: Collection[int]) -> tuple[Column | None, list[str]]:
+    def _time(self, taken: Collection[int]) -> tuple[ChosenColumn | None, list[str]]:
         """The column of times: what is a number of a unit or a date before a clock alone."""
         worth = {"epoch": 3, "date": 3, "clock": 2, "day": 1, "": 0}
 
@@ -112,10 +114,10 @@ class Evidence:
         place = max(clear or dates, key=of)
         name, kind = self.names[place], self.kind(place)
         unit = TIDY_NAMES.get(tidy_of("time_s", name), ("", OWN))[1]
-        column = Column("time_s", place, name, DATE if kind else unit, by_words=True)
+        column = ChosenColumn("time_s", place, name, DATE if kind else unit, by_words=True)
         return column, [self.names[k] for k in clear if k != place]
 
-    def completed(self, columns: Sequence[Column]) -> tuple[list[Column], list[Notice]]:
+    def completed(self, columns: Sequence[ChosenColumn]) -> tuple[list[ChosenColumn], list[Notice]]:
         """The columns with the day of a clock, the state of a tester, two currents for one."""
         found = list(columns)
         notices = []
@@ -127,7 +129,7 @@ class Evidence:
             if other is not None:
                 clock, day = (found[at].index, other)[:: 1 if wanted == "day" else -1]
                 found[at] = replace(found[at], index=clock, name=self.names[clock], unit=CLOCK)
-                found.append(Column("day_s", day, self.names[day], DATE, by_words=True))
+                found.append(ChosenColumn("day_s", day, self.names[day], DATE, by_words=True))
                 text = (
                     f"the days of column '{self.names[day]}' and the clock of "
                     f"'{self.names[clock]}' are the time"
@@ -141,7 +143,9 @@ class Evidence:
                 notices.append(Notice(Code.CURRENT_OF_TWO, text))
         states = [k for k in self._free({c.index for c in found}) if self._is_state(k)]
         if states and len(found) > 1:
-            found.append(Column("state", states[0], self.names[states[0]], _STATE, by_words=True))
+            found.append(
+                ChosenColumn("state", states[0], self.names[states[0]], _STATE, by_words=True)
+            )
         return found, notices
 
     def _is_state(self, k: int) -> bool:
@@ -149,7 +153,7 @@ class Evidence:
         known = sum(state_of(label) == state_of(label) for label in labels)
         return names_states(self.names[k]) and not self.numeric(k) and 2 * known > len(labels)
 
-    def _two_currents(self, taken: Collection[int]) -> list[Column]:
+    def _two_currents(self, taken: Collection[int]) -> list[ChosenColumn]:
         found = []
         for field, state in (("charging_A", -1.0), ("discharging_A", 1.0)):
             for k in self._free(taken):
@@ -158,7 +162,7 @@ class Evidence:
                 clear = like >= PART or (like >= 0 and unit_said)
                 if clear and self.numeric(k) and state_of(name_of(name).phrase) == state:
                     unit = TIDY_NAMES.get(tidy_of("current_A", name), ("", OWN))[1]
-                    found.append(Column(field, k, name, unit, by_words=True))
+                    found.append(ChosenColumn(field, k, name, unit, by_words=True))
                     break
         return found if two_currents(found) else []
 
@@ -219,7 +223,7 @@ class Evidence:
         return field == "current_A" or bool(0.5 < np.median(values) < 1500.0)
 
 
-def says_its_sign(columns: Sequence[Column]) -> bool:
+def says_its_sign(columns: Sequence[ChosenColumn]) -> bool:
     """The current's name is a format's, which says what its sign means."""
     return not any(c.by_words and c.field == "current_A" for c in columns)
 
@@ -257,7 +261,7 @@ def choose_columns(
     known: Sequence[str] | None = None,
     chosen: Mapping[str, str] | None = None,
     look: Look | None = None,
-) -> tuple[list[Column], list[Notice]]:
+) -> tuple[list[ChosenColumn], list[Notice]]:
     """Find the channels' columns in a header.
 
     Parameters
@@ -281,7 +285,7 @@ def choose_columns(
     MissingColumnsError                  a required column is missing
     InputError                      one stands there twice
     """
-    table = Evidence([name.strip() for name in header], look or (lambda _: ()))
+    table = ColumnEvidence([name.strip() for name in header], look or (lambda _: ()))
     names = table.names
     columns = [_stated(tidy, name, names, where) for tidy, name in (chosen or {}).items()]
     notices = [
@@ -326,22 +330,22 @@ def choose_columns(
     return columns, notices + (_unknown(unused, channels, known or ()) if known != ANY else [])
 
 
-def _is_converted(column: Column) -> bool:
+def _is_converted(column: ChosenColumn) -> bool:
     """A measured column in another unit; the number of a battery has none."""
     return column.unit != OWN and column.field != "instance"
 
 
-def has_days(columns: Sequence[Column]) -> bool:
+def has_days(columns: Sequence[ChosenColumn]) -> bool:
     """The time's clock has a day beside it."""
     return any(column.field == "day_s" for column in columns)
 
 
-def two_currents(columns: Sequence[Column]) -> bool:
+def two_currents(columns: Sequence[ChosenColumn]) -> bool:
     """There is a current of charge and one of discharge."""
     return {"charging_A", "discharging_A"} <= {column.field for column in columns}
 
 
-def _stated(tidy: str, name: str, names: Sequence[str], where: str) -> Column:
+def _stated(tidy: str, name: str, names: Sequence[str], where: str) -> ChosenColumn:
     """The column that the user named for a channel."""
     field, unit = tidy_name(tidy)
     places = [k for k, text in enumerate(names) if text == name.strip()]
@@ -350,7 +354,7 @@ def _stated(tidy: str, name: str, names: Sequence[str], where: str) -> Column:
         raise no_such_name(name, names, where)
     if tidy == "time_s":
         unit = CLOCK  # a number of seconds, a clock or a date, whichever the cells hold
-    return Column(field, places[0], names[places[0]], unit)
+    return ChosenColumn(field, places[0], names[places[0]], unit)
 
 
 def _unknown(
@@ -375,7 +379,7 @@ def _unknown(
     return [Notice(Code.COLUMN_UNKNOWN, text + (f" and {more} more" if more else ""))]
 
 
-def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
+def _find(channel: Channel, names: Sequence[str], where: str) -> ChosenColumn | None:
     keys = [folded(name) for name in names]
     for name, unit in channel.names.items():
         places = [k for k, text in enumerate(keys) if text == folded(name)]
@@ -387,16 +391,16 @@ def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
                 "Rename or remove the one that is not meant.",
             )
         if places:
-            return Column(channel.field, places[0], names[places[0]], unit)
+            return ChosenColumn(channel.field, places[0], names[places[0]], unit)
     return None
 
 
 def _missing_columns(
     missing: Sequence[Channel],
-    table: Evidence,
+    table: ColumnEvidence,
     channels: Sequence[Channel],
     where: str,
-    columns: Sequence[Column],
+    columns: Sequence[ChosenColumn],
 ) -> MissingColumnsError:
     names = table.names
     optional = ", ".join(c.usual_name for c in channels if not c.required)

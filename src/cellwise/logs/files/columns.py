@@ -91,7 +91,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Column:
+class ChosenColumn:
     """A column chosen for a channel: its place and name in the file, its unit.
 
     ``by_words``: no format's name, but a word for the quantity and the unit.

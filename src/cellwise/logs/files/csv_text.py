@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellwise.errors import InputError
 from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
-from cellwise.logs.files.columns import CLOCK, Column, folded
+from cellwise.logs.files.columns import CLOCK, ChosenColumn, folded
 from cellwise.logs.files.format import Format, without_late_errors
 from cellwise.logs.files.header import (
     DIGIT_FIRST,
@@ -29,9 +29,9 @@ from cellwise.logs.files.header import (
 )
 from cellwise.logs.files.source import (
     FROM_FILE,
-    Limits,
     LogSource,
     RawLog,
+    ReadLimits,
     TimedStream,
     damaged_gzip,
     decoded,
@@ -233,7 +233,7 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
 def _read(
     source: LogSource,
     layout: CsvLayout,
-    columns: Sequence[Column],
+    columns: Sequence[ChosenColumn],
     end: int | None,
     odd_rows: list[tuple[int, int, str]],
     notices: list[Notice],
@@ -255,7 +255,7 @@ def _read(
         return "skip" if len(odd_rows) < MOST_ODD_ROWS else "error"
 
     batches: list[Any] = []
-    limits = Limits.of(source.size)
+    limits = ReadLimits.of(source.size)
     try:
         with (
             closing(TimedStream(source, limits, layout.offset, end)) as stream,
@@ -304,7 +304,7 @@ def _read(
 
 
 def _refused(
-    message: str, source: LogSource, layout: CsvLayout, columns: Sequence[Column]
+    message: str, source: LogSource, layout: CsvLayout, columns: Sequence[ChosenColumn]
 ) -> InputError:
     """The refusal of a cell that is no number, or of text that is no table."""
     found = re.search(r"column #(\d+): (?:Row #(\d+): )?.*invalid value '(.*)'", message, re.S)

@@ -270,7 +270,7 @@ _VARIABLES = tuple(f"CELLWISE_READ_{name}" for name in _USUAL)
 
 
 @dataclass(frozen=True)
-class Limits:
+class ReadLimits:
     """What reading one file may take.
 
     Parameters
@@ -287,7 +287,7 @@ class Limits:
     began_s: float = field(default_factory=time.monotonic)
 
     @classmethod
-    def of(cls, size: int) -> Limits:
+    def of(cls, size: int) -> ReadLimits:
         """The limits of a file of so many bytes.
 
         ``CELLWISE_READ_MEMORY_GB``, ``CELLWISE_READ_SECONDS`` and ``CELLWISE_READ_ROWS`` of the
@@ -363,7 +363,7 @@ class TimedStream:
     """
 
     def __init__(
-        self, source: LogSource, limits: Limits, skipped: int = 0, end: int | None = None
+        self, source: LogSource, limits: ReadLimits, skipped: int = 0, end: int | None = None
     ) -> None:
         self._source = source
         self._limits = limits
@@ -408,7 +408,7 @@ LOOK_ROWS = 10_000  # between two looks at the limits
 
 def lines_of(source: LogSource, skipped: int = 0) -> Iterator[str]:
     """The lines of a text from a byte on, within the limits of reading."""
-    limits = Limits.of(source.size)
+    limits = ReadLimits.of(source.size)
     with source.open() as file:
         file.read(skipped)
         for number, line in enumerate(file):

@@ -15,14 +15,14 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.arrow import to_numpy
 from cellwise.logs.files.choice import choose_columns, has_days, says_its_sign
-from cellwise.logs.files.columns import Channel, Column, Unit, folded
+from cellwise.logs.files.columns import Channel, ChosenColumn, Unit, folded
 from cellwise.logs.files.format import (
     FREQUENCIES,
     Format,
     check_no_spectrum,
     library_at_work,
 )
-from cellwise.logs.files.source import Limits, LogSource, RawLog
+from cellwise.logs.files.source import LogSource, RawLog, ReadLimits
 from cellwise.logs.files.times import epoch_unit, seconds_of
 from cellwise.logs.files.words import state_of
 from cellwise.notices import Code, Notice
@@ -155,7 +155,7 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
         )
         if rows == 0:
             raise InputError(f"no rows in {where}", "rows of numbers", "Check the export.")
-        Limits.of(source.size).check(where, rows)
+        ReadLimits.of(source.size).check(where, rows)
         for column in columns:
             _check_type(file.schema_arrow.field(column.index).type, column, where)
         for k, column in enumerate(columns):
@@ -167,13 +167,13 @@ def read_parquet(source: LogSource, known: Format) -> RawLog:
     return RawLog(arrays, tuple(notices), signed=says_its_sign(columns))
 
 
-def _check_type(kind: pyarrow.DataType, column: Column, where: str) -> None:
+def _check_type(kind: pyarrow.DataType, column: ChosenColumn, where: str) -> None:
     """Refuse a column of texts where numbers belong before it is read, however large it is."""
     if column.unit.kind == "number" and _is_text(kind):
         raise _no_numbers(column, where, f"of type {kind}")
 
 
-def _no_numbers(column: Column, where: str, found: str) -> InputError:
+def _no_numbers(column: ChosenColumn, where: str, found: str) -> InputError:
     return InputError(
         f"column '{column.name}' {found} in {where}",
         "a column of numbers",
@@ -182,7 +182,7 @@ def _no_numbers(column: Column, where: str, found: str) -> InputError:
 
 
 def column_values(
-    values: Any, column: Column, where: str, notices: list[Notice] | None = None
+    values: Any, column: ChosenColumn, where: str, notices: list[Notice] | None = None
 ) -> FloatArray:
     """A column in its channel's own unit; times that are dates or durations in seconds.
 
@@ -223,7 +223,7 @@ def column_values(
     return _converted(whole, column)
 
 
-def _converted(values: FloatArray, column: Column) -> FloatArray:
+def _converted(values: FloatArray, column: ChosenColumn) -> FloatArray:
     """Values in the channel's own unit; stamps since 1970 whose unit nobody says, in seconds."""
     if column.unit.kind in ("clock", "date") and (unit := epoch_unit(values)) not in (0.0, 1.0):
         return values * unit
@@ -261,7 +261,7 @@ def _from_first(column: pyarrow.ChunkedArray) -> FloatArray:
     return 1e-6 * (micros - known[0]) if known.size else micros
 
 
-def _labels(found: pyarrow.ChunkedArray, column: Column) -> FloatArray:
+def _labels(found: pyarrow.ChunkedArray, column: ChosenColumn) -> FloatArray:
     """Value of every cell's label, as the format says or else its words; NaN for an unknown one."""
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
-from cellwise.logs.files.source import Limits, LogSource, RawLog
+from cellwise.logs.files.source import LogSource, RawLog, ReadLimits
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 from cellwise.notices import Code, Notice
@@ -22,7 +22,7 @@ def _read(source: LogSource, known: Format) -> RawLog:
     """The battery's channels of one session; a file holds one for each time it was armed."""
     what = "a blackbox recording"
     reading, parsing = (need(f"orangebox.{m}", what, "orangebox") for m in ("reader", "parser"))
-    limits = Limits.of(source.size)
+    limits = ReadLimits.of(source.size)
     with library_at_work(source, "blackbox recording"):
         file: Any = reading.Reader(str(source.path), allow_invalid_header=True)
         edges = (*file.log_pointers, source.size)

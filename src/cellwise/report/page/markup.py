@@ -11,7 +11,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.notices import Notice, Option, Place, in_python
+from cellwise.notices import Notice, Option, RowPlace, in_python
 from cellwise.report.page.numerals import NONE
 
 T = TypeVar("T")
@@ -189,10 +189,10 @@ def linked(notice: Notice, log: CellLog, shown: CellLog | None = None) -> Markup
     -------
     Markup        the text, escaped; without links where it names no row that the log has
     """
-    named = any(isinstance(piece, Place) for piece in notice.pieces)
+    named = any(isinstance(piece, RowPlace) for piece in notice.pieces)
     parts = [escape(notice.before)]
     for piece in notice.pieces:
-        if isinstance(piece, Place):
+        if isinstance(piece, RowPlace):
             parts.append(_link(piece.words, log, piece.rows, shown or log))
         else:
             parts.append(escape(in_python(piece) if isinstance(piece, Option) else piece))

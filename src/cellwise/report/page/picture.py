@@ -26,7 +26,7 @@ VARIABLES = {
 DRAWN, DIGITS = re.compile(r'(?<= d=")[^"]*'), re.compile(r"-?\d+\.\d+")
 
 
-class Drawn(Protocol):
+class Drawable(Protocol):
     """What can be written as a file: a picture, or a plot over time."""
 
     @property
@@ -95,7 +95,7 @@ def save_figure(figure: style.Figure, path: str | Path) -> Path:
 
 
 def save_figures(
-    drawn: Iterable[Drawn], folder: str | Path, suffixes: Iterable[str] = (".png", ".svg")
+    drawn: Iterable[Drawable], folder: str | Path, suffixes: Iterable[str] = (".png", ".svg")
 ) -> tuple[Path, ...]:
     """Write pictures into a folder, which is made if need be, each under its key.
 
