@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -281,3 +282,12 @@ def test_commands_compose_and_compute_nothing():
             ):
                 called |= {one.name for one in node.names if one.name[0].islower()}
     assert called == OF_A_COMMAND, "what a command composes belongs to workflows"
+
+
+def test_a_class_name_stands_for_one_class():
+    places = defaultdict(list)
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(path.relative_to(PACKAGE).as_posix())
+    assert {name: paths for name, paths in places.items() if len(paths) > 1} == {}

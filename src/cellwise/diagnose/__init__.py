@@ -12,11 +12,11 @@ from cellwise.diagnose.result import Diagnosis, FoundCause, TriedCause
 __all__ = ["Diagnosis", "FoundCause", "TriedCause", "diagnose"]
 
 
-class _CallableModule(ModuleType):
+class _CallableDiagnose(ModuleType):
     """`cellwise.diagnose` is this folder and, on the public face, the function of the same name."""
 
     __call__ = staticmethod(diagnose)
     __signature__ = signature(diagnose)  # for help and editors
 
 
-sys.modules[__name__].__class__ = _CallableModule
+sys.modules[__name__].__class__ = _CallableDiagnose

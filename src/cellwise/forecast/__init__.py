@@ -11,11 +11,11 @@ from cellwise.forecast.remaining import Flight, Forecast, forecast
 __all__ = ["Flight", "Forecast", "forecast"]
 
 
-class _CallableModule(ModuleType):
+class _CallableForecast(ModuleType):
     """`cellwise.forecast` is this folder and, on the public face, the function of the same name."""
 
     __call__ = staticmethod(forecast)
     __signature__ = signature(forecast)  # for help and editors
 
 
-sys.modules[__name__].__class__ = _CallableModule
+sys.modules[__name__].__class__ = _CallableForecast

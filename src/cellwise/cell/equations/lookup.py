@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations.records import CellTables, Place
+from cellwise.cell.equations.records import CellTables, TablePlace
 from cellwise.cell.point_kernels import CellPoint, between, point_of
 from cellwise.typing import FloatArray
 
@@ -14,7 +14,7 @@ BEYOND = 0.05
 
 
 @inline
-def place_of(tables: CellTables, soc: float, temperature_C: float) -> Place:
+def place_of(tables: CellTables, soc: float, temperature_C: float) -> TablePlace:
     """Where one SOC and temperature lie in the tables.
 
     Outside 0..1 the OCV goes on along its last segment for BEYOND, so that a filter keeps a slope
@@ -29,11 +29,11 @@ def place_of(tables: CellTables, soc: float, temperature_C: float) -> Place:
             lo += np.uint64(1)
         w = (temperature_C - grid[lo]) / (grid[lo + np.uint64(1)] - grid[lo])
         w = min(max(w, 0.0), 1.0)
-    return moved(table, Place(lo, np.uint64(0), 0.0, 0.0, w), soc)
+    return moved(table, TablePlace(lo, np.uint64(0), 0.0, 0.0, w), soc)
 
 
 @inline
-def moved(table: FloatArray, place: Place, soc: float) -> Place:
+def moved(table: FloatArray, place: TablePlace, soc: float) -> TablePlace:
     """The place of another SOC at the same temperature."""
     n = table.shape[1]
     x = soc * (n - 1)
@@ -41,11 +41,11 @@ def moved(table: FloatArray, place: Place, soc: float) -> Place:
     past = BEYOND * (n - 1)
     f = min(max(x, -past), n - 1 + past) - float(k)
     g = min(max(x, 0.0), n - 1.0) - float(k)
-    return Place(place.lo, k, f, g, place.w)
+    return TablePlace(place.lo, k, f, g, place.w)
 
 
 @inline
-def tables_at(table: FloatArray, place: Place) -> CellPoint:
+def tables_at(table: FloatArray, place: TablePlace) -> CellPoint:
     """Tables at one place, linear between grid points."""
     point = point_of(table, place.lo, place.k, place.f, place.g)
     if place.w > 0.0:

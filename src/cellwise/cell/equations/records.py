@@ -65,7 +65,7 @@ else:
     )
 
 
-class Place(NamedTuple):
+class TablePlace(NamedTuple):
     """Where in the packed table one SOC and temperature lie.
 
     Between SOC points k and k + 1, temperatures lo and lo + 1: f of the way for columns that go on

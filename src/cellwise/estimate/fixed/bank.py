@@ -23,7 +23,7 @@ from cellwise.estimate.fixed.covariance import (
     narrow,
 )
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import TablePlace, look_up, place_now, within_one
+from cellwise.estimate.fixed.lookup import Place, look_up, place_now, within_one
 from cellwise.estimate.fixed.sensing import variance_of
 from cellwise.estimate.fixed.state import start
 from cellwise.estimate.fixed.step import begin_at, step
@@ -140,7 +140,7 @@ def gather(b: Bank, of: States, count: int) -> None:
 
 @noinline
 @unrolled_by_option
-def left_by_load(m: Model, place: TablePlace, mean_A: float, soc: float) -> float:
+def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
     """What a load from full, or a charge from empty, has left in the slow branch at a SOC [V]."""
     before = 0.0
     size = at_least(magnitude(mean_A), m.constant.least_use_A)

@@ -18,7 +18,7 @@ from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import unrolled_by_option
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import TablePlace, look_up, place_now
+from cellwise.estimate.fixed.lookup import Place, look_up, place_now
 from cellwise.estimate.fixed.state import is_sound
 from cellwise.estimate.power.fixed_power import Way, ending, one_way
 from cellwise.estimate.status import (
@@ -106,7 +106,7 @@ def mean_voltage(m: Model, cells: Cells, voltage_V: Floats, count: int) -> float
     return first
 
 
-def difference_of(m: Model, place: TablePlace, x: State, mean_V: float) -> Difference:
+def difference_of(m: Model, place: Place, x: State, mean_V: float) -> Difference:
     """The derivatives at the mean cell's SOC.
 
     A cell that is polled late reads what the mean voltage moved by meanwhile.
@@ -241,14 +241,14 @@ def cell_of(m: Model, x: State, a: Cell, out: CellOutput) -> None:
 
 
 @noinline
-def with_cell(at: TablePlace, a: Cell) -> TablePlace:
+def with_cell(at: Place, a: Cell) -> Place:
     """The same place with one cell's resistance."""
-    return TablePlace(at.low, at.weight, at.scale * (1.0 + a.resistance), at.lag)
+    return Place(at.low, at.weight, at.scale * (1.0 + a.resistance), at.lag)
 
 
 @noinline
 def weakest(
-    m: Model, place: TablePlace, x: State, cells: Cells, count: int, side: float, current: float
+    m: Model, place: Place, x: State, cells: Cells, count: int, side: float, current: float
 ) -> int:
     """The cell that a current over the horizon brings nearest to its limit of voltage."""
     found = U(0)
@@ -280,7 +280,7 @@ def nearest_to_end(x: State, cells: Cells, count: int, side: float) -> int:
 
 @noinline
 @unrolled_by_option
-def way_of(m: Model, place: TablePlace, x: State, a: Cell, side: float) -> Way:
+def way_of(m: Model, place: Place, x: State, a: Cell, side: float) -> Way:
     """What one cell can give (``side`` 1) or take (-1) over the horizon."""
     c = m.constant
     soc = own_soc(x, a)
@@ -303,7 +303,7 @@ def way_of(m: Model, place: TablePlace, x: State, a: Cell, side: float) -> Way:
 
 
 @noinline
-def pack_way(m: Model, place: TablePlace, x: State, cells: Cells, count: int, side: float) -> Way:
+def pack_way(m: Model, place: Place, x: State, cells: Cells, count: int, side: float) -> Way:
     """Power of the pack one way: the least of what its weakest cells allow.
 
     These are the cell that is nearest to its end, the one whose voltage is at the largest current,

@@ -16,7 +16,7 @@ OCV_V = ERROR_V = R0_OHM = M_V = 0
 R = LAG = dict.fromkeys(BRANCHES, 0)  # R1_OHM, LAG1 ...
 
 
-class TablePlace(NamedTuple):
+class Place(NamedTuple):
     """Where a temperature lies between two tables, and what it does to every resistance.
 
     ``lag`` is the SOC that the particles' surface is below the mean.
@@ -73,7 +73,7 @@ class Slopes(NamedTuple):
         return dict(zip(BRANCHES, self[3:], strict=True))
 
 
-def place_of(m: Model, temperature_C: float) -> TablePlace:
+def place_of(m: Model, temperature_C: float) -> Place:
     """Neighbouring tables of a temperature, and the Arrhenius factor."""
     low = U(0)
     weight = 0.0
@@ -96,7 +96,7 @@ def place_of(m: Model, temperature_C: float) -> TablePlace:
         first = m.constant.arrhenius[k + 1] - start
         second = m.constant.arrhenius[k + 2] - m.constant.arrhenius[k + 1]
         scale = start + (f * (first + ((0.5 * (f - 1.0)) * (second - first))))
-    return TablePlace(low, weight, scale, 0.0)
+    return Place(low, weight, scale, 0.0)
 
 
 def within_one(soc: float) -> float:
@@ -116,16 +116,16 @@ def depth_at(c: Constants, temperature_C: float) -> float:
     return between(c.depth[k], c.depth[k + 1], f)
 
 
-def under_surface(c: Constants, x: State, at: TablePlace, temperature_C: WarmFloat) -> TablePlace:
+def under_surface(c: Constants, x: State, at: Place, temperature_C: WarmFloat) -> Place:
     """The same place with the lag of the particles' surface."""
     depth = depth_at(c, temperature_C) if DEPTH else c.surface_per_A
     lag = clip(depth * x.slow_A, -1.0, 1.0)
-    return TablePlace(at.low, at.weight, at.scale, lag)
+    return Place(at.low, at.weight, at.scale, lag)
 
 
-def aged(x: State, at: TablePlace) -> TablePlace:
+def aged(x: State, at: Place) -> Place:
     """The same place with the resistances that a history gives."""
-    return TablePlace(at.low, at.weight, at.scale * x.resistance_scale, at.lag)
+    return Place(at.low, at.weight, at.scale * x.resistance_scale, at.lag)
 
 
 def warmth_of(x: State) -> float:
@@ -136,7 +136,7 @@ def warmth_of(x: State) -> float:
     return F(warm_C)
 
 
-def place_now(m: Model, x: State) -> TablePlace:
+def place_now(m: Model, x: State) -> Place:
     """Where the cell's temperature lies between the tables."""
     warm_C = warmth_of(x) if WARM else 0.0
     here = place_of(m, warm_C) if WARM else place_of(m, 0.0)
@@ -144,7 +144,7 @@ def place_now(m: Model, x: State) -> TablePlace:
         here = under_surface(m.constant, x, here, warm_C)
     if HEALTH:
         here = aged(x, here)
-    return TablePlace(here.low, here.weight, here.scale, here.lag)
+    return Place(here.low, here.weight, here.scale, here.lag)
 
 
 def index_of(x: float, points: int) -> int:
@@ -159,7 +159,7 @@ def index_of(x: float, points: int) -> int:
     return k
 
 
-def read(m: Model, place: TablePlace, k: int, column: int, f: float) -> Any:
+def read(m: Model, place: Place, k: int, column: int, f: float) -> Any:
     """One table at a fraction of an interval."""
     low = between(m.row[place.low, k, column], m.row[place.low, k + U(1), column], f)
     if TEMPERATURES:
@@ -169,7 +169,7 @@ def read(m: Model, place: TablePlace, k: int, column: int, f: float) -> Any:
     return low
 
 
-def rise(m: Model, place: TablePlace, k: int, column: int) -> Any:
+def rise(m: Model, place: Place, k: int, column: int) -> Any:
     """How far a table rises over an interval."""
     low = m.row[place.low, k + U(1), column] - m.row[place.low, k, column]
     if TEMPERATURES:
@@ -179,7 +179,7 @@ def rise(m: Model, place: TablePlace, k: int, column: int) -> Any:
 
 
 @unrolled_by_option
-def look_up(m: Model, place: TablePlace, soc: float, current: float) -> Point:
+def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
     Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are those
@@ -248,7 +248,7 @@ def no_slopes(p: Point) -> Slopes:
 @noinline
 @unrolled_by_option
 def slopes_of(
-    m: Model, place: TablePlace, soc: float, spread: float, current: float, p: Point
+    m: Model, place: Place, soc: float, spread: float, current: float, p: Point
 ) -> Slopes:
     """While SOC is badly known slopes are chords over one standard deviation to either side."""
     low = clip(soc - spread, 0.0, 1.0)

@@ -11,7 +11,7 @@ from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
-    TablePlace,
+    Place,
     depth_at,
     look_up,
     place_now,
@@ -60,9 +60,9 @@ def as_it_is(x: State) -> Along:
     return Along(0.0, 0.0, 0.0, h, slow_A, *(v[i] for i in BRANCHES))
 
 
-def behind(at: TablePlace, lag: float) -> TablePlace:
+def behind(at: Place, lag: float) -> Place:
     """The same place with another lag of the particles' surface."""
-    return TablePlace(at.low, at.weight, at.scale, lag)
+    return Place(at.low, at.weight, at.scale, lag)
 
 
 def toward(old: float, end: float, left: float) -> float:
@@ -73,7 +73,7 @@ def toward(old: float, end: float, left: float) -> float:
 @noinline
 @unrolled_by_option
 def go_on(
-    m: Model, place: TablePlace, x: State, was: Along, soc: float, current: float, steps: float
+    m: Model, place: Place, x: State, was: Along, soc: float, current: float, steps: float
 ) -> Along:
     """So many time steps of a constant current later, at a SOC, in one interval.
 
@@ -120,7 +120,7 @@ def go_on(
 
 
 @noinline
-def ending(m: Model, place: TablePlace, x: State, soc: float, current: float) -> Along:
+def ending(m: Model, place: Place, x: State, soc: float, current: float) -> Along:
     """A constant current over the horizon of the power, from ``soc``."""
     c = m.constant
     now = as_it_is(x)
@@ -130,7 +130,7 @@ def ending(m: Model, place: TablePlace, x: State, soc: float, current: float) ->
 
 @noinline
 def able(
-    m: Model, place: TablePlace, x: State, soc: float, side: float, limit_V: float, most_A: float
+    m: Model, place: Place, x: State, soc: float, side: float, limit_V: float, most_A: float
 ) -> float:
     """Largest size of a current, discharged (``side`` 1) or charged (-1), up to ``most_A``.
 
@@ -175,7 +175,7 @@ def able(
 @noinline
 def one_way(
     m: Model,
-    place: TablePlace,
+    place: Place,
     x: State,
     soc: float,
     ss: float,

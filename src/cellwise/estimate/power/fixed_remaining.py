@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import TablePlace, place_now
+from cellwise.estimate.fixed.lookup import Place, place_now
 from cellwise.estimate.fixed.state import is_sound, taken
 from cellwise.estimate.power.fixed_power import Along, as_it_is, go_on
 
@@ -133,7 +133,7 @@ def is_plan_sound(phases: Phases, count: int) -> bool:
 @noinline
 def flown(
     m: Model,
-    place: TablePlace,
+    place: Place,
     x: State,
     phases: Phases,
     count: int,
