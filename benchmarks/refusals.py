@@ -24,9 +24,9 @@ import numpy as np
 
 from benchmarks.measured_data import HOW, data_folder
 from cellwise import InputError
-from cellwise.cell.initial_soc.pauses import simulate
 from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.estimate.replay import replay
+from cellwise.fit.pauses import simulate
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.joint_fit import gather_logs

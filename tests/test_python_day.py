@@ -11,7 +11,7 @@ import pytest
 
 import cellwise
 from cellwise import CellLog, InputError, TestLogs, load_dataset, simulate
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.fit.start import initial_soc
 from diagnosis_cases import diagnosis
 from example_cells import curved_cell
 

@@ -27,9 +27,9 @@ import numpy as np
 from benchmarks.ablation.identify_rules import RULES, Rule
 from benchmarks.measured_data import HOW, REPOSITORY, data_folder
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.fitted_pulses import fit_all_pulses
 from cellwise.identify.hppc import phases

@@ -261,7 +261,7 @@ def stated_V2(
 
 def start_of(model: CellModel, log: CellLog, soc0: float | None) -> float:
     """As stated, else as ``simulate`` finds it."""
-    from cellwise.cell.initial_soc.initial_soc import initial_soc
+    from cellwise.fit.start import initial_soc
 
     return initial_soc(model, log, whole_log=True).soc if soc0 is None else soc0
 

@@ -18,9 +18,9 @@ from benchmarks.accuracy.lfp import REFERENCE_AH as LFP_AH
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
 from cellwise.benchmark.faults import Fault, faulty_log, faulty_model
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
+from cellwise.fit.start import initial_soc
 from cellwise.logs import CellLog
 from cellwise.typing import FloatArray
 

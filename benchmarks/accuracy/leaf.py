@@ -9,10 +9,10 @@ import numpy as np
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
+from cellwise.fit.start import initial_soc
 from cellwise.identify.hppc.phases import find_phases
 from cellwise.logs import CellLog
 

@@ -10,10 +10,10 @@ from benchmarks.accuracy.panasonic import CELL, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import IdentifySettings, TestLogs, identify_cell
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
+from cellwise.fit.start import initial_soc
 from cellwise.logs import CellLog
 from cellwise.logs.cell_log import resample
 

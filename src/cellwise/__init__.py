@@ -6,7 +6,7 @@ TYPE_CHECKING = False  # `typing` takes longer than all that stands here
 if TYPE_CHECKING:
     from typing import Any
 
-    from cellwise.cell.initial_soc.pauses import simulate as simulate
+    from cellwise.fit.pauses import simulate as simulate
     from cellwise.cell.metrics import ErrorMetrics as ErrorMetrics
     from cellwise.cell.model import CellModel as CellModel
     from cellwise.cell.model_error import ModelError as ModelError
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _NAMES = {
-    "cellwise.cell.initial_soc.pauses": "simulate",
+    "cellwise.fit.pauses": "simulate",
     "cellwise.cell.metrics": "ErrorMetrics",
     "cellwise.cell.model": "CellModel",
     "cellwise.cell.model_error": "ModelError",

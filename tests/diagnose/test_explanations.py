@@ -9,7 +9,6 @@ import pytest
 
 from cellwise import simulate
 from cellwise.cell.effects import Hysteresis, RateDependence, SlowDiffusion
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.causes.catalogue import CAUSES
 from cellwise.diagnose.causes.coordinates import Coordinates
@@ -18,6 +17,7 @@ from cellwise.diagnose.fit.priors import starts_to_try
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.odds import RARE, Rarity
 from cellwise.diagnose.sets import Explanations, Outcome, decide
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import ChargeTransfer, SurfaceSoc
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import simulate
@@ -14,6 +13,7 @@ from cellwise.diagnose import diagnose
 from cellwise.diagnose.applied import extend_model
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import gather
+from cellwise.fit.start import InitialSoc
 from cellwise.logs.cell_log import CellLog
 from estimator_cases import ACTIVE
 from example_cells import curved_cell

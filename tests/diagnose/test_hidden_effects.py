@@ -16,11 +16,11 @@ import pytest
 from benchmarks.ablation.diagnosis import HIDDEN, ROWS, STEP_S, with_effect
 
 from cellwise.cell.effects import TemperatureDependence
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import gather
+from cellwise.fit.start import InitialSoc
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.cell_log import resample

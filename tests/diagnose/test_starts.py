@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import simulate
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.diagnose import diagnose
@@ -16,6 +14,8 @@ from cellwise.diagnose.applied import starts_with
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.priors import tolerances
 from cellwise.diagnose.fit.rows import gather
+from cellwise.fit.pauses import simulate
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
@@ -50,9 +50,14 @@ def test_a_log_starts_where_simulate_starts_it(unsure, loaded_from):
         assert run.before.metrics.rmse_V == shown.metrics.rmse_V
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="1.01: an OCV that is 30 mV off alike hides a start from all of a log; half is trusted",
+)
 def test_the_fit_is_no_surer_of_a_start_than_the_first_rows_are(unsure):
     """A start that the wrong model chose by all rows would hold against what makes it wrong."""
-    log = measured(unsure, 90)
+    drive = measured(unsure, 90)
+    log = drive.part(int(np.argmax(drive.current_A > 2.0)), len(drive))
     first = initial_soc(unsure, log)
     start = initial_soc(unsure, log, whole_log=True)
     assert start.std < 0.8 * first.std

@@ -39,10 +39,10 @@ MAY_IMPORT = {
     "printing": BASE | {"cell", "estimate"},
     "fit": BASE | {"logs", "cell"},
     "identify": BASE | {"logs", "cell", "fit"},
-    "estimate": BASE | {"logs", "cell"},
+    "estimate": BASE | {"logs", "cell", "fit"},
     "forecast": BASE | {"logs", "cell", "estimate"},
     "diagnose": BASE | {"logs", "cell", "fit", "identify", "estimate"},
-    "pack": BASE | {"logs", "cell", "identify", "estimate", "diagnose"},
+    "pack": BASE | {"logs", "cell", "fit", "identify", "estimate", "diagnose"},
     "history": BASE | {"logs", "cell", "fit"},
     "data": BASE | {"logs"},
     "export": BASE | TOOLS | {"printing"},
@@ -50,7 +50,7 @@ MAY_IMPORT = {
     "report": BASE | TOOLS | {"studies"},
     "benchmark": BASE | TOOLS | {"report", "export", "fleet"},
     "datasets": BASE | {"logs", "data"},
-    "live": BASE | {"logs", "cell", "estimate", "forecast"},
+    "live": BASE | {"logs", "cell", "fit", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
     "cli": BASE
     | TOOLS

@@ -42,7 +42,7 @@ CAPABILITIES = (
     Capability("a life by its discharges", "history/test_samsung_life.py",
                f"{DOOR}::test_a_life_in_the_order_of_its_files"),
     Capability("fade over 48 cycles", "history/test_life.py", f"{DOOR}::test_lipo_fade_at_4c"),
-    Capability("one start of a log", "cell/initial_soc/test_initial_soc_whole_log.py",
+    Capability("one start of a log", "fit/start/test_initial_soc_whole_log.py",
                f"{DOOR}::test_a_log_cut_anywhere_has_one_start_in_every_command"),
     Capability("fixed step as the EKF", "estimate/fixed/test_fixed_step_measured.py",
                f"{DOOR}::test_the_fixed_step_is_the_ekf"),

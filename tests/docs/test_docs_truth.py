@@ -14,7 +14,6 @@ from doc_blocks import DOCS, PAGES, REPOSITORY, page_blocks, page_name, prose
 import cellwise
 from cellwise.cell.effects import EFFECTS
 from cellwise.cell.equations import CellState
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.command_line import build_parser
 from cellwise.cli.common.printing import in_options
 from cellwise.estimate.estimators import ESTIMATORS
@@ -22,6 +21,7 @@ from cellwise.estimate.filters.coulomb import CoulombInfo, CoulombState
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.replay import SocErrors
 from cellwise.estimate.trace import Trace
+from cellwise.fit.start import InitialSoc
 from cellwise.identify.capacity.capacity_choice import CapacityRow
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse

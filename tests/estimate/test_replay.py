@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.protocol import ConstantCurrent, DriveProfile, Rest, run_protocol
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -16,6 +15,7 @@ from cellwise.estimate.estimators import ESTIMATORS, make_estimator
 from cellwise.estimate.replay import Replay, converged_row, reference_soc, replay, soc_errors
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import Trace
+from cellwise.fit.start import InitialSoc
 from cellwise.logs.cell_log import CellLog
 from example_cells import EFFECTS, curved_cell, random_log
 

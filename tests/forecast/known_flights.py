@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
+from cellwise.fit.start import InitialSoc
 from cellwise.logs.cell_log import CellLog
 
 CUTOFF_V = 3.2

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import named_model
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
+from cellwise.fit.start import initial_soc
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 from measured_models import identified_leaf, leaf_drives, missed

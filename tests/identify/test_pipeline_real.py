@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_file import read_model
 from cellwise.cell.simulate import simulate
 from cellwise.cli import main
 from cellwise.estimate.replay import replay
+from cellwise.fit.start import initial_soc
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import CellLog, read_log
 from measured_models import missed

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
+from cellwise.fit.start import InitialSoc
 from cellwise.logs import CellLog
 from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
+from cellwise.fit.start import initial_soc
 from cellwise.logs.reading import read_pack
 from cellwise.pack.differences import MeanCell, OcvSlope, mean_cell, regressors
 from cellwise.pack.pack_estimate import estimate_pack

@@ -10,7 +10,6 @@ import numpy as np
 
 from cellwise.benchmark.known_logs import file_digest, find_known
 from cellwise.benchmark.suite import EMBEDDED, Suite, SuiteCell, SuiteLog
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.cell.stock import stock_model, stock_names
@@ -19,6 +18,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import reference_soc
 from cellwise.estimate.tune_noise import tune_noise
+from cellwise.fit.start import initial_soc
 from cellwise.identify.identification import IdentifySettings, TestLogs
 from cellwise.identify.pipeline import identify_cell
 from cellwise.logs.cell_log import CellLog, resample

@@ -41,8 +41,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import simulate_stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import ends_forecasts
 from cellwise.cell.plausibility.validity import check_cells_in_series
@@ -53,6 +51,8 @@ from cellwise.errors import InputError
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.power.state_of_power import PowerSettings
 from cellwise.estimate.replay import expected_convergence_s, replay
+from cellwise.fit.pauses import simulate_stretches
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.forecast.charging import forecast_charge
 from cellwise.forecast.display import display_along
 from cellwise.forecast.plan import Plan, forecast_plan

@@ -49,13 +49,13 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FarOffStream
 from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
+from cellwise.fit.start import STATED_STD
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import cutoff_of

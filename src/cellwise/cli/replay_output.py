@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cli.common import log_options, printing
 from cellwise.cli.common.printing import band
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
+from cellwise.fit.start import InitialSoc
 from cellwise.forecast.plan import Outcome
 from cellwise.forecast.remaining import Flight, Forecast
 from cellwise.logs.files.source import open_source

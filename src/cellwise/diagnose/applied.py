@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from cellwise.cell import effects
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.metrics import held_out_gain
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import with_temperature
@@ -39,6 +38,7 @@ from cellwise.diagnose.fit.rows import FITTED, Evidence, shifted_current
 from cellwise.diagnose.result import LogRun, judged_runs
 from cellwise.diagnose.sets import Outcome
 from cellwise.estimate.replay import replay
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.identify.own_logs import joined, log_validity
 from cellwise.logs.cell_log import CellLog
 

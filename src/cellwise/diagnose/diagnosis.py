@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from cellwise.arguments import number
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.diagnose.applied import (
     Applied,
@@ -53,6 +52,7 @@ from cellwise.diagnose.sets import (
     decide,
 )
 from cellwise.errors import InputError
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.threads import one_blas_thread
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.causes.catalogue import SENSOR_FAULT
 from cellwise.diagnose.result import Diagnosis, FoundCause
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import (
     clipped_runs,

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
     assumed_temperature_notices,
@@ -32,6 +31,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.trace import Trace, nis_by_scale
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray

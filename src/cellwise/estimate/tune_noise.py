@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 

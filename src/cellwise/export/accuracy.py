@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.data import load_dataset
 from cellwise.estimate.filters.kalman import Ekf
@@ -23,6 +22,7 @@ from cellwise.estimate.trace import Trace
 from cellwise.export import cross
 from cellwise.export.cross import run_on_target
 from cellwise.export.package import Export
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog, resample
 from cellwise.plotting import Line, Panel, Plottable
 from cellwise.typing import FloatArray

@@ -91,6 +91,7 @@ class SameCell(NamedTuple):
 
 SPREAD, SAME_CELL = Spread(), SameCell()
 MODEL_STEP_K = 9.0  # between rows of a model that is a prior
+GRID_K, NARROW_K = 10.0, 1.0  # between a log's tables at most; within so little one is enough
 NUGGET_LN, NUGGET_V = 0.01, 3e-4  # of a knot by itself: keeps covariances apart from singular
 
 
@@ -302,6 +303,18 @@ def _ln_table(model: CellModel, name: str, warm_C: float = HOME_C) -> FloatArray
         row = getattr(at, f"{name}_ohm" if name.startswith("r") else f"{name}_s")[0]
     scale = at.capacity_Ah if name.startswith("r") else 1.0
     return np.asarray(np.interp(SOC, at.soc, np.log(np.maximum(row * scale, 1e-4))))
+
+
+def temperatures_of(model: CellModel, warm_C: FloatArray) -> FloatArray:
+    """At which the tables of one log are unknowns [degC]: the model's one, or those of the log."""
+    if model.temperature_C.size == 1:
+        known = any(isinstance(e, TemperatureDependence) for e in model.effects)
+        here = model.effect(TemperatureDependence).reference_C if known else model.temperature_C[0]
+        return np.array([float(here)])
+    low, high = np.quantile(warm_C, (0.02, 0.98))
+    if high - low < NARROW_K:
+        return np.array([0.5 * float(low + high)])
+    return np.linspace(low, high, 2 + int((high - low) / GRID_K))
 
 
 def prior_of(

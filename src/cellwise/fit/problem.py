@@ -206,20 +206,26 @@ class Problem:
         cost = number * EVIDENCE.robust**2 * float(np.mean(root - 1.0))
         return cost, gradient, products_of(jacobian, self.places[index]), r
 
+    def _each(self, theta: FloatArray) -> list[tuple[float, FloatArray, Products, FloatArray]]:
+        """The same of every log; a thread costs more than a single one."""
+        every = range(len(self.logs))
+        if len(self.logs) == 1:
+            return [self._one(0, theta)]
+        with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
+            return list(pool.map(lambda i: self._one(i, theta), every))
+
     def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
         """What the logs say, and the residuals of each; the logs run side by side."""
         matrix = np.zeros((theta.size, theta.size))
         gradient = np.zeros(theta.size)
         cost = 0.0
         residuals = []
-        with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
-            found = pool.map(lambda i: self._one(i, theta), range(len(self.logs)))
-            for places, (part, g, products, r) in zip(self.places, found, strict=True):
-                cost += part
-                gradient[places] += g
-                for moving, block in products:
-                    add_block(matrix, moving, block)
-                residuals.append(r)
+        for places, (part, g, products, r) in zip(self.places, self._each(theta), strict=True):
+            cost += part
+            gradient[places] += g
+            for moving, block in products:
+                add_block(matrix, moving, block)
+            residuals.append(r)
         return Normal(cost, gradient, matrix), tuple(residuals)
 
     def normal_equations(self, theta: FloatArray) -> Normal:

@@ -9,19 +9,19 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SurfaceSoc, TemperatureDependence
-from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
-from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
 from cellwise.fit.beginnings import thinned
 from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
-from cellwise.fit.population import ModelPrior, prior_of
+from cellwise.fit.population import ModelPrior, prior_of, temperatures_of
 from cellwise.fit.posterior import whole_resistance
 from cellwise.fit.problem import Problem
+from cellwise.fit.rest import REST_RATE
 from cellwise.fit.rows import FitLog
 from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
+from cellwise.fit.start import STATED_STD, initial_soc
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -50,8 +50,6 @@ class FittedLog(NamedTuple):
     least_start_std : float   a start that its rest says is open by this at least: an error of the
                               model that is alike everywhere moves it, too [SOC]
     past_V : float            what each slow branch holds where a log begins under load
-    grid_K, narrow_K : float  tables of several temperatures are taken at most as far apart; within
-                              so little one is enough
     """
 
     fewest_rows: int = 20
@@ -59,8 +57,6 @@ class FittedLog(NamedTuple):
     iterations: int = 20
     least_start_std: float = 0.02
     past_V: float = 0.036
-    grid_K: float = 10.0
-    narrow_K: float = 1.0
 
 
 class PerKelvin(NamedTuple):
@@ -168,7 +164,7 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
 
 def _fit(model: CellModel, item: FitLog) -> _Fitted:
     """The most probable of the fits of each size of the model's error, with its capacity open."""
-    grid = _temperatures(model, item)
+    grid = temperatures_of(model, known_temperature_C(model, item.log))
     hysteresis = any(isinstance(e, Hysteresis) for e in model.effects)
     lay = layout_of(3, hysteresis, int(grid.size), 1)
     settings = FitSettings(
@@ -214,18 +210,6 @@ def _aged(result: FitResult, new: FloatArray) -> _Fitted:
         result.start(0)[0],
         float(np.ptp(soc)),
     )
-
-
-def _temperatures(model: CellModel, item: FitLog) -> FloatArray:
-    """At which the tables are unknowns [degC]: the model's one, or those of the log."""
-    if model.temperature_C.size == 1:
-        known = any(isinstance(e, TemperatureDependence) for e in model.effects)
-        here = model.effect(TemperatureDependence).reference_C if known else model.temperature_C[0]
-        return np.array([float(here)])
-    low, high = np.quantile(known_temperature_C(model, item.log), (0.02, 0.98))
-    if high - low < FITTED.narrow_K:
-        return np.array([0.5 * float(low + high)])
-    return np.linspace(low, high, 2 + int((high - low) / FITTED.grid_K))
 
 
 def _away_K(model: CellModel, log: CellLog) -> float:

@@ -9,9 +9,9 @@ from itertools import combinations
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
+from cellwise.fit.start import InitialSoc
 from cellwise.identify.checked_logs import VOLT_PER_KELVIN, CheckedLogs, grouped_by_temperature
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
 from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs

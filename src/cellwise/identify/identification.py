@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.fit.solve import FitResult
+from cellwise.fit.start import InitialSoc
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve

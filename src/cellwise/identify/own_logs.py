@@ -8,7 +8,6 @@ from functools import reduce
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import (
@@ -22,6 +21,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import Fitted, OwnLog, Role, Start, TestLogs

@@ -17,12 +17,12 @@ from importlib.metadata import version
 import numpy as np
 
 from cellwise.cell.equations import ZERO_CELSIUS_K
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import Notice, in_order
 from cellwise.errors import InputError
 from cellwise.fit.population import SPREAD
+from cellwise.fit.start import InitialSoc
 from cellwise.identify.assemble import plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
 from cellwise.identify.effect_selection import fit_with_effects

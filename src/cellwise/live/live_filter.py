@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
@@ -26,6 +25,7 @@ from cellwise.estimate.fixed_pack import FixedPack, PackState
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_dict
 from cellwise.files import write_atomically
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.live.samples import Sample
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import GAP

@@ -21,12 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
+from cellwise.fit.pauses import stretches
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import check_order, day_of_name

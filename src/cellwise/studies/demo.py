@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.data import list_datasets, load_dataset
 from cellwise.estimate.replay import Replay, replay
 from cellwise.files import made_folder
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
 
 HELD_OUT = "nmc_drive_b"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cellwise import read_log
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_file import read_model
+from cellwise.fit.start import initial_soc
 from cellwise.live import LiveFilter
 from cellwise.live.samples import Sample
 from cellwise.logs import write_log

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import ChargeTransfer
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose import diagnose
@@ -17,6 +16,7 @@ from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import limits
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
@@ -23,6 +22,7 @@ from cellwise.diagnose.causes.coordinates import (
 from cellwise.diagnose.checks import unseen_temperature_C
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.odds import AGE
+from cellwise.fit.start import InitialSoc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

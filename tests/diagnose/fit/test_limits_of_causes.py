@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import plain_runs
 from cellwise.diagnose.causes.catalogue import CAUSES
@@ -18,6 +17,7 @@ from cellwise.diagnose.fit.cause_fits import CauseFits
 from cellwise.diagnose.fit.rows import gather
 from cellwise.diagnose.limits import limits
 from cellwise.diagnose.odds import RARE
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from random_loads import random_load

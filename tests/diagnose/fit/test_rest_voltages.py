@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.diagnose.applied import extend_model
@@ -15,6 +14,7 @@ from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.causes.electrodes import Electrodes
 from cellwise.diagnose.fit.rests import rest_reading, rest_voltages
 from cellwise.diagnose.fit.rows import gather
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, linear_cell
 

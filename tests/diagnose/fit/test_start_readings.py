@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellwise import simulate
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.applied import extend_model
@@ -16,6 +15,7 @@ from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates
 from cellwise.diagnose.fit.coordinate_fit import Tolerances
 from cellwise.diagnose.fit.priors import start_readings
 from cellwise.diagnose.fit.rows import gather
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 

@@ -13,8 +13,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.estimate.estimators import make_estimator
+from cellwise.fit.start import initial_soc
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 from measured_models import identified_lg, identified_samsung, missed, samsung_log

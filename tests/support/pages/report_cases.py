@@ -7,7 +7,6 @@ from html.parser import HTMLParser
 import numpy as np
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
@@ -15,6 +14,7 @@ from cellwise.estimate.replay import Replay
 from cellwise.estimate.trace import Trace
 from cellwise.fit.rows import BaseOcv
 from cellwise.fit.solve import FitResult
+from cellwise.fit.start import InitialSoc
 from cellwise.fit.unknowns import layout_of
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse

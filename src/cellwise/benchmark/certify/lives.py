@@ -22,11 +22,11 @@ from cellwise.benchmark.certify.virtual_cells import (
 )
 from cellwise.benchmark.faults import faulty_log
 from cellwise.benchmark.suite_logs import ROOM_C, JudgedLog
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.protocol import run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.replay import reference_soc
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 

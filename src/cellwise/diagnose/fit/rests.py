@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.point_kernels import OCV, M
 from cellwise.diagnose.causes.coordinates import Coordinates
+from cellwise.fit.rest import REST_RATE
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import run_edges
 from cellwise.typing import FloatArray

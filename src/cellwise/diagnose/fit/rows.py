@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.equations import empty_state
-from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.model import CellModel
 from cellwise.cell.point_kernels import R3, TAU2, TAU3
 from cellwise.cell.simulate import known_temperature_C, simulate_rows, start_hysteresis
 from cellwise.diagnose.causes.coordinates import OCV_NAMES, Coordinates, KernelInputs, step_of
 from cellwise.diagnose.fit.rests import NO_READING, RestReading, rest_reading
+from cellwise.fit.start import InitialSoc
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IntArray
 

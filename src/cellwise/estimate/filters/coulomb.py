@@ -10,7 +10,6 @@ import numpy as np
 
 from cellwise.cell.compiled import inline, kernel, part, rows
 from cellwise.cell.equations import CellTables, look_up, soc_step
-from cellwise.cell.initial_soc.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -25,6 +24,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.sensing_kernels import LOST_RATE, Reading
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
 from cellwise.estimate.trace import Trace
+from cellwise.fit.rest import RELAXED_S, REST_RATE, SHORT_REST_V
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray, IntArray
 

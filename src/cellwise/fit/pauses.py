@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
+from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.gaps import uncounted_pauses
 

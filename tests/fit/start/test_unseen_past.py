@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.initial_soc.rest import (
+from cellwise.fit.rest import (
     RECKONED,
     Branches,
     Load,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis
-from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.initial_soc.rest import soc_of_ocv
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.fit.rest import soc_of_ocv
+from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell, linear_cell
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import SlowDiffusion
-from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
+from cellwise.fit.start import initial_soc
 from cellwise.identify import IdentifySettings, TestLogs, identify_cell
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
