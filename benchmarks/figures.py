@@ -37,7 +37,7 @@ class Figure:
 
     ``value`` is None where nothing could be measured; then ``note`` says why. ``ratio`` is value
     over the group's first row (this project's). ``target`` is the largest value allowed, the
-    smallest where ``at_least``.
+    smallest where ``at_least``. A ``headline`` stands in the docs.
     """
 
     group: str
@@ -48,6 +48,7 @@ class Figure:
     target: float | None = None
     at_least: bool = False
     note: str = ""
+    headline: bool = False
 
     @property
     def passed(self) -> bool | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measured_data import HOW, data_folder, measured_log
-from cellwise import CellModel, IdentifySettings, TestLogs, identify_cell
+from cellwise import CellModel, CellTests, IdentifySettings, identify_cell
 from cellwise.diagnose import diagnose
 from cellwise.logs import CellLog
 from cellwise.report.diagnosis.page import diagnose_page
@@ -61,16 +61,14 @@ def panasonic() -> CellModel:
         "drive_p25_cycle_2",
         "drive_p25_cycle_3",
     )
-    tests = TestLogs(
-        hppc=((hppc, None),), ocv=(ocv,), capacity=(capacity,), drive=((two, None), (three, None))
-    )
+    tests = CellTests(hppc=hppc, ocv=ocv, capacity=capacity, drive=((two, None), (three, None)))
     return identify_cell(tests, IdentifySettings(nominal_Ah=2.9, name="Panasonic 25 degC")).model
 
 
 def plain_panasonic() -> CellModel:
     """The plain 2-RC model of the laboratory tests at 25 degC, no drive."""
     hppc, ocv, capacity = _logs(PANASONIC, "hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1")
-    tests = TestLogs(hppc=((hppc, None),), ocv=(ocv,), capacity=(capacity,))
+    tests = CellTests(hppc=hppc, ocv=ocv, capacity=capacity)
     settings = IdentifySettings(nominal_Ah=2.9, branches=2, name="Panasonic 25 degC, plain 2-RC")
     return identify_cell(tests, settings).model
 
@@ -78,7 +76,7 @@ def plain_panasonic() -> CellModel:
 def a123_without_hysteresis() -> CellModel:
     """Identified at 25 and 35 degC as if there were no hysteresis."""
     ocv = _logs(A123, *(f"ocv_p25_s{k}" for k in (1, 2, 3, 4)))
-    tests = TestLogs(ocv=tuple(ocv), drive=((_logs(A123, "dyn_p35_s1")[0], None),))
+    tests = CellTests(ocv=tuple(ocv), drive=((_logs(A123, "dyn_p35_s1")[0], None),))
     settings = IdentifySettings(
         nominal_Ah=2.3, chemistry="LFP", hysteresis=False, name="A123 without hysteresis"
     )
@@ -89,7 +87,7 @@ def a123_without_hysteresis() -> CellModel:
 def leaf() -> CellModel:
     """Identified at 25 degC on HPPC and 1C."""
     hppc, capacity = _logs(LEAF, "hppc_p25", "cap_1c_p23")
-    tests = TestLogs(hppc=((hppc, 25.0),), capacity=(capacity,))
+    tests = CellTests(hppc=((hppc, 25.0),), capacity=capacity)
     return identify_cell(tests, IdentifySettings(nominal_Ah=33.1, name="Leaf at 1C")).model
 
 
@@ -153,14 +151,14 @@ FINDINGS = {
         leaf,
         lambda: _logs(LEAF, "cap_2c_p23"),
         list,
-        "auto",
+        None,
     ),
     "leaf_3c": Finding(
         "Leaf at 3C with the model of 1C",
         leaf,
         lambda: _logs(LEAF, "cap_3c_p23"),
         list,
-        "auto",
+        None,
     ),
 }
 

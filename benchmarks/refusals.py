@@ -27,7 +27,7 @@ from cellwise import InputError
 from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.fit.pauses import simulate
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import measure_capacity
@@ -120,16 +120,16 @@ def own_role(name: str) -> str:
     return next((role for begin, role in roles.items() if name.startswith(begin)), "capacity")
 
 
-def as_tests(logs: tuple[CellLog, ...], role: str | None = None) -> TestLogs:
+def as_tests(logs: tuple[CellLog, ...], role: str | None = None) -> CellTests:
     """The logs as tests, in their own roles or all in one."""
     given: dict[str, tuple[CellLog, ...]] = {}
     for log in logs:
         name = role or ("drive" if log.name.startswith("leaf_") else own_role(log.name))
         given[name] = (*given.get(name, ()), log)
-    return TestLogs(**given)  # type: ignore[arg-type]
+    return CellTests(**given)  # type: ignore[arg-type]
 
 
-def checks(tests: TestLogs, settings: IdentifySettings) -> None:
+def checks(tests: CellTests, settings: IdentifySettings) -> None:
     """What `identify` checks before its fit."""
     checked = check_logs(tests, settings)
     gather_logs(checked, measure_capacity(checked, settings), settings, lambda _: None)

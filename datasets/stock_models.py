@@ -27,7 +27,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.model_file import check_physical, model_to_dict, read_model
 from cellwise.data import load_dataset
 from cellwise.files import made_folder, write_atomically
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.logs import CellLog, Stated, read_log
 from cellwise.typing import FloatArray
@@ -153,7 +153,7 @@ def identified(recipe: Recipe, data: Path, prior: CellModel | None) -> CellModel
     return identify_cell(tests, settings).model
 
 
-def tests_of(recipe: Recipe, data: Path) -> TestLogs:
+def tests_of(recipe: Recipe, data: Path) -> CellTests:
     """The recipe's logs."""
 
     def log(text: str) -> tuple[CellLog, float | None]:
@@ -161,7 +161,7 @@ def tests_of(recipe: Recipe, data: Path) -> TestLogs:
         whole = f"{data / recipe.original / name}.csv.gz{at}{stated}"
         return read_log(whole), Stated.parse(whole).temperature_C
 
-    return TestLogs(
+    return CellTests(
         hppc=tuple(log(t) for t in recipe.hppc),
         ocv=tuple(log(t)[0] for t in recipe.ocv),
         capacity=tuple(log(t)[0] for t in recipe.capacity),

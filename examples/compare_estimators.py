@@ -2,10 +2,10 @@
 
 import cellwise as cw
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),),
-    ocv=(cw.load_dataset("nmc_ocv_c20"),),
-    drive=((cw.load_dataset("nmc_drive_a"), None),),
+tests = cw.CellTests(
+    hppc=cw.load_dataset("nmc_hppc"),
+    ocv=cw.load_dataset("nmc_ocv_c20"),
+    drive=cw.load_dataset("nmc_drive_a"),
 )
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0)).model
 drive = cw.load_dataset("nmc_drive_b")

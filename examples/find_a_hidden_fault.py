@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import cellwise as cw
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),), ocv=(cw.load_dataset("nmc_ocv_c20"),)
-)
+tests = cw.CellTests(hppc=cw.load_dataset("nmc_hppc"), ocv=cw.load_dataset("nmc_ocv_c20"))
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 
 # The hidden fault. The counter would reveal it.

@@ -2,9 +2,9 @@
 
 import cellwise as cw
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),),
-    ocv=(cw.load_dataset("nmc_ocv_c20"),),
+tests = cw.CellTests(
+    hppc=cw.load_dataset("nmc_hppc"),
+    ocv=cw.load_dataset("nmc_ocv_c20"),
     capacity=(cw.load_dataset("nmc_cap_c3"),),
 )
 found = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, name="LG M50", refine=False))

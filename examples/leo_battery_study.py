@@ -6,16 +6,14 @@ import numpy as np
 
 import cellwise as cw
 
-tests = cw.TestLogs(
-    hppc=((cw.load_dataset("nmc_hppc"), None),), ocv=(cw.load_dataset("nmc_ocv_c20"),)
-)
+tests = cw.CellTests(hppc=cw.load_dataset("nmc_hppc"), ocv=cw.load_dataset("nmc_ocv_c20"))
 cell = cw.identify_cell(tests, cw.IdentifySettings(nominal_Ah=5.0, refine=False)).model
 orbits = cw.load_dataset("nmc_leo")
 print(orbits)
 
 # From the right start: how deep the eclipses go.
 known = cw.replay(cell, orbits, soc0=0.997)
-print(f"SOC from {known.trace.soc.min():.2f} to {known.trace.soc.max():.2f} in twelve orbits")
+print(f"SOC from {known.soc.min():.2f} to {known.soc.max():.2f} in twelve orbits")
 print(f"lowest voltage {np.nanmin(orbits.voltage_V):.3f} V, allowed {cell.voltage_min_V} V")
 
 # Twenty points wrong at the start, the second time with a sensor that adds 50 mA. The judge is the

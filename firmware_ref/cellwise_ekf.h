@@ -1,27 +1,11 @@
-/* State of charge of one battery cell: float32 extended Kalman filter at a fixed time step.
- * Printed from src/cellwise/estimate/fixed/layout.py by `python -m cellwise.printing`; do not
- * edit. */
-/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the
- * Python. Current is positive on discharge. cell_table.h is written by `cellwise export`. */
+/* State of charge of one battery cell: a Kalman filter at a fixed time step. Printed from src/cellwise/estimate by
+ * `python -m cellwise.printing`; do not edit. */
+/* The caller owns every object. No heap, no static data, no libm, no double; the same bits as the Python. Current is
+ * positive on discharge. No output is ever NaN or infinite. */
 #ifndef CELLWISE_EKF_H
 #define CELLWISE_EKF_H
 
-#include <stdbool.h>
-#include <stdint.h>
-
-#include "cell_table.h"
-
-#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
-    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
-#error "cellwise_ekf: build without -ffast-math, -Ofast and the options that these stand for"
-#endif
-#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
-#error "cellwise_ekf: float expressions must be evaluated as float (on 32-bit x86: -mfpmath=sse)"
-#endif
-
-#define CELLWISE_NEEDS_TEMPERATURE \
-    ((CELLWISE_TEMPERATURES > 1) || (CELLWISE_ARRHENIUS > 0) || (CELLWISE_DEPTH > 0) || \
-     (CELLWISE_VALIDITY > 1))
+#include "cellwise_model.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -35,133 +19,13 @@ extern "C" {
 #define CELLWISE_INNOVATION_REJECTED 16u /* the innovation gate kept the voltage out */
 #define CELLWISE_CLAMPED 32u /* SOC was held at a bound */
 #define CELLWISE_STATE_RESET 64u /* the state was not finite and was re-initialised */
-/* too many rejections in a row: variance widened, voltage let in */
-#define CELLWISE_GATE_RECOVERY 128u
-/* not finite or out of range: the last valid temperature was held */
-#define CELLWISE_TEMPERATURE_INVALID 256u
-/* a reading that no cell of this kind gives: treated as missing */
-#define CELLWISE_OUT_OF_RANGE 512u
-/* the voltage repeats itself while the current changes: not used */
-#define CELLWISE_VOLTAGE_FROZEN 1024u
-/* current missing for longer than is held: on voltage alone, variance grows */
-#define CELLWISE_CURRENT_LOST 2048u
+#define CELLWISE_GATE_RECOVERY 128u /* too many rejections in a row: variance widened, voltage let in */
+#define CELLWISE_TEMPERATURE_INVALID 256u /* not finite or out of range: the last valid temperature was held */
+#define CELLWISE_OUT_OF_RANGE 512u /* a reading that no cell of this kind gives: treated as missing */
+#define CELLWISE_VOLTAGE_FROZEN 1024u /* the voltage repeats itself while the current changes: not used */
+#define CELLWISE_CURRENT_LOST 2048u /* current missing for longer than is held: on voltage alone, variance grows */
 #define CELLWISE_VOLTAGE_LOST 4096u /* voltage missing or frozen for as long: counting charge */
-/* SOC, temperature or current beyond the model's data: variance widened */
-#define CELLWISE_OUTSIDE 8192u
-
-/* One point of the SOC grid. A branch's lag is in time steps. */
-typedef struct {
-    float ocv_V;
-    float error_V; /* slow error of the model's voltage */
-    float r0_ohm;
-    float r1_ohm;
-    float r2_ohm;
-    float r3_ohm;
-    float lag1; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
-    float lag2; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
-    float lag3; /* 1 / (1 - exp(-dt/tau)): all but linear in tau, so it is interpolated as tau is */
-    float m_V;
-} cellwise_row;
-
-/* What depends on cell, time step and noise but not on SOC. */
-typedef struct {
-    float soc_per_A; /* SOC that 1 A takes in one step */
-    float soc_walk; /* variance that SOC gains in one step */
-    float capacity_walk; /* and per ampere, by a capacity that may be off */
-    float current_variance_A2; /* of the current sensor */
-    float fixed_V2; /* of the voltage sensor */
-    float ocv_soc2; /* of the OCV along the SOC axis */
-    float lost_A2; /* variance of a current that nobody measured */
-    float share_variance; /* of the resistances on discharge, relative, */
-    float charge_variance; /* and on charge */
-    float gate_square; /* innovations beyond this many variances are rejected */
-    float shared; /* samples that share one model error after long; */
-    float shared_early; /* just after the first shared_early / shared_half of them, */
-    float shared_half; /* and half way between the two after so many steps */
-    float lately; /* weight of one sample in the running mismatch */
-    float mismatch_cap;
-    float gap_variance; /* of SOC over a long gap */
-    float current_limit_A;
-    float voltage_low_V;
-    float voltage_high_V;
-    float branch_variance_V2; /* of a branch voltage at the start, at rest */
-    float rest_A; /* below it a cell counts as resting */
-    float start_rest_A; /* what may have flowed before a start at rest, */
-    float start_load_A; /* and, at least, before one under load */
-    uint32_t recovery_after; /* steps rejected in a row, then the SOC is unknown */
-    uint32_t gap_steps; /* missing samples that are bridged */
-    uint32_t hold_steps; /* samples for which a missing current is held */
-    float lost_soc; /* deviation that SOC gains in one step after that */
-    float frozen_V; /* how far a voltage must have moved to be called frozen */
-    float recovery_A; /* what branches may hold after a lock-out */
-    float bank_A; /* what may have flowed for hours before a start under load, */
-    float past_A; /* and beside a load like it */
-    float least_use_A; /* a use takes no longer from full to empty */
-    float fades; /* of samples that share one model error, those whose error fades, */
-    float stays; /* and the share of the error that does not */
-    uint32_t look_steps; /* until the past of a start under load is looked at */
-    float charge_efficiency;
-    float leak_soc; /* SOC that self-discharge takes in one step */
-    float skew_share; /* of the previous current in what the voltage has seen */
-    float rate_per_A; /* fall of the resistances with the current */
-    float charge_scale; /* factor on the resistances while charging */
-    float asinh_per_V; /* of the charge transfer of the fast branch */
-    float surface_gain; /* 1 - exp(-dt / time constant of the current it follows) */
-    float surface_rate; /* dt / that time constant */
-    float hysteresis_per_A; /* e-folds of h in one step at 1 A */
-    float persistent; /* share of the slow error that comes back at the same SOC */
-    float drift_soc; /* that a current which is off moves in one step */
-    float contradicted_share; /* dt / 600 s */
-    float heat_K_per_W;
-    float heat_gain; /* 1 - exp(-dt / thermal time constant) */
-    float heat_rate; /* dt / thermal time constant */
-    float temperature_C; /* until the first valid one */
-    float valid_soc_low; /* the model's data, tolerance included */
-    float valid_soc_high;
-    float valid_charge_A;
-    float valid_discharge_A;
-    float share_per_A; /* of the polarisation, error beyond their current */
-    float valid_cold_C;
-    float valid_warm_C;
-    float share_per_K; /* of the polarisation, error beyond their temperature */
-    float voltage_per_K; /* of the OCV */
-    float power_steps; /* time steps of the horizon of the power */
-    float power_low_V; /* limits that a power keeps */
-    float power_high_V;
-    float power_discharge_A;
-    float power_charge_A; /* without sign */
-    float power_soc_low;
-    float power_soc_high;
-    float remaining_low_V; /* voltage at which a load gives up */
-    float remaining_least_A; /* a load below it counts as it */
-    float remaining_share; /* two deviations of the capacity, relative */
-    float step_s; /* the time step */
-    float cell_soc2; /* variance of the cells' differences at the start: of SOC, */
-    float cell_capacity2; /* capacity, relative, */
-    float cell_resistance2; /* resistance, relative, */
-    float cell_soc_walk; /* and gained in one step */
-    float cell_capacity_walk;
-    float cell_resistance_walk;
-    float cell_V2; /* of a cell's sensor beside the others' */
-    float cell_shared; /* samples that share one error of a cell's voltage */
-    float cell_lag; /* square of the delay of a cell's polling, in steps */
-    float cell_least_soc2; /* what a sensor's offset leaves unknown of a cell's SOC */
-    uint32_t cell_turns; /* samples in which every cell has its turn once */
-    uint32_t cell_recovery; /* rejections in a row, then a cell's SOC is unknown */
-    float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
-    float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
-    float arrhenius_low_C;
-    float arrhenius_per_K; /* points per kelvin */
-    float arrhenius[CELLWISE_ARRHENIUS]; /* factor on every resistance */
-    float depth_low_C;
-    float depth_per_K; /* points per kelvin */
-    float depth[CELLWISE_DEPTH]; /* SOC that the surface is below at 1 A */
-} cellwise_constants;
-
-typedef struct {
-    cellwise_constants constant;
-    cellwise_row row[CELLWISE_TEMPERATURES][CELLWISE_POINTS];
-} cellwise_model;
+#define CELLWISE_OUTSIDE 8192u /* SOC, temperature or current beyond the model's data: variance widened */
 
 /* What is carried from step to step: x, the upper triangle of P, and what was seen last. */
 typedef struct {
@@ -222,7 +86,6 @@ typedef struct {
     uint32_t sequence; /* counts time steps, wraps */
 } cellwise_input;
 
-/* Never NaN, never infinite. */
 typedef struct {
     float soc;
     float soc_variance;
@@ -232,14 +95,13 @@ typedef struct {
     uint32_t status; /* what happened: bits */
 } cellwise_output;
 
-/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a
- * state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+/* A cell at rest at `soc`, known with `soc_variance`. Arguments that are no such numbers give a state that knows
+ * nothing. Returns 0 or CELLWISE_STATE_RESET. */
 uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance);
 
-/* One time step: predict over the interval that ends now, then use the voltage read now. Returns
- * the status bits, which are in `out` too. */
-uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
-                       cellwise_output *out);
+/* One time step: predict over the interval that ends now, then use the voltage read now. Returns the status bits,
+ * which are in `out` too. */
+uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample, cellwise_output *out);
 
 /* A start that is not known: an array of states, the estimate and its components behind it. */
 typedef struct {
@@ -254,17 +116,17 @@ typedef struct {
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 
-/* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that
- * are no such numbers give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
-uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
-                            uint32_t count, float soc, float soc_variance);
+/* A cell at rest at `soc`, known with `soc_variance`; `of` has count + 1 states. Arguments that are no such numbers
+ * give a state that knows nothing. Returns 0 or CELLWISE_STATE_RESET. */
+uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count, float soc,
+                            float soc_variance);
 
-/* One time step of a bank of `count` components; the estimate is in `of[0]`. Returns the status
- * bits, which are in `out` too. */
-uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_state *of,
-                            uint32_t count, const cellwise_input *sample, cellwise_output *out);
+/* One time step of a bank of `count` components; the estimate is in `of[0]`. Returns the status bits, which are in
+ * `out` too. */
+uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                            const cellwise_input *sample, cellwise_output *out);
 
-/* State of power, where it is compiled in. Never NaN, never infinite. */
+/* State of power, where it is compiled in. */
 typedef struct {
     float discharge_W; /* what the cell can give, */
     float discharge_low_W; /* and sustains with 95 % */
@@ -272,12 +134,12 @@ typedef struct {
     float charge_low_W; /* and sustains with 95 % */
 } cellwise_capability;
 
-/* What the cell can give and take for the horizon that the tables hold; nothing is changed. The
- * largest constant currents that keep voltage, current and SOC within their limits to the end of
- * the horizon, times the voltage then. Zero throughout for a state that is not sound. */
+/* What the cell can give and take for the horizon that the tables hold; nothing is changed. The largest constant
+ * currents that keep voltage, current and SOC within their limits to the end of the horizon, times the voltage then.
+ * Zero throughout for a state that is not sound. */
 void cellwise_power(const cellwise_model *m, const cellwise_state *x, cellwise_capability *out);
 
-/* Remaining time and energy, where they are compiled in. Never NaN, never infinite. */
+/* Remaining time and energy, where they are compiled in. */
 typedef struct {
     float time_s; /* until the load reaches the cutoff, or the cell is empty */
     float time_low_s; /* two deviations less */
@@ -287,15 +149,14 @@ typedef struct {
     float energy_high_J;
 } cellwise_outlook;
 
-/* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed.
- * `load_A` is held, or with `holds_power` what it gives now. One below C/50 counts as that. The
- * SOC down to empty is gone through in equal parts; temperature stays. The band of two
- * deviations holds the SOC's, the voltage's along the way, and those of the capacity. Zero
- * throughout for a load that no cell carries and for a state that is not sound. */
-void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A,
-                        bool holds_power, cellwise_outlook *out);
+/* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed. `load_A` is held, or
+ * with `holds_power` what it gives now. One below C/50 counts as that. The SOC down to empty is gone through in
+ * equal parts; temperature stays. The band of two deviations holds the SOC's, the voltage's along the way, and those
+ * of the capacity. Zero throughout for a load that no cell carries and for a state that is not sound. */
+void cellwise_remaining(const cellwise_model *m, const cellwise_state *x, float load_A, bool holds_power,
+                        cellwise_outlook *out);
 
-/* A plan of loads: a constant array of phases, and where it ends. Never NaN, never infinite. */
+/* A plan of loads: a constant array of phases, and where it ends. */
 typedef struct {
     float seconds; /* that it lasts */
     float load; /* current [A], or power [W], positive on discharge */
@@ -312,25 +173,22 @@ typedef struct {
     float chance; /* to end at the SOC asked for or more, above the cutoff all the way */
 } cellwise_landing;
 
-/* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The
- * phases follow each other; a load is a current [A], or with `holds_power` a power [W], of one
- * cell, positive on discharge. Temperature stays. The bands of two deviations hold those of the
- * SOC, of the voltage along the way and of the capacity, by their effects at two deviations; the
- * chance is the product of those to end at `above` and to stay above the cutoff: at most as
- * large as the two together. Zero throughout for a phase that is none and a state that is not
+/* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The phases follow each
+ * other; a load is a current [A], or with `holds_power` a power [W], of one cell, positive on discharge. Temperature
+ * stays. The bands of two deviations hold those of the SOC, of the voltage along the way and of the capacity, by
+ * their effects at two deviations; the chance is the product of those to end at `above` and to stay above the
+ * cutoff: at most as large as the two together. Zero throughout for a phase that is none and a state that is not
  * sound. */
-void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases,
-                   uint32_t count, bool holds_power, float above, cellwise_landing *out);
+void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases, uint32_t count,
+                   bool holds_power, float above, cellwise_landing *out);
 
-/* What a history says of the cell beside the model: its capacity, and all its resistances. Kept
- * in the state. Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside
- * 0.1..2, a scale outside 0.1..20, a state that is not sound. */
-uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share,
-                             float resistance_scale);
+/* What a history says of the cell beside the model: its capacity, and all its resistances. Kept in the state.
+ * Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside 0.1..2, a scale outside 0.1..20, a
+ * state that is not sound. */
+uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share, float resistance_scale);
 
-/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for
- * the difference of every cell. At each sample: cellwise_mean_voltage, cellwise_step with that
- * voltage, cellwise_cells_step. */
+/* A pack, where it is compiled in: one cellwise_state for the mean cell, one cellwise_pack_cell for the difference of
+ * every cell. At each sample: cellwise_mean_voltage, cellwise_step with that voltage, cellwise_cells_step. */
 typedef struct {
     float soc; /* more than the mean cell's, where that is 50 % */
     float capacity; /* more than the mean cell's, relative */
@@ -346,7 +204,6 @@ typedef struct {
     uint32_t status; /* of the last sample: bits */
 } cellwise_pack_cell;
 
-/* Never NaN, never infinite. */
 typedef struct {
     float soc;
     float soc_variance;
@@ -360,26 +217,26 @@ typedef struct {
 /* The cells of a pack before their first sample; after `cellwise_init` of the mean cell. */
 void cellwise_cells_init(const cellwise_model *m, cellwise_pack_cell *cells, uint32_t count);
 
-/* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings
- * that no cell gives; without cells whose last voltage was rejected, while these are the fewer;
- * -1, which the step takes for a missing voltage, where no cell is left. */
-float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *cells,
-                            const float *voltage_V, uint32_t count);
+/* Mean voltage of the cells: what the step of the mean cell is to be given. Without readings that no cell gives;
+ * without cells whose last voltage was rejected, while these are the fewer; -1, which the step takes for a missing
+ * voltage, where no cell is left. */
+float cellwise_mean_voltage(const cellwise_model *m, const cellwise_pack_cell *cells, const float *voltage_V,
+                            uint32_t count);
 
-/* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells
- * whose turn it is are looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage`
- * gave; NaN for a cell without a reading, or while it is balanced. */
+/* One sample of a pack, after `cellwise_step` of the mean cell with the same sample. The cells whose turn it is are
+ * looked at. `sample.voltage_V` is the mean that `cellwise_mean_voltage` gave; NaN for a cell without a reading, or
+ * while it is balanced. */
 void cellwise_cells_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample,
                          cellwise_pack_cell *cells, const float *voltage_V, uint32_t count);
 
 /* What is known of one cell; capacity and resistance beside the mean cell's. */
-void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x,
-                      const cellwise_pack_cell *a, cellwise_cell_output *out);
+void cellwise_cell_of(const cellwise_model *m, const cellwise_state *x, const cellwise_pack_cell *a,
+                      cellwise_cell_output *out);
 
-/* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout
- * for a state that is not sound, and for no cells. */
-void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x,
-                         const cellwise_pack_cell *cells, uint32_t count, cellwise_capability *out);
+/* What the pack can give and take for the horizon, as its weakest cell allows. Zero throughout for a state that is
+ * not sound, and for no cells. */
+void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x, const cellwise_pack_cell *cells,
+                         uint32_t count, cellwise_capability *out);
 
 #ifdef __cplusplus
 }

@@ -1,6 +1,6 @@
-/* Tables that are whole, and a state that outlives a switch-off: checked at start.
- * Every check is a CRC-32 (IEEE 802.3) over 32-bit words, least significant byte first: the same on
- * every byte order. No heap, no static data, no tables. */
+/* Tables that are whole, and a state that outlives a switch-off.
+ * Every check is a CRC-32 (IEEE 802.3) over 32-bit words, least significant byte first: the same on every byte
+ * order. No heap, no static data, no tables. */
 #ifndef CELLWISE_STORE_H
 #define CELLWISE_STORE_H
 
@@ -12,46 +12,88 @@ extern "C" {
 
 /* What a check found; 0: nothing. */
 #define CELLWISE_NOT_STORED 1u /* no magic number: never written, or erased */
-#define CELLWISE_OTHER_LAYOUT 2u /* written by a build with other options or another version */
+#define CELLWISE_OTHER_LAYOUT 2u /* written by another version, or cells of another number */
 #define CELLWISE_OTHER_MODEL 4u /* of tables other than the ones at hand */
-#define CELLWISE_BITS_DAMAGED 8u /* the CRC does not fit */
+#define CELLWISE_BITS_DAMAGED 8u /* the CRC does not fit, or only a part was written */
+#define CELLWISE_CHECK_GOES_ON 16u /* no fault so far, and not all of the tables read yet */
 
+#define CELLWISE_AGE_UNKNOWN 0xFFFFFFFFu
+/* Added to the variance of a SOC that goes on with other tables: 5 % of capacity, which is what two fits of one
+ * cell may differ by. */
+#define CELLWISE_CARRIED_VARIANCE 0.0025f
+
+/* How far a check of the tables in pieces has come. {0u, 0u}: at the beginning. */
+typedef struct {
+    uint32_t words; /* read so far */
+    uint32_t crc; /* of them */
+} cellwise_check;
+
+/* The same in every build, so that a SOC can be read by one with other tables. */
 typedef struct {
     uint32_t magic;
-    uint32_t layout; /* version of this layout */
-    uint32_t bytes; /* of the state */
+    uint32_t layout; /* version of this struct */
+    uint32_t bytes; /* of the state behind it */
     uint32_t model_crc; /* of the tables that it was estimated with */
-    cellwise_state state;
+    uint32_t generation; /* counts what was kept, wraps */
+    float soc;
+    float soc_variance;
     uint32_t crc; /* of everything before */
+} cellwise_stored_head;
+
+typedef struct {
+    cellwise_stored_head head;
+    cellwise_state state;
+    uint32_t crc; /* of it, from the head's on */
 } cellwise_stored;
 
 /* Compare the tables with the CRC that the export wrote beside them. */
 uint32_t cellwise_check_model(const cellwise_model *m);
 
-/* Fill what is to be written to non-volatile memory. */
-void cellwise_keep(cellwise_stored *into, const cellwise_state *x);
+/* The same a few words at a time, for a test in the background: CELLWISE_CHECK_GOES_ON until all are read, then
+ * what cellwise_check_model returns, and from the beginning again. A row is sizeof(cellwise_row) / 4 words. */
+uint32_t cellwise_check_model_part(const cellwise_model *m, cellwise_check *check, uint32_t words);
 
-/* Take the state back. Where it returns anything but 0, `x` is untouched: call cellwise_init. */
-uint32_t cellwise_restore(cellwise_state *x, const cellwise_stored *from);
+/* Which of two slots holds what was kept last: 0 the first, 1 the second. One that is damaged, or was written in
+ * part, is passed over. Keep in the other one: a loss of power then leaves this one as it is. */
+uint32_t cellwise_newest_slot(const cellwise_stored *first, const cellwise_stored *second);
+
+/* Fill what is to be written to the slot that is not the newest; `newest` gives the generation. */
+void cellwise_keep(cellwise_stored *into, const cellwise_state *x, const cellwise_stored *newest);
+
+/* Take the state back after `age_s` seconds, or CELLWISE_AGE_UNKNOWN. Sequence numbers begin again: the first sample
+ * is number 0, or as much later as it comes, and its step takes the time off into account.
+ * 0: the state as it was kept, without CELLWISE_WIDE and after a gap its SOC at rest.
+ * CELLWISE_OTHER_MODEL: the SOC alone, at rest, with a variance that is wider for the other tables.
+ * Anything else: `x` is untouched, call cellwise_init. */
+uint32_t cellwise_restore(const cellwise_model *m, cellwise_state *x, const cellwise_stored *from, uint32_t age_s);
+
+#if CELLWISE_BANK
+/* The same with a bank in front of the state: components are not kept. Where the SOC's variance asks for them they
+ * begin again. */
+uint32_t cellwise_bank_restore(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                               const cellwise_stored *from, uint32_t age_s);
+#endif
 
 #if CELLWISE_CELLS
+/* Written beside the state of the mean cell and the array of cells, in the same slot. */
 typedef struct {
     uint32_t magic;
     uint32_t layout;
     uint32_t bytes; /* of one cell */
     uint32_t model_crc;
+    uint32_t generation; /* of the state that they belong to */
     uint32_t count; /* of cells */
     uint32_t crc; /* of everything before, and of the cells */
 } cellwise_stored_cells;
 
-/* Fill what is written beside the array of cells. */
-void cellwise_keep_cells(cellwise_stored_cells *into, const cellwise_pack_cell *cells,
+/* Fill what is written beside the array of cells; `with` is the state that was kept. */
+void cellwise_keep_cells(cellwise_stored_cells *into, const cellwise_stored *with, const cellwise_pack_cell *cells,
                          uint32_t count);
 
-/* Whether an array of cells that was read back is what was written. Where it returns anything but
- * 0: call cellwise_cells_init. */
-uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwise_pack_cell *cells,
-                                uint32_t count);
+/* Whether an array of cells that was read back is what was written, with the state of this slot. Where it returns
+ * anything but 0: call cellwise_cells_init. */
+uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwise_stored *with,
+                                const cellwise_pack_cell *cells, uint32_t count);
 #endif
 
 #ifdef __cplusplus

@@ -13,7 +13,8 @@
 int main(void)
 {
     cellwise_state state;
-    cellwise_stored stored;
+    cellwise_stored slot[2]; /* in flash or FRAM, each on pages of its own */
+    uint32_t newest;
     cellwise_output out;
 #if CELLWISE_REMAINING
     cellwise_landing landing;
@@ -39,8 +40,11 @@ int main(void)
                   CELLWISE_PLAN_ABOVE, &landing);
     wrong += memcmp(&landing, &cellwise_plan_landing, sizeof landing) != 0;
 #endif
-    cellwise_keep(&stored, &state); /* before switching off; and at the next start: */
-    wrong += cellwise_restore(&state, &stored) != 0u;
+    memset(slot, 0xFF, sizeof slot); /* erased */
+    newest = cellwise_newest_slot(&slot[0], &slot[1]);
+    cellwise_keep(&slot[1u - newest], &state, &slot[newest]); /* before switching off; at the next start: */
+    newest = cellwise_newest_slot(&slot[0], &slot[1]);
+    wrong += cellwise_restore(&cellwise_cell, &state, &slot[newest], CELLWISE_AGE_UNKNOWN) != 0u;
     puts(wrong == 0u ? "every bit as expected" : "DIFFERENT BITS");
     return wrong != 0u;
 }

@@ -20,7 +20,8 @@ QUANTITIES = re.compile(
     r"dt|duration|interval|skew|nominal|innovation|error|white|slow|correlation|limit|activation|"
     r"offset)(_|$)"
 )
-PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency")  # numbers without a unit
+OF_SOC = ("error",)
+PURE = ("_share", "_soc", "_scale", "_factor", "_efficiency", "resistance_std")  # without a unit
 
 
 def public(kind) -> list[str]:
@@ -53,7 +54,7 @@ def numbers_of(function) -> list[str]:
 
 
 def carries_unit(name: str) -> bool:
-    return not QUANTITIES.match(name) or name.endswith((*UNITS, *PURE))
+    return not QUANTITIES.match(name) or name.endswith((*UNITS, *PURE)) or name in OF_SOC
 
 
 def test_dir_is_all():
@@ -70,6 +71,11 @@ def test_every_name_resolves_and_has_a_docstring(name):
     assert text.splitlines()[0].endswith("."), "one sentence that says what it is"
 
 
+def test_pytest_collects_no_public_name():
+    """Imported into a test module, such a name would be taken for a test and warned about."""
+    assert not [n for n in cellwise.__all__ if n.startswith(("Test", "test"))]
+
+
 def test_star_import_gives_the_same():
     names: dict[str, object] = {}
     exec("from cellwise import *", names)
@@ -79,6 +85,14 @@ def test_star_import_gives_the_same():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'magic'"):
         cellwise.magic  # noqa: B018
+
+
+def test_the_version_is_that_of_the_installed_package(capsys):
+    from cellwise.cli import main
+
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.strip() == f"cellwise {cellwise.__version__}"
 
 
 def test_the_package_is_typed():

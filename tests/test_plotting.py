@@ -54,7 +54,56 @@ def test_units_stand_at_the_axes_and_the_band_is_two_deviations():
 def test_a_plot_into_a_figure_of_ones_own():
     figures = pytest.importorskip("matplotlib.figure")
     figure = figures.Figure()
-    assert RESULTS["log"].plot(figure) is figure
+    assert RESULTS["log"].plot(figure=figure) is figure
+
+
+def test_a_plot_into_axes_of_ones_own_with_a_style_of_ones_own():
+    figures = pytest.importorskip("matplotlib.figure")
+    run, figure = RESULTS["replay"], figures.Figure()
+    above, below = figure.subplots(2)
+    assert run.plot(ax=above, panel="soc", color="crimson", lw=3.0, label="mine") is figure
+    assert {line.get_color() for line in above.get_lines()} == {"crimson"}
+    assert {line.get_linewidth() for line in above.get_lines()} == {3.0}
+    assert above.get_lines()[0].get_label() == "mine"
+    assert below.get_lines() == []
+    first, second = figures.Figure().subplots(2)
+    run.plot([first, second])
+    assert [a.get_ylabel() for a in (first, second)] == [p.y_label for p in run.panels()[1][:2]]
+    assert [a.get_xlabel() for a in (first, second)] == ["", "time [h]"]  # none between two rows
+
+
+def test_a_plot_looks_as_rcparams_say():
+    """No grid, no title and no width of line that a person has not asked for."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    for grid, width in ((False, 0.5), (True, 2.5)):
+        with matplotlib.rc_context({"axes.grid": grid, "lines.linewidth": width}):
+            figure = RESULTS["simulation"].plot()
+        assert figure.get_suptitle() == ""
+        for axes in figure.axes:
+            assert axes.get_title() == ""
+            assert axes.xaxis.get_gridlines()[0].get_visible() == grid
+            assert axes.get_lines()[0].get_linewidth() == width
+        matplotlib.pyplot.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"panel": "power"}, "the beginning of one of 'SOC'"),
+        ({"ax": "left"}, "matplotlib's axes"),
+        ({"ax": []}, "matplotlib's axes"),
+    ],
+)
+def test_a_plot_that_cannot_be_drawn_says_what_to_give(given, said):
+    with pytest.raises(InputError, match=said):
+        RESULTS["replay"].plot(**given)
+
+
+def test_more_axes_than_panels_are_refused():
+    figures = pytest.importorskip("matplotlib.figure")
+    with pytest.raises(InputError, match="no more axes than panels"):
+        RESULTS["log"].plot(figures.Figure().subplots(5))
 
 
 class Long(Plottable):
@@ -71,8 +120,20 @@ def test_a_million_points_keep_their_peaks():
     assert {777_777, 333_333} <= set(rows.tolist())
 
 
+@pytest.mark.parametrize("name", RESULTS)
+def test_a_table_is_columns_of_one_length_that_a_data_frame_takes(name):
+    frames = pytest.importorskip("pandas")
+    table = RESULTS[name].table()
+    assert {column.ndim for column in table.values()} == {1}
+    frame = frames.DataFrame(table)
+    assert list(frame.columns) == list(RESULTS[name].columns())
+    first = next(iter(table))
+    table[first][:] = 0.0  # a copy: the result stays as it is
+    assert np.any(RESULTS[name].table()[first])
+
+
 @pytest.mark.parametrize("library", ["pandas", "polars"])
-@pytest.mark.parametrize("name", ["log", "simulation", "replay"])
+@pytest.mark.parametrize("name", RESULTS)
 def test_columns_come_out_as_a_data_frame(library, name):
     pytest.importorskip(library)
     result = RESULTS[name]
@@ -105,7 +166,8 @@ def test_missing_values_and_whole_numbers_of_a_frame(library):
 
 
 def test_a_library_that_is_missing_is_named(monkeypatch):
-    for name, call in (("matplotlib.pyplot", "plot"), ("polars", "to_polars")):
+    libraries = ("matplotlib.pyplot", "plot"), ("polars", "to_polars"), ("pandas", "to_pandas")
+    for name, call in libraries:
         monkeypatch.setitem(sys.modules, name, None)
         with pytest.raises(InputError, match="Install it"):
             getattr(RESULTS["log"], call)()

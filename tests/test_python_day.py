@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import cellwise
-from cellwise import CellLog, InputError, TestLogs, load_dataset, simulate
+from cellwise import CellLog, CellTests, InputError, load_dataset, simulate
 from cellwise.fit.start import initial_soc
 from diagnosis_cases import diagnosis
 from example_cells import curved_cell
@@ -25,17 +25,17 @@ def test_simulate_finds_its_start_as_the_command_does():
 
 def test_test_logs_are_taken_as_they_come():
     log = load_dataset("nmc_drive_b").part(0, 50)
-    assert TestLogs(hppc=log).hppc == ((log, None),)
-    assert TestLogs(hppc=[log, log]).hppc == ((log, None), (log, None))
-    assert TestLogs(hppc=(log, -10.0)).hppc == ((log, -10.0),)
-    assert TestLogs(drive=[(log, -10), (log, None)]).drive == ((log, -10), (log, None))
-    assert TestLogs(ocv=log).ocv == (log,)
+    assert CellTests(hppc=log).hppc == ((log, None),)
+    assert CellTests(hppc=[log, log]).hppc == ((log, None), (log, None))
+    assert CellTests(hppc=(log, -10.0)).hppc == ((log, -10.0),)
+    assert CellTests(drive=[(log, -10), (log, None)]).drive == ((log, -10), (log, None))
+    assert CellTests(ocv=log).ocv == (log,)
 
 
 @pytest.mark.parametrize("wrong", ["hppc.csv", 3, {"a": 1}, [1], [("hppc.csv", 25.0)]])
 def test_test_logs_say_what_to_write(wrong):
-    with pytest.raises(InputError, match=r"TestLogs\(hppc=read_log"):
-        TestLogs(hppc=wrong)
+    with pytest.raises(InputError, match=r"CellTests\(hppc=read_log"):
+        CellTests(hppc=wrong)
 
 
 @pytest.mark.parametrize(

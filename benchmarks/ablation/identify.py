@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.ablation.identify_rules import RULES, Rule
 from benchmarks.measured_data import HOW, REPOSITORY, data_folder
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.fit.start import InitialSoc, initial_soc
@@ -118,13 +118,13 @@ def log_of(name: str, series: int | None = None) -> CellLog:
     return stated.applied(log)
 
 
-def tests_of(case: Case) -> TestLogs:
+def tests_of(case: Case) -> CellTests:
     """Its logs by what they are."""
 
     def warm(names: tuple[str, ...]) -> tuple[tuple[CellLog, float | None], ...]:
         return tuple((log_of(n, case.series), Stated.parse(n).temperature_C) for n in names)
 
-    return TestLogs(
+    return CellTests(
         hppc=warm(case.hppc),
         ocv=tuple(log_of(n) for n in case.ocv),
         capacity=tuple(log_of(n) for n in case.capacity),
@@ -184,7 +184,7 @@ def identified(case: Case) -> dict[str, Any]:
         "capacity_Ah": found.model.capacity_Ah,
         "pulses": found.pulse_counts,
         "own_mV": 1e3 * found.fit.rmse_V,
-        "notices": list(found.notices),
+        "notices": [notice.text for notice in found.notices],
     }
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.ablation.identify import Case, kept, log_of, tests_of, thrown
 from benchmarks.accuracy.lfp import CHAMBER_C
 from benchmarks.measured_data import HOW, data_folder
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
@@ -169,7 +169,7 @@ CELLS = {
 }  # fmt: skip
 
 
-def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
+def prepared(case: Case) -> tuple[CellTests, IdentifySettings]:
     """What is identified, and how; of one drive the middle alone."""
     prior = stock_model(case.prior) if case.prior else None
     settings = IdentifySettings(nominal_Ah=case.nominal_Ah, prior=prior)
@@ -178,7 +178,7 @@ def prepared(case: Case) -> tuple[TestLogs, IdentifySettings]:
         ((whole, _),) = tests.drive
         soc = 1.0 - whole.counted_charge_Ah() / PANASONIC_AH
         rows = np.flatnonzero((soc > MIDDLE_SOC[0]) & (soc < MIDDLE_SOC[1]))
-        tests = TestLogs(drive=((whole.part(int(rows[0]), int(rows[-1])), None),))
+        tests = CellTests(drive=((whole.part(int(rows[0]), int(rows[-1])), None),))
     return tests, settings
 
 
@@ -239,11 +239,11 @@ RULES: tuple[Rule, ...] = (
 def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[float]]:
     """Mean squares stated and measured in each band above 15 % SOC [V^2]."""
     simulation = simulate(model, log, start_of(model, log, soc0))
-    known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
+    known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
     warm = known_temperature_C(model, log)[known]
     soc = simulation.soc[known]
     drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
-    measured = in_bands(log.time_s[known], simulation.error_V[known]) ** 2
+    measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
     stated = np.array([stated_V2(model, k, soc, drop, warm) for k in range(measured.shape[0])])
     rows = soc > 0.15
     return [x[:, rows].mean(axis=1).tolist() for x in (stated, measured)]
@@ -284,7 +284,7 @@ def judged(found: Identification, logs: Sequence[tuple[CellLog, float | None]]) 
         "error": model.error.to_dict(),
         "effects": [e.name for e in model.effects],
         "decided": [d.to_dict() for d in found.decided],
-        "notices": list(found.notices),
+        "notices": [notice.text for notice in found.notices],
         "contradictions": list(found.contradictions),
         "own_logs": {o.simulation.log.name: [o.used, o.simulation.soc0] for o in found.own_logs},
     }

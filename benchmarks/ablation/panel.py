@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.accuracy.lfp import CHAMBER_C, chamber_log, drive, model_without
 from benchmarks.accuracy.lfp import REFERENCE_AH as LFP_AH
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.benchmark.faults import Fault, faulty_log, faulty_model
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
@@ -101,13 +101,13 @@ def of_all_temperatures(data: Path) -> CellModel:
         for n in FITTED
     )
     ocv = (measured_log(data, f"{PANASONIC}/ocv_c20_p25"),)
-    tests = TestLogs(hppc=hppc, ocv=ocv, drive=drives)
+    tests = CellTests(hppc=hppc, ocv=ocv, drive=drives)
     return identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
 
 
 def of_pulses(data: Path) -> CellModel:
     """Panasonic: the pulse test at 25 degC alone, OCV and all."""
-    tests = TestLogs(hppc=((measured_log(data, f"{PANASONIC}/hppc_p25"), None),))
+    tests = CellTests(hppc=((measured_log(data, f"{PANASONIC}/hppc_p25"), None),))
     return identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
 
 
@@ -271,7 +271,7 @@ def lg(data: Path, keep: Path) -> Iterator[Case]:
             if n.startswith(t)
         )
         rates = tuple((measured_log(data, f"{LG}/{n}"), None) for n in names)
-        tests = TestLogs(ocv=ocv, drive=(*drives, *rates))
+        tests = CellTests(ocv=ocv, drive=(*drives, *rates))
         return identify_cell(tests, IdentifySettings(nominal_Ah=3.0)).model
 
     model = kept(keep, "lg", make)
@@ -286,7 +286,7 @@ def samsung(data: Path, keep: Path) -> Iterator[Case]:
 
     def make() -> CellModel:
         name = f"{SAMSUNG}/hppc_dnn01_1c_p20_time_rebuilt"
-        tests = TestLogs(hppc=((measured_log(data, name), None),))
+        tests = CellTests(hppc=((measured_log(data, name), None),))
         return identify_cell(tests, IdentifySettings(nominal_Ah=3.0)).model
 
     model = kept(keep, "samsung", make)

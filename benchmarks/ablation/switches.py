@@ -15,7 +15,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import EVERYWHERE, ValidityScalars
 
 ESTIMATE = "cellwise.estimate"
-RECOVERY = f"{ESTIMATE}.recovery_kernels"
+START = f"{ESTIMATE}.filters.predict_kernels"
 BANK = f"{ESTIMATE}.filters.bank_kernels"
 NEVER = 10**9
 
@@ -54,7 +54,7 @@ SWITCHES = (
         "components for a start",
         names=((BANK, "WIDE_VARIANCE", math.inf), (BANK, "SPREAD_VARIANCE", math.inf)),
     ),
-    Switch("what a load has left before the start", names=((BANK, "LOOKS", 0.0),)),
+    Switch("what a load has left before the start", names=((BANK, "LOOKS", 0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
     Switch(
         "hypothesis of an offset",
@@ -74,9 +74,9 @@ SWITCHES = (
     Switch(
         "start branches",
         names=(
-            (RECOVERY, "START_LOAD_SHARE", 0.0),
-            (RECOVERY, "START_LOAD_RATE", 0.0),
-            (RECOVERY, "START_REST_RATE", 0.0),
+            (f"{ESTIMATE}.equations.start", "START_LOAD_SHARE", 0.0),
+            (START, "START_LOAD_RATE", 0.0),
+            (START, "START_REST_RATE", 0.0),
         ),
     ),
     Switch("error along the SOC", noise={"ocv_soc": 0.0}),

@@ -1,6 +1,6 @@
 """Accuracy on measured cells, on logs that no identification has seen, beside the targets.
 
-python -m benchmarks.accuracy [--only panasonic,leaf,lfp,power] [--json]
+python -m benchmarks.accuracy [--only panasonic,cold,leaf,lfp,power] [--json]
 """
 
 import sys
@@ -9,7 +9,7 @@ from benchmarks.figures import judged_run
 
 PARTS = {
     name: (f"benchmarks.accuracy.{name}", f"{name}_figures", True)
-    for name in ("panasonic", "leaf", "lfp", "power")
+    for name in ("panasonic", "cold", "leaf", "lfp", "power")
 }
 
 

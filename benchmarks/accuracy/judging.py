@@ -49,7 +49,7 @@ def judge_soc(
         reference_soc0=true_start,
         reference_capacity_Ah=reference_Ah,
     )
-    error = found.soc_error
+    error = found.error
     if error is None or found.errors is None or found.coverage_2sigma is None:
         raise ValueError(f"no counter in log '{log.name}': nothing to judge with")
     late = error[log.time_s - log.time_s[0] >= after_s]

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
@@ -26,7 +26,7 @@ def leaf_figures(data: Path, say: Progress) -> list[Figure]:
     """Every discharge round by itself, then the whole log with its recharges."""
     say("Leaf: identified on HPPC and 1C")
     found = identify_cell(
-        TestLogs(
+        CellTests(
             hppc=((measured_log(data, f"{CELL}/hppc_p25"), None),),
             capacity=(measured_log(data, f"{CELL}/cap_1c_p23"),),
         ),
@@ -42,7 +42,7 @@ def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> 
     group = f"Leaf, {rate.upper()} discharges, identified on hppc_p25 and cap_1c_p23"
     start = initial_soc(model, log)
     simulated = simulate(model, log, start.soc)
-    error, above = simulated.error_V, simulated.soc > 0.1
+    error, above = simulated.residual_V, simulated.soc > 0.1
     figures = []
     rounds = [
         p
@@ -68,7 +68,8 @@ def _rounds(model: CellModel, log: CellLog, rate: str, target: float | None) -> 
         1e3 * simulated.rmse_above_10pct_V,
         "mV",
         target=target,
+        headline=target is not None,
         note=f"initial SOC {start.soc:.3f} by {start.how}; "
-        f"over all SOC {1e3 * simulated.metrics.rmse_V:.1f} mV",
+        f"over all SOC {1e3 * simulated.rmse_V:.1f} mV",
     )
     return [*figures, whole]

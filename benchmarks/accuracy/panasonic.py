@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.accuracy.judging import POINTS_OFF, from_the_middle, judge_soc, voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.logs import CellLog
 
@@ -40,7 +40,7 @@ def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
     return figures + _soc(group, plain.model, held_out, after=1.2)
 
 
-def panasonic_tests(data: Path, tag: str = "p25") -> TestLogs:
+def panasonic_tests(data: Path, tag: str = "p25") -> CellTests:
     """Laboratory tests and two drives of one temperature, which began full (its README)."""
 
     def log(name: str) -> CellLog:
@@ -49,7 +49,7 @@ def panasonic_tests(data: Path, tag: str = "p25") -> TestLogs:
     warm = None if tag == "p25" else {name: t for t, name in TAGS.items()}[tag]
     cycles = (2, 3) if tag == "p25" else (1, 2)  # there is no cycle 1 at 25 degC
     drives = (replace(log(f"drive_{tag}_cycle_{k}"), soc0=1.0) for k in cycles)
-    return TestLogs(
+    return CellTests(
         hppc=((log(f"hppc_{tag}"), warm),),
         ocv=(log("ocv_c20_p25"),),
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
@@ -68,7 +68,9 @@ def _voltage(
     average = float(np.mean(values))
     return [
         *figures,
-        Figure(group, "voltage RMSE above 10 % SOC, mean", average, "mV", target=mean),
+        Figure(
+            group, "voltage RMSE above 10 % SOC, mean", average, "mV", target=mean, headline=True
+        ),
     ]
 
 

@@ -19,10 +19,10 @@ from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
 from cellwise import (
     Adaptive,
+    CellTests,
     Ekf,
     IdentifySettings,
     OperatingLimits,
-    TestLogs,
     identify_cell,
     power_settings,
 )
@@ -125,7 +125,7 @@ def panasonic_model(data: Path) -> tuple[CellModel, dict[float, tuple[Pulse, ...
         for name in DRIVES:
             drive = measured_log(data, f"{CELL}/drive_{tag}_{name}")
             drives.append((replace(drive, soc0=1.0), temperature))
-    tests = TestLogs(hppc=tuple(hppc), ocv=panasonic_tests(data).ocv, drive=tuple(drives))
+    tests = CellTests(hppc=tuple(hppc), ocv=panasonic_tests(data).ocv, drive=tuple(drives))
     settings = IdentifySettings(nominal_Ah=2.9, name="Panasonic 18650PF")
     return identify_cell(tests, settings).model, left_out
 
@@ -150,7 +150,7 @@ def power_figures(data: Path, say: Progress) -> list[Figure]:
             for name in names
         }
         masked = {key: withheld(log) for key, log in logs.items()}
-        tests = TestLogs(hppc=tuple((m, t) for (t, _), (m, _) in masked.items()))
+        tests = CellTests(hppc=tuple((m, t) for (t, _), (m, _) in masked.items()))
         model = identify_cell(tests, IdentifySettings(name=cell)).model
         for (t, name), log in logs.items():
             group = f"{cell} {name.format(tags[t])}, {t:.0f} degC, other SOC levels in the fit"
@@ -184,7 +184,8 @@ def _figures(
         name = estimator.name
         figures += [
             Figure(group, f"{name}: power at 10 s, median error", float(np.median(off)), "%",
-                   target=MEDIAN_TARGET if targets and estimator is Ekf else None, note=note),
+                   target=MEDIAN_TARGET if targets and estimator is Ekf else None, note=note,
+                   headline=estimator is Ekf and group.startswith("Panasonic")),
             Figure(group, f"{name}: power at 10 s, 95th percentile",
                    float(np.quantile(off, 0.95)), "%",
                    target=TAIL_TARGET if targets and estimator is Ekf else None),

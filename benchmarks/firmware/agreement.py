@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.accuracy.panasonic import CELL, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
-from cellwise import IdentifySettings, TestLogs, identify_cell
+from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
@@ -34,7 +34,7 @@ def agreement_figures(data: Path, say: Progress) -> list[Figure]:
         say(f"fixed step: model of {tag}")
         models[tag] = identify_cell(tests[tag], settings).model
     say("fixed step: one model of all temperatures")
-    together = TestLogs(
+    together = CellTests(
         hppc=tuple(log for t in tests.values() for log in t.hppc),
         ocv=tests["p25"].ocv,
         capacity=tests["p25"].capacity,

@@ -12,18 +12,20 @@ from benchmarks.figures import Figure, Progress, clock, missing
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.fixed.layout import BANK
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_settings
 from cellwise.export.accuracy import WorstCase, worst_case
-from cellwise.export.cross import Cost, cores_here, run_on_target
+from cellwise.export.cross import COMPONENTS, Cost, cores_here, run_on_target
 from cellwise.logs import CellLog
 
 DT_S = 1.0
 POINTS = 101
 STEPS = 5000
 EVERY = 10
+BANK_STEPS = 300
 START_STD = 0.01
 HORIZON_S = 10.0
 CUTOFF_V = 2.8
@@ -31,6 +33,7 @@ POWER_LIMITS = (2.8, 4.2, 15.0, 5.0)
 HOST_NS = 100.0
 # Instructions, code [B], stack [B], state [B] that three states with --lean are held to.
 LIMITS = {"cortex-m4f": (520.0, 2048.0, 96.0, 64.0), "cortex-m0plus": (16_500.0, None, None, 64.0)}
+SHOWN = tuple(f"{core}: {name}" for core in LIMITS for name in ("3 states, --lean", "4 states"))
 DESIGN = {
     "cortex-m4f": "prototype: 457 to 502 instructions, 1.75 kB at -O2, stack 80 B, state 48 B",
     "cortex-m0plus": "prototype: 15,500 instructions",
@@ -68,9 +71,27 @@ def target_figures(data: Path | None, say: Progress) -> list[Figure]:
             worst = worst_case(model, tables, core)
             held = LIMITS.get(core) if name == "3 states, --lean" else None
             figures += _cost(f"{core}: {name}", cost, worst, held, DESIGN.get(core, ""))
+            if tables.options.bank:
+                records = records[:BANK_STEPS]
+                bank = run_on_target(
+                    tables, core, records, START_SOC - 0.3, 0.15**2, measure_every=1, of="bank"
+                ).cost
+                figures += _bank_cost(f"{core}: {name}, a bank of {COMPONENTS}", bank)
         say(f"{core}, state of power and remaining time")
         figures += _beside_cost(core, log)
     return figures
+
+
+def _bank_cost(group: str, cost: Cost) -> list[Figure]:
+    """A step while a bank looks for a start that is 30 points off."""
+    memory = (1 + COMPONENTS) * cost.state_bytes + BANK.itemsize
+    note = f"the first {cost.measured} steps of the drive, counted in QEMU"
+    return [
+        Figure(group, "mean", cost.instructions_mean, "instructions", note=note),
+        Figure(group, "most", cost.instructions_most, "instructions"),
+        Figure(group, "stack", cost.stack_bytes, "B"),
+        Figure(group, "memory", float(memory), "B", note="states and the record of the bank"),
+    ]
 
 
 def _beside_cost(core: str, log: CellLog) -> list[Figure]:
@@ -113,17 +134,23 @@ def _cost(
     design: str,
 ) -> list[Figure]:
     instructions, text, stack, state = held or (None, None, None, None)
-    note = f"{cost.measured} steps counted in QEMU; instructions, not cycles"
+    stack_bytes = float(max(cost.stack_bytes or 0, worst.stack_bytes))
+    note = (
+        f"{cost.measured} steps counted in QEMU, not cycles; "
+        f"most under stress {worst.stress:,.0f}; "
+        f"code {cost.text_bytes:,} B, stack {stack_bytes:,.0f} B, state {cost.state_bytes:,} B"
+    )
+    shown = group in SHOWN
     return [
-        Figure(group, "mean of a drive", cost.instructions_mean, "instructions", note=note),
+        Figure(group, "mean of a drive", cost.instructions_mean, "instructions", note=note,
+               headline=shown),
         Figure(group, "most on it", cost.instructions_most, "instructions", target=instructions,
                note=design if held else ""),
         Figure(group, "most under stress", worst.stress, "instructions", target=instructions,
                note="any bits, every fault"),
         Figure(group, "after a lock-out", worst.reset, "instructions"),
         Figure(group, "code", float(cost.text_bytes), "B", target=text, note="-Os"),
-        Figure(group, "stack", float(max(cost.stack_bytes or 0, worst.stack_bytes)), "B",
-               target=stack),
+        Figure(group, "stack", stack_bytes, "B", target=stack),
         Figure(group, "state", float(cost.state_bytes), "B", target=state),
         Figure(group, "static RAM", float(cost.ram_bytes), "B", target=0.0 if held else None),
         Figure(group, f"tables of {POINTS} points", float(cost.model_bytes), "B"),

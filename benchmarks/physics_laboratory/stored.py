@@ -26,10 +26,10 @@ class Case:
     baseline: tuple[CellLog, ...]
 
     @property
-    def soc0(self) -> list[float] | str:
+    def soc0(self) -> list[float] | None:
         """Starts as `diagnose` takes them: logs, held-out logs, baseline."""
         if self.told is None or self.told_baseline is None:
-            return "auto"
+            return None
         return [*self.told, *(self.told_baseline for _ in self.baseline)]
 
     @property

@@ -17,7 +17,14 @@ def make_cell(task: tuple[Path, str]) -> str:
     from benchmarks.physics_laboratory.cell_physics import capacity_Ah
     from benchmarks.physics_laboratory.published_cells import CELLS
     from benchmarks.physics_laboratory.virtual_laboratory import hppc_log, low_rate_log
-    from cellwise import IdentifySettings, TestLogs, identify_cell, simulate, write_log, write_model
+    from cellwise import (
+        CellTests,
+        IdentifySettings,
+        identify_cell,
+        simulate,
+        write_log,
+        write_model,
+    )
 
     folder, name = task
     place, cell = folder / "cells" / name, CELLS[name]
@@ -30,12 +37,12 @@ def make_cell(task: tuple[Path, str]) -> str:
     write_log(hppc, place / "hppc.parquet")
     write_log(low, place / "c20.parquet")
     settings = IdentifySettings(nominal_Ah=capacity_Ah(cell), temperature_C=25.0, name=name)
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((hppc, 25.0),), ocv=(low,), drive=tuple((drive, 25.0) for drive in drives)
     )
     found = identify_cell(tests, settings)
     write_model(found.model, place / "model.json")
-    own = [simulate(found.model, d, d.soc0).metrics.rmse_V for d in drives if d.soc0 is not None]
+    own = [simulate(found.model, d, d.soc0).rmse_V for d in drives if d.soc0 is not None]
     return f"{name}: {found.model.capacity_Ah:.3f} Ah, its drives to {1e3 * np.mean(own):.1f} mV"
 
 

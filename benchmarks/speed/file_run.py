@@ -15,7 +15,7 @@ BEGAN = time.perf_counter()
 
 def main(file: str, capacity: float, *, repeat: int = 2) -> None:
     """Times of the import, of reading, of the fitted tables and of all, ``repeat`` times."""
-    from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+    from cellwise.identify import CellTests, IdentifySettings, identify_cell
     from cellwise.logs import read_log
 
     imported = time.perf_counter() - BEGAN
@@ -30,7 +30,7 @@ def main(file: str, capacity: float, *, repeat: int = 2) -> None:
             into[stage.split(" at ")[0]] = time.perf_counter()
 
         settings = IdentifySettings(nominal_Ah=capacity, capacity_choice="nominal")
-        found = identify_cell(TestLogs(hppc=((log, None),)), settings, mark)
+        found = identify_cell(CellTests(hppc=log), settings, mark)
         runs.append(
             {
                 "read_s": read - began,

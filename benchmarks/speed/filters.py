@@ -77,6 +77,7 @@ def lockstep_figures(say: Progress) -> list[Figure]:
                 1e9 * timing.best / CELLS,
                 "ns/cell-step",
                 target=LOCKSTEP_NS,
+                headline=who == "3 branches",
                 note=f"best of {timing.runs} steps, median {1e9 * timing.median / CELLS:.0f}; "
                 f"{100 * short / CELLS:.0f} % of the cells the short way",
             )
@@ -103,6 +104,7 @@ def _kernel(group: str, who: str, model: CellModel, log: CellLog, say: Progress)
         1e9 * timing.best / len(log),
         UNIT,
         target=TARGET_NS,
+        headline="measured" in who,
         note=f"{len(log):,} steps, best of {timing.runs}, "
         f"median {1e9 * timing.median / len(log):.0f}",
     )

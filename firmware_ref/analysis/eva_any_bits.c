@@ -66,6 +66,57 @@ void eva_any_start(void)
     step_any(&x);
 }
 
+#if CELLWISE_BANK
+#define COMPONENTS 2u
+
+static void any_bank(cellwise_bank *b, cellwise_state *of)
+{
+    b->mean_A = any_float;
+    b->looked_A = any_float;
+    b->mismatch = any_float;
+    b->likeliest = any_integer;
+    b->since = any_integer;
+    b->looks = any_integer;
+    b->next_look = any_integer;
+    b->sequence = any_integer;
+    /*@ loop unroll COMPONENTS + 1; */
+    for (uint32_t k = 0u; k <= COMPONENTS; k++) {
+        any_state(&of[k]);
+    }
+}
+
+/* Whether the components are stepped decides how much of the record is read: one entry each. */
+static void step_any_bank(uint32_t spread)
+{
+    cellwise_bank b;
+    cellwise_state of[COMPONENTS + 1u];
+    cellwise_input in;
+    cellwise_output out;
+    any_bank(&b, of);
+    b.spread = spread;
+    in.current_A = any_float;
+    in.voltage_V = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    (void)cellwise_bank_step(&cellwise_cell, &b, of, COMPONENTS, &in, &out);
+    /*@ assert soc_in_range: 0.0 <= out.soc <= 1.0; */
+    /*@ assert variance_is_finite: \is_finite(out.soc_variance); */
+    /*@ assert voltage_is_finite: \is_finite(out.voltage_V); */
+    /*@ assert innovation_is_finite: \is_finite(out.innovation_V); */
+}
+
+void eva_any_bank_alone(void)
+{
+    step_any_bank(0u);
+}
+
+void eva_any_bank_open(void)
+{
+    const uint32_t spread = any_integer;
+    step_any_bank((spread > 0u) ? spread : 1u);
+}
+#endif
+
 #if CELLWISE_POWER
 void eva_any_power(void)
 {

@@ -3,7 +3,8 @@
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
  * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
- * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
+ * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, with
+ * MEASURE_BANK a step of a bank of COMPONENTS. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
 
@@ -43,6 +44,26 @@ static cellwise_output scratch;
 typedef uint32_t (*step_function)(const cellwise_model *, cellwise_state *, const cellwise_input *,
                                   cellwise_output *);
 
+#if defined(MEASURE_BANK)
+#define COMPONENTS 7u
+static cellwise_bank bank;
+static cellwise_bank trial_bank;
+static cellwise_state of[COMPONENTS + 1u];
+static cellwise_state trial[COMPONENTS + 1u];
+
+static __attribute__((noinline)) void begin_trial(void)
+{
+    trial_bank = bank;
+    for (uint32_t k = 0u; k <= COMPONENTS; k++) {
+        trial[k] = of[k];
+    }
+}
+#else
+static void begin_trial(void)
+{
+}
+#endif
+
 static __attribute__((noinline)) uint32_t nothing(const cellwise_model *m, cellwise_state *x,
                                                   const cellwise_input *in, cellwise_output *out)
 {
@@ -50,10 +71,28 @@ static __attribute__((noinline)) uint32_t nothing(const cellwise_model *m, cellw
     (void)x;
     (void)in;
     (void)out;
+    begin_trial();
     return 0u;
 }
 
-#if defined(MEASURE_CELLS)
+#if defined(MEASURE_BANK)
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)x;
+    begin_trial();
+    return cellwise_bank_step(m, &trial_bank, trial, COMPONENTS, in, out);
+}
+
+static uint32_t whole_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *in,
+                           cellwise_output *out)
+{
+    const uint32_t status = cellwise_bank_step(m, &bank, of, COMPONENTS, in, out);
+    *x = of[0];
+    return status;
+}
+#elif defined(MEASURE_CELLS)
 #define OFFSET_V 0x1p-10f
 static cellwise_pack_cell cells[MEASURE_CELLS];
 static float voltages[MEASURE_CELLS];
@@ -182,6 +221,9 @@ int main(void)
     }
     ticks_begin();
     (void)cellwise_init(&cellwise_cell, &state, asked.soc, asked.soc_variance);
+#if defined(MEASURE_BANK)
+    (void)cellwise_bank_init(&cellwise_cell, &bank, of, COMPONENTS, asked.soc, asked.soc_variance);
+#endif
 #if defined(MEASURE_CELLS)
     cellwise_cells_init(&cellwise_cell, cells, MEASURE_CELLS);
 #endif

@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from cellwise.cell.model_file import read_model as read_model, write_model as write_model
     from cellwise.cell.plausibility.validity import Validity as Validity
     from cellwise.cell.simulate import Simulation as Simulation
+    from cellwise.cell.stock import named_model as named_model, stock_model as stock_model
     from cellwise.data import list_datasets as list_datasets, load_dataset as load_dataset
     from cellwise.diagnose import Diagnosis as Diagnosis, diagnose as diagnose
     from cellwise.errors import InputError as InputError
     from cellwise.estimate.adaptive import Adaptive as Adaptive
+    from cellwise.estimate.estimators import FilterOutput as FilterOutput
     from cellwise.estimate.filters.coulomb import Coulomb as Coulomb
     from cellwise.estimate.filters.kalman import Ekf as Ekf, SigmaPoints as SigmaPoints, Ukf as Ukf
     from cellwise.estimate.lockstep import LockstepEkf as LockstepEkf
@@ -28,14 +30,23 @@ if TYPE_CHECKING:
     )
     from cellwise.estimate.replay import Replay as Replay, replay as replay
     from cellwise.estimate.status import Status as Status
+    from cellwise.estimate.trace import Trace as Trace
     from cellwise.estimate.tune_noise import tune_noise as tune_noise
+    from cellwise.export.package import export_firmware as export_firmware
     from cellwise.forecast import forecast as forecast
+    from cellwise.forecast.remaining import (
+        Flight as Flight,
+        Forecast as Forecast,
+        forecast_at as forecast_at,
+    )
+    from cellwise.history.life import Life as Life, life_of as life_of
     from cellwise.identify import (
         Identification as Identification,
         IdentifySettings as IdentifySettings,
-        TestLogs as TestLogs,
+        CellTests as CellTests,
         identify_cell as identify_cell,
     )
+    from cellwise.live import LiveFilter as LiveFilter, Sample as Sample
     from cellwise.logs import (
         CellLog as CellLog,
         Stated as Stated,
@@ -44,7 +55,20 @@ if TYPE_CHECKING:
         write_log as write_log,
     )
     from cellwise.logs.cell_log import resample as resample
+    from cellwise.logs.reading import read_pack as read_pack
+    from cellwise.pack.pack_estimate import (
+        PackEstimate as PackEstimate,
+        estimate_pack as estimate_pack,
+    )
     from cellwise.progress import progress_bar as progress_bar
+    from cellwise.report.diagnosis.page import diagnose_page as diagnose_page
+    from cellwise.report.history_page import history_page as history_page
+    from cellwise.report.identification.page import identify_page as identify_page
+    from cellwise.report.pack_page import pack_page as pack_page
+    from cellwise.report.replay.page import replay_page as replay_page
+    from cellwise.workflows.replaying import replay_and_forecast as replay_and_forecast
+
+    __version__: str
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _NAMES = {
@@ -55,10 +79,12 @@ _NAMES = {
     "cellwise.cell.model_file": "read_model write_model",
     "cellwise.cell.plausibility.validity": "Validity",
     "cellwise.cell.simulate": "Simulation",
+    "cellwise.cell.stock": "named_model stock_model",
     "cellwise.data": "list_datasets load_dataset",
     "cellwise.diagnose": "Diagnosis diagnose",
     "cellwise.errors": "InputError",
     "cellwise.estimate.adaptive": "Adaptive",
+    "cellwise.estimate.estimators": "FilterOutput",
     "cellwise.estimate.filters.coulomb": "Coulomb",
     "cellwise.estimate.filters.kalman": "Ekf SigmaPoints Ukf",
     "cellwise.estimate.lockstep": "LockstepEkf",
@@ -67,12 +93,25 @@ _NAMES = {
     "cellwise.estimate.power.state_of_power": "power_limits power_settings",
     "cellwise.estimate.replay": "Replay replay",
     "cellwise.estimate.status": "Status",
+    "cellwise.estimate.trace": "Trace",
     "cellwise.estimate.tune_noise": "tune_noise",
+    "cellwise.export.package": "export_firmware",
     "cellwise.forecast": "forecast",
-    "cellwise.identify": "Identification IdentifySettings TestLogs identify_cell",
+    "cellwise.forecast.remaining": "Flight Forecast forecast_at",
+    "cellwise.history.life": "Life life_of",
+    "cellwise.identify": "Identification IdentifySettings CellTests identify_cell",
+    "cellwise.live": "LiveFilter Sample",
     "cellwise.logs": "CellLog Stated inspect_log read_log write_log",
     "cellwise.logs.cell_log": "resample",
+    "cellwise.logs.reading": "read_pack",
+    "cellwise.pack.pack_estimate": "PackEstimate estimate_pack",
     "cellwise.progress": "progress_bar",
+    "cellwise.report.diagnosis.page": "diagnose_page",
+    "cellwise.report.history_page": "history_page",
+    "cellwise.report.identification.page": "identify_page",
+    "cellwise.report.pack_page": "pack_page",
+    "cellwise.report.replay.page": "replay_page",
+    "cellwise.workflows.replaying": "replay_and_forecast",
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = sorted(_HOMES, key=lambda name: (name[0].islower(), name))
@@ -81,6 +120,8 @@ __all__ = sorted(_HOMES, key=lambda name: (name[0].islower(), name))
 def __getattr__(name: str) -> Any:
     from importlib import import_module
 
+    if name == "__version__":
+        return import_module("importlib.metadata").version("cellwise")
     if name not in _HOMES:
         raise AttributeError(f"module 'cellwise' has no attribute '{name}'")
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)

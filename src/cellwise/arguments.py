@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +23,31 @@ def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> None
     """
     if not isinstance(value, kind):
         raise InputError(f"{name} = {shown(value)}", with_article(kind.__name__), way_out)
+
+
+def choice(name: str, value: object, names: Sequence[str]) -> str:
+    """One of some names, in whatever case it was written, as it stands among them.
+
+    Raises
+    ------
+    InputError        none of them
+    """
+    for one in names:
+        if isinstance(value, str) and value.casefold() == one.casefold():
+            return one
+    raise InputError(f"{name} {shown(value)}", f"one of {', '.join(names)}", "Choose one of them.")
+
+
+def file_path(name: str, value: object) -> Path:
+    """Where a file is.
+
+    Raises
+    ------
+    InputError        neither a text nor a Path
+    """
+    if isinstance(value, (str, Path)):
+        return Path(value)
+    raise InputError(f"{name} = {shown(value)}", "where the file is", "Write 'name.json', say.")
 
 
 def number(name: str, value: object, expected: str, way_out: str = "Pass one number.") -> float:

@@ -7,7 +7,7 @@ when somebody asks for them.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from html import escape
 from importlib import import_module
@@ -18,15 +18,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
     import pandas
     import polars
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LineStyle = str | float | tuple[float, ...] | None  # what matplotlib takes for a line's property
 MOST_POINTS = 20_000  # of a line: more than any screen has columns
+PANEL_IN, AXIS_IN = 2.0, 1.2  # a panel that can be read, and what the x axis adds
 
 
 class Line(NamedTuple):
@@ -62,12 +66,24 @@ class Plottable:
         """Name of the common x axis with its unit, and the panels from top to bottom."""
         raise NotImplementedError
 
-    def plot(self, figure: Figure | None = None) -> Figure:
-        """Draw it with matplotlib.
+    def plot(
+        self,
+        ax: Axes | Sequence[Axes] | None = None,
+        *,
+        panel: str | None = None,
+        figure: Figure | None = None,
+        **style: LineStyle,
+    ) -> Figure:
+        """Draw it with matplotlib, as its rcParams say.
 
         Parameters
         ----------
-        figure : matplotlib figure or None    to draw into; None: a new one
+        ax : matplotlib axes, several, or None      to draw into: the first panels, one in each;
+                                              None: all of them, one below the other
+        panel : str or None                   how the y label of the one panel to draw begins: "SOC"
+        figure : matplotlib figure or None    to draw all into, if no axes are given; None: a new
+                                              one
+        **style                               of every line, as ``Axes.plot`` takes it: color, lw
 
         Returns
         -------
@@ -75,30 +91,85 @@ class Plottable:
 
         Raises
         ------
-        InputError                            matplotlib is not installed
+        InputError                            matplotlib is not installed; more axes than panels; no
+                                              panel of that name; axes that are none
         """
         x_label, panels = self.panels()
-        if figure is None:
-            figure = _figure((8.0, 1.2 + 2.0 * len(panels)))
-        draw_panels(figure, x_label, panels)
-        figure.suptitle(repr(self), fontsize="small")
-        return figure
+        chosen = panels if panel is None else (panel_of(panels, panel),)
+        if ax is None:
+            drawn = _new_figure(len(chosen)) if figure is None else figure
+            draw_panels(drawn, x_label, chosen, **style)
+            return drawn
+        axes = axes_of(ax, len(chosen))
+        draw_on(axes, chosen, **style)
+        for place in filter(_shows_x, axes):
+            place.set_xlabel(x_label)
+        whole: Figure = axes[0].figure
+        return whole
 
 
-def draw_panels(figure: Figure, x_label: str, panels: Sequence[Panel]) -> Any:
+def _shows_x(ax: Any) -> bool:
+    """Whether axes that somebody made show an x label: those above others leave it to them."""
+    spec = ax.get_subplotspec()
+    return spec is None or bool(spec.is_last_row())
+
+
+def panel_of(panels: Sequence[Panel], name: str) -> Panel:
+    """The panel whose y label begins with a name, in any case.
+
+    Raises
+    ------
+    InputError        none does
+    """
+    for panel in panels:
+        if panel.y_label.casefold().startswith(name.casefold()):
+            return panel
+    labels = ", ".join(f"'{panel.y_label}'" for panel in panels)
+    raise InputError(f"panel '{name}'", f"the beginning of one of {labels}", "Choose one of them.")
+
+
+def axes_of(ax: Axes | Sequence[Axes], panels: int) -> list[Any]:
+    """Axes that were given, one or several, as a list.
+
+    Raises
+    ------
+    InputError        something else; more than there are panels
+    """
+    several = list(np.ravel(np.asarray(ax, dtype=object)))
+    wrong = next((one for one in several if not hasattr(one, "fill_between")), None)
+    if wrong is not None or not several:
+        raise InputError(
+            f"ax = {shown(ax if wrong is None else wrong)}",
+            "matplotlib's axes",
+            "Make them: figure, ax = plt.subplots().",
+        )
+    if len(several) > panels:
+        raise InputError(
+            f"{len(several)} axes for {panels} panel(s)", "no more axes than panels", "Give fewer."
+        )
+    return several
+
+
+def draw_panels(
+    figure: Figure, x_label: str, panels: Sequence[Panel], **style: LineStyle
+) -> NDArray[Any]:
     """Draw panels one below the other into a figure; their axes from top to bottom."""
     axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
-    for place, panel in zip(axes, panels, strict=True):
-        for line in panel.lines:
-            _draw(place, line)
-        place.set_ylabel(panel.y_label)
-        place.grid(visible=True, alpha=0.3)
-        if panel.limits is not None:
-            place.set_ylim(*panel.limits)
-        if len(panel.lines) > 1:
-            place.legend(loc="best", fontsize="small")
+    draw_on(axes, panels, **style)
     axes[-1].set_xlabel(x_label)
     return axes
+
+
+def draw_on(axes: Iterable[Any], panels: Sequence[Panel], **style: LineStyle) -> None:
+    """Draw the first panels into axes, one in each."""
+    for place, panel in zip(axes, panels, strict=False):
+        for line in panel.lines:
+            _draw(place, line, style)
+        place.set_ylabel(panel.y_label)
+        if panel.limits is not None:
+            place.set_ylim(*panel.limits)
+        if len(place.get_legend_handles_labels()[0]) > 1:
+            place.legend(loc="best")
 
 
 class Summarised:
@@ -117,7 +188,7 @@ class Summarised:
 
 
 class Tabular:
-    """Adds ``to_pandas()`` and ``to_polars()`` to what can say its columns."""
+    """Adds ``table()``, ``to_pandas()`` and ``to_polars()`` to what can say its columns."""
 
     def columns(self) -> Mapping[str, Any]:
         """Name, which carries the unit, to array; all of one length."""
@@ -130,13 +201,22 @@ class Tabular:
         rows = sorted({*range(min(size, 3)), *range(max(size - 2, 0), size)})
         head = "".join(f"<th>{escape(name)}</th>" for name in columns)
         body = "".join(
-            "<tr>" + "".join(f"<td>{values[k]:.6g}</td>" for values in columns.values()) + "</tr>"
+            "<tr>"
+            + "".join(f"<td>{_cell(values[k])}</td>" for values in columns.values())
+            + "</tr>"
             for k in rows
         )
         return (
             f"<div><p><code>{escape(repr(self))}</code></p><div style='overflow-x:auto'><table>"
             f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></div>"
         )
+
+    def table(self) -> dict[str, NDArray[Any]]:
+        """Name, which carries the unit, to a column of shape (rows,): what data frames are made of.
+
+        A copy; a value that is not known is NaN.
+        """
+        return {name: np.array(values) for name, values in self.columns().items()}
 
     def to_pandas(self) -> pandas.DataFrame:
         """The columns as a pandas data frame.
@@ -146,7 +226,7 @@ class Tabular:
         InputError      pandas is not installed
         """
         frames = _need("pandas", "")
-        frame: pandas.DataFrame = frames.DataFrame(self._copies())
+        frame: pandas.DataFrame = frames.DataFrame(self.table())
         return frame
 
     def to_polars(self) -> polars.DataFrame:
@@ -157,11 +237,20 @@ class Tabular:
         InputError      polars is not installed
         """
         frames = _need("polars", "")
-        frame: polars.DataFrame = frames.DataFrame(self._copies())
+        frame: polars.DataFrame = frames.DataFrame(self.table())
         return frame
 
-    def _copies(self) -> dict[str, NDArray[Any]]:
-        return {name: np.array(values) for name, values in self.columns().items()}
+
+def _cell(value: Any) -> str:
+    """A value in a table of a notebook."""
+    return f"{value:.6g}" if isinstance(value, (float, np.floating)) else escape(str(value))
+
+
+def _new_figure(panels: int) -> Figure:
+    """As wide as rcParams say, as high as the panels need."""
+    rc = _need("matplotlib", "report").rcParams
+    wide, high = rc["figure.figsize"]
+    return _figure((wide, max(high, PANEL_IN * panels + AXIS_IN)))
 
 
 def _figure(size: tuple[float, float]) -> Figure:
@@ -192,10 +281,10 @@ def _notebook_figure(figure: type[Any]) -> Any:
     return type("Figure", (figure,), {"_repr_png_": as_png})
 
 
-def _draw(axes: Any, line: Line) -> None:
+def _draw(axes: Any, line: Line, style: Mapping[str, LineStyle]) -> None:
     rows = _extreme_rows(line.y)
     x, y = line.x[rows], line.y[rows]
-    (drawn,) = axes.plot(x, y, label=line.label, linewidth=1.0)
+    (drawn,) = axes.plot(x, y, **{"label": line.label, **style})
     if line.band is not None:
         low, high = (edge[rows] for edge in line.edges)
         axes.fill_between(x, low, high, color=drawn.get_color(), alpha=0.2, linewidth=0)

@@ -8,7 +8,7 @@ import pytest
 from cellwise.benchmark.adapter import described, load_adapter
 from cellwise.benchmark.figures import whole_row
 from cellwise.benchmark.leaderboard import provenance
-from cellwise.benchmark.standings import by_estimator, latex, standings
+from cellwise.benchmark.standings import COLUMNS, by_estimator, latex, standings
 from cellwise.errors import InputError
 
 
@@ -52,6 +52,15 @@ def test_few_logs_have_no_interval_and_one_estimator_no_difference():
     assert mean == pytest.approx(0.015)
     assert ends == [None, None]
     assert against(rows_of([0.02], [])) is None
+
+
+@pytest.mark.parametrize(
+    ("logs", "said"),
+    [(1, "1 (too few logs"), (2, "1 (too few logs"), (3, "1 [1, 1]")],
+)
+def test_a_rank_by_one_log_or_two_claims_no_interval(logs, said):
+    found = standings(by_estimator(rows_of([0.02] * logs, [0.01] * logs)))
+    assert COLUMNS["rank [95 %]"](found[0]).startswith(said)
 
 
 def test_latex_has_every_estimator_and_what_it_was_made_with():

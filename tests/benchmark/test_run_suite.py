@@ -49,7 +49,7 @@ reference_Ah = 3.0
 ADAPTER = '''
 import math
 
-from cellwise.benchmark.adapter import FilterOutput
+from cellwise import FilterOutput
 
 
 class Counter:

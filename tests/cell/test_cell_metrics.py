@@ -45,7 +45,7 @@ def test_bands_are_a_partition(data):
     )
     bands = band_metrics(e, soc)
     assert sum(b.metrics.samples for b in bands) == e.size
-    squares = sum(b.metrics.samples * b.metrics.rmse_V**2 for b in bands)
+    squares = sum(b.metrics.samples * b.rmse_V**2 for b in bands)
     assert squares == pytest.approx(np.sum(e**2), abs=1e-12)
     for b in bands:
         inside = (soc >= b.soc_low) & (soc < b.soc_high)

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.model import TABLES, CellModel
 from cellwise.cell.point_kernels import COLUMNS, M
+from cellwise.cell.simulate import simulate
+from cellwise.cell.stock import stock_model
 from cellwise.errors import InputError
-from example_cells import EFFECTS, curved_cell, linear_cell, random_model
+from example_cells import EFFECTS, curved_cell, linear_cell, random_log, random_model
 
 
 def falling(points=11):
@@ -102,3 +105,88 @@ def test_repr_tells_what_a_person_asks_first():
     text = repr(curved_cell(name="cell 7", effects=EFFECTS))
     for word in ("cell 7", "3 Ah", "101 SOC points", "hysteresis"):
         assert word in text
+
+
+def test_one_number_is_a_table_that_has_it_everywhere():
+    ocv_V = np.linspace(3.0, 4.2, 11)
+    model = CellModel(3.0, np.tile(ocv_V, (2, 1)), r0_ohm=0.03, r1_ohm=[[0.01], [0.02]], tau1_s=5,
+                      r2_ohm=np.full(11, 0.01), tau2_s=60.0, temperature_C=[0.0, 25.0])  # fmt: skip
+    assert {getattr(model, name).shape for name in TABLES} == {(2, 11)}
+    np.testing.assert_array_equal(model.r0_ohm, 0.03)
+    np.testing.assert_array_equal(model.r1_ohm, np.repeat([[0.01], [0.02]], 11, axis=1))
+
+
+def test_a_model_of_ocv_and_r0_alone_is_ohms_law():
+    model = CellModel(capacity_Ah=3.0, ocv_V=np.linspace(3.0, 4.2, 11), r0_ohm=0.03)
+    log = random_log(np.random.default_rng(2), rows=200)
+    found = simulate(model, log, 0.6)
+    expected = 3.0 + 1.2 * found.soc - 0.03 * log.current_A
+    np.testing.assert_allclose(found.voltage_V, expected, atol=5e-6)
+
+
+def test_an_ocv_at_uneven_points_and_in_either_order_is_read_off_linearly():
+    soc, ocv_V = np.array([0.0, 0.05, 0.4, 1.0]), np.array([3.0, 3.4, 3.7, 4.2])
+    model = CellModel.from_ocv(soc, ocv_V, capacity_Ah=2.0, r0_ohm=[0.05, 0.04, 0.03, 0.03],
+                               r1_ohm=0.01, tau1_s=8.0, points=101)  # fmt: skip
+    again = CellModel.from_ocv(soc[::-1], ocv_V[::-1], capacity_Ah=2.0, r0_ohm=0.03, points=101)
+    np.testing.assert_allclose(np.interp(soc, model.soc, model.ocv_V[0]), ocv_V)
+    np.testing.assert_array_equal(again.ocv_V, model.ocv_V)
+    np.testing.assert_allclose(np.interp(0.4, model.soc, model.r0_ohm[0]), 0.03)
+    np.testing.assert_array_equal(model.r1_ohm, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"soc": [0.0, 50.0, 100.0]}, "Divide per cent by 100"),
+        ({"soc": [0.1, 0.5, 1.0]}, "from 0.1 to 1.*Add the ends"),
+        ({"soc": [0.0, 0.5, 0.4]}, "not in order"),
+        ({"soc": 0.5}, "every point of the OCV"),
+        ({"soc": None}, "soc = None"),
+        ({"ocv_V": [3.0, 4.0]}, r"ocv_V of shape \(2,\) at 3 points"),
+        ({"ocv_V": 3.7}, r"ocv_V of shape \(\) at 3 points"),
+        ({"r0_ohm": [0.02, 0.03]}, "or one number"),
+        ({"r0_ohm": "0.02"}, "r0_ohm = '0.02'"),
+        ({"capacity_Ah": "3"}, "capacity_Ah = '3'"),
+        ({"capacity_Ah": None}, "capacity_Ah = None"),
+    ],
+)
+def test_a_model_by_hand_says_what_is_wrong(changes, message):
+    values = {"soc": [0.0, 0.5, 1.0], "ocv_V": [3.0, 3.7, 4.2], "capacity_Ah": 3.0, "r0_ohm": 0.03}
+    with pytest.raises(InputError, match=message):
+        CellModel.from_ocv(**values | changes)
+
+
+def judged_fit(handed_out, **errors):
+    """A provenance of a fit at 0 and 25 degC with standard errors of one share."""
+    rows = [
+        {"temperature_C": warm_C, "standard_errors": {
+            name: {"soc": [0.0, 1.0], "std": [share, 3.0 * share]} for name, share in at.items()}}
+        for warm_C, at in zip((0.0, 25.0), (errors, {n: 2.0 * s for n, s in errors.items()}),
+                              strict=True)
+    ]  # fmt: skip
+    return {"refinement": rows, "plain_model": {"handed_out": handed_out}}
+
+
+def test_a_standard_error_has_the_unit_of_its_value_at_the_nearest_tested_temperature():
+    provenance = judged_fit("fit", r0_ohm=0.1, ocv_V=0.002)
+    rows = np.tile(curved_cell(11).ocv_V, (3, 1))
+    model = curved_cell(11, ocv_V=rows, temperature_C=[0.0, 10.0, 20.0], provenance=provenance)
+    table = model.table()
+    share = np.concatenate([np.linspace(a, 3.0 * a, 11) for a in (0.1, 0.1, 0.2)])
+    np.testing.assert_allclose(table["r0_std_ohm"], share * table["r0_ohm"])
+    np.testing.assert_allclose(table["ocv_std_V"], 0.02 * share)
+    assert np.isnan(table["tau1_std_s"]).all()
+    np.testing.assert_array_equal(table["temperature_C"], np.repeat([0.0, 10.0, 20.0], 11))
+
+
+def test_errors_of_a_fit_are_not_those_of_the_plain_model_that_was_handed_out():
+    model = curved_cell(11, provenance=judged_fit("plain", r0_ohm=0.1))
+    assert np.isnan(model.table()["r0_std_ohm"]).all()
+
+
+def test_a_stock_model_is_as_uncertain_as_cells_of_its_kind_differ():
+    model = stock_model("nmc-18650")
+    spread, table = model.provenance["stock"]["spread"], model.table()
+    np.testing.assert_allclose(table["ocv_std_V"], spread["ocv_V"])
+    np.testing.assert_allclose(table["r3_std_ohm"], spread["ln_resistance"] * table["r3_ohm"])

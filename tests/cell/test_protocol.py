@@ -20,6 +20,7 @@ from cellwise.cell.protocol import (
 )
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.notices import texts
 from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell
 
 RICH = curved_cell(effects=EFFECTS[:3], charge_efficiency=0.99)
@@ -181,7 +182,7 @@ class TestDriveProfile:
     def test_an_empty_cell_ends_it_with_a_notice(self):
         profile = DriveProfile(time_s=60 * self.time, current_A=np.full(2000, 3.0))
         log = run_protocol(linear_cell(), [profile, Rest(5.0)], 0.5)
-        assert "step 1" in log.notices[0]
+        assert "step 1" in log.notices[0].text
         soc = simulate(linear_cell(), log, 0.5).soc[-1]
         assert soc == pytest.approx(-BEYOND, abs=0.02)
         assert soc <= -BEYOND
@@ -203,8 +204,8 @@ class TestEndings:
     def test_a_limit_that_is_never_reached_ends_off_the_tables_and_is_told(self, step):
         log = run_protocol(linear_cell(), [step, Rest(1.0)], 0.5, dt_s=10.0)
         assert len(log.notices) == 1
-        assert "step 1" in log.notices[0]
-        assert "no limit reached" in log.notices[0]
+        assert "step 1" in log.notices[0].text
+        assert "no limit reached" in log.notices[0].text
         soc = simulate(linear_cell(), log, 0.5).soc
         assert abs(soc[-1] - 0.5) >= 0.5 + BEYOND - 1e-9
         assert log.step[-1] == 2  # the protocol goes on
@@ -222,7 +223,7 @@ class TestEndings:
         log = run_protocol(linear_cell(), [step, Rest(3.0)], 0.5)
         assert len(log) == 4
         assert np.all(log.step[1:] == 2)
-        assert log.notices == ("step 1: at its limit from the start, so it has no row",)
+        assert texts(log.notices) == ["step 1: at its limit from the start, so it has no row"]
         with pytest.raises(InputError, match="none lasts"):
             run_protocol(linear_cell(), [step], 0.5)
 

@@ -97,8 +97,8 @@ def test_the_corrected_log_is_explained_by_the_extended_model(diagnosed, bench):
     offset = found["causes"][0]["parameters"]["offset_A"]
     np.testing.assert_allclose(log.current_A, raw.current_A - offset, atol=1e-9)
     new = read_model(found["extended_model"])
-    before = simulate(curved_cell(), raw, 0.9).metrics.rmse_V
-    assert simulate(new, log, 0.9).metrics.rmse_V < 0.3 * before
+    before = simulate(curved_cell(), raw, 0.9).rmse_V
+    assert simulate(new, log, 0.9).rmse_V < 0.3 * before
 
 
 def test_for_people_first_what_to_do_and_one_figure_everywhere(diagnosed, bench, capsys):

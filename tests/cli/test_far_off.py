@@ -128,7 +128,7 @@ def test_what_a_run_prints_of_itself_says_it_too(name, far):
     assert ("FAR OFF" in repr(simulation)) == far
     assert ("FAR OFF" in repr(replay(named_model(name, 5.0), log))) == far
     assert simulation.model is not None
-    times, _ = times_stated(simulation.model, log, simulation.error_V, simulation.soc)
+    times, _ = times_stated(simulation.model, log, simulation.residual_V, simulation.soc)
     assert (times > FAR_OFF.deviations) == far
 
 

@@ -21,7 +21,7 @@ from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import gather
 from cellwise.fit.start import InitialSoc
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.cell_log import resample
 from example_cells import curved_cell, within_its_error
@@ -94,7 +94,7 @@ def measured(folder):
         for name in ("hppc_p25", "ocv_c20_p25", "cap_1c_p25_start_1", "drive_p25_cycle_2",
                      "drive_p25_cycle_3", "drive_p25_nn", "drive_p25_us06", "drive_p25_hwfta")
     )  # fmt: skip
-    tests = TestLogs(hppc=hppc, ocv=ocv, capacity=one_C, drive=(two, three))
+    tests = CellTests(hppc=hppc, ocv=ocv, capacity=one_C, drive=(two, three))
     model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, [resample(log, STEP_S).part(0, ROWS) for log in (nn, us06, clean)]
 

@@ -35,7 +35,7 @@ def test_the_model_of_the_healthy_cell_is_as_good_as_its_identification_was(case
     model = model_of(FOLDER, healthy.cell)
     starts = healthy.told or (None,) * 3
     for log, soc0 in zip((*healthy.logs, *healthy.holdout), starts, strict=True):
-        assert simulate(model, log, soc0).metrics.rmse_V < 3e-3
+        assert simulate(model, log, soc0).rmse_V < 3e-3
 
 
 @pytest.mark.slow

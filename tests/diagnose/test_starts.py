@@ -47,7 +47,7 @@ def test_a_log_starts_where_simulate_starts_it(unsure, loaded_from):
     found = diagnose(unsure, [log], holdout=[held], causes=["current_offset"])
     for run in found.runs:
         assert run.before.soc0 == shown.soc0
-        assert run.before.metrics.rmse_V == shown.metrics.rmse_V
+        assert run.before.rmse_V == shown.rmse_V
 
 
 @pytest.mark.xfail(

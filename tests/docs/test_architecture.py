@@ -12,7 +12,7 @@ from sources import tree_of
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
-BASE = {"errors", "typing", "files", "arguments", "plotting", "threads"}
+BASE = {"errors", "typing", "files", "arguments", "notices", "plotting", "records", "threads"}
 TOOLS = {
     "logs",
     "cell",
@@ -31,9 +31,11 @@ MAY_IMPORT = {
     "files": {"errors"},
     "arguments": {"errors", "typing"},
     "progress": set(),
+    "records": {"errors"},
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
-    "plotting": {"errors", "typing"},
+    "notices": set(),
+    "plotting": {"arguments", "errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},
     "printing": BASE | {"cell", "estimate"},
@@ -52,9 +54,20 @@ MAY_IMPORT = {
     "datasets": BASE | {"logs", "data"},
     "live": BASE | {"logs", "cell", "fit", "estimate", "forecast"},
     "fleet": BASE | {"logs", "cell", "estimate", "diagnose", "pack", "history"},
+    "workflows": BASE | TOOLS | {"export", "report", "live"},
     "cli": BASE
     | TOOLS
-    | {"export", "report", "benchmark", "studies", "live", "fleet", "datasets", "first_use"}
+    | {
+        "export",
+        "report",
+        "benchmark",
+        "studies",
+        "live",
+        "fleet",
+        "datasets",
+        "first_use",
+        "workflows",
+    }
     | {"progress"},
 }
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE) + sorted(
@@ -242,3 +255,29 @@ def test_kernels_take_records_not_long_lists_of_arguments():
         if (count := len([*f.args.posonlyargs, *f.args.args, *f.args.kwonlyargs])) > MOST_ARGUMENTS
     }
     assert too_many == {}
+
+
+COMPUTING = {"cell", "estimate", "export", "fit", "forecast", "printing"}
+# Functions of these that a command calls by itself: files, names, settings and words.
+OF_A_COMMAND = {
+    "assumed", "assumed_text", "check_cells_in_series", "check_soc0", "cutoff_of", "is_plan",
+    "list_stock", "make_estimator", "named_model", "plan_of_log", "power_settings", "read_model",
+    "read_plan", "read_sensor", "seen_by", "write_model",
+}  # fmt: skip
+
+
+def test_commands_compose_and_compute_nothing():
+    """A command calls one function of a station or of `workflows`, and prints what it gives."""
+    called = set()
+    for path in (PACKAGE / "cli").rglob("*.py"):
+        dotted = imported(path)
+        assert not any(one.split(".")[0] in ("numpy", "scipy") for one in dotted), name(path)
+        for node in ast.walk(tree_of(path)):
+            parts = (getattr(node, "module", None) or "").split(".")
+            if (
+                isinstance(node, ast.ImportFrom)
+                and parts[0] == "cellwise"
+                and parts[1] in COMPUTING
+            ):
+                called |= {one.name for one in node.names if one.name[0].islower()}
+    assert called == OF_A_COMMAND, "what a command composes belongs to workflows"

@@ -1,8 +1,7 @@
 """Which claim of measured data can be had through the command, on the files as published.
 
 A capability that a test shows in Python has its door twin: the same claim through `cellwise`, on
-files that nobody prepared. Those without one are listed with the reason, as they are in
-docs/measured.md.
+files that nobody prepared. Those without one are listed with the reason.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from cellwise.logs import Gap
 from sources import tree_of
 
 WIDTH = 120
-LATER = ("measured.md", "README.md")  # figures are added to them as they are measured
+LATER = ("README.md",)  # figures are added to it as they are measured
 PACKAGE = REPOSITORY / "src" / "cellwise"
 # Unit of a name by its suffix.
 UNITS = {**{unit: unit for unit in ("V", "A", "s", "ohm", "Ah", "K", "F")}, "C": "°C", "V2": "V²"}

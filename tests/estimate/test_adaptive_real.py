@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.estimate.replay import replay
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 
 REFERENCE_AH = 2.997
@@ -24,7 +24,7 @@ def panasonic(real_data):
     def log(name):
         return read_log(folder / f"{name}.csv.gz")
 
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((log("hppc_p25"), None),),
         ocv=(log("ocv_c20_p25"),),
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),

@@ -24,6 +24,7 @@ from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.replay import Replay, replay
 from cellwise.estimate.status import OUTSIDE
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import texts
 from example_cells import curved_cell
 
 CAPACITY_AH = 3.0
@@ -106,7 +107,7 @@ def test_beyond_its_soc_an_ocv_that_nobody_saw():
     assert below.size > 1000
     assert np.all(a.trace.status[below] & OUTSIDE)
     covered_a, covered_b = (
-        float(np.mean(np.abs(r.soc_error[below]) <= 2.0 * r.trace.soc_std[below])) for r in (a, b)
+        float(np.mean(np.abs(r.error[below]) <= 2.0 * r.trace.soc_std[below])) for r in (a, b)
     )
     assert covered_a >= 0.95
     assert covered_b < 0.8
@@ -153,9 +154,9 @@ def test_what_leaves_the_data_is_said_once_and_first_with_its_numbers():
     cold = replace(cold, temperature_C=np.where(np.arange(6000) < 1860, -12.0, 22.0))
     log = measured(curved_cell(effects=COLD), cold)
     for found in (simulate(MODEL, log, SOC0), replay(MODEL, log, "ekf", soc0=SOC0)):
-        assert "31 % of the rows are below 24 degC" in found.notices[0]
-        assert "to -12" in found.notices[0]
-        assert sum("data covered" in n for n in found.notices) == 1
+        assert "31 % of the rows are below 24 degC" in found.notices[0].text
+        assert "to -12" in found.notices[0].text
+        assert sum("data covered" in n for n in texts(found.notices)) == 1
 
 
 @pytest.mark.parametrize("warm", [24.0 - 0.9 * TOLERANCE.kelvin, 29.0 + 0.9 * TOLERANCE.kelvin])

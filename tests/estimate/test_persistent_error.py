@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.estimate.adaptive import Adaptive
-from cellwise.estimate.evidence_kernels import persistent_step
+from cellwise.estimate.equations.evidence import persistent_step
 from cellwise.estimate.filters.kalman import Ekf, Ukf
 from cellwise.estimate.noise import Noise
 from cellwise.logs.cell_log import CellLog

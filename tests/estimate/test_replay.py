@@ -299,8 +299,8 @@ def test_a_drive_through_gaps_is_followed():
     row = int(np.flatnonzero(holey.gap_rows)[0])
     assert r.trace.status[row] & Status.SEQUENCE_GAP
     missed = 2.0 * 301 / (3600 * 3.0)
-    assert 0 <= r.soc_error[row] <= missed  # it cannot know, but the voltage tells the direction
-    assert abs(r.soc_error[-1]) < 0.2 * missed  # and it finds out
+    assert 0 <= r.error[row] <= missed  # it cannot know, but the voltage tells the direction
+    assert abs(r.error[-1]) < 0.2 * missed  # and it finds out
     assert r.coverage_2sigma > 0.9
 
 

@@ -16,6 +16,7 @@ from cellwise.estimate.fixed.stepper import numba_stepper, start_state
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import SEQUENCE_GAP
+from cellwise.export.package import DESCRIPTION, export_firmware
 from example_cells import curved_cell
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -42,6 +43,15 @@ SOURCES = ("cellwise_ekf.c", "cellwise_store.c", "cell_table.c")
 )  # fmt: skip
 def test_what_a_target_cannot_hold_is_refused(refused, tmp_path, arguments, said):
     assert said in refused(*arguments, "-o", tmp_path / "out")
+
+
+def test_python_writes_what_the_command_writes(export, tmp_path):
+    told = export("--dt", 1, "-o", tmp_path / "command")
+    paths = export_firmware(curved_cell(), tmp_path / "python", 1.0)
+    assert [str(p.relative_to(tmp_path / "python")) for p in paths] == told["files"]
+    for path in paths:
+        other = tmp_path / "command" / path.relative_to(tmp_path / "python")
+        assert path.name == DESCRIPTION or path.read_bytes() == other.read_bytes(), path.name
 
 
 def test_what_is_written_is_described(export, tmp_path):
@@ -89,62 +99,6 @@ def test_a_cell_of_any_name_compiles(export, built, tmp_path, name):
     assert built(tmp_path / "out", ("example.c", *SOURCES)).returncode == 0
 
 
-STORE = """
-#include <stdio.h>
-#include <string.h>
-#include "cellwise_cell.h"
-#include "cellwise_store.h"
-int main(void) {
-    cellwise_state x, y;
-    cellwise_stored kept;
-    unsigned char *at = (unsigned char *)&kept;
-    unsigned k, missed = 0u;
-    cellwise_init(&cellwise_cell, &x, 0.4f, 0.01f);
-    cellwise_keep(&kept, &x);
-    memset(&y, 0, sizeof y);
-    if (cellwise_restore(&y, &kept) != 0u || memcmp(&x, &y, sizeof x) != 0) return 1;
-    for (k = 0u; k < 8u * sizeof kept; k++) {
-        cellwise_state before = y;
-        at[k / 8u] = (unsigned char)(at[k / 8u] ^ (1u << (k % 8u)));
-        if (cellwise_restore(&y, &kept) == 0u || memcmp(&before, &y, sizeof y) != 0) missed++;
-        at[k / 8u] = (unsigned char)(at[k / 8u] ^ (1u << (k % 8u)));
-    }
-    return missed == 0u ? 0 : 3;
-}
-"""
-
-
-STORED_CELLS = """
-#include <string.h>
-#include "cellwise_cell.h"
-#include "cellwise_store.h"
-int main(void) {
-    cellwise_pack_cell cells[5];
-    cellwise_stored_cells kept;
-    unsigned char *at[2];
-    unsigned size[2];
-    unsigned part, k, missed = 0u;
-    cellwise_cells_init(&cellwise_cell, cells, 5u);
-    cells[3].capacity = -0.04f;
-    cellwise_keep_cells(&kept, cells, 5u);
-    if (cellwise_restore_cells(&kept, cells, 5u) != 0u) return 1;
-    if (cellwise_restore_cells(&kept, cells, 4u) != CELLWISE_OTHER_LAYOUT) return 2;
-    at[0] = (unsigned char *)&kept;
-    at[1] = (unsigned char *)cells;
-    size[0] = sizeof kept;
-    size[1] = sizeof cells;
-    for (part = 0u; part < 2u; part++) {
-        for (k = 0u; k < 8u * size[part]; k++) {
-            at[part][k / 8u] = (unsigned char)(at[part][k / 8u] ^ (1u << (k % 8u)));
-            missed += cellwise_restore_cells(&kept, cells, 5u) == 0u;
-            at[part][k / 8u] = (unsigned char)(at[part][k / 8u] ^ (1u << (k % 8u)));
-        }
-    }
-    return missed == 0u ? 0 : 3;
-}
-"""
-
-
 CELLS = """
 #include <string.h>
 #include "cellwise_cell.h"
@@ -174,24 +128,19 @@ int main(void) {
 """
 
 
+@pytest.mark.slow
 @needs_gcc
-@pytest.mark.parametrize(
-    ("program", "options"),
-    [
-        pytest.param(STORE, (), id="one flipped bit of a stored state"),
-        pytest.param(STORED_CELLS, ("--lean", "--cells", 96, "--health"), marks=pytest.mark.slow,
-                     id="one flipped bit of a pack's stored cells"),
-        pytest.param(CELLS, (), marks=pytest.mark.slow, id="96 cells in any order on one table"),
-    ],
-)  # fmt: skip
-def test_a_program_on_the_export_finds_nothing_wrong(export, built, tmp_path, program, options):
-    out = tmp_path / "out"
-    told = export("--dt", 1, "-o", out, *options)
-    if options:
-        assert told["options"]["health"] == told["options"]["cells"] == 1
-        assert told["pack_bytes"] == told["state_bytes"] + 96 * 48
-    (out / "main.c").write_text(program)
-    assert built(out, ("main.c", *SOURCES)).returncode == 0
+def test_96_cells_in_any_order_on_one_table(export, built, tmp_path):
+    export("--dt", 1, "-o", tmp_path / "out")
+    (tmp_path / "out" / "main.c").write_text(CELLS)
+    assert built(tmp_path / "out", ("main.c", *SOURCES)).returncode == 0
+
+
+@pytest.mark.slow
+def test_the_export_of_a_pack_says_what_its_cells_take(export, tmp_path):
+    told = export("--dt", 1, "-o", tmp_path / "out", "--lean", "--cells", 96, "--health")
+    assert told["options"]["health"] == told["options"]["cells"] == 1
+    assert told["pack_bytes"] == told["state_bytes"] + 96 * 48
 
 
 @needs_gcc

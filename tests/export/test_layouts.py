@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from cellwise.estimate.status import SEQUENCE_GAP
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
 from example_cells import curved_cell
 
@@ -225,7 +226,8 @@ float_t SE_GetStateOfChargeFromVoltage(int16_t voltage_mV);
 #include <stdio.h>
 #include "os.h"
 #include "state_estimation.h"
-static uint32_t now_ms = 5000u;
+uint32_t SE_GetStateOfChargeStatus(uint8_t stringNumber);
+static uint32_t now_ms = 0xFFFF0000u; /* it wraps within the hour */
 static int32_t current_mA = 0;
 uint32_t OS_GetTickCount(void) { return now_ms; }
 void read_blocks(void *one, void *two) {
@@ -244,6 +246,9 @@ int main(void) {
   current_mA = -1000; /* discharge, where positive is charge */
   for (int k = 0; k < 36000; k++) { now_ms += 100u; SE_CalculateStateOfCharge(&soc); }
   printf("%f %f %f\\n", soc.averageSoc_perc[0], soc.averageSoc_perc[1], soc.minimumSoc_perc[1]);
+  now_ms += 60000u;
+  SE_CalculateStateOfCharge(&soc);
+  printf("%u\\n", SE_GetStateOfChargeStatus(1u));
 }
 """,
 }
@@ -255,12 +260,14 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     place = exported("foxbms")
     for name, text in FOXBMS.items():
         (tmp_path / name).write_text(text)
-    sources = [place / f"{n}.c" for n in ("soc_cellwise", "cellwise_ekf", "cell_table")]
+    sources = [
+        place / f"{n}.c" for n in ("soc_cellwise", "cellwise_ekf", "cellwise_store", "cell_table")
+    ]
     run("gcc", *STRICT_FLAGS, *(f for f in WARNING_FLAGS if f != "-Wfloat-equal"), "-O2", "-I",
         tmp_path, "-I", place, *sources, "-c", cwd=tmp_path)  # fmt: skip
     run("gcc", "-std=gnu99", "-I", tmp_path, tmp_path / "main.c", *tmp_path.glob("*.o"), "-lm",
         "-o", tmp_path / "app")  # fmt: skip
-    before, after = (line.split() for line in run(tmp_path / "app").splitlines())
+    before, after, status = (line.split() for line in run(tmp_path / "app").splitlines())
     model = curved_cell()
     assert float(before[0]) == pytest.approx(float(before[1]))
     assert 0 < float(before[0]) < 100
@@ -268,5 +275,6 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     taken = float(before[1]) - float(after[1])
     assert taken == pytest.approx(100.0 / model.capacity_Ah, rel=1e-3)
     assert float(after[2]) < float(after[1])
+    assert int(status[0]) & SEQUENCE_GAP
     # The wscript is Python that waf calls with a build context.
     run(sys.executable, "-m", "py_compile", place / "wscript")

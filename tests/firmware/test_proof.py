@@ -13,7 +13,7 @@ from cellwise.cell.effects import ChargeTransfer, Hysteresis, SlowDiffusion, Sur
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.estimate.fixed.options import CellSettings
 from cellwise.estimate.fixed.tables import fixed_step_tables
-from cellwise.export.c_tables import firmware_folder, write_sources
+from cellwise.export.c_tables import firmware_folder, put, write_sources
 from example_cells import curved_cell
 from firmware_cases import VALID, cutoff_asked, power_asked
 
@@ -81,11 +81,11 @@ PROVED = [
 def eva(folder, entry, mutant=None, build="lean"):
     """Alarms and assertions that Eva could not prove."""
     tables = fixed_step_tables(dt_s=1.0, **(BUILDS | BESIDE)[build])
-    for name, text in write_sources(tables, "0" * 64):
-        if mutant and name == "cellwise_ekf.c":
-            assert text.count(mutant[0]) == 1
-            text = text.replace(*mutant)
-        (folder / name).write_text(text)
+    sources = dict(write_sources(tables, "0" * 64))
+    if mutant:
+        (name,) = (name for name, text in sources.items() if text.count(mutant[0]) == 1)
+        sources[name] = sources[name].replace(*mutant)
+    put(sources, folder)
     analysis = firmware_folder() / "analysis"
     apart = APART + (OF_CELLS if build == "cells" else "")  # a name that is not there is refused
     command = ["frama-c", "-eva", *PRECISION, "-eva-slevel-function", apart]

@@ -82,7 +82,7 @@ def test_of_cells_within_the_model_s_error_half_converge_by_then():
         early.append(
             (np.inf if took is None else took) <= (np.inf if predicted is None else predicted)
         )
-        errors.append(run.soc_error / expected_std(model, run, ekf))
+        errors.append(run.error / expected_std(model, run, ekf))
     assert 0.35 <= np.mean(early) <= 0.95
     late = np.array(errors)[:, 600:]
     assert np.mean(np.abs(late) <= 2.0) >= 0.8  # the deviation expected is that of the errors

@@ -7,7 +7,7 @@ import pytest
 
 from cellwise.estimate.replay import replay
 from cellwise.forecast.remaining import forecast
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from measured_models import identified_samsung, samsung_log
 
@@ -18,7 +18,7 @@ CUTOFF_V = 3.0
 def leaf(real_data):
     """A model from the pulse test and the 1C rounds; the 2C and 3C rounds it has not seen."""
     folder = real_data / "nissan_leaf"
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((read_log(folder / "hppc_p25.csv.gz"), None),),
         capacity=(read_log(folder / "cap_1c_p23.csv.gz"),),
     )

@@ -17,6 +17,7 @@ from cellwise.history.life import life_of
 from cellwise.history.log_health import changed_model, log_health
 from cellwise.history.trend import Deviations, trend_of
 from cellwise.logs import CellLog, write_log
+from cellwise.notices import texts
 
 FRESH = stock_model("nca-18650")
 SHARES = (1.0, 0.97, 0.94, 0.90)
@@ -264,4 +265,4 @@ def test_complete_discharges_in_one_file_are_each_a_log():
     life = life_of(FRESH, [together])
     assert [one.log.name for one in life.logs] == [f"cycles, cycle {k}" for k in (1, 2, 3, 4)]
     np.testing.assert_allclose([one.share for one in life.logs], SHARES, atol=0.005)
-    assert any("4 complete half cycles" in n for n in life.logs[0].log.notices)
+    assert any("4 complete half cycles" in n for n in texts(life.logs[0].log.notices))

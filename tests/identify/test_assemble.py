@@ -31,7 +31,7 @@ def test_the_model_simulates_what_was_fitted(plain):
     # Splines on 15 knots against tables of 201 points, merged rows against all rows.
     logs, result, model = plain
     for item, residual, prepared in zip(logs, result.residual_V, result.logs, strict=True):
-        error = simulate(model, item.log, item.soc0).error_V
+        error = simulate(model, item.log, item.soc0).residual_V
         at = np.searchsorted(item.log.time_s, prepared.time_s)
         assert np.sqrt(np.mean((error[at] - residual) ** 2)) < 5e-4
 

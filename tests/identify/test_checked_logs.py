@@ -9,7 +9,7 @@ from cellwise.identify.checked_logs import (
     low_rate_tests,
     nearest_test,
 )
-from cellwise.identify.identification import TestLogs
+from cellwise.identify.identification import CellTests
 from cellwise.logs.cell_log import CellLog
 
 
@@ -52,7 +52,7 @@ def test_without_pulses_a_temperature_with_several_tests_has_tables():
         return (log("0.5C", at, 1.4, hours=2.0), log("1C", at, 2.8, hours=1.0))
 
     stated = (log("stated", None, 1.5, hours=0.2), -18.0)
-    tests = TestLogs(
+    tests = CellTests(
         ocv=(WARM, COLD),
         capacity=(*capacity(25.0), *capacity(-21.0), log("hot", 40.0, 1.4, hours=2.0)),
         drive=((log("drive", 11.0, 1.5, hours=0.2), None), stated),
@@ -69,7 +69,7 @@ def test_without_pulses_a_temperature_with_several_tests_has_tables():
 
 def test_one_drive_a_temperature_shares_its_tables():
     drives = ((log("a", 35.0, 1.5, hours=0.2), None), (log("b", 5.0, 1.5, hours=0.2), None))
-    found = grouped_by_temperature(TestLogs(ocv=(WARM,), drive=drives), [(WARM,)], 25.0)
+    found = grouped_by_temperature(CellTests(ocv=(WARM,), drive=drives), [(WARM,)], 25.0)
     assert list(found) == [35.0]
     assert names(found[35.0].ocv) == ["warm"]
 
@@ -77,7 +77,7 @@ def test_one_drive_a_temperature_shares_its_tables():
 def test_beside_pulses_steady_tests_are_those_of_the_reference():
     pulses = ((log("p25", 25.0, 1.5, hours=0.2), None), (log("p0", 0.0, 1.5, hours=0.2), None))
     found = grouped_by_temperature(
-        TestLogs(hppc=pulses, ocv=(WARM, COLD)), [(WARM,), (COLD,)], 25.0
+        CellTests(hppc=pulses, ocv=(WARM, COLD)), [(WARM,), (COLD,)], 25.0
     )
     assert list(found) == [0.0, 25.0]
     assert names(found[25.0].ocv) == ["warm", "cold"]

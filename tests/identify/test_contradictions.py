@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from cellwise import InputError, load_dataset, read_log
-from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cell.plausibility.notice import in_order
 from cellwise.cli.identifying import print_identification
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.checked_logs import check_logs
 from cellwise.identify.measured_capacity import measure_capacity
 from cellwise.logs.checks.sign import contradiction
+from cellwise.notices import Code, Notice, coded
 
 CAPACITY = 5.0
 QUICK = IdentifySettings(refine=False, nominal_Ah=CAPACITY)
@@ -45,7 +46,7 @@ def scaled(log, factor, name="scaled"):
 
 
 def together(hppc=(), drive=(), **others):
-    return TestLogs(hppc=tuple((x, None) for x in hppc), drive=tuple((x, None) for x in drive),
+    return CellTests(hppc=tuple((x, None) for x in hppc), drive=tuple((x, None) for x in drive),
                     **others)  # fmt: skip
 
 
@@ -127,15 +128,15 @@ def test_a_capacity_test_of_far_more_charge_is_said_first_and_moves_nothing(hppc
     """It keeps a capacity of its own; what the others say of the cell stays."""
     other = scaled(load_dataset("nmc_cap_c5"), 1.6, "other")
     found = identify_cell(together((hppc,), ocv=(low_rate,), capacity=(other,)), QUICK)
-    assert "'other' moves" in found.notices[0]
+    assert "'other' moves" in found.notices[0].text
     assert found.model.capacity_Ah == pytest.approx(found.capacities["rate:C/20"], rel=5e-3)
     of_others = [o for o in found.own_logs if o.simulation.log.name != "other"]
-    assert max(o.simulation.metrics.rmse_V for o in of_others) < 0.03
+    assert max(o.simulation.rmse_V for o in of_others) < 0.03
 
 
 def first_said(tests, settings):
     try:
-        return identify_cell(tests, settings).notices[0]
+        return identify_cell(tests, settings).notices[0].text
     except InputError as error:
         return error.found
 
@@ -149,14 +150,14 @@ def test_a_drive_of_another_cell_is_said_first(hppc, low_rate, lfp_drive):
 def test_exchanged_temperatures_are_said_with_the_resistances(hppc):
     cold = load_dataset("nmc_hppc_p00")
     bare = [replace(log, temperature_C=None) for log in (hppc, cold)]
-    right = identify_cell(TestLogs(hppc=((bare[0], 25.0), (bare[1], 0.0))), QUICK)
-    assert not any("exchanged" in n for n in right.contradictions)
-    found = identify_cell(TestLogs(hppc=((bare[0], 0.0), (bare[1], 25.0))), QUICK)
-    assert "exchanged" in found.contradictions[0]
+    right = identify_cell(CellTests(hppc=((bare[0], 25.0), (bare[1], 0.0))), QUICK)
+    assert not coded(right.contradictions, Code.TEMPERATURES_EXCHANGED)
+    found = identify_cell(CellTests(hppc=((bare[0], 0.0), (bare[1], 25.0))), QUICK)
+    assert found.contradictions[0].code is Code.TEMPERATURES_EXCHANGED
     measured = [
         replace(log, temperature_C=np.full(len(log), t)) for log, t in ((hppc, 25.0), (cold, 0.0))
     ]
-    stated = contradictions(TestLogs(hppc=((measured[0], 0.0), (measured[1], 25.0))))
+    stated = contradictions(CellTests(hppc=((measured[0], 0.0), (measured[1], 25.0))))
     assert "measured 25.0 to 25.0 degC" in texts(stated)
 
 
@@ -171,8 +172,9 @@ def test_drives_of_a_part_of_the_range_are_no_full_discharges(drive):
 
 def test_the_most_harmful_comes_first_and_a_wrong_sign_before_all():
     sign = contradiction("charge-positive")
-    found = in_order([Notice(0.1, "b"), Notice(0.5, "a")], ("read", sign))
-    assert found == (sign, "a", "b", "read")
+    small, large, read = (Notice(Code.GAP, "a gap", size_V=size) for size in (0.1, 0.5, 9.0))
+    found = in_order([small, large], (read, sign))
+    assert found == (sign, large, small, read)
 
 
 @pytest.mark.parametrize(

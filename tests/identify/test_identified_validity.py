@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.own_logs import log_validity
 from cellwise.logs.cell_log import CellLog
 
 QUICK = IdentifySettings(nominal_Ah=5.0, refine=False)
 
 
-def laboratory(hppc, stated) -> TestLogs:
-    return TestLogs(hppc=((hppc, stated),), ocv=(load_dataset("nmc_ocv_c20"),))
+def laboratory(hppc, stated) -> CellTests:
+    return CellTests(hppc=((hppc, stated),), ocv=(load_dataset("nmc_ocv_c20"),))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from cellwise.cell.stock import named_model
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.fit.population import ModelPrior
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs.cell_log import CellLog
 from synthetic import drive_current, driven_log, nmc_cell
 
@@ -35,7 +35,7 @@ def drive_of(soc, soc_end, seed=3, cell=CELL) -> CellLog:
 
 
 def drives(*logs):
-    return TestLogs(drive=tuple((log, None) for log in logs))
+    return CellTests(drive=tuple((log, None) for log in logs))
 
 
 SPANS = {"full": (1.0, 0.1), "the middle": (0.8, 0.3)}
@@ -146,14 +146,14 @@ def test_a_capacity_test_that_begins_under_load_bends_no_lfp_curve():
     first = int(np.argmax(half.current_A > 0.1))
     cut = half.part(first, len(half))
     assert cut.current_A[0] > 0.1
-    tests = TestLogs(hppc=((load_dataset("lfp_hppc"), None),), ocv=(low_rate,), capacity=(cut,))
+    tests = CellTests(hppc=((load_dataset("lfp_hppc"), None),), ocv=(low_rate,), capacity=(cut,))
     found = identify_cell(tests, IdentifySettings(nominal_Ah=2.3, chemistry="LFP"))
     starts = {o.simulation.log.name: o.simulation.soc0 for o in found.own_logs}
     assert starts[cut.name] > 0.98
     down = low_rate.current_A > 0.0
     simulation = simulate(found.model, low_rate, 1.0)
     rows = down & (simulation.soc > 0.05)
-    assert error_metrics(simulation.error_V[rows]).rmse_V < 0.010
+    assert error_metrics(simulation.residual_V[rows]).rmse_V < 0.010
 
 
 def test_no_size_of_the_cell_is_refused():

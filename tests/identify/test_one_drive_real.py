@@ -12,7 +12,7 @@ from cellwise.cell.stock import named_model
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
 from cellwise.fit.start import initial_soc
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from measured_models import identified_leaf, leaf_drives, missed
 
@@ -34,7 +34,7 @@ def panasonic(real_data):
 @pytest.fixture(scope="module", params=[1.0, None], ids=["start stated", "start found"])
 def driven(panasonic, request):
     """A NCA cell of which the population knows nothing, from one drive that began full."""
-    tests = TestLogs(drive=((panasonic("drive_p25_us06", request.param), None),))
+    tests = CellTests(drive=((panasonic("drive_p25_us06", request.param), None),))
     return identify_cell(tests, STRANGER).model
 
 
@@ -70,7 +70,7 @@ def test_a_drive_cut_out_of_its_middle_is_placed_within_its_deviation(panasonic,
     soc = 1.0 - whole.counted_charge_Ah() / 2.997
     rows = np.flatnonzero((soc < start) & (soc > end))
     part = whole.part(int(rows[0]), int(rows[-1]))
-    trace = replay(identify_cell(TestLogs(drive=((part, None),)), STRANGER).model, part).trace
+    trace = replay(identify_cell(CellTests(drive=((part, None),)), STRANGER).model, part).trace
     away = np.abs(trace.soc - soc[rows[0] : rows[-1]]) / trace.soc_std
     assert np.median(away) < 2.0
 
@@ -85,7 +85,7 @@ TWO = {
 def test_two_drives_state_how_large_the_cell_is(panasonic, at):
     """Another drive, entered in its middle and 30 points wrong: the capacity is in the band."""
     *driven, judged = TWO[at]
-    tests = TestLogs(drive=tuple((panasonic(name), float(at[1:])) for name in driven))
+    tests = CellTests(drive=tuple((panasonic(name), float(at[1:])) for name in driven))
     model = identify_cell(tests, STRANGER).model
     log = panasonic(judged)
     soc = 1.0 - log.counted_charge_Ah() / 2.997
@@ -111,7 +111,7 @@ def test_a_month_of_driving_holds_for_the_other_months(leaf, real_data):
             soc0 = initial_soc(leaf.model, log, whole_log=True).soc
             found = simulate(leaf.model, log, soc0)
             inside = (found.soc >= low) & (found.soc <= high)
-            errors[month].append(found.error_V[inside])
+            errors[month].append(found.residual_V[inside])
     rmse = {m: float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for m, e in errors.items()}
     assert max(rmse.values()) < 0.0085, rmse  # asked: 0.008; November has 8.1 mV
 

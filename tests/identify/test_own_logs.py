@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.data import load_dataset
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.identification import Start
 from cellwise.identify.own_logs import directions, other_capacities
 
@@ -19,7 +19,7 @@ SETTINGS = IdentifySettings(nominal_Ah=5.0)
 def found():
     somewhere = load_dataset("nmc_drive_b")
     hidden = replace(somewhere.part(2000, len(somewhere)), name="from somewhere", soc0=None)
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((load_dataset("nmc_hppc"), None),),
         ocv=(load_dataset("nmc_ocv_c20"),),
         capacity=(load_dataset("nmc_cap_c3"),),
@@ -54,7 +54,7 @@ def test_a_charge_that_does_not_belong_is_explained():
     current = np.where(low.current_A < 0.0, 0.9 * low.current_A, low.current_A)
     odd = replace(low, current_A=current, charge_Ah=None,
                   voltage_V=low.voltage_V + 0.1 * charge)  # fmt: skip
-    tests = TestLogs(hppc=((load_dataset("nmc_hppc"), None),), ocv=(odd,))
+    tests = CellTests(hppc=((load_dataset("nmc_hppc"), None),), ocv=(odd,))
     own = next(o for o in identify_cell(tests, SETTINGS).own_logs if o.role == "ocv")
     assert "its charge lies" in own.reason
     assert "came back" in own.reason

@@ -19,7 +19,8 @@ from cellwise.cell.model_file import model_from_dict, model_to_dict
 from cellwise.cell.simulate import simulate
 from cellwise.data import list_datasets, load_dataset
 from cellwise.estimate.replay import replay
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.fit.splines import TABLE_KNOTS, greville
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 
 TRUTH = {str(e["name"]): e for e in list_datasets()}
 NMC = IdentifySettings(nominal_Ah=5.0, name="LG M50", chemistry="NMC")
@@ -27,8 +28,8 @@ QUICK = replace(NMC, refine=False)
 QUARTER = 0.25
 
 
-def nmc_tests(*hppc, drive=()) -> TestLogs:
-    return TestLogs(
+def nmc_tests(*hppc, drive=()) -> CellTests:
+    return CellTests(
         hppc=tuple((load_dataset(f"nmc_{name}"), None) for name in hppc or ("hppc",)),
         ocv=(load_dataset("nmc_ocv_c20"),),
         capacity=tuple(load_dataset(f"nmc_cap_{rate}") for rate in ("c20", "c5", "c3")),
@@ -46,6 +47,22 @@ def nmc():
 def quick():
     """The same without refinement: what the pulses alone say."""
     return identify_cell(nmc_tests(), QUICK)
+
+
+def test_the_tables_standard_errors_are_those_of_the_fit(nmc):
+    """The fit's unknowns are ln R at the Greville points: their deviations are shares of R."""
+    result = nmc.temperatures[0].refinement
+    table, at = (
+        nmc.model.at_temperature(nmc.temperatures[0].temperature_C).table(),
+        greville(TABLE_KNOTS),
+    )
+    first = result.layout.r0
+    share = np.interp(at, table["soc"], table["r0_std_ohm"] / table["r0_ohm"])
+    inside = np.isin(np.round(at, 6), np.round(table["soc"], 6))
+    expected = result.theta_std[first : first + result.layout.knots]
+    assert inside.sum() > 5
+    np.testing.assert_allclose(share[inside], expected[inside], rtol=1e-3)
+    assert list(nmc.to_pandas().columns) == list(nmc.model.table())
 
 
 def missed(model, log, soc0) -> float:
@@ -127,7 +144,7 @@ def test_every_method_and_table_gives_a_working_model(method, tables):
 def test_hysteresis_when_it_is_asked_for(nmc):
     # The embedded cell has none (its data say so), and the default does not invent it.
     assert not np.any(nmc.model.effect(Hysteresis).m_V)
-    tests = TestLogs(hppc=nmc_tests().hppc)
+    tests = CellTests(hppc=nmc_tests().hppc)
     asked = identify_cell(tests, replace(NMC, hysteresis=True, branches=2)).model
     assert float(np.median(asked.effect(Hysteresis).m_V)) < 0.01
 
@@ -156,7 +173,7 @@ def test_a_temperature_axis_beats_the_warm_model_in_the_cold(nmc):
 
 
 def test_an_hppc_test_alone_is_enough():
-    found = identify_cell(TestLogs(hppc=nmc_tests().hppc), replace(NMC, nominal_Ah=None))
+    found = identify_cell(CellTests(hppc=nmc_tests().hppc), replace(NMC, nominal_Ah=None))
     assert_valid(found.model)
     assert found.capacity_choice == "hppc-total"
     assert missed(found.model, load_dataset("nmc_drive_b"), 0.997) < QUARTER
@@ -172,7 +189,7 @@ def test_pulses_are_counted_by_quality(nmc):
 
 
 def test_the_fit_is_that_of_its_own_simulations(nmc):
-    errors = [o.simulation.error_V for o in nmc.own_logs]
+    errors = [o.simulation.residual_V for o in nmc.own_logs]
     rows = [slice(None) if o.compared is None else o.compared for o in nmc.own_logs]
     compared = np.concatenate([e[r] for e, r in zip(errors, rows, strict=True)])
     assert nmc.fit == error_metrics(compared)
@@ -204,7 +221,7 @@ def test_progress_is_reported_in_order():
 
 @pytest.mark.slow
 def test_the_lfp_protocol_of_144_pulses():
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((load_dataset("lfp_hppc"), None),),
         ocv=(load_dataset("lfp_ocv_c20"),),
         capacity=tuple(load_dataset(f"lfp_cap_{rate}") for rate in ("0p5c", "1c", "2c", "3c")),
@@ -227,7 +244,7 @@ def test_the_lfp_protocol_of_144_pulses():
 @pytest.mark.slow
 def test_a_warm_capacity_test_says_nothing_of_slow_resistances_in_the_cold():
     warm = load_dataset("nmc_cap_c3")
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((load_dataset("nmc_hppc_p00"), 0.0),), ocv=(load_dataset("nmc_ocv_c20"),)
     )
     alone = identify_cell(tests, NMC)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import texts
 from synthetic import HppcPlan, Tester, drive_current, driven_log, finish, hppc_log, nmc_cell
 
 CELL = nmc_cell(3.0)
@@ -21,12 +22,12 @@ def run(tests, settings=SETTINGS, **changes):
     return identify_cell(tests, replace(settings, **changes))
 
 
-def pulses(log, **others) -> TestLogs:
-    return TestLogs(hppc=((log, None),), **others)
+def pulses(log, **others) -> CellTests:
+    return CellTests(hppc=((log, None),), **others)
 
 
-def drives(*logs, **others) -> TestLogs:
-    return TestLogs(drive=tuple((log, None) for log in logs), **others)
+def drives(*logs, **others) -> CellTests:
+    return CellTests(drive=tuple((log, None) for log in logs), **others)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def r0_error(found, lowest: float = 0.3) -> float:
 
 
 REFUSED = {
-    "nothing": (lambda x: TestLogs(), QUICK, "`hppc=LOG` or `drive=LOG`"),
+    "nothing": (lambda x: CellTests(), QUICK, "`hppc=LOG` or `drive=LOG`"),
     "no pulse": (lambda x: pulses(resting()), QUICK, "of the capacity moved in log 'rest'"),
     "no pulse, refined": (lambda x: pulses(resting()), SETTINGS, "of the capacity moved in log"),
     "no pulse beside an OCV": (
@@ -119,7 +120,7 @@ def test_a_swapped_sign_in_any_log_is_refused(hppc, low_rate, drive, which, sett
     wrong = tests[which]
     counter = None if wrong.charge_Ah is None else -wrong.charge_Ah
     wrong = replace(wrong, current_A=-wrong.current_A, charge_Ah=counter, name="swapped")
-    logs = TestLogs(hppc=((hppc, None),), ocv=(low_rate,), capacity=(low_rate,))
+    logs = CellTests(hppc=((hppc, None),), ocv=(low_rate,), capacity=(low_rate,))
     logs = replace(logs, **{which: ((wrong, None),) if which in ("hppc", "drive") else (wrong,)})
     with pytest.raises(InputError, match=r"'swapped'.*`sign='charge-positive'`"):
         run(logs, settings)
@@ -150,7 +151,7 @@ def test_what_the_tests_do_not_show_is_the_priors(low_rate, tests):
     """
     given, holds_Ah = {
         "steady currents": (
-            TestLogs(capacity=(low_rate,), ocv=(low_rate,)),
+            CellTests(capacity=(low_rate,), ocv=(low_rate,)),
             float(low_rate.counted_charge_Ah().max()),
         ),
         "no pulse, no OCV": (pulses(never_rests()), CELL.capacity_Ah),
@@ -175,7 +176,7 @@ def test_one_pulse_and_nothing_else_leaves_most_to_the_population(one_pulse):
 def test_a_drive_from_its_middle_beside_a_low_rate_test(low_rate):
     """The OCV says where the drive begins, but for what its unseen past may have left."""
     found = run(drives(never_rests(0.6), ocv=(low_rate,)))
-    said = next(str(n) for n in found.notices if "by its voltages" in str(n))
+    said = next(str(n) for n in texts(found.notices) if "by its voltages" in str(n))
     two_sigma = float(said.split("+- ")[1].split(" ")[0])
     assert found.simulations[0].soc0 == pytest.approx(0.6, abs=max(two_sigma, 0.03))
     driven = np.linspace(0.3, 0.6, 7)
@@ -195,7 +196,7 @@ def test_a_capacity_test_that_never_reaches_the_limit(hppc):
     found = run(pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK)
     assert found.capacity_choice == "hppc-total"
     assert not any(choice.startswith("rate:") for choice in found.capacities)
-    assert any("lower limit" in n for n in found.notices)
+    assert any("lower limit" in n for n in texts(found.notices))
     with pytest.raises(InputError, match="one of: nominal"):
         run(
             pulses(hppc, capacity=(discharge(0.5, 0.5, "half"),)), QUICK, capacity_choice="rate:C/2"
@@ -237,7 +238,7 @@ def test_a_gap_is_not_bridged(hppc, counter):
 def test_a_log_whose_start_is_unknown_has_it_fitted(hppc, low_rate):
     unknown = replace(never_rests(0.6), name="somewhere")
     found = run(pulses(hppc, ocv=(low_rate,), drive=((unknown, None),)))
-    assert not any("'somewhere' left out" in n for n in found.notices)
+    assert not any("'somewhere' left out" in n for n in texts(found.notices))
     starts = {s.log.name: s.soc0 for s in found.simulations}
     assert starts["somewhere"] == pytest.approx(0.6, abs=0.02)
     assert r0_error(found) < 0.06

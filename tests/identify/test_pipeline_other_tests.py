@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from cellwise.cell.simulate import simulate
-from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, Identification, IdentifySettings, identify_cell
+from cellwise.notices import Code, coded, texts
 from rich_cell import Logger, drive, gitt, hppc, low_rate, rich_nmc, run
 
 CELL = rich_nmc(3.0)
@@ -27,7 +28,7 @@ def drives():
 
 def identified(steps, soc0=1.0, logger=None, *, seed=3, settings=SETTINGS, **more):
     log = run(CELL, steps, soc0, logger or Logger(1.0), seed=seed, name="test").log
-    return identify_cell(TestLogs(hppc=((log, None),), **more), settings)
+    return identify_cell(CellTests(hppc=((log, None),), **more), settings)
 
 
 def missed_V(found: Identification, drives) -> float:
@@ -127,10 +128,10 @@ def test_pulses_with_short_rests_only_beside_a_low_rate_test(period_s, drives, o
 @short("9.8 mV, 1.9 times that of pulses (asked 1.5): capacity 8 % large, as stated")
 def test_a_stated_start_is_where_an_incremental_test_begins(drives, of_pulses):
     log = run(CELL, gitt(CELL)[:-4], 0.95, Logger(1.0), seed=3, name="part").log
-    found = identify_cell(TestLogs(hppc=((replace(log, soc0=0.95), None),)), SETTINGS)
+    found = identify_cell(CellTests(hppc=((replace(log, soc0=0.95), None),)), SETTINGS)
     off = np.log(found.model.capacity_Ah / 3.0)
     assert abs(off) < 2.5 * found.model.posterior.capacity_std, "a part of the range is no capacity"
-    assert any("is no capacity" in n for n in found.notices)
+    assert any("is no capacity" in n for n in texts(found.notices))
     assert missed_V(found, drives) < WORSE * of_pulses
 
 
@@ -146,12 +147,12 @@ def test_ocv_of_another_sample_is_said_with_the_numbers():
     slow = run(CELL, low_rate(CELL), 1.0, Logger(10.0), seed=1, name="sample_a").log
     other = rich_nmc(2.8)
     log = run(other, hppc(other), 1.0, Logger(1.0), seed=2, name="sample_b").log
-    found = identify_cell(TestLogs(hppc=((log, None),), ocv=(slow,)), SETTINGS)
-    (said,) = [n for n in found.notices if "do not look like one cell" in n]
-    assert "sample_a" in said
-    assert "sample_b" in said
+    found = identify_cell(CellTests(hppc=((log, None),), ocv=(slow,)), SETTINGS)
+    (said,) = coded(found.notices, Code.TWO_CELLS)
+    assert "sample_a" in said.text
+    assert "sample_b" in said.text
     same = identified(hppc(CELL), ocv=(slow,))
-    assert not any("do not look like one cell" in n for n in same.notices)
+    assert not coded(same.notices, Code.TWO_CELLS)
     assert found.contradictions == found.notices[:1] == (said,)
 
 
@@ -160,5 +161,5 @@ def test_a_script_that_finishes_a_charge_with_small_steps_spoils_nothing(drives,
     steps = [(0.0, 600.0), *([(-0.1, 600.0), (0.1, 500.0)] * 5), (0.0, 600.0)]
     finish = run(CELL, steps, 0.99, Logger(1.0), seed=2, name="finish").log
     found = identified(hppc(CELL), ocv=(low, finish))
-    assert all("'ocv' left out" not in n for n in found.notices)
+    assert all("'ocv' left out" not in n for n in texts(found.notices))
     assert missed_V(found, drives) < WORSE * of_pulses

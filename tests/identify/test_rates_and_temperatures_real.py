@@ -29,7 +29,7 @@ def test_no_hysteresis_is_invented(lg):
     logs = [o.simulation.log for o in lg[0].own_logs if "charge" in o.sides_V]
     charges = []
     for log in logs:  # each began full
-        error = simulate(lg[0].model, log, 1.0).error_V[directions(log)["charge"]]
+        error = simulate(lg[0].model, log, 1.0).residual_V[directions(log)["charge"]]
         charges.append(np.sqrt(np.nanmean(error**2)))
     assert len(charges) > 10
     assert max(charges) < 0.1

@@ -113,11 +113,11 @@ def test_garbage_between_the_samples_leaves_the_soc_where_it_was():
 
 def test_the_unknown_start_on_a_measured_drive_is_within_its_band(real_data):
     """Beginning anywhere in a drive, without a word about the SOC."""
-    from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+    from cellwise.identify import CellTests, IdentifySettings, identify_cell
     from cellwise.logs import read_log
 
     folder = real_data / "panasonic_18650pf"
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((read_log(folder / "hppc_p25.csv.gz"), 25.0),),
         ocv=(read_log(folder / "ocv_c20_p25.csv.gz"),),
         capacity=(read_log(folder / "cap_1c_p25_start_1.csv.gz"),),

@@ -12,6 +12,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.notices import texts
 from log_files import csv_text, pulse_channels, write_csv
 
 TEXT = csv_text(pulse_channels(600))
@@ -128,7 +129,7 @@ def test_last_line_cut_off_is_left_out_and_told(tmp_path):
     path.write_text(TEXT[: TEXT.rstrip("\n").rindex(",") - 8])
     log = read_log(path)
     assert len(log) == 599
-    assert any("cut off" in notice for notice in log.notices)
+    assert any("cut off" in notice for notice in texts(log.notices))
 
 
 def test_time_running_backwards(tmp_path):

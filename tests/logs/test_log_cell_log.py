@@ -10,6 +10,9 @@ from hypothesis import strategies as st
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, find_gaps, read_log
 from cellwise.logs.gaps import cut_at_pauses
+from cellwise.notices import Code, Notice
+
+TOLD = Notice(Code.GAP, "told")
 
 
 def ramp(n: int = 10, **more) -> CellLog:
@@ -126,11 +129,11 @@ def test_known_current_is_finite_and_true_where_known(values, holes):
 
 
 def test_parts_keep_channels_time_and_notices():
-    log = ramp(10, step=np.arange(10), notices=("told",), name="x", format="tidy-csv")
+    log = ramp(10, step=np.arange(10), notices=(TOLD,), name="x", format="tidy-csv")
     part = log.part(3, 7)
     np.testing.assert_array_equal(part.time_s, [3, 4, 5, 6])
     np.testing.assert_array_equal(part.step, [3, 4, 5, 6])
-    assert (part.notices, part.name, part.format) == (("told",), "x", "tidy-csv")
+    assert (part.notices, part.name, part.format) == ((TOLD,), "x", "tidy-csv")
     np.testing.assert_array_equal(log.rows(log.time_s > 6).time_s, [7, 8, 9])
 
 

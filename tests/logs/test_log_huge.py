@@ -42,7 +42,7 @@ print(json.dumps({
     "rows": len(log), "format": log.format, "wall_s": time.perf_counter() - start,
     "peak_MB": peak_kB / 1024,
     "last": [log.time_s[-1], log.current_A[-1], log.voltage_V[-1], int(log.step[-1])],
-    "notices": log.notices,
+    "notices": [notice.text for notice in log.notices],
 }))
 """
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.logs import CellLog, inspect_log, read_log
+from cellwise.notices import texts
 from log_files import pulse_channels
 
 CONTRACT = ["format", "samples", "duration_s", "sign", "gaps", "duplicates", "current_A"]
@@ -24,7 +25,7 @@ def pulses(**change) -> CellLog:
 
 def told(log: CellLog, *words: str) -> bool:
     """One notice holds all the words."""
-    return any(all(word in n for word in words) for n in inspect_log(log).notices)
+    return any(all(word in n for word in words) for n in texts(inspect_log(log).notices))
 
 
 def test_the_contracts_keys_as_json():

@@ -12,6 +12,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, read_log
+from cellwise.notices import Code, coded, texts
 from log_files import csv_text, pulse_channels, write_csv
 
 CHANNELS = pulse_channels()
@@ -66,7 +67,7 @@ def test_the_same_text_in_another_form(form, tmp_path):
     path.write_bytes(FORMS[form])
     log = read_log(path)
     check(log)
-    assert ("decimal commas were read as such" in log.notices) == (form == "German")
+    assert bool(coded(log.notices, Code.DECIMAL_COMMAS)) == (form == "German")
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.csv"])
@@ -94,7 +95,7 @@ def test_parquet_of_other_number_types(tmp_path):
     np.testing.assert_array_equal(log.current_A, [1.5, np.nan, 0.5])
     np.testing.assert_allclose(log.voltage_V, [4.1, 4.0, 3.8], rtol=1e-15)
     np.testing.assert_array_equal(log.step, [1, 1, -1])
-    assert any("without a time" in notice for notice in log.notices)
+    assert any("without a time" in notice for notice in texts(log.notices))
 
 
 def test_parquet_of_dates_where_a_time_belongs_and_where_none_does(tmp_path):
@@ -112,7 +113,7 @@ def test_columns_in_any_order_and_extra_ones(tmp_path):
     columns = {"comment": CHANNELS["time_s"], **dict(reversed(CHANNELS.items()))}
     log = read_log(write_csv(tmp_path / "log.csv", columns))
     check(log)
-    assert log.notices == ("column(s) not used: 'comment'",)
+    assert texts(log.notices) == ["column(s) not used: 'comment'"]
 
 
 def test_header_in_a_comment_as_numpy_writes_it(tmp_path):
@@ -165,7 +166,7 @@ def test_seconds_since_1970_are_counted_from_the_start(tmp_path):
     columns["time_s"] = columns["time_s"] + 1.7e9
     log = read_log(write_csv(tmp_path / "log.csv", columns))
     np.testing.assert_allclose(log.time_s, np.arange(600.0), atol=1e-6)
-    assert any("counted from there" in notice for notice in log.notices)
+    assert any("counted from there" in notice for notice in texts(log.notices))
 
 
 # Another name of a column: the usual one, factor and offset to its unit.
@@ -188,7 +189,7 @@ def test_units_that_the_name_tells(tmp_path, name):
     log = read_log(write_csv(tmp_path / "log.csv", columns))
     found = log.charge_Ah if own == "ampere_hours" else getattr(log, own)
     np.testing.assert_allclose(found, CHANNELS[own], rtol=1e-12, atol=1e-12)
-    assert any(f"'{name}'" in notice and own in notice for notice in log.notices)
+    assert any(f"'{name}'" in notice and own in notice for notice in texts(log.notices))
 
 
 @pytest.mark.parametrize("make", [dict, pd.DataFrame, pa.table])

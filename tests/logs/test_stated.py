@@ -9,6 +9,7 @@ import pytest
 
 from cellwise import CellLog, InputError, Stated, read_log, write_log
 from cellwise.logs.cell_log import resample
+from cellwise.notices import Code, Notice
 
 
 @pytest.mark.parametrize(
@@ -78,13 +79,13 @@ def test_read_log_takes_a_string_or_the_record(path):
 
 
 def test_a_measured_temperature_stays_and_a_contradiction_is_the_first_notice(drive):
-    warm = replace(drive, temperature_C=np.full(60, 24.0), notices=("read with care",))
+    warm = replace(drive, temperature_C=np.full(60, 24.0), notices=(Notice(Code.GAP, "a gap"),))
     near = Stated("drive.csv", 25.0).applied(warm)
     assert near.notices == warm.notices
     far = Stated("drive.csv", -20.0).applied(warm)
     np.testing.assert_array_equal(far.temperature_C, warm.temperature_C)
-    assert "-20 degC" in far.notices[0]
-    assert "24.0 degC" in far.notices[0]
+    assert "-20 degC" in far.notices[0].text
+    assert "24.0 degC" in far.notices[0].text
     assert far.notices[1:] == warm.notices
 
 

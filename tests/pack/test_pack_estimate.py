@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
+from cellwise.notices import texts
 from cellwise.pack.differences import RESISTANCE
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
@@ -181,7 +182,7 @@ def test_exchanged_columns_are_said_and_nobody_is_accused(two_months):
     order[[2, 9]] = order[[9, 2]]
     known = estimate_pack(model, [first])
     found = estimate_pack(model, [with_cells(second, second.cell_V[:, order])], known.state)
-    assert any("cell_03 and cell_10 have exchanged" in notice for notice in found.notices)
+    assert any("cell_03 and cell_10 have exchanged" in notice for notice in texts(found.notices))
     assert not any(c["changed"] for c in found.causes)
 
 

@@ -15,8 +15,8 @@ from cellwise.export.c_tables import firmware_folder
 from cellwise.printing.__main__ import main
 from cellwise.printing.c99 import Function, Program
 from cellwise.printing.chosen import chosen
-from cellwise.printing.firmware import print_header, print_source
-from cellwise.printing.text import broken, comment, float_literal
+from cellwise.printing.firmware import EVERYTHING, print_files
+from cellwise.printing.text import WIDTH, broken, comment, float_literal
 
 PROGRAM = Program(
     structs={"State": {"soc": "float", "soc_carry": "float"}}, constants={}, columns={}, sizes={}
@@ -41,6 +41,15 @@ def test_the_tree_holds_what_is_printed(capsys):
         ("x.soc = -(a * b)", "x->soc = -(a * b);"),
         ("x.soc = a if a < b else b", "x->soc = (a < b) ? a : b;"),
         ("x.soc = F(k) * a", "x->soc = (float)k * a;"),
+        ("x.soc = a * b\n    x.soc = x.soc - a", "x->soc = (a * b) - a;"),
+        ("x.soc = a\n    x.soc = b - x.soc", "x->soc = b - x->soc;"),
+        ("x.soc = a\n    x.soc = x.soc - x.soc", "x->soc = x->soc - x->soc;"),
+        # What is called with a record may read or change what is assigned.
+        ("x.soc = a\n    x.soc = magnitude(x)", "x->soc = a;"),
+        ("x.soc = a\n    x.soc = x.soc - magnitude(x)", "x->soc = a;"),
+        ("y = magnitude(x)\n    y = y - x.soc\n    x.soc = y", "y = y - x->soc;"),
+        ("y = a\n    y = b\n    x.soc = y", "const float y = b;"),
+        ("if a < b:\n        return", "if (a < b) { return; }"),
         ("x.soc, x.soc_carry = add(x.soc, x.soc_carry, a)", "add(&x->soc, &x->soc_carry, a);"),
         ("n = U(k + 1)\n    x.soc = F(n)", "const uint32_t n = k + 1u;"),
         ("n = U(a * b)\n    x.soc = F(n)", "const uint32_t n = (uint32_t)(a * b);"),
@@ -49,6 +58,12 @@ def test_the_tree_holds_what_is_printed(capsys):
 def test_sentences_keep_their_order(python, c):
     found = c_of(f"def f(x: State, a: float, b: float, k: int) -> None:\n    {python}\n")
     assert c in found
+
+
+def test_files_stay_short():
+    """A part is read in one go: it is printed apart where it grows, by `FIRST`."""
+    for name, text in print_files(EVERYTHING).items():
+        assert text.count("\n") <= 250, name
 
 
 def test_what_c_does_not_say_is_refused():
@@ -60,9 +75,9 @@ def test_what_c_does_not_say_is_refused():
 def test_lines_keep_the_width_and_their_words():
     line = "x = " + " + ".join(f"(a{k} * b{k})" for k in range(40)) + ";"
     pieces = broken(line, 4)
-    assert all(len(p) <= 100 for p in pieces)
+    assert all(len(p) <= WIDTH for p in pieces)
     assert " ".join(p.strip() for p in pieces) == line
-    assert all(len(p) <= 100 for p in comment("word " * 60, 8))
+    assert all(len(p) <= WIDTH for p in comment("word " * 60, 8))
 
 
 def test_literals_are_exact():
@@ -93,8 +108,8 @@ def test_every_set_of_options_is_c(states, tmp_path):
             assert set(flags_of(options)) >= {e.upper() for e in effects}
             defines = [f"#define {n} {v}" for n, v in options.defines().items()]
             (tmp_path / "cell_table.h").write_text("\n".join(defines) + "\n")
-            (tmp_path / "cellwise_ekf.h").write_text(print_header(options))
-            (tmp_path / "cellwise_ekf.c").write_text(print_source(options))
+            for name, text in print_files(options).items():
+                (tmp_path / name).write_text(text)
             done = subprocess.run(
                 ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only",
                  f"-I{firmware_folder()}", "cellwise_ekf.c"],

@@ -12,6 +12,7 @@ import pytest
 
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
+from cellwise.notices import Code, Notice, place
 from cellwise.report import replay_page
 from cellwise.report.page.plot import Plot
 from cellwise.report.page.section import Section, write_page
@@ -195,7 +196,8 @@ def test_a_million_samples_open_in_three_seconds_and_zoom(tmp_path):
 def suspicious():
     """A drive of two hours with an alert about rows 3000 to 3060."""
     log = drive(7200)
-    return replace(log, notices=("the voltage stands still (rows 3001 to 3061)",))
+    said = ("the voltage stands still (", place(range(3000, 3061)), ")")
+    return replace(log, notices=(Notice(Code.CHANNEL_STUCK, said),))
 
 
 def test_one_cursor_in_all_plots_of_a_log_and_an_alert_shows_its_rows(tmp_path):

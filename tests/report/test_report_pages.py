@@ -158,7 +158,7 @@ def test_all_figures_of_the_contract_are_in_the_table():
     run = replay(drive(3600))
     told = dict(replay_figures(run))
     text = {key.replace("\xa0", " "): value.replace("\xa0", " ") for key, value in told.items()}
-    error = run.soc_error
+    error = run.error
     assert text["SOC RMSE"] == f"{100 * np.sqrt(np.mean(error**2)):.2f} %"
     assert text["SOC MAE"] == f"{100 * np.mean(np.abs(error)):.2f} %"
     assert text["SOC max. error"] == "30.0 %"

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from cellwise.cell.stock import stock_model
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import CellLog, read_log
 
 LG = "lg_18650hg2"
@@ -30,7 +30,7 @@ def identified_lg(folder):
     rates = [f"cap_{rate}_{t}_{n}" for t, n in LG_RUNS.items() for rate in ("0p5c", "2c")]
     rates += [f"cap_1c_{name}" for name in LG_ONE_C]
     return identify_cell(
-        TestLogs(
+        CellTests(
             ocv=tuple(lg_log(folder, f"ocv_c20_{t}_{n}") for t, n in LG_RUNS.items()),
             capacity=tuple(lg_log(folder, name) for name in rates),
             drive=tuple((lg_log(folder, f"pauscycl_{n}", 1.0), None) for n in LG_SHORT),
@@ -65,7 +65,7 @@ def identified_leaf(folder):
     """A car's pack from the laboratory's cell of the kind, and June's drives."""
     june = tuple((log, None) for log in leaf_drives(folder, "06"))
     return identify_cell(
-        TestLogs(drive=june), IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
+        CellTests(drive=june), IdentifySettings(nominal_Ah=65.0, prior=stock_model("lmo-pouch"))
     )
 
 
@@ -78,7 +78,7 @@ def samsung_log(folder, name):
 def identified_samsung(folder):
     """Samsung 30Q: pulses of one cell at three temperatures, C/10 of another."""
     names = {t: f"hppc_dnn01_1c_p{t}_time_rebuilt" for t in (20, 30, 40)}
-    tests = TestLogs(
+    tests = CellTests(
         hppc=tuple((samsung_log(folder, name), float(t)) for t, name in names.items()),
         ocv=(samsung_log(folder, "fresh_s001_discharge_c10"),),
     )

@@ -1,6 +1,9 @@
 /* The state-estimation API of foxBMS 2 on cellwise_ekf.c: one state a string, on its mean cell. Minimum and
- * maximum are two standard deviations about the SOC. */
+ * maximum are two standard deviations about the SOC; 0 and 100 % where the tables are damaged. Its API has no place
+ * for the status: SE_GetStateOfChargeStatus() says it. */
 #include "cellwise_cell.h"
+#include "cellwise_clock.h"
+#include "cellwise_store.h"
 #include "database.h"
 #include "os.h"
 #include "state_estimation.h"
@@ -11,19 +14,22 @@
 
 #define SOC_STEP_MS (@DT_MS@u)     /* the tables hold for this time step */
 #define SOC_START_VARIANCE (0.0225f) /* of an initial SOC by voltage: 15 % */
+#define SOC_UNKNOWN_VARIANCE (1.0f)
 #define SOC_MISSING_V (-1.0f)        /* the filter takes it for a missing voltage */
 
 typedef struct {
     cellwise_state state;
-    uint32_t sequence;
+    cellwise_clock clock;
     float charge_mAs;   /* since the last sample, positive on discharge, */
     uint32_t since_ms;  /* and over how long */
     uint32_t called_ms;
-    uint32_t sampled_ms;
+    uint32_t status;    /* bits of the last step */
     bool begun;
 } SOC_STRING_s;
 
 static SOC_STRING_s soc_string[BS_NR_OF_STRINGS];
+
+extern uint32_t SE_GetStateOfChargeStatus(uint8_t stringNumber);
 
 /* Bisection of the OCV at rest, which rises with SOC. */
 extern float_t SE_GetStateOfChargeFromVoltage(int16_t voltage_mV) {
@@ -50,20 +56,24 @@ static void SOC_Show(DATA_BLOCK_SOC_s *pSocValues, uint8_t s, float soc, float v
     pSocValues->maximumSoc_perc[s] = 100.0f * fminf(soc + band, 1.0f);
 }
 
+/* Status bits of the last step of a string (cellwise_ekf.h). */
+extern uint32_t SE_GetStateOfChargeStatus(uint8_t stringNumber) {
+    return soc_string[stringNumber].status;
+}
+
 extern void SE_InitializeStateOfCharge(DATA_BLOCK_SOC_s *pSocValues, bool ccPresent, uint8_t stringNumber) {
     (void)ccPresent;
     DATA_BLOCK_MIN_MAX_s cells = {.header.uniqueId = DATA_BLOCK_ID_MIN_MAX};
     DATA_READ_DATA(&cells);
     SOC_STRING_s *one = &soc_string[stringNumber];
     const float soc   = SE_GetStateOfChargeFromVoltage(cells.averageCellVoltage_mV[stringNumber]) / 100.0f;
-    (void)cellwise_init(&cellwise_cell, &one->state, soc, SOC_START_VARIANCE);
-    one->sampled_ms = OS_GetTickCount();
-    one->called_ms  = one->sampled_ms;
+    one->status     = cellwise_init(&cellwise_cell, &one->state, soc, SOC_START_VARIANCE);
+    one->called_ms  = OS_GetTickCount();
+    cellwise_clock_begin(&one->clock, one->called_ms, SOC_STEP_MS);
     one->charge_mAs = 0.0f;
     one->since_ms   = 0u;
-    one->sequence   = 0u;
-    one->begun      = true;
-    SOC_Show(pSocValues, stringNumber, one->state.soc, one->state.ss);
+    one->begun      = cellwise_check_model(&cellwise_cell) == 0u; /* no step on damaged tables */
+    SOC_Show(pSocValues, stringNumber, one->state.soc, one->begun ? one->state.ss : SOC_UNKNOWN_VARIANCE);
 }
 
 /* Called more often than a time step: the mean current since the last sample is what counts. */
@@ -86,19 +96,16 @@ extern void SE_CalculateStateOfCharge(DATA_BLOCK_SOC_s *pSocValues) {
         one->charge_mAs += current_mA * (float)(now_ms - one->called_ms) / 1000.0f;
         one->since_ms += now_ms - one->called_ms;
         one->called_ms = now_ms;
-        const uint32_t steps = (now_ms - one->sampled_ms) / SOC_STEP_MS;
-        if (one->begun && (steps > 0u)) {
+        if (one->begun && (cellwise_clock_steps(&one->clock, now_ms) > 0u)) {
             cellwise_input in;
             cellwise_output out;
-            one->sequence += steps;
             in.current_A     = one->charge_mAs / (float)one->since_ms;
             in.voltage_V     = (cells.validMeasuredCellVoltages[s] != 0u)
                                    ? ((float)cells.averageCellVoltage_mV[s] / 1000.0f)
                                    : SOC_MISSING_V;
             in.temperature_C = cells.averageTemperature_ddegC[s] / 10.0f;
-            in.sequence      = one->sequence;
-            (void)cellwise_step(&cellwise_cell, &one->state, &in, &out);
-            one->sampled_ms += steps * SOC_STEP_MS;
+            in.sequence      = one->clock.sequence;
+            one->status      = cellwise_step(&cellwise_cell, &one->state, &in, &out);
             one->charge_mAs = 0.0f;
             one->since_ms   = 0u;
             SOC_Show(pSocValues, s, out.soc, out.soc_variance);

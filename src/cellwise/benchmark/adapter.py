@@ -1,7 +1,8 @@
 """Anyone's filter in the benchmark: two functions, about twenty lines.
 
-A filter is a class or a function that takes a :class:`~cellwise.cell.model.CellModel` and gives an
-object with ``start`` and ``step``. A suite names it ``file.py:Name`` or ``package.module:Name``.
+A filter is a class or a function that takes a :class:`~cellwise.cell.model.CellModel` and gives a
+:class:`~cellwise.estimate.estimators.OnlineFilter`. A suite names it
+``file.py:Name`` or ``package.module:Name``.
 """
 
 from __future__ import annotations
@@ -13,91 +14,13 @@ import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
-
-import numpy as np
+from typing import Any
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
-from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog
-from cellwise.typing import FloatArray
-
-
-class FilterOutput(NamedTuple):
-    """What a filter gives after a sample; what it does not know is NaN.
-
-    ``voltage_V`` is predicted before the sample's own voltage was used, ``voltage_std_V`` how well.
-    """
-
-    soc: float
-    soc_std: float = float("nan")
-    voltage_V: float = float("nan")
-    voltage_std_V: float = float("nan")
-
-
-class OnlineFilter(Protocol):
-    """What an adapter has to offer."""
-
-    def start(self, soc0: float, soc0_std: float) -> None:
-        """Forget everything; the SOC is ``soc0``, known to ``soc0_std``."""
-        ...
-
-    def step(
-        self, current_A: float, voltage_V: float, temperature_C: float, dt_s: float
-    ) -> FilterOutput | float:
-        """Take the sample that ends an interval; the SOC, or a :class:`FilterOutput`.
-
-        Positive current is discharge, and flowed during the interval. A missing reading is NaN;
-        the first sample has ``dt_s`` = 0, and in a gap of the log the current is unknown.
-        """
-        ...
-
+from cellwise.estimate.estimators import OnlineFilter
 
 MakeFilter = Callable[[CellModel], OnlineFilter]
-
-
-class Adapted:
-    """An online filter as an estimator that replays logs."""
-
-    def __init__(self, name: str, model: CellModel, make: MakeFilter) -> None:
-        self.name = name
-        self.filter = make(model)
-        self._model = model
-
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
-        """Hand a whole log to the filter, sample by sample."""
-        outputs = np.full((4, len(log)), np.nan)
-        self.filter.start(soc0, soc0_std)
-        for k, row in enumerate(samples(self._model, log).T.tolist()):
-            answer = self.filter.step(*row)
-            parts = answer if isinstance(answer, tuple) else (answer,)
-            outputs[: len(parts), k] = parts
-        return trace_of(log, *outputs)
-
-
-def samples(model: CellModel, log: CellLog) -> FloatArray:
-    """Current, voltage, temperature, interval of every row, shape (4, n), as `step` takes them."""
-    current = np.array(log.interval_current_A)
-    current[log.gap_rows] = np.nan
-    temperature = known_temperature_C(model, log)
-    return np.vstack((current, log.voltage_V, temperature, log.interval_s))
-
-
-def trace_of(
-    log: CellLog,
-    soc: FloatArray,
-    std: FloatArray,
-    voltage: FloatArray,
-    voltage_std: FloatArray | None = None,
-) -> Trace:
-    """What somebody's filter answered, as ours answer."""
-    missing = np.full(len(log), np.nan)
-    variance = missing if voltage_std is None else voltage_std**2
-    status = np.zeros(len(log), dtype=np.int32)
-    left = log.voltage_V - voltage
-    return Trace(log.time_s, soc, std, voltage, left, variance, missing, status)
 
 
 def is_adapter(name: str) -> bool:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellwise.benchmark.records import check_ranges, within
 from cellwise.cell.model import CellModel
 from cellwise.logs.cell_log import CellLog
+from cellwise.records import check_ranges, within
 from cellwise.typing import FloatArray
 
 NONE = "none"
@@ -30,6 +30,8 @@ class Fault:
     voltage_offset_V : float      added to the voltage [V]
     current_noise_C, voltage_noise_V : float    white noise, standard deviations
     voltage_lag_samples : int     the voltage of a row is that of so many rows before
+    current_resolution_A, voltage_resolution_V : float    of the last digit, 0: none
+    current_range_A : float       no current reads as more
     dropout_share : float         share of the samples that are missing
     dropout_s : float             length of each drop-out [s]
     temperature_K : float         added to the temperature
@@ -45,6 +47,9 @@ class Fault:
     current_noise_C: float = within(0.0, 1e9, 0.0)
     voltage_noise_V: float = within(0.0, 1e9, 0.0)
     voltage_lag_samples: int = within(0, 1e9, 0)
+    current_resolution_A: float = within(0.0, 1e9, 0.0)
+    voltage_resolution_V: float = within(0.0, 1e9, 0.0)
+    current_range_A: float = within(0.0, 1e9, 1e9)
     dropout_share: float = within(0.0, 0.9, 0.0)
     dropout_s: float = within(1e-3, 1e9, 5.0)
     temperature_K: float = 0.0
@@ -114,6 +119,9 @@ def faulty_log(fault: Fault, log: CellLog, capacity_Ah: float, rng: np.random.Ge
         current += fault.current_noise_C * capacity_Ah * rng.standard_normal(rows)
     if fault.voltage_noise_V:
         voltage += fault.voltage_noise_V * rng.standard_normal(rows)
+    current = np.clip(current, -fault.current_range_A, fault.current_range_A)
+    current = _rounded(current, fault.current_resolution_A)
+    voltage = _rounded(voltage, fault.voltage_resolution_V)
     if fault.dropout_share:
         current[_dropped(fault, log.time_s, rng)] = np.nan
         voltage[_dropped(fault, log.time_s, rng)] = np.nan
@@ -121,6 +129,10 @@ def faulty_log(fault: Fault, log: CellLog, capacity_Ah: float, rng: np.random.Ge
     if temperature is not None and fault.temperature_K:
         temperature = temperature + fault.temperature_K
     return replace(log, current_A=current, voltage_V=voltage, temperature_C=temperature)
+
+
+def _rounded(values: FloatArray, resolution: float) -> FloatArray:
+    return np.asarray(resolution * np.round(values / resolution)) if resolution else values
 
 
 def faulty_model(fault: Fault, model: CellModel) -> CellModel:

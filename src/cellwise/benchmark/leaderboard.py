@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.benchmark.figures import COLUMNS as ROW_COLUMNS
-from cellwise.benchmark.records import need
 from cellwise.benchmark.standings import (
     BAND_COLUMNS,
     COLUMNS,
@@ -27,6 +26,7 @@ from cellwise.benchmark.standings import (
 )
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
+from cellwise.records import need
 
 LEADERBOARD, TABLE = "leaderboard.json", "leaderboard.md"
 LIBRARIES = ("numpy", "scipy", "numba")

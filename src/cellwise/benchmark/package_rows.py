@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.adapter import samples, trace_of
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
+from cellwise.estimate.estimators import samples, trace_of
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
 

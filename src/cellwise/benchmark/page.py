@@ -167,7 +167,7 @@ def benchmark_finding(name: str, part: Part) -> str:
     ranked = [s for s in part.found if s.rank is not None]
     if not ranked:
         return f"{name}: nothing could be judged"
-    best, rest = ranked[0], [s.estimator for s in ranked[1:] if s.low == 1]
+    best, rest = ranked[0], [s.estimator for s in ranked[1:] if s.low in (1, None)]
     figure = best.easy if best.hard is None else best.hard
     text = f"{name}: {best.estimator} is first of {len(ranked)}, {100 * (figure or 0.0):.2f} points"
     more = f"; {listed(rest)} may be as good" if rest else ""

@@ -14,6 +14,7 @@ AGAINST = "ekf"  # what every estimator is compared with
 ENDED = 0.03  # of SOC: gauge vendors count the discharges that end within three points
 SEED, RESAMPLES = 0, 10_000  # of logs: the same table from the same rows
 SHARES = (2.5, 97.5)
+FEWEST_LOGS = 3  # drawn with replacement, fewer say nothing of other logs
 FIGURE = "settled_rmse"
 Runs = Sequence[Mapping[str, Any]]
 
@@ -22,10 +23,11 @@ class Standing(NamedTuple):
     """One estimator among those of a suite, over hard runs unless said; None: not known.
 
     ``rank`` by ``hard`` (mean settled RMSE, every log with equal weight); ``low`` and ``high`` hold
-    95 % of its ranks over resampled logs, ``against`` is its mean less that of `AGAINST` and the
-    ends of the interval of this difference (None of fewer than three logs). ``ended``,
-    ``converged``: shares of runs; ``failed``: runs that could not be judged, which leave an
-    estimator without a rank: what fails where it is hard must not be the better for it.
+    95 % of its ranks over resampled logs (None of fewer than three), ``against`` is its mean less
+    that of `AGAINST` and the ends of the interval of this difference (None of fewer than three
+    logs). ``ended``, ``converged``: shares of runs; ``failed``: runs that could not be judged,
+    which leave an estimator without a rank: what fails where it is hard must not be the better for
+    it.
     """
 
     estimator: str
@@ -69,7 +71,9 @@ def _share(value: float | None) -> str:
 
 
 def _rank(s: Standing) -> str:
-    return "-" if s.rank is None else f"{s.rank} [{s.low}, {s.high}]"
+    if s.rank is None or s.low is None:
+        return "-" if s.rank is None else f"{s.rank} (too few logs for an interval)"
+    return f"{s.rank} [{s.low}, {s.high}]"
 
 
 def _after(s: Standing) -> str:
@@ -189,9 +193,14 @@ def _places(names: Sequence[str], means: FloatArray) -> dict[str, tuple[Any, ...
         against = None
         if AGAINST in names and name != AGAINST:
             other = names.index(AGAINST)
-            ends = np.percentile(drawn[k] - drawn[other], SHARES) if logs > 2 else (None, None)
+            ends = (
+                np.percentile(drawn[k] - drawn[other], SHARES)
+                if logs >= FEWEST_LOGS
+                else (None, None)
+            )
             against = (float(mean[k] - mean[other]), *ends)
-        found[name] = (int(rank[k]), int(low[k]), int(high[k]), against)
+        of_ranks = (int(low[k]), int(high[k])) if logs >= FEWEST_LOGS else (None, None)
+        found[name] = (int(rank[k]), *of_ranks, against)
     return found
 
 

@@ -11,10 +11,10 @@ from cellwise.benchmark.adapter import is_adapter, short_name
 from cellwise.benchmark.faults import FAULTS, GROUPS, NONE, Fault
 from cellwise.benchmark.known_logs import KnownLog, file_digest
 from cellwise.benchmark.package_rows import NotRun, PackageRow
-from cellwise.benchmark.records import check_ranges, keyed, need, record, within
 from cellwise.errors import InputError
 from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
+from cellwise.records import check_ranges, keyed, need, record, within
 
 BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")

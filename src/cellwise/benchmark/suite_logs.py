@@ -19,7 +19,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import reference_soc
 from cellwise.estimate.tune_noise import tune_noise
 from cellwise.fit.start import initial_soc
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.pipeline import identify_cell
 from cellwise.logs.cell_log import CellLog, resample
 from cellwise.logs.reading import read_log
@@ -235,9 +235,9 @@ def _settings(cell: SuiteCell) -> IdentifySettings:
     )
 
 
-def cell_tests(cell: SuiteCell, suite: Suite, data: Path | None) -> TestLogs:
+def cell_tests(cell: SuiteCell, suite: Suite, data: Path | None) -> CellTests:
     """A cell's tests as its identification takes them."""
-    return TestLogs(
+    return CellTests(
         hppc=tuple((read_at(p, suite, data), Stated.parse(p).temperature_C) for p in cell.hppc),
         ocv=tuple(read_at(p, suite, data) for p in cell.ocv),
         capacity=tuple(read_at(p, suite, data) for p in cell.capacity),

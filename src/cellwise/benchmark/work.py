@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.benchmark.adapter import Adapted, described, is_adapter, load_adapter, short_name
+from cellwise.benchmark.adapter import described, is_adapter, load_adapter, short_name
 from cellwise.benchmark.faults import NONE, Fault, applies, faulty_log, faulty_model
 from cellwise.benchmark.figures import figures_of, state_bytes, whole_row
 from cellwise.benchmark.package_rows import (
@@ -34,7 +34,7 @@ from cellwise.benchmark.suite_logs import (
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model, write_model
 from cellwise.errors import InputError
-from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.estimators import Adapted, Estimator, make_estimator
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.replay import Replay, replay
 from cellwise.files import write_atomically
@@ -257,7 +257,7 @@ def _best_ns(found: Replay, log: CellLog, estimator: Estimator, soc0_std: float)
 
 def _estimator(suite: Suite, name: str, model: CellModel, noise: Noise | None) -> Estimator:
     if is_adapter(name):
-        return Adapted(short_name(name), model, load_adapter(name, suite.folder))
+        return Adapted(short_name(name), model, load_adapter(name, suite.folder)(model))
     return make_estimator(name, model, noise)
 
 

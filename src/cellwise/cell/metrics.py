@@ -38,6 +38,11 @@ class BandMetrics:
     soc_high: float
     metrics: ErrorMetrics
 
+    @property
+    def rmse_V(self) -> float:
+        """RMS of its rows [V]."""
+        return self.metrics.rmse_V
+
 
 def error_metrics(error_V: FloatArray) -> ErrorMetrics:
     """RMSE, MAE, maximum, mean, standard deviation and 95 % interval of an error [V].

@@ -8,8 +8,9 @@ from functools import cache, cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cellwise.arguments import check_kind
+from cellwise.arguments import check_kind, number, numbers, shown
 from cellwise.cell.description import State
 from cellwise.cell.effects import (
     BRANCH_ACTIVATIONS,
@@ -26,10 +27,10 @@ from cellwise.cell.equations import ZERO_CELSIUS_K, CellTables
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, beyond_soc
 from cellwise.cell.point_kernels import COLUMN_SOURCES, SCALAR_SOURCES, CellScalars
-from cellwise.cell.posterior import Posterior
+from cellwise.cell.posterior import Posterior, table_std
 from cellwise.cell.unrolled import CALLED
 from cellwise.errors import InputError
-from cellwise.plotting import Line, Panel, Plottable, Summarised
+from cellwise.plotting import Line, Panel, Plottable, Summarised, Tabular
 from cellwise.typing import FloatArray
 
 E = TypeVar("E", bound=Effect)
@@ -55,8 +56,13 @@ RESISTANCES = ("r0_ohm", "r1_ohm", "r2_ohm")
 USUAL_C = 25.0  # where tests are made, and rooms are
 
 
+# A model without a branch has one that nobody can see: 0.1 uV at 1 A.
+NO_BRANCH_OHM = 1e-7
+SOC_END = 0.005  # an OCV table that begins or ends no further inside reaches empty and full
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class CellModel(Plottable, Summarised):
+class CellModel(Plottable, Summarised, Tabular):
     """Second-order Thevenin model with SOC-indexed tables and effects.
 
     v = OCV(soc) - R0 I - V1 - V2 [- V3 + M h], discharge current positive.
@@ -64,8 +70,12 @@ class CellModel(Plottable, Summarised):
     Parameters
     ----------
     capacity_Ah : float            charge between SOC 1 and SOC 0
-    ocv_V, r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s : (temperatures, points) float
-        tables over a uniform SOC grid from 0 to 1; a single temperature may be given as (points,)
+    ocv_V : (temperatures, points) float
+        over a uniform SOC grid from 0 to 1; a single temperature may be given as (points,); of
+        another grid: :meth:`from_ocv`
+    r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s : (temperatures, points) float
+        over the same grid; one row, or one number, stands for all; without r1 or r2 there is no
+        such branch
     temperature_C : (temperatures,) float      ascending
     effects : tuple of Effect      extensions, at most one of a kind
     charge_efficiency : float      share of the charge put in that can be taken out, 0.5..1.05
@@ -86,10 +96,10 @@ class CellModel(Plottable, Summarised):
     capacity_Ah: float
     ocv_V: FloatArray
     r0_ohm: FloatArray
-    r1_ohm: FloatArray
-    tau1_s: FloatArray
-    r2_ohm: FloatArray
-    tau2_s: FloatArray
+    r1_ohm: FloatArray = field(default_factory=lambda: np.array(NO_BRANCH_OHM))
+    tau1_s: FloatArray = field(default_factory=lambda: np.array(10.0))
+    r2_ohm: FloatArray = field(default_factory=lambda: np.array(NO_BRANCH_OHM))
+    tau2_s: FloatArray = field(default_factory=lambda: np.array(1000.0))
     temperature_C: FloatArray = field(default_factory=lambda: np.array([25.0]))
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
@@ -103,14 +113,89 @@ class CellModel(Plottable, Summarised):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        capacity = number("capacity_Ah", self.capacity_Ah, "a capacity above zero [Ah]")
+        object.__setattr__(self, "capacity_Ah", capacity)
+        shape = np.atleast_2d(numbers("ocv_V", self.ocv_V)).shape
         for name in (*TABLES, "temperature_C"):
-            table = np.array(getattr(self, name), dtype=np.float64, ndmin=1)
+            table = np.array(numbers(name, getattr(self, name)), ndmin=1)
             if name != "temperature_C":
-                table = np.atleast_2d(table)
+                table = _spread_over(np.atleast_2d(table), shape)
             table.setflags(write=False)
             object.__setattr__(self, name, table)
+        _check_parts(self)
         object.__setattr__(self, "effects", tuple(self.effects))
         check_model(self)
+
+    @classmethod
+    def from_ocv(
+        cls,
+        soc: ArrayLike,
+        ocv_V: ArrayLike,
+        *,
+        capacity_Ah: float,
+        r0_ohm: ArrayLike,
+        r1_ohm: ArrayLike = NO_BRANCH_OHM,
+        tau1_s: ArrayLike = 10.0,
+        r2_ohm: ArrayLike = NO_BRANCH_OHM,
+        tau2_s: ArrayLike = 1000.0,
+        points: int = 201,
+        error: ModelError | None = None,
+        name: str = "",
+    ) -> CellModel:
+        """A model by hand, without identification: an OCV table and a few numbers.
+
+        Parameters
+        ----------
+        soc, ocv_V : (n,) float           points of the OCV from SOC 0 to 1, at any spacing
+        capacity_Ah : float               charge between SOC 1 and SOC 0
+        r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s : float or (n,) float
+            one number for all SOC, or one at each of ``soc``; without r1 or r2 no such branch
+        points : int                      of the even SOC grid, linear between the given ones
+        error : ModelError or None        what its voltage may be off by; None: the usual 10 mV
+        name : str
+
+        Raises
+        ------
+        InputError        a SOC that is not from 0 to 1 in order, tables of other lengths, and what
+                          the constructor refuses
+        """
+        given, order = _soc_points(numbers("soc", soc))
+        grid = _even_grid(points)
+        tables: dict[str, Any] = {}
+        values = (ocv_V, r0_ohm, r1_ohm, tau1_s, r2_ohm, tau2_s)
+        for key, value in zip(TABLES, values, strict=True):
+            table = numbers(key, value)
+            if table.shape not in ((), given.shape) or (key == "ocv_V" and table.ndim == 0):
+                raise InputError(
+                    f"{key} of shape {table.shape} at {given.size} points of SOC",
+                    "a value at every point" + ("" if key == "ocv_V" else ", or one number"),
+                    "Give both the same length.",
+                )
+            tables[key] = table if table.ndim == 0 else np.interp(grid, given, table[order])
+        return cls(capacity_Ah, **tables, error=error or ModelError(), name=name)
+
+    def columns(self) -> dict[str, FloatArray]:
+        """The tables as columns, one row for each temperature and SOC, standard errors beside.
+
+        ``r0_ohm`` and ``r0_std_ohm``, and so on, in the same unit (NaN: nobody knows it); the third
+        branch and the hysteresis where the model has them.
+        """
+        slow, lag = self.effect(SlowDiffusion), self.effect(Hysteresis)
+        tables = {name: getattr(self, name) for name in TABLES}
+        if slow in self.effects:
+            tables |= {"r3_ohm": slow.r3_ohm, "tau3_s": slow.tau3_s}
+        if lag in self.effects:
+            tables |= {"m_V": lag.m_V}
+        found = {
+            "temperature_C": np.repeat(self.temperature_C, self.points),
+            "soc": np.tile(self.soc, self.temperature_C.size),
+        }
+        for name, value in tables.items():
+            table = effect_table(value, self.ocv_V.shape)
+            quantity, _, unit = name.rpartition("_")
+            std = table_std(name, table, self.temperature_C, self.provenance, self.posterior)
+            found |= {name: table.ravel(), f"{quantity}_std_{unit}": std.ravel()}
+        return found
 
     def panels(self) -> tuple[str, tuple[Panel, ...]]:
         """OCV, resistances and time constants over SOC, one curve for each temperature."""
@@ -234,11 +319,13 @@ class CellModel(Plottable, Summarised):
 
     def with_effect(self, effect: Effect) -> CellModel:
         """The model with one effect added or replaced."""
+        check_kind("effect", effect, Effect, "Write Hysteresis(m_V=0.01, gamma=40.0), say.")
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect))
 
     def with_resistances(self, factor: float) -> CellModel:
         """The model with every resistance times a factor, that of a slow branch too."""
+        factor = number("factor", factor, "a number above zero")
         slow = self.effect(SlowDiffusion)
         slower = replace(slow, r3_ohm=factor * np.asarray(slow.r3_ohm))
         changed = replace(self, **{n: factor * getattr(self, n) for n in RESISTANCES})
@@ -315,6 +402,54 @@ def _interpolate(grid: FloatArray, table: FloatArray, temperature_C: float) -> F
     low = int(np.searchsorted(grid, temperature_C, side="right")) - 1
     slope = (table[low + 1] - table[low]) / (grid[low + 1] - grid[low])
     return np.asarray(slope * (temperature_C - grid[low]) + table[low])
+
+
+def _spread_over(table: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """A table that is one number or one row for all, at all; another is left as it is."""
+    alike = table.shape[0] in (1, shape[0]) and table.shape[1] in (1, shape[-1])
+    return np.array(np.broadcast_to(table, shape)) if alike else table
+
+
+def _soc_points(soc: FloatArray) -> tuple[FloatArray, slice]:
+    """SOC of the points of a table, ascending, and the order in which they were given.
+
+    Raises
+    ------
+    InputError        not from 0 to 1, not in order
+    """
+    order = slice(None, None, -1 if soc.ndim == 1 and soc.size > 1 and soc[0] > soc[-1] else 1)
+    points = soc[order] if soc.ndim == 1 else np.empty(0)
+    rises = points.size > 1 and bool(np.all(np.diff(points) > 0.0))
+    if not rises or abs(points[0]) > SOC_END or abs(points[-1] - 1.0) > SOC_END:
+        ends = f" from {points[0]:g} to {points[-1]:g}" if points.size else ""
+        raise InputError(
+            f"soc of shape {soc.shape}{ends}" + ("" if rises or not ends else ", not in order"),
+            "the SOC of every point of the OCV, from 0 to 1, in order",
+            "Divide per cent by 100." if points.size and points[-1] > 2.0 else "Add the ends.",
+        )
+    return points, order
+
+
+def _check_parts(model: CellModel) -> None:
+    """Refuse what is beside the tables and of another type.
+
+    Raises
+    ------
+    InputError        names it, what it is and what it should be
+    """
+    limits = {n: getattr(model, n) for n in ("voltage_min_V", "voltage_max_V")}
+    for name, value in {"charge_efficiency": model.charge_efficiency, **limits}.items():
+        if value is not None or name not in limits:
+            object.__setattr__(model, name, number(name, value, "a number"))
+    check_kind("error", model.error, ModelError, "Write ModelError.of_white_and_slow(0.002, 0.01).")
+    check_kind("validity", model.validity, Validity, "Write Validity(soc=(0.0, 1.0)), say.")
+    if not isinstance(model.provenance, Mapping):
+        raise InputError(f"provenance = {shown(model.provenance)}", "a mapping", "Pass a dict.")
+    if model.posterior is not None:
+        check_kind("posterior", model.posterior, Posterior, "Leave it out.")
+    effects = model.effects if isinstance(model.effects, (tuple, list)) else (model.effects,)
+    for effect in effects:
+        check_kind("effects", effect, Effect, "Write effects=(Hysteresis(m_V=0.01, gamma=40.0),).")
 
 
 def check_is_model(model: object) -> None:

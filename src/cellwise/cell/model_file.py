@@ -13,8 +13,9 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
+from cellwise.arguments import file_path
 from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
-from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables
+from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables, check_is_model
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.posterior import Posterior
@@ -169,14 +170,16 @@ def write_model(model: CellModel, path: str | Path) -> None:
     ------
     InputError        a number that no cell can have: the file could not be read back
     """
+    check_is_model(model)
+    place = file_path("path", path)
     check_physical(model, "the model")
     text = json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
-    write_atomically(Path(path), text)
+    write_atomically(place, text)
 
 
 def read_model(path: str | Path) -> CellModel:
     """Read a model file; see :func:`model_from_dict` for what is refused."""
-    path = Path(path)
+    path = file_path("path", path)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -145,6 +146,59 @@ class Posterior:
             "ocv_V": [_rounded(row) for row in self.ocv_V],
             "ln_r": [_rounded(row) for row in self.ln_r],
         }
+
+
+VOLTS = ("ocv_V", "m_V")  # their standard errors are volts, those of the other tables shares
+NearBy = tuple[FloatArray, FloatArray]  # SOC, and a standard error there
+
+
+def table_std(
+    name: str,
+    table: FloatArray,
+    temperature_C: FloatArray,
+    provenance: Mapping[str, Any],
+    posterior: Posterior | None,
+) -> FloatArray:
+    """Standard error of a table of a model, in its own unit and shape; NaN where nobody knows it.
+
+    As its fit says, at the nearest temperature that was tested; else its posterior (of the OCV and
+    of all resistances together); else what cells of a stock model's kind differ by. To first order:
+    of a resistance and of a time constant, the error of the logarithm times the value.
+    """
+    soc = np.linspace(0.0, 1.0, table.shape[1])
+    rows = []
+    for warm_C in temperature_C.tolist():
+        known = (
+            fitted_std(name, warm_C, provenance)
+            or _posterior_std(name, posterior)
+            or _spread_std(name, provenance)
+        )
+        rows.append(np.full(soc.size, np.nan) if known is None else np.interp(soc, *known))
+    return np.array(rows) * (1.0 if name in VOLTS else table)
+
+
+def fitted_std(name: str, temperature_C: float, provenance: Mapping[str, Any]) -> NearBy | None:
+    """As a provenance's fit says; None: not of this table, or another model was handed out."""
+    judged = provenance.get("plain_model") or {}
+    errors = [x for x in provenance.get("refinement", ()) if name in x.get("standard_errors", {})]
+    if judged.get("handed_out") != "fit" or not errors:
+        return None
+    nearest = min(errors, key=lambda x: abs(float(x["temperature_C"]) - temperature_C))
+    found = nearest["standard_errors"][name]
+    return np.array(found["soc"]), np.array(found["std"])
+
+
+def _posterior_std(name: str, posterior: Posterior | None) -> NearBy | None:
+    if posterior is None or not (name == "ocv_V" or name.endswith("_ohm")):
+        return None
+    std = posterior.ocv_std_V if name == "ocv_V" else posterior.ln_r_std
+    return np.linspace(0.0, 1.0, std.size), std
+
+
+def _spread_std(name: str, provenance: Mapping[str, Any]) -> NearBy | None:
+    spread = (provenance.get("stock") or {}).get("spread", {})
+    key = "ocv_V" if name == "ocv_V" else "ln_resistance" if name.endswith("_ohm") else ""
+    return (np.zeros(1), np.full(1, spread[key])) if key in spread else None
 
 
 def _rounded(values: FloatArray) -> list[float]:

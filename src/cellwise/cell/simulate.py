@@ -29,8 +29,7 @@ from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
     assumed_temperature_notices,
     error_notices,
-    far_off_notices,
-    far_off_text,
+    far_off,
     in_order,
     outside_notices,
     soc_notices,
@@ -39,6 +38,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
@@ -76,8 +76,8 @@ UPPER_HALF = 0.5  # from here on a rested cell was charged, not discharged
 class Simulation(Plottable, Tabular):
     """A log and what the model makes of it.
 
-    ``voltage_V`` and ``soc`` are the model's, shape (n,); ``error_V`` is measured minus model, NaN
-    where nothing was measured; ``validity`` is the model's.
+    ``voltage_V`` and ``soc`` are the model's, shape (n,); ``residual_V`` is measured minus model,
+    NaN where nothing was measured; ``validity`` is the model's.
     """
 
     log: CellLog
@@ -88,41 +88,51 @@ class Simulation(Plottable, Tabular):
     model: CellModel | None = None
 
     @property
-    def error_V(self) -> FloatArray:
+    def residual_V(self) -> FloatArray:
         """Measured minus simulated voltage [V], shape (n,)."""
         return np.asarray(self.log.voltage_V - self.voltage_V)
 
     @property
-    def metrics(self) -> ErrorMetrics:
-        """Error over all rows."""
-        return error_metrics(self.error_V)
+    def time_s(self) -> FloatArray:
+        """The log's, shape (n,)."""
+        return self.log.time_s
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def rmse_V(self) -> float:
+        """RMS of the residual over all rows [V]; NaN: nothing was measured."""
+        return self.metrics.rmse_V
+
+    @property
+    def metrics(self) -> ErrorMetrics:
+        """Residual over all rows."""
+        return error_metrics(self.residual_V)
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.far_off)
+        found = [] if self.far_off is None else [self.far_off]
         found += outside_notices(self.validity, self.log, self.soc)
         found += soc_notices(self.log, self.soc)
         if self.model is not None:
             warm = self.model.usual_temperature_C
             found += assumed_temperature_notices(self.model, self.log, warm)
-        found += error_notices(self.model, self.log, self.error_V, self.soc)
+        found += error_notices(self.model, self.log, self.residual_V, self.soc)
         return in_order(found, self.log.notices)
 
     @property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """That the log is many times as far off as the model states of itself; None: it is not."""
-        return far_off_text(self.model, self.log, self.error_V, self.soc)
+        return far_off(self.model, self.log, self.residual_V, self.soc)
 
     @property
     def bands(self) -> tuple[BandMetrics, ...]:
         """Error by tenth of simulated SOC."""
-        return band_metrics(self.error_V, self.soc)
+        return band_metrics(self.residual_V, self.soc)
 
     @property
     def rmse_above_10pct_V(self) -> float:
         """RMSE over the rows whose simulated SOC is above 0.1 [V]."""
-        return error_metrics(self.error_V[self.soc > 0.1]).rmse_V
+        return error_metrics(self.residual_V[self.soc > 0.1]).rmse_V
 
     @property
     def band_V(self) -> float:
@@ -154,13 +164,13 @@ class Simulation(Plottable, Tabular):
         }
 
     def columns(self) -> dict[str, FloatArray]:
-        """Time, current, measured and simulated voltage, error, SOC."""
+        """Time, current, measured and simulated voltage, the residual as ``error_V``, SOC."""
         return {
             "time_s": self.log.time_s,
             "current_A": self.log.current_A,
             "measured_voltage_V": self.log.voltage_V,
             "voltage_V": self.voltage_V,
-            "error_V": self.error_V,
+            "error_V": self.residual_V,
             "soc": self.soc,
         }
 
@@ -170,7 +180,7 @@ class Simulation(Plottable, Tabular):
         both = Line("measured", hours, self.log.voltage_V), Line("model", hours, self.voltage_V)
         return "time [h]", (
             Panel("voltage [V]", both),
-            Panel("error [mV]", (Line("error", hours, 1e3 * self.error_V),)),
+            Panel("residual [mV]", (Line("residual", hours, 1e3 * self.residual_V),)),
             Panel("SOC", (Line("SOC", hours, self.soc),)),
         )
 
@@ -188,6 +198,8 @@ def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = Non
     check_is_model(model)
     check_is_log(log)
     soc0 = check_soc0(soc0)
+    if h0 is not None:
+        h0 = number("h0", h0, "from -1 after a discharge to 1 after a charge, or None")
     tables = model.parameters()
     voltage = np.empty(len(log))
     soc = np.empty(len(log))

@@ -28,7 +28,7 @@ cellwise certify: an exported filter over a virtual fleet: how wrong it will be,
     --model MODEL  that was exported [the one in the folder]
     --cells N=200  cells
     --hours H=100  hours of each
-    --sensor F.toml  what the target's sensors are off by, as TOML [as vehicles have them]
+    --sensor F.toml  what the target's sensors are off by, as TOML [as exported, else a car's]
     --seed N=1  of all that is drawn
     --physics N  cells of porous electrodes beside, 20 h each [one for 20, where PyBaMM is
         installed]
@@ -60,7 +60,6 @@ from cellwise.benchmark.certify import (
     certify,
     measured_log,
     read_export,
-    read_sensor,
 )
 from cellwise.benchmark.certify.certificate import GROUP_COLUMNS, certificate_page, groups_of
 from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
@@ -71,6 +70,7 @@ from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
 from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
+from cellwise.estimate.sensor import assumed_text
 from cellwise.files import write_atomically
 
 MOST_PROCESSES = 64
@@ -177,7 +177,8 @@ def print_benchmark(found: BenchmarkResult) -> None:
     for division in divisions(rows):
         if division.key == "faults":
             printing.table("mean settled RMSE by fault", *division_table(division)[:2])
-    printing.say_notices(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"])
+    for text in dict.fromkeys(f"{r['estimator']}: {r['problem']}" for r in rows if r["problem"]):
+        printing.say(f"  ! {text}")
     taken = f", {found.resumed} of them from an earlier run" if found.resumed else ""
     printing.say(f"{len(rows)} runs{taken}: {found.parquet}")
     if found.page is not None:
@@ -189,7 +190,7 @@ def run_certify(arguments: argparse.Namespace) -> None:
     limits = Limits(
         arguments.most_rmse, arguments.most_p95, arguments.most_worst, arguments.least_coverage
     )
-    sensor = None if arguments.sensor is None else read_sensor(arguments.sensor)
+    sensor = options.sensor_of(arguments)
     model = None if arguments.model is None else read_model(arguments.model)
     exported = read_export(arguments.export, model)
     measured = [
@@ -235,6 +236,8 @@ def print_certificate(found: Certificate, data: dict[str, Any], folder: str | No
     )
     for name, own in groups_of(data).items():
         printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
+    if data["sensor"]["by_default"]:
+        printing.say(assumed_text(data["sensor"]))
     if data["verdict"]["limits"]:
         beyond = data["verdict"]["beyond"]
         printing.say("BEYOND: " + "; ".join(beyond) if beyond else "within every stated limit")

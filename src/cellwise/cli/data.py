@@ -57,15 +57,17 @@ from cellwise.cli.common import log_options, options, printing
 from cellwise.data import datasets_folder, generate_datasets, list_datasets, list_originals
 from cellwise.datasets import fetch_dataset, import_dataset
 from cellwise.logs import inspect_log, write_log
+from cellwise.notices import Code, Notice
 
 
 def run_inspect(arguments: argparse.Namespace) -> None:
     """Print what is in a log."""
-    found = inspect_log(log_options.read(arguments.log, arguments)).to_dict()
+    found = inspect_log(log_options.read(arguments.log, arguments))
     if arguments.json:
-        printing.print_json(found)
+        printing.print_json({**found.to_dict(), "notices": printing.rendered(found.notices)})
         return
-    print_inspection(found)
+    print_inspection(found.to_dict())
+    printing.say_notices(found.notices)
 
 
 def run_convert(arguments: argparse.Namespace) -> None:
@@ -73,11 +75,12 @@ def run_convert(arguments: argparse.Namespace) -> None:
     options.check_places(arguments.output)
     log = log_options.read(arguments.log, arguments)
     if log.soc0 is not None:
-        said = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"
-        log = log.with_notices((*log.notices, said))
+        text = f"the file has no place for the stated start: write LOG@soc0={log.soc0:g} behind it"
+        log = log.with_notices((*log.notices, Notice(Code.START_NOT_WRITTEN, text)))
     path = write_log(log, arguments.output)
     if arguments.json:
-        printing.print_json({"output": str(path), "samples": len(log), "notices": log.notices})
+        said = printing.rendered(log.notices)
+        printing.print_json({"output": str(path), "samples": len(log), "notices": said})
         return
     printing.say(f"{len(log)} rows written to {path}")
     printing.say_notices(log.notices)
@@ -112,7 +115,6 @@ def print_inspection(found: dict[str, Any]) -> None:
     printing.table(str(found["name"]), ("what", "found"), rows)
     for gap in found["gaps"]:
         printing.say(f"  gap of {gap['duration_s']:.0f} s after {gap['start_s']:.0f} s")
-    printing.say_notices(found["notices"])
 
 
 def run_list(arguments: argparse.Namespace) -> None:

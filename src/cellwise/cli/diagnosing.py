@@ -34,8 +34,8 @@ from cellwise.diagnose.result import Diagnosis, FoundCause
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 from cellwise.logs import CellLog, write_log
-from cellwise.logs.checks.grave import graves_first, is_grave
 from cellwise.logs.stated import logs_of
+from cellwise.notices import graves_first
 
 SHOWN = 6
 
@@ -56,7 +56,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
             logs,
             holdout,
             baseline,
-            "auto" if soc0 is None else soc0,
+            soc0,
             causes=arguments.cause or None,
             reference_capacity_Ah=arguments.reference_capacity_ah,
             progress=lambda share, what: follow(what, share),
@@ -67,9 +67,10 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         [*found.notices, *(n for log in (*logs, *holdout, *baseline) for n in log.notices)]
     )
     if arguments.json:
-        printing.print_json({**found.to_dict(), **written, "seconds": seconds, "notices": notices})
+        said = {"seconds": seconds, "notices": printing.rendered(notices)}
+        printing.print_json({**found.to_dict(), **written, **said})
         return
-    printing.say_notices(filter(is_grave, notices))
+    printing.say_notices(n for n in notices if n.is_grave)
     print_diagnosis(found)
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:
@@ -177,8 +178,8 @@ def print_figures(found: Diagnosis) -> None:
         ("log", lambda run: run.log.name or "log"),
         ("used", lambda run: "held out" if run.used == "holdout" else "fitted"),
         ("initial SOC", lambda run: f"{run.before.soc0:.4f}"),
-        ("RMSE mV", lambda run: millivolt(run.before.metrics.rmse_V)),
-        ("extended model", lambda run: millivolt(run.after.metrics.rmse_V)),
+        ("RMSE mV", lambda run: millivolt(run.before.rmse_V)),
+        ("extended model", lambda run: millivolt(run.after.rmse_V)),
         ("log corrected, too", lambda run: _millivolt_of(run.corrected)),
         ("its own start", lambda run: _millivolt_of(run.own_start)),
     )
@@ -228,7 +229,7 @@ def print_figures(found: Diagnosis) -> None:
 
 def _millivolt_of(run: Simulation | None) -> str:
     """RMSE of a run and its start; nothing where there is none."""
-    return "" if run is None else f"{printing.millivolt(run.metrics.rmse_V)} ({run.soc0:.4f})"
+    return "" if run is None else f"{printing.millivolt(run.rmse_V)} ({run.soc0:.4f})"
 
 
 def _values(cause: FoundCause, parameters: Iterable[tuple[str, float]]) -> list[str]:

@@ -20,6 +20,7 @@ cellwise replay: model and log to SOC
         filterpy-ukf
 <start>
 <start std>
+<sensor>
     --dt S  resample to an even step
 <reference>
     --hold power|current=power  what of the load is held constant
@@ -35,33 +36,23 @@ cellwise replay: model and log to SOC
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import ends_forecasts
 from cellwise.cell.plausibility.validity import check_cells_in_series
-from cellwise.cell.simulate import Simulation, simulate
+from cellwise.cell.simulate import Simulation
 from cellwise.cli.common import forecast_options, log_options, options, page_options, printing
-from cellwise.cli.replay_output import Run, print_runs, write_rows
+from cellwise.cli.replay_output import data_of, print_runs
 from cellwise.errors import InputError
-from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.power.state_of_power import PowerSettings
-from cellwise.estimate.replay import expected_convergence_s, replay
-from cellwise.fit.pauses import simulate_stretches
-from cellwise.fit.start import InitialSoc, initial_soc
-from cellwise.forecast.charging import forecast_charge
-from cellwise.forecast.display import display_along
-from cellwise.forecast.plan import Plan, forecast_plan
-from cellwise.forecast.remaining import check_load, cutoff_of, forecast, forecast_at
+from cellwise.estimate.sensor import seen_by
+from cellwise.fit.start import InitialSoc
 from cellwise.logs import CellLog
-from cellwise.logs.cell_log import resample
-from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
 from cellwise.logs.writing import write_columns
+from cellwise.workflows.replaying import Asked, check_replay, replay_each, write_replays
+from cellwise.workflows.simulating import simulate_from_start
 
 
 def read_logs_of(model: CellModel, arguments: argparse.Namespace) -> tuple[CellLog, ...]:
@@ -93,18 +84,12 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     model = options.read_model(arguments)
 
     def simulated(log: CellLog) -> dict[str, Any]:
-        asked = options.start_of(log.soc0, options.soc0_of(arguments))
-        start = initial_soc(model, log, asked, whole_log=True)
-        simulate(model, log.part(0, 2), start.soc)  # compiles outside the clock
-        began = time.perf_counter()
-        found = simulate_stretches(model, log, start)
-        seconds = time.perf_counter() - began
+        found = simulate_from_start(model, log, options.soc0_of(arguments))
         if arguments.output:
-            write_columns(found.columns(), Path(arguments.output))
-        data = {**found.to_dict(), "soc0": start.to_dict(), "seconds": seconds}
+            write_columns(found.simulation.columns(), Path(arguments.output))
         if not arguments.json:
-            print_simulation(found, start)
-        return {"log": log.name, **data, "notices": list(found.notices)}
+            print_simulation(found.simulation, found.start)
+        return {**found.to_dict(), "notices": printing.rendered(found.simulation.notices)}
 
     printed = log_options.each_that_serves(read_logs_of(model, arguments), simulated)
     if arguments.json:
@@ -117,32 +102,23 @@ def run_replay(arguments: argparse.Namespace) -> None:
     page_options.check_page_options(arguments)
     options.check_fraction("--reference-soc0", arguments.reference_soc0)
     model = options.read_model(arguments)
-    make_estimator(arguments.estimator, model)  # refuses an unknown name before any work
-    power = forecast_options.power_of(arguments, model, arguments.hold)
-    if arguments.load is not None:
-        check_load(arguments.load, arguments.hold)
-    plans = forecast_options.plans_of(arguments)
+    ahead = forecast_options.ahead_of(arguments, forecast_options.plans_of(arguments))
+    asked = asked_of(model, arguments)
+    check_replay(model, asked, ahead)
     whole = read_logs_of(model, arguments)
-    logs = [(one, k == 0) for log in whole for k, one in enumerate(cut_at_pauses(log))]
     with printing.working(arguments.estimator) as follow:
-
-        def replayed(one: tuple[CellLog, bool]) -> Run:
-            name = f"{arguments.estimator} over {len(one[0]):,} samples"
-            follow(name, logs.index(one), len(logs))
-            return run_of(model, one[0], plans, power, arguments, begins=one[1])
-
-        runs = log_options.each_that_serves(logs, replayed)
+        runs = log_options.serving(replay_each(model, whole, asked, ahead, follow))
     if arguments.output:
-        write_rows(arguments, runs)
+        write_replays(runs, arguments.output, log_options.read_options(arguments))
     with page_options.page_places(arguments) as pages:
         if pages is not None:
             from cellwise.report import replay_page
 
             flights = tuple(run.flight for run in runs if run.flight is not None)
-            replays = [replace(run.found, power=run.power) for run in runs]
+            replays = [replace(run.replay, power=run.power) for run in runs]
             replay_page(replays, pages.page, flights=flights, figures=pages.figures)
     if arguments.json:
-        printed = [run.to_dict() for run in runs]
+        printed = [data_of(run) for run in runs]
         # Of one file that was cut, what holds at its end; beside it every stretch.
         last_of_one = printed[-1] if len(whole) == 1 else {}
         printing.print_json({**last_of_one, "logs": printed} if len(runs) > 1 else printed[0])
@@ -151,59 +127,19 @@ def run_replay(arguments: argparse.Namespace) -> None:
         page_options.say_pages(arguments)
 
 
-def run_of(
-    model: CellModel,
-    log: CellLog,
-    plans: Sequence[Plan],
-    power: PowerSettings | None,
-    arguments: argparse.Namespace,
-    *,
-    begins: bool,
-) -> Run:
-    """Replay one stretch and say what is ahead of its end.
-
-    What is stated of the start holds where it ``begins``: not behind a pause that nobody counted.
-    """
-    log = log if arguments.dt is None else resample(log, arguments.dt)
-    found = replay(
-        model,
-        log,
+def asked_of(model: CellModel, arguments: argparse.Namespace) -> Asked:
+    """How the arguments ask for a log to be replayed."""
+    sensor = options.sensor_of(arguments)
+    seen = seen_by(model, sensor).model
+    return Asked(
         arguments.estimator,
-        soc0=options.start_of(log.soc0, options.soc0_of(arguments)) if begins else None,
-        soc0_std=arguments.soc0_std if begins else None,
-        reference_soc0=options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0"),
-        reference_capacity_Ah=arguments.reference_capacity_ah if begins else None,
-        power=power or False,
-    )
-    begun = found.start.how in ("given", "stated")
-    cutoff_V = cutoff_of(model, arguments.cutoff_v)
-    far = None if arguments.anyway else ends_forecasts(found.far_off, found.log)
-    ahead: dict[str, Any] = {}
-    if far is None:
-        held: dict[str, Any] = {"cutoff_V": cutoff_V, "hold": arguments.hold}
-        charger = {"limit_V": arguments.charge_limit_v, "taper_A": arguments.charge_end_a}
-        load, above = arguments.load, arguments.land_above or 0.0
-        at_load = None if load is None else forecast_at(model, found, load, **held)
-        flight = forecast(model, found, **held)
-        ahead["at_load"] = at_load
-        ahead["flight"] = None if flight is None else replace(flight, given=at_load)
-        ahead["charge"] = forecast_charge(model, found, **charger)
-        if plans:
-            how_far = {"above": above, "cutoff_V": arguments.cutoff_v}
-            ahead["plan"] = forecast_plan(model, found, plans, **how_far)
-    how = forecast_options.how_displayed(arguments, model)
-    shown = None
-    if how is not None:
-        shown = display_along(how, found, ahead.get("flight"), ahead.get("charge"))
-    return Run(
-        found,
-        expected_convergence_s(model, found, make_estimator(arguments.estimator, model)),
-        None if begun else initial_soc(model, found.log, whole_log=True),
-        far,
-        displayed_percent=shown,
-        hold=arguments.hold,
-        cutoff_V=cutoff_V,
-        **ahead,
+        soc0=options.soc0_of(arguments),
+        soc0_std=arguments.soc0_std,
+        reference_soc0=arguments.reference_soc0,
+        reference_capacity_Ah=arguments.reference_capacity_ah,
+        dt_s=arguments.dt,
+        sensor=sensor,
+        power=forecast_options.power_of(arguments, seen, arguments.hold),
     )
 
 

@@ -17,8 +17,8 @@ cellwise export: model to C sources and other programs' formats
     --points N  SOC points [the model's]
     --lean  smaller code, slower from a start far off, no watch for frozen or lost sensors
     --without EFFECT...  leave out an effect of the model, e.g. the laboratory's time_skew; several
-    --noise NAME=X...  of the target's sensors, e.g. voltage_V=0.005, current_A=0.05; several [the
-        model's]
+    --sensor F.toml  what the target's sensors are off by, as TOML [a car's]
+    --noise NAME=X...  of the filter, e.g. gap_soc=0.2; several [the model's, with the sensors']
     --prefix NAME  of every file and name, for several models
     --power S  state of power: held for S seconds, 10 say
 <limits>
@@ -34,9 +34,7 @@ cellwise export: model to C sources and other programs' formats
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields, replace
-from importlib import import_module
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 from cellwise.cell.model import CellModel
@@ -45,13 +43,19 @@ from cellwise.cli.common import forecast_options, log_options, options, page_opt
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.noise import Noise
-from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_costs
-from cellwise.export.package import Export, check_folder, write_package
+from cellwise.estimate.sensor import assumed_text
+from cellwise.export.package import Export
 from cellwise.logs import CellLog
 from cellwise.report.export_page import ACCURACY_COLUMNS, cost_rows, export_page
+from cellwise.workflows.exporting import (
+    FORMATS,
+    ExportedFirmware,
+    check_export,
+    export_firmware,
+    firmware_of,
+    without_effects,
+)
 
-# Options that name what is written beside the folder, each by the module of its name.
-FORMATS = {name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can")}
 OF_FOLDER = ("layout", "report", "figures", "log")  # options that the others ignore
 STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
 
@@ -60,34 +64,21 @@ def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
     page_options.check_page_options(arguments)
     check(arguments)
-    model = without(options.read_model(arguments), arguments.without)
-    export = Export(
-        model,
-        arguments.dt,
-        noise_of(model, arguments.noise),
-        Asked(
-            points=arguments.points,
-            wide=not arguments.lean,
-            power=forecast_options.power_of(arguments, model, "current"),
-            remaining_V=arguments.remaining,
-            health=arguments.health,
-            cells=CellSettings() if arguments.cells else None,
-        ),
-        arguments.cells,
-        arguments.prefix or "",
-        arguments.layout,
-        arguments.what or "estimator",
-    )
-    report = export.description
-    log = read(model, arguments)
-    report |= write_formats(export, arguments)
+    model = without_effects(options.read_model(arguments), arguments.without)
+    export = export_of(model, arguments)
+    log = read(export.model, arguments)
+    with printing.working("export") as follow:
+        found = export_firmware(
+            export,
+            arguments.output,
+            log,
+            soc0=arguments.soc0,
+            formats=formats_of(arguments),
+            follow=follow,
+        )
     if arguments.output:
-        with printing.working("counting instructions") as follow:
-            report["targets"] = target_costs(export, log, follow)
-        runs = [] if log is None else beside_float64(export, log, arguments)
-        report["accuracy"] = [run.to_dict() for run in runs]
-        report["files"] = write_package(export, Path(arguments.output), report)
-        write_pages(export, report, runs, arguments)
+        write_pages(found, arguments)
+    report = found.report
     if arguments.json:
         printing.print_json(report)
         return
@@ -98,6 +89,33 @@ def run_export(arguments: argparse.Namespace) -> None:
         printing.say(f"note: {notice}")
     for place in report["sockets"].values():
         printing.say(f"written: {place}")
+
+
+def export_of(model: CellModel, arguments: argparse.Namespace) -> Export:
+    """What the arguments ask to export."""
+    return firmware_of(
+        model,
+        arguments.dt,
+        Asked(
+            points=arguments.points,
+            wide=not arguments.lean,
+            power=forecast_options.power_of(arguments, model, "current"),
+            remaining_V=arguments.remaining,
+            health=arguments.health,
+            cells=CellSettings() if arguments.cells else None,
+        ),
+        noise=noise_of(arguments.noise),
+        sensor=options.sensor_of(arguments),
+        cells=arguments.cells,
+        prefix=arguments.prefix or "",
+        layout=arguments.layout,
+        what=arguments.what or "estimator",
+    )
+
+
+def formats_of(arguments: argparse.Namespace) -> dict[str, str]:
+    """The formats that are wanted beside the folder, each with its file."""
+    return {name: place for name in FORMATS if (place := getattr(arguments, name))}
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -120,54 +138,17 @@ def check(arguments: argparse.Namespace) -> None:
     for name in OF_FOLDER:
         if said[name] and not arguments.output:
             raise InputError(f"--{name} without -o", "a folder of C sources", "Add -o DIR.")
-    if arguments.output:
-        check_folder(Path(arguments.output))
     if arguments.what and not arguments.fmu:
         raise InputError("--what without --fmu", "an FMU to write", "Add --fmu OUT.fmu.")
-    for name in (name for name in FORMATS if said[name]):
-        options.check_places(said[name])
-        module = import_module(FORMATS[name])
-        if not said[name].lower().endswith(module.SUFFIXES):
-            ends = " or ".join(module.SUFFIXES)
-            found = f"--{name} {said[name]}"
-            raise InputError(found, f"a name that ends in {ends}", "Name it so.")
-        module.check(said[name])
+    check_export(arguments.output, formats_of(arguments))
 
 
-def write_formats(export: Export, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Write every format that is wanted: places by the option's name, and what to know of them."""
-    written: dict[str, str] = {}
-    said: list[str] = []
-    for name, module in FORMATS.items():
-        if place := getattr(arguments, name):
-            places, notices = import_module(module).write(export, place)
-            written[name] = ", ".join(map(str, places))
-            said += notices
-    return {"sockets": written, "notices": said}
-
-
-def without(model: CellModel, names: list[str]) -> CellModel:
-    """The model without some of its effects.
+def noise_of(stated: list[str]) -> dict[str, float]:
+    """The fields of `Noise` that are stated, with their values.
 
     Raises
     ------
-    InputError        an effect that it does not have
-    """
-    there = {effect.name: effect for effect in model.effects}
-    for name in names:
-        if name not in there:
-            expected = f"an effect of the model: {', '.join(there) or 'it has none'}"
-            raise InputError(f"--without {name}", expected, "Leave it out, or correct its name.")
-    kept = tuple(effect for name, effect in there.items() if name not in names)
-    return replace(model, effects=kept) if names else model
-
-
-def noise_of(model: CellModel, stated: list[str]) -> Noise:
-    """The model's noise, with what is stated of the target's sensors.
-
-    Raises
-    ------
-    InputError        no NAME=X, a name that is none, a value that `Noise` refuses
+    InputError        no NAME=X, a name that is none
     """
     names = [f.name for f in fields(Noise)]
     values: dict[str, float] = {}
@@ -183,36 +164,14 @@ def noise_of(model: CellModel, stated: list[str]) -> Noise:
                 f"NAME=X with one of {', '.join(names)}",
                 "Write e.g. --noise voltage_V=0.005.",
             )
-    return replace(Noise.of_model(model), **values)  # type: ignore[arg-type]
+    return values
 
 
-def write_pages(
-    export: Export,
-    report: dict[str, Any],
-    runs: list[FixedAndFloat],
-    arguments: argparse.Namespace,
-) -> None:
+def write_pages(found: ExportedFirmware, arguments: argparse.Namespace) -> None:
     """The page and its pictures, where they are wanted."""
     with page_options.page_places(arguments) as pages:
         if pages is not None:
-            mine = export.tables.options.points
-            run = next((run for run in runs if run.points == mine), None)
-            export_page(report, pages.page, run, figures=pages.figures)
-
-
-def beside_float64(
-    export: Export, log: CellLog, arguments: argparse.Namespace
-) -> list[FixedAndFloat]:
-    """What is exported and the float64 EKF on the log, by number of SOC points."""
-    return fixed_and_float(
-        export.model,
-        log,
-        arguments.dt,
-        soc0=options.start_of(log.soc0, arguments.soc0),
-        lean=arguments.lean,
-        points=export.asked.points,
-        noise=export.noise,
-    )
+            export_page(found.report, pages.page, found.own_run, figures=pages.figures)
 
 
 def read(model: CellModel, arguments: argparse.Namespace) -> CellLog | None:
@@ -241,6 +200,8 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
         rows["state of a pack"] = f"{report['pack_bytes']:,} bytes for {cells} cells"
     title = f"{folder}: {len(report['files'])} files for a step of {report['dt_s']:g} s"
     printing.table(title, ("what", "value"), list(rows.items()))
+    if report["sensor"]["by_default"]:
+        printing.say(assumed_text(report["sensor"]))
     if report["targets"]:
         about = "Cost on the target (instructions, not cycles; counted in QEMU)"
         printing.table(about, *cost_rows(report["targets"]))

@@ -47,6 +47,7 @@ from cellwise.fleet import DiagnoseTask, HistoryTask, PackTask, ReplayTask, run_
 from cellwise.fleet.store import all_rows
 from cellwise.fleet.tasks import LogTask
 from cellwise.logs import Stated
+from cellwise.workflows.starts import start_of
 
 
 def run_replay(arguments: argparse.Namespace) -> None:
@@ -94,7 +95,7 @@ def _of_task(arguments: argparse.Namespace) -> dict[str, Any]:
     soc0 = options.soc0_of(arguments)
     stated = Stated.parse(arguments.folder)
     arguments.folder = stated.path
-    options.start_of(stated.soc0, soc0)
+    start_of(stated.soc0, soc0)
     return {
         "stated": None if stated.says_nothing else stated,
         "model": options.read_model(arguments),

@@ -28,9 +28,9 @@ cellwise history: a cell's logs in order to its ageing
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
@@ -63,14 +63,15 @@ def run_pack(arguments: argparse.Namespace) -> None:
         printing.warn(f"cellwise pack: '{arguments.state}' stays as it was: logs far off the model")
     elif arguments.state:
         write_state(found.state, arguments.state)
-    page_options.hand_over(arguments, found, pack_page, print_pack)
+    data = {**found.to_dict(), "notices": printing.rendered(found.notices)}
+    page_options.hand_over(arguments, found, pack_page, print_pack, data)
 
 
 def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
     percent, amount, data = printing.percent, printing.amount, found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
-    first = data["notices"][:1] if found.far_off else []
+    first = found.notices[:1] if found.far_off else ()
     printing.say_notices(first)
     printing.table(
         f"{data['cells']} cells, {len(found.days)} log(s)",
@@ -88,8 +89,10 @@ def print_pack(found: PackEstimate) -> None:
             ("weak beyond what cells differ by", ", ".join(data["weak"]) or "none"),
         ],
     )  # fmt: skip
-    # What is not known comes last: NaN is no order.
-    rows = sorted(data["per_cell"], key=lambda row: np.nan_to_num(row["capacity_Ah"], nan=np.inf))
+    # What is not known comes last.
+    rows = sorted(
+        data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
+    )
     rows = rows[:SHOWN_CELLS]
     printing.record_table(
         f"the {len(rows)} cells of least capacity",
@@ -104,7 +107,7 @@ def print_pack(found: PackEstimate) -> None:
         said = "; ".join(cause["evidence"])
         other = f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else ""
         printing.say(f"  {cause['name']}: {said}{other}")
-    printing.say_notices(n for n in data["notices"] if n not in first)
+    printing.say_notices(n for n in found.notices if n not in first)
 
 
 def run_history(arguments: argparse.Namespace) -> None:
@@ -121,7 +124,15 @@ def run_history(arguments: argparse.Namespace) -> None:
         printing.warn("cellwise history: no model was written: all logs are far off the one given")
     elif arguments.save_model:
         write_model(found.aged_model, arguments.save_model)
-    page_options.hand_over(arguments, found, history_page, print_life)
+    page_options.hand_over(arguments, found, history_page, print_life, data_of_life(found))
+
+
+def data_of_life(found: Life) -> dict[str, Any]:
+    """A life as JSON, with notices in a command's words."""
+    data = found.to_dict()
+    for row, one in zip(data["logs"], found.logs, strict=True):
+        row["notices"] = printing.rendered(one.log.notices)
+    return {**data, "notices": printing.rendered(found.notices)}
 
 
 def print_life(found: Life) -> None:
@@ -146,5 +157,5 @@ def print_life(found: Life) -> None:
     if trend["knee"] is not None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")
     printing.say(f"next reference test: {trend['next_reference']}")
-    notices = (*data["notices"], *(n for o in data["logs"] for n in o["notices"]))
+    notices = (*found.notices, *(n for one in found.logs for n in one.log.notices))
     printing.say_notices(n for n in notices if n not in found.far_off)

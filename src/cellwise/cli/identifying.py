@@ -68,7 +68,8 @@ def run_identify(arguments: argparse.Namespace) -> None:
                 identify_page(found, pages.page, figures=pages.figures)
     write_model(found.model, arguments.output)
     if arguments.json:
-        printing.print_json({**found.to_dict(), "model": arguments.output})
+        said = {"notices": printing.rendered(found.notices), "model": arguments.output}
+        printing.print_json({**found.to_dict(), **said})
         return
     print_identification(found)
     printing.say(f"model written to {arguments.output}")
@@ -94,7 +95,7 @@ def print_identification(found: Identification) -> None:
         [o for o in found.own_logs if o.used],
         ("log (fitted on it)", lambda o: o.simulation.log.name),
         ("begins at SOC", lambda o: f"{o.start.soc:.3f} +- {2 * o.start.std:.3f}"),
-        ("RMSE mV", lambda o: printing.millivolt(o.simulation.metrics.rmse_V)),
+        ("RMSE mV", lambda o: printing.millivolt(o.simulation.rmse_V)),
         ("MAE mV", lambda o: printing.millivolt(o.simulation.metrics.mae_V)),
         ("max mV", lambda o: printing.millivolt(o.simulation.metrics.max_error_V)),
         ("RMSE above 10 % SOC", lambda o: printing.millivolt(o.simulation.rmse_above_10pct_V)),

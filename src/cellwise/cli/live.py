@@ -12,6 +12,7 @@ cellwise live: a stream of samples to SOC, as they come
     --estimator E=ekf  ekf or ukf
 <start>
 <start std>
+<sensor>
     --state FILE  goes on where FILE says, and keeps it there
     --fresh  start again, whatever FILE says
     --save-every S=10  seconds
@@ -41,7 +42,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from rich.console import Console
 from rich.live import Live
@@ -49,12 +50,12 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FarOffStream
 from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
+from cellwise.estimate.sensor import Seen, assumed, assumed_text, seen_by
 from cellwise.fit.start import STATED_STD
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
@@ -65,6 +66,7 @@ from cellwise.live.followed import FORECAST_EVERY_S, Followed, state_row
 from cellwise.live.run import LatencyMeter, check_any
 from cellwise.live.source import sender_to
 from cellwise.logs import Stated
+from cellwise.workflows.starts import start_of
 
 REFRESH_S = 0.25  # of the panel
 SILENT_S = 2.0  # after which the panel says that nothing comes
@@ -73,9 +75,11 @@ SILENT_S = 2.0  # after which the panel says that nothing comes
 def run_live(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
     _check(arguments)
-    model = options.read_model(arguments)
+    sensor = options.sensor_of(arguments)
+    seen = seen_by(options.read_model(arguments), sensor)
+    model = seen.model
     name, stated = _stated(arguments.source)
-    followed = _followed(model, stated, arguments)
+    followed = _followed(seen, stated, arguments)
     reading = log_options.read_options(arguments)
     source = open_source(
         name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
@@ -107,7 +111,7 @@ def run_live(arguments: argparse.Namespace) -> None:
         takers.append(warned_once(lambda _: getattr(source, "note", None)))
         if not viewed:  # the panel shows both
             takers.append(warned_once(followed.outside))
-            takers.append(warned_once(lambda _: followed.far_off))
+            takers.append(warned_once(lambda _: far_off_of(followed)))
         stack.enter_context(_stopped_by_signal())
         follow_source(
             source,
@@ -121,7 +125,7 @@ def run_live(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     check_any(source, counts)
-    _report_end(arguments, followed, counts, viewed)
+    _report_end(arguments, followed, counts, viewed, assumed(sensor, model.capacity_Ah))
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -140,16 +144,17 @@ def _stated(source: str) -> tuple[str, Stated]:
     return f"{kind}:{stated.path}" if colon else stated.path, stated
 
 
-def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> Followed:
+def _followed(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> Followed:
     """The filter, and what else is asked of the stream."""
+    model = seen.model
     charger = (arguments.charge_limit_v, arguments.charge_end_a)
     outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
     power = forecast_options.power_of(arguments, model)
     for notice in () if power is None else power.known.notices:  # limits that nobody stated
-        printing.warn(f"cellwise live: {notice}")
-    how = forecast_options.how_displayed(arguments, model)
+        printing.warn(f"cellwise live: {notice.rendered(printing.in_command)}")
+    how = forecast_options.ahead_of(arguments).shown(model)
     return Followed(
-        _filter(model, stated, arguments),
+        _filter(seen, stated, arguments),
         outlook,
         None if power is None else PowerFollower(power),
         None if how is None else Displayed(how),
@@ -157,12 +162,13 @@ def _followed(model: CellModel, stated: Stated, arguments: argparse.Namespace) -
     )
 
 
-def _filter(model: CellModel, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
-    asked = options.start_of(stated.soc0, options.soc0_of(arguments))
+def _filter(seen: Seen, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
+    asked = start_of(stated.soc0, options.soc0_of(arguments))
     std = arguments.soc0_std
     live = LiveFilter(
-        model,
+        seen.model,
         arguments.estimator,
+        noise=seen.noise,
         soc0=asked if stated.soc0 is None else stated.soc0,
         soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
         temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
@@ -190,7 +196,11 @@ def _stopped_by_signal() -> Iterator[None]:
 
 
 def _report_end(
-    arguments: argparse.Namespace, followed: Followed, counts: Counts, viewed: bool
+    arguments: argparse.Namespace,
+    followed: Followed,
+    counts: Counts,
+    viewed: bool,
+    sensor: dict[str, Any],
 ) -> None:
     """The end of a stream: one object, or a few lines for people."""
     last, start = counts.last, followed.live.start
@@ -199,9 +209,10 @@ def _report_end(
     data = {
         **state_row(last),
         **followed.columns(last),
-        "far_off": followed.far_off,
+        "far_off": far_off_of(followed),
         "estimator": followed.live.filter.name,
         "soc0": start.to_dict(),
+        "sensor": sensor,
         **counts.to_dict(),
     }
     if arguments.json:
@@ -216,6 +227,14 @@ def _report_end(
             f"outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
             f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
         )
+        if sensor["by_default"]:
+            printing.say(assumed_text(sensor))
+
+
+def far_off_of(followed: Followed) -> str | None:
+    """Why nothing is foreseen, in a command's words; None where something is."""
+    far_off = followed.far_off
+    return None if far_off is None else far_off.rendered(printing.in_command)
 
 
 class LineWriter:
@@ -284,7 +303,8 @@ def panel(name: str, followed: Followed, counts: Counts, silent_s: float = 0.0) 
     if last is None:
         return Panel(f"waiting for samples ({stray} not readable)", title=name)
     row, late = followed.row(last), counts.latency.to_dict()
-    said = {} if followed.far_off is None else {"far off": followed.far_off}
+    far_off = far_off_of(followed)
+    said = {} if far_off is None else {"far off": far_off}
     said |= {
         "current": f"{row['current_A']:.3f} A",
         "voltage": f"{row['measured_voltage_V']:.4f} V, {row['voltage_V']:.4f} expected",

@@ -1,138 +1,35 @@
-"""What is said of a replay: rows for other programs, figures and what is ahead for people."""
+"""What is said of a replay, for people: its figures, and what is ahead."""
 
 from __future__ import annotations
 
-import argparse
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from cellwise.cli.common import log_options, printing
+from cellwise.cli.common import printing
 from cellwise.cli.common.printing import band
-from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
-from cellwise.fit.start import InitialSoc
-from cellwise.forecast.plan import Outcome
-from cellwise.forecast.remaining import Flight, Forecast
-from cellwise.logs.files.source import open_source
-from cellwise.logs.formats.ros_bag import start_of
-from cellwise.logs.writing import write_columns
-from cellwise.typing import FloatArray
+from cellwise.estimate.sensor import assumed_text
+from cellwise.workflows.replaying import ReplayAndForecast
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
          "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", "")}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Run:
-    """A replay, when it was to converge, and what remains by it; ``far``: why none is said.
-
-    ``began`` is the start that the whole log shows, as every other command finds it.
-    """
-
-    found: Replay
-    expected: float | None
-    began: InitialSoc | None
-    far: str | None
-    flight: Flight | None = None
-    at_load: Forecast | None = None
-    charge: Flight | None = None
-    plan: Outcome | None = None
-    displayed_percent: FloatArray | None = None
-    hold: str = "power"
-    cutoff_V: float = math.nan
-
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """What a person should know, of the forecast first."""
-        of_flight = () if self.flight is None else self.flight.notices
-        if self.far is None:
-            return (*of_flight, *self.found.notices)
-        return tuple(self.far if self.far.startswith(n) else n for n in self.found.notices)
-
-    @property
-    def power(self) -> PowerTrace | None:
-        """The state of power, unless the log is far off."""
-        return None if self.far else self.found.power
-
-    def figures(self) -> dict[str, Any]:
-        """The replay's figures; of a log that is far off no parameters and no power."""
-        figures = self.found.to_dict()
-        withheld = {"parameters", "power"} if self.far else set()
-        return {key: None if key in withheld else value for key, value in figures.items()}
-
-    def to_dict(self) -> dict[str, Any]:
-        """As the command prints it."""
-        shown = self.displayed_percent
-        charge = self.charge
-        if charge is not None and charge.time_s[-1] < self.found.log.time_s[-1]:
-            charge = None  # no longer on the charger
-        return {
-            "log": self.found.log.name,
-            **self.figures(),
-            "soc0_whole_log": None if self.began is None else self.began.to_dict(),
-            "convergence_predicted_s": self.expected,
-            "forecast": None if self.flight is None else self.flight.to_dict(),
-            "forecast_charge": None if charge is None else charge.to_dict(),
-            "forecast_plan": None if self.plan is None else self.plan.to_dict(),
-            "displayed_percent": None if shown is None else float(shown[-1]),
-            "forecast_given": None if self.at_load is None else self.at_load._asdict(),
-            "notices": list(self.notices),
-        }
+def data_of(run: ReplayAndForecast) -> dict[str, Any]:
+    """A replay as JSON, with notices in a command's words."""
+    return {**run.to_dict(), "notices": printing.rendered(run.notices)}
 
 
-def write_rows(arguments: argparse.Namespace, runs: Sequence[Run]) -> None:
-    """The rows of a log's stretches as a file: a table, or topics with a layout for Foxglove."""
-    found = runs[0].found
-    parts = [rows_of(run) for run in runs]
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    if Path(arguments.output).suffix == ".mcap":
-        from cellwise.report.viewer_files import write_foxglove, write_mcap
-
-        start_s = 0.0
-        if found.log.format == "ros-bag":
-            reading = log_options.read_options(arguments)
-            start_s = start_of(open_source(found.log.source, options=reading))
-        write_mcap(arguments.output, columns, start_s)
-        write_foxglove(Path(arguments.output).with_suffix(".foxglove.json"))
-        return
-    write_columns(columns, Path(arguments.output))
-
-
-def rows_of(run: Run) -> dict[str, Any]:
-    """What the estimator said of every row; of a log that is far off no parameters and no power."""
-    log, trace = run.found.log, run.found.trace
-    columns = replace(run.found, power=None).columns()
-    columns |= {"current_A": log.interval_current_A, "measured_voltage_V": log.voltage_V}
-    if isinstance(trace, AdaptiveTrace) and not run.far:
-        names = ["offset_A", "offset_std_A", "gain", "gain_std", "capacity_Ah", "capacity_std_Ah"]
-        names += ["resistance_scale", "resistance_std"]
-        columns |= {name: getattr(trace, name) for name in names}
-        held = ("held_offset", "held_resistance", "held_charge")
-        columns |= dict(zip(held, trace.held, strict=True))
-    if run.displayed_percent is not None:
-        columns["displayed_percent"] = run.displayed_percent
-    return columns if run.power is None else columns | run.power.columns()
-
-
-def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
+def print_runs(runs: Sequence[ReplayAndForecast], *, sure: bool) -> None:
     """Replays for people: the figures, and what is ahead of the last one's end."""
-    first: tuple[str, ...] = ()
-    for run in runs:
-        if run.far is not None:
-            first += run.notices[: run.notices.index(run.far) + 1]
+    first = [notice for run in runs for notice in run.grave]
     printing.say_notices(first)
     last = runs[-1]
     if len(runs) > 1:
         printing.record_table(
-            f"{last.found.estimator} on {len(runs)} logs",
-            [run.found for run in runs],
+            f"{last.replay.estimator} on {len(runs)} logs",
+            [run.replay for run in runs],
             ("log", lambda found: found.log.name),
             ("hours", lambda found: f"{found.log.duration_s / 3600.0:.2f}"),
             ("initial SOC", lambda found: band(found.start.soc, found.start.std)),
@@ -144,7 +41,10 @@ def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
             ("SOC RMSE %", lambda found: printing.percent(found.to_dict()["soc_rmse"])),
         )
     else:
-        print_replay(last.found, last, sure=sure)
+        print_replay(last.replay, last, sure=sure)
+    said = last.replay.to_dict().get("sensor")
+    if said and said["by_default"]:
+        printing.say(assumed_text(said))
     print_forecasts(last)
     print_ahead(last.to_dict())
     if last.power is not None:
@@ -152,7 +52,7 @@ def print_runs(runs: Sequence[Run], *, sure: bool) -> None:
     printing.say_notices(n for run in runs for n in run.notices if n not in first)
 
 
-def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) -> None:
+def print_replay(found: Replay, run: ReplayAndForecast | None = None, *, sure: bool = True) -> None:
     """A replay for people, and what its run knows; ``sure``: how sure a start is was stated."""
     data = found.to_dict() if run is None else run.figures()
     start, settled, percent = found.start, data["settled"], printing.percent
@@ -168,7 +68,7 @@ def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) ->
         rows["NIS by time scale"] = ", ".join(f"{nis:.2f} ({scale:g} s)" for nis, scale in each)
     rows["time per step"] = f"{data['ns_per_step']:.0f} ns"
     if run is not None:
-        rows["within 2 %, by model and current"] = _after(run.expected)
+        rows["within 2 %, by model and current"] = _after(run.expected_s)
     if settled is None:
         rows["SOC error"] = "no reference: give --reference-capacity-ah and a counter"
     else:
@@ -186,16 +86,27 @@ def print_replay(found: Replay, run: Run | None = None, *, sure: bool = True) ->
         elif one["probability"] is not None:
             rows[label] += f" ({100 * one['probability']:.0f} % that it is not the model's)"
     if values:
-        by_capacity = f"{percent(values['soh_capacity'], 1)} % by capacity"
-        rows["state of health"] = f"{by_capacity}, resistance x {values['soh_resistance']:.3f}"
+        rows["state of health"] = state_of_health(values)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), list(rows.items()))
+
+
+def state_of_health(values: Mapping[str, Any]) -> str:
+    """Of the parameters of an adaptive replay: only what the log shows, not what was stated."""
+    capacity, share = values["capacity_Ah"], values["soh_capacity"]
+    std = share * capacity["std"] / capacity["value"]
+    by_capacity = (
+        f"{band(100.0 * share, 100.0 * std, 1)} % of the stated capacity"
+        if capacity["shown"]
+        else "not determined: this log does not show another capacity than the stated one"
+    )
+    return f"{by_capacity}, resistance x {values['soh_resistance']:.3f}"
 
 
 def _after(seconds: float | None) -> str:
     return "not on this log" if seconds is None else f"after {seconds:.1f} s"
 
 
-def print_forecasts(run: Run) -> None:
+def print_forecasts(run: ReplayAndForecast) -> None:
     """Remaining time and energy, for people; nothing where there is no load."""
     flight, at_load = run.flight, run.at_load
     forecasts = [] if flight is None else [("at the present load", flight.last)]

@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 
 from cellwise.cli.command_line import INTERRUPTED, main
 from cellwise.cli.common import printing
-from cellwise.cli.common.found_files import TESTS, FoundFile, look_at
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 from cellwise.identify.measured_capacity import LIMITS as SIZES
+from cellwise.workflows.found_files import TESTS, FoundFile, look_at
 
 UNKNOWN = "X"  # stands for what has to be stated
 DRIVES = ("drive", "flight", "pack")
@@ -73,7 +73,7 @@ def run_start(arguments: argparse.Namespace) -> None:
     """Look at the folder, plan, print, run."""
     folder, out = Path(arguments.folder), Path(arguments.output)
     with printing.working(f"looking at {folder}") as follow:
-        files = look_at(folder, arguments, follow)
+        files, arguments.sign = look_at(folder, arguments.sign, arguments.nominal_ah, follow)
     groups = groups_of(files)
     if not groups:
         raise _nothing(folder, files)
@@ -82,7 +82,7 @@ def run_start(arguments: argparse.Namespace) -> None:
     names = [""] if len(plans) == 1 else [f"{plan.place.name}: " for plan in plans]
     found: dict[str, Any] = {
         "files": [
-            {"path": str(f.path), "kind": f.kind, "why": f.why, "instance": f.instance}
+            {"path": str(f.path), "kind": f.kind, "why": why_of(f), "instance": f.instance}
             for f in files
         ],
         "missing": [n + m for n, plan in zip(names, plans, strict=True) for m in plan.missing],
@@ -92,7 +92,7 @@ def run_start(arguments: argparse.Namespace) -> None:
         what = f"logs in '{folder}' that do not say all that is needed"
         raise InputError(what, plans[0].missing[0], "Give it.")
     if not arguments.json:
-        rows = [(f.name, f.kind, f.why) for f in files]
+        rows = [(f.name, f.kind, why_of(f)) for f in files]
         printing.table(str(folder), ("file", "taken for", "why"), rows)
         for text in found["missing"]:
             printing.say(f"  missing: {text}")
@@ -106,12 +106,22 @@ def run_start(arguments: argparse.Namespace) -> None:
         printing.print_json(found)
 
 
+def why_of(file: FoundFile) -> str:
+    """Why a file is taken for what it is; of one under other names the command that reads it."""
+    if not file.channels:
+        return file.why
+    named = [word for pair in file.channels for word in ("--channel", "=".join(pair))]
+    into = file.path.with_name(f"{file.path.name.partition('.')[0]}_tidy.csv")
+    what = ("cellwise", "convert", str(file.path), *named, "-o", str(into))
+    return f"{file.why}: {shlex.join(what)}"
+
+
 def _nothing(folder: Path, files: list[FoundFile]) -> InputError:
     """Why a folder gives nothing to do."""
     unread = [f for f in files if f.kind in ("unread", "several")]
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and p.name[0] not in "._")
     what = f"no battery log in the folder '{folder}' ({len(files)} file(s)"
-    what += "".join(f"; '{f.name}': {f.why.rstrip('.')}" for f in unread[:MOST_SAID]) + ")"
+    what += "".join(f"; '{f.name}': {why_of(f).rstrip('.')}" for f in unread[:MOST_SAID]) + ")"
     hint = f"Name one of its folders: {', '.join(inside[:8])}." if inside else "Check the path."
     return InputError(what, "logs with time, current and voltage of a cell", hint)
 

@@ -35,7 +35,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cellwise.cli.common import log_options, options, page_options, printing
+from cellwise.cli.common import log_options, page_options, printing
 from cellwise.cli.estimating import print_simulation
 from cellwise.cli.identifying import print_identification
 from cellwise.cli.replay_output import print_replay
@@ -55,6 +55,7 @@ from cellwise.studies.capacity_study import (
     study_cell,
     study_cells,
 )
+from cellwise.workflows.starts import start_of
 
 
 def run_papers(arguments: argparse.Namespace) -> None:
@@ -166,7 +167,7 @@ def own_cell(arguments: argparse.Namespace) -> StudyCell | None:
 
     def judged(path: str) -> CellLog:
         log = log_options.read(path, arguments)
-        start = options.start_of(log.soc0, arguments.reference_soc0, "--reference-soc0")
+        start = start_of(log.soc0, arguments.reference_soc0, "reference_soc0")
         return log if start is None else replace(log, soc0=start)
 
     return StudyCell(

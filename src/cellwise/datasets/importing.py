@@ -16,6 +16,7 @@ from cellwise.datasets.fetching import digest_of, registered
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
 from cellwise.logs import CellLog, read_log, write_log
+from cellwise.notices import texts
 
 Progress = Callable[[str, int, int], None]
 
@@ -163,7 +164,7 @@ def _write(
         "format": log.format,
         "doi": original["doi"],
         "licence": original["licence"],
-        "notices": list(log.notices),
+        "notices": texts(log.notices),
     }
 
 

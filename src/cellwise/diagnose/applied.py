@@ -64,7 +64,7 @@ def gain_between(
 
     Held out are whole logs, else the later blocks of every log. Blocks of time are drawn whole.
     """
-    before, after = (np.concatenate([s.error_V for s in runs]) for runs in (one, two))
+    before, after = (np.concatenate([s.residual_V for s in runs]) for runs in (one, two))
     known = np.isfinite(before) & np.isfinite(after)
 
     def of_rows(scored: Iterable[NDArray[Any]]) -> NDArray[Any]:

@@ -21,8 +21,8 @@ from cellwise.fit.model_error import charged_for_minutes, polarisation_V
 from cellwise.logs.cell_log import CellLog, check_is_log
 
 Logs = CellLog | Sequence[CellLog]
-Start = float | str
-START = "a fraction from 0 to 1 or 'auto', or one of them for every log"
+Start = float | None  # None: not known
+START = "a fraction from 0 to 1 or None, or one of them for every log"
 CORRECT_START = "Give `soc0=0.9`, say; left out it is found from the log."
 
 
@@ -69,7 +69,7 @@ def stated_starts(
 
     Raises
     ------
-    InputError        what is neither a number nor "auto", or more of them than logs
+    InputError        what is neither a number nor None, or more of them than logs
     """
     logs = [g for group in groups for g in group]
     if isinstance(soc0, str) or not isinstance(soc0, Iterable):
@@ -80,11 +80,11 @@ def stated_starts(
         raise InputError(
             f"soc0 for {len(stated)} logs", f"at most one for each of {len(logs)}", CORRECT_START
         )
-    return stated + ["auto"] * (len(logs) - len(stated))
+    return stated + [None] * (len(logs) - len(stated))
 
 
 def _start(value: object) -> Start:
-    return "auto" if value == "auto" else number("soc0", value, START, CORRECT_START)
+    return None if value is None else number("soc0", value, START, CORRECT_START)
 
 
 class Least(NamedTuple):
@@ -207,7 +207,7 @@ def claim_checks(
     """
     found = []
     for run, rows in zip(runs, evidence.logs, strict=True):
-        error, soc = run.before.error_V, np.clip(run.before.soc, 0.0, 1.0)
+        error, soc = run.before.residual_V, np.clip(run.before.soc, 0.0, 1.0)
         known = np.isfinite(error)
         if not known.any():
             continue
@@ -225,6 +225,6 @@ def claim_checks(
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
         most2 = float(fdtri(freedom, STATED.errors, 1.0 - CLAIM.rare))
-        rmse_V = run.before.metrics.rmse_V
+        rmse_V = run.before.rmse_V
         found.append(ClaimCheck(run.log.name, rmse_V, math.sqrt(times2), math.sqrt(most2)))
     return tuple(found)

@@ -65,7 +65,7 @@ def diagnose(
     logs: Logs,
     holdout: Logs = (),
     baseline: Logs = (),
-    soc0: float | str | Sequence[float | str] = "auto",
+    soc0: float | Sequence[float | None] | None = None,
     *,
     causes: Sequence[str] | None = None,
     reference_capacity_Ah: float | None = None,
@@ -82,8 +82,8 @@ def diagnose(
                                       ``logs``, never used in the fit
     baseline : CellLog or sequence    logs known to be good, of the same cell and instruments: what
                                       the model gets wrong there is calibrated, not diagnosed
-    soc0 : float, "auto" or a sequence of them, one per log (logs, holdout, baseline); a log's own
-        stated start (``CellLog.soc0``) goes before "auto" and before one number for all
+    soc0 : float, None (not known) or a sequence of them, one per log (logs, holdout, baseline); a
+        log's own stated start (``CellLog.soc0``) goes before None and before one number for all
     causes : names to try; default all but `charge_transfer`, which is tried where it is named
     reference_capacity_Ah : measured apart from these logs [Ah]: what SOC is judged over; default
         the model's own, unless that is found to be wrong
@@ -145,12 +145,12 @@ def diagnose(
 
 
 def _starts(
-    model: CellModel, groups: Sequence[Sequence[CellLog]], stated: Sequence[float | str]
+    model: CellModel, groups: Sequence[Sequence[CellLog]], stated: Sequence[float | None]
 ) -> list[list[StartedLog]]:
     """Every log with its start; a log's own where it states one."""
 
-    def start_of(log: CellLog, value: float | str) -> InitialSoc:
-        known = log.soc0 if value == "auto" else float(value)
+    def start_of(log: CellLog, value: float | None) -> InitialSoc:
+        known = log.soc0 if value is None else value
         if known is None:
             # As `simulate` takes it: what is said of a log is said from there.
             return initial_soc(model, log, whole_log=True)

@@ -230,9 +230,10 @@ def next_test(outcome: Outcome, model: CellModel, evidence: Evidence) -> str:
         close = first + [e for e in outcome.first if e not in first][:1]
     if close:
         return _separating(close)
-    middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
+    # As a log begins: that is what the chamber was set to, before the cell warmed itself.
+    begun_C = float(np.median([g.temperature_C[0] for g in evidence.logs]))
     return (
-        f"HPPC at {middle:.0f} degC and C/20 from full at 25 degC with this cell as it is now: "
+        f"HPPC at {begun_C:.0f} degC and C/20 from full at 25 degC with this cell as it is now: "
         f"they show apart whether resistances, OCV or capacity differ from the model's "
         f"({model.capacity_Ah:.4g} Ah)"
     )

@@ -68,7 +68,7 @@ def residual_analysis(
     InputError        soc0 outside 0..1
     """
     run = simulate(model, log, soc0, h0)
-    error_V, elapsed_s = run.error_V, log.time_s - log.time_s[0]
+    error_V, elapsed_s = run.residual_V, log.time_s - log.time_s[0]
     known = np.isfinite(error_V)
     e = error_V[known]
     one_C = model.capacity_Ah

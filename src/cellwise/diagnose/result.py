@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -12,7 +12,11 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.diagnose.odds import Weighed
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Line, Panel, Plottable, Summarised
+from cellwise.notices import Notice
+from cellwise.plotting import Line, Panel, Plottable, Summarised, Tabular
+
+if TYPE_CHECKING:
+    from cellwise.diagnose.sensor_faults import SensorFault
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +44,8 @@ class LogRun:
     @property
     def gain(self) -> float:
         """1 - after / before of the RMSE, all causes known."""
-        before_V = self.before.metrics.rmse_V
-        return 1.0 - self.explained.metrics.rmse_V / before_V if before_V > 0.0 else 0.0
+        before_V = self.before.rmse_V
+        return 1.0 - self.explained.rmse_V / before_V if before_V > 0.0 else 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
@@ -49,12 +53,12 @@ class LogRun:
             "log": self.log.name,
             "used": self.used,
             "soc0": self.before.soc0,
-            "rmse_before_V": self.before.metrics.rmse_V,
-            "rmse_after_V": self.after.metrics.rmse_V,
+            "rmse_before_V": self.before.rmse_V,
+            "rmse_after_V": self.after.rmse_V,
         }
         for key, one in (("corrected", self.corrected), ("own_start", self.own_start)):
             if one is not None:
-                known |= {f"rmse_{key}_V": one.metrics.rmse_V, f"soc0_{key}": one.soc0}
+                known |= {f"rmse_{key}_V": one.rmse_V, f"soc0_{key}": one.soc0}
         return known
 
 
@@ -115,14 +119,15 @@ class TriedCause:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Diagnosis(Plottable, Summarised):
+class Diagnosis(Plottable, Summarised, Tabular):
     """The causes that were found, in order, and the model extended by them.
 
     ``verdict`` is the first cause, "none", "undetermined" or "unexplained"; ``reasons`` say why the
     search ended; ``limits`` is the smallest change of every parameter that these logs could show,
     ``inseparable`` groups of causes that they do not separate, ``competing`` explanations left;
     ``runs`` are all logs simulated before and after, which every figure is taken from;
-    ``no_soc_gain`` says why there is no ``soc_gain``.
+    ``no_soc_gain`` says why there is no ``soc_gain``; ``faults`` what sensors did
+    wrong.
     """
 
     verdict: str
@@ -144,6 +149,7 @@ class Diagnosis(Plottable, Summarised):
     limits: dict[str, dict[str, float]] = field(default_factory=dict)
     competing: tuple[Weighed, ...] = ()
     inseparable: tuple[tuple[str, ...], ...] = ()
+    faults: tuple[SensorFault, ...] = ()
 
     @property
     def judged(self) -> tuple[LogRun, ...]:
@@ -174,7 +180,7 @@ class Diagnosis(Plottable, Summarised):
         return not (self.worse or self.soc_worse)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What `simulate` says of the logs with the model as it was, beside their reading."""
         every = (n for r in self.runs for n in r.before.notices if n not in r.log.notices)
         return tuple(dict.fromkeys(every))
@@ -205,11 +211,21 @@ class Diagnosis(Plottable, Summarised):
         for run in self.runs:
             hours = (run.log.time_s - run.log.time_s[0]) / 3600.0
             lines = (
-                Line(name, hours, 1e3 * one.error_V)
+                Line(name, hours, 1e3 * one.residual_V)
                 for name, one in (("before", run.before), ("after", run.explained))
             )
             shown.append(Panel(f"{run.log.name or 'log'} [mV]", tuple(lines)))
         return "time [h]", tuple(shown)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """One row for each parameter of each cause; none where no cause was found."""
+        rows = [
+            (c.name, c.probability, name, value, *c.ci95.get(name, (np.nan, np.nan)), c.gain)
+            for c in self.causes
+            for name, value in c.parameters.items()
+        ]
+        heads = ("cause", "probability", "parameter", "value", "ci95_low", "ci95_high", "gain")
+        return {head: [row[k] for row in rows] for k, head in enumerate(heads)}
 
     def facts(self) -> dict[str, str]:
         """The verdict, every cause with its range, the errors before and after, the next test."""
@@ -223,8 +239,8 @@ class Diagnosis(Plottable, Summarised):
             for cause in self.causes
         }
         errors = (
-            f"{run.log.name or 'log'} {1e3 * run.before.metrics.rmse_V:.1f} -> "
-            f"{1e3 * run.explained.metrics.rmse_V:.1f} mV"
+            f"{run.log.name or 'log'} {1e3 * run.before.rmse_V:.1f} -> "
+            f"{1e3 * run.explained.rmse_V:.1f} mV"
             for run in self.runs
         )
         return {

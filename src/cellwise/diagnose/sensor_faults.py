@@ -23,6 +23,7 @@ from cellwise.logs.checks.faults import (
     without,
 )
 from cellwise.logs.gaps import Run, run_edges
+from cellwise.notices import Code, Notice, Place, texts
 
 
 class Failing(NamedTuple):
@@ -71,15 +72,16 @@ class SensorFault:
         """From the first row to the last."""
         return float(self.log.time_s[self.runs[-1].last]) - self.start_s
 
-    def text(self) -> str:
+    def notice(self) -> Notice:
         """For people, who count rows from 1."""
         first, last = self.runs[0].first + 1, self.runs[-1].last + 1
-        where = f"rows {first} to {last}"
+        where, several = f"rows {first} to {last}", ""
         if len(self.runs) > 1:
-            where = f"{self.rows} rows between {first} and {last}"
+            where, several = f"rows between {first} and {last}", f"{self.rows} "
         name = f"{self.log.name}: " if self.log.name else ""
-        how = f"{self.channel} {KINDS[self.kind]}"
-        return f"{name}{how} ({where}, from {self.start_s:.0f} s on)"
+        how = f"{name}{self.channel} {KINDS[self.kind]} ({several}"
+        rows = Place(where, range(first - 1, last))
+        return Notice(Code.SENSOR_FAULT, (how, rows, f", from {self.start_s:.0f} s on)"))
 
 
 def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
@@ -120,22 +122,22 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
 
 
 def without_faults(
-    groups: Sequence[Sequence[CellLog]], starts: Iterable[float | str]
-) -> tuple[list[tuple[CellLog, ...]], list[float | str], tuple[SensorFault, ...]]:
+    groups: Sequence[Sequence[CellLog]], starts: Iterable[float | None]
+) -> tuple[list[tuple[CellLog, ...]], list[float | None], tuple[SensorFault, ...]]:
     """Groups of logs without faults, where each starts, and the faults.
 
     ``starts`` are those of all logs in order; the start of a log whose first rows were cut out is
     not known any more.
     """
     stated = iter(starts)
-    kept: list[float | str] = []
+    kept: list[float | None] = []
     faults: list[SensorFault] = []
     cleaned: list[tuple[CellLog, ...]] = []
     for group in groups:
         left = [clean(log) for log in group]
         for log, (one, found) in zip(group, left, strict=True):
-            start = next(stated, "auto")
-            kept.append(start if one.time_s[0] == log.time_s[0] else "auto")
+            start = next(stated, None)
+            kept.append(start if one.time_s[0] == log.time_s[0] else None)
             faults += found
         cleaned.append(tuple(one for one, _ in left))
     return cleaned, kept, tuple(faults)
@@ -168,16 +170,16 @@ def with_faults(
     one = FoundCause(
         SENSOR_FAULT.name, SENSOR_FAULT.kind, SENSOR_FAULT.meaning, values,
         {name: (value, value) for name, value in values.items()}, before_V, after_V, before_V,
-        after_V, gain, (gain, gain), tuple(f.text() for f in faults), SENSOR_FAULT.confused_with,
-        1.0,
+        after_V, gain, (gain, gain), tuple(texts(f.notice() for f in faults)),
+        SENSOR_FAULT.confused_with, 1.0,
     )  # fmt: skip
-    return replace(said, verdict=one.name, causes=(one, *said.causes))
+    return replace(said, verdict=one.name, causes=(one, *said.causes), faults=tuple(faults))
 
 
 def _rmse_V(model: CellModel, log: CellLog) -> float:
     """Of the model on a log from the start that it finds itself [V]."""
     start = initial_soc(model, log, whole_log=True)
-    return float(simulate(model, log, start.soc).metrics.rmse_V)
+    return float(simulate(model, log, start.soc).rmse_V)
 
 
 def _faults(log: CellLog) -> tuple[SensorFault, ...]:

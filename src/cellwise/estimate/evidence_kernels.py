@@ -7,9 +7,24 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.point_kernels import CellPoint, CellScalars
+from cellwise.estimate.equations.constants import (
+    CONTRADICTED_S,
+    COUNT_ROUNDING,
+    REST_RATE,
+)
+from cellwise.estimate.equations.evidence import (
+    Shared,
+    contradicted_step,
+    error_variance,
+    inverse_weight,
+    lately_shown,
+    persistent_V,
+    shared_evidence,
+    stated_variance,
+    voltage_variance,
+)
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
-    REST_RATE,
     Sample,
     Watch,
     watch_on,
@@ -22,17 +37,24 @@ from cellwise.estimate.status import (
     VOLTAGE_INVALID,
 )
 
-CONTRADICTED_S = 600.0  # a change of load is over, a drift of the counted charge has hardly begun
+
+@inline
+def share_variance(noise: NoiseScalars, current_A: float) -> float:
+    """By what share the resistances may be wrong under a current, squared."""
+    share = noise.branch_share if current_A >= 0.0 else noise.charge_share
+    return share * share
 
 
 @inline
-def share_at(noise: NoiseScalars, current_A: float) -> float:
-    """By what share the resistances may be wrong under a current: charged or discharged."""
-    return noise.branch_share if current_A >= 0.0 else noise.charge_share
+def slow_variance(noise: NoiseScalars, fixed_V2: float, point: CellPoint) -> float:
+    """Of one voltage, by what is fixed and the model's error at this SOC [V^2]."""
+    slow = noise.error_scale * point.error_V
+    ocv_soc2 = noise.ocv_soc * noise.ocv_soc
+    return error_variance(fixed_V2, slow, ocv_soc2, point.ocv_slope_V)
 
 
 @inline
-def voltage_variance(
+def variance_about(
     noise: NoiseScalars,
     point: CellPoint,
     r0_ohm: float,
@@ -40,80 +62,47 @@ def voltage_variance(
     lost_A: float,
     branches_V: float,
 ) -> float:
-    """Variance of one measured voltage about a perfect state [V^2].
-
-    Sensor, the model's slow error at this SOC, a SOC scale that is off by ``ocv_soc`` (it matters
-    where the OCV is steep), resistances that are off by a share: of the ohmic drop and
-    of what the branches hold; and a current that nobody measured.
-    """
-    scale = noise.ocv_soc * point.ocv_slope_V
-    drop = share_at(noise, seen_A) * (abs(r0_ohm * seen_A) + branches_V)
-    jitter = noise.current_A * r0_ohm
-    slow = noise.error_scale * point.error_V
-    fixed = noise.voltage_V * noise.voltage_V + slow * slow
-    one = fixed + (scale * scale + (drop * drop + jitter * jitter))
-    return one + lost_A * lost_A * r0_ohm * r0_ohm
+    """Variance of one measured voltage about a perfect state [V^2]."""
+    error_V2 = slow_variance(noise, noise.voltage_V * noise.voltage_V, point)
+    held_V = abs(r0_ohm * seen_A) + branches_V
+    current_A2 = noise.current_A * noise.current_A + lost_A * lost_A
+    return voltage_variance(error_V2, share_variance(noise, seen_A), held_V, current_A2, r0_ohm)
 
 
 @inline
-def repeated_evidence(
-    noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool
-) -> tuple[float, float]:
-    """How many samples share one model error, as a fraction, ``evidence_s`` after the first one.
-
-    An error of memory tau counts once in 2 tau (its spectral density at rest). It is a sum of
-    processes with memories of a second to half an hour: the quick ones average out first, so the
-    rest of a mean has an ever longer memory. A repeated stamp repeats the error: over zero.
-    """
-    if noise.slow_s <= 0.0 or (evidence_s < 0.0 and resting):
-        return 1.0, 1.0  # the first voltage at rest is evidence by itself
-    after_s = max(evidence_s, 0.0)
-    below = (after_s + noise.half_s) * dt_s
-    return max(2.0 * noise.slow_s * (after_s + noise.early_s), below), below
+def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> Shared:
+    """How many samples share one model error ``evidence_s`` after the first one."""
+    shared_s = max(2.0 * noise.slow_s, dt_s)
+    early_s2 = max(shared_s * noise.early_s, noise.half_s * dt_s)
+    alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and resting)
+    since_s, period_s = max(evidence_s, 0.0), dt_s
+    if alone:  # the first row of a log has no interval
+        period_s = 1.0
+    return shared_evidence(shared_s, early_s2, noise.half_s, since_s, period_s, alone)
 
 
 @inline
 def mismatch_step(
     noise: NoiseScalars, mismatch: float, square: float, variance: float, dt_s: float
 ) -> float:
-    """Running mean over ``slow_s`` of the squared innovation over its variance, times that.
+    """The mismatch after an innovation, times its variance.
 
-    A model of another temperature, age or cell is wrong all the time: evidence weighs less by what
-    the innovations have lately shown beyond their variance. The division by it is left to the
-    caller, who does not wait for it.
+    The division by it is left to the caller, who does not wait for it.
     """
     if noise.mismatch_cap <= 0.0 or noise.slow_s <= 0.0:
         return mismatch * variance
     lately = min(dt_s * noise.per_slow_s, 1.0)
-    most = noise.mismatch_cap * variance
-    return (1.0 - lately) * (mismatch * variance) + lately * min(square, most)
+    return lately_shown(mismatch * variance, square, noise.mismatch_cap * variance, lately)
 
 
 @inline
-def persistent_V(noise: NoiseScalars, point: CellPoint, mismatch: float) -> float:
-    """Persistent model error, one deviation [V]: at this SOC, and along its axis."""
-    slow = noise.error_scale * point.error_V
-    scale = noise.ocv_soc * point.ocv_slope_V
-    return noise.persistent * math.sqrt((slow * slow + scale * scale) * max(mismatch, 1.0))
+def lasting_V(noise: NoiseScalars, point: CellPoint, mismatch: float) -> float:
+    """Persistent model error, one deviation [V]."""
+    return persistent_V(noise.persistent, slow_variance(noise, 0.0, point), mismatch)
 
 
 @inline
-def persistent_step(gain: float, slope_V: float, persistent: float, error_V: float) -> float:
-    """SOC error brought in by a persistent model error, after an update with a gain of the SOC.
-
-    No further voltage averages such an error out: with every voltage the SOC goes where the
-    error leads, error over slope in the end. Beside P, which takes each memory of the error for
-    new, it makes up the stated variance (consider covariance; Schmidt 1966, p. 293).
-
-    Where the SOC hangs on a branch its gain can be negative, and what the branch takes of the error
-    holds the two back; it is not followed here, so nothing is amplified.
-    """
-    kept = min(max(1.0 - gain * slope_V, 0.0), 1.0)
-    return kept * persistent + gain * error_V
-
-
-@inline
-def contradicted_step(
+def contradicted_after(
     noise: NoiseScalars,
     contradicted: float,
     innovation_V: float,
@@ -122,33 +111,18 @@ def contradicted_step(
     since_s: float,
     dt_s: float,
 ) -> float:
-    """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
-
-    A known start and a small P leave a voltage little weight, and rightly so while the current is
-    right: what innovations show is the model's error then. They show the same where the counted
-    charge drifts. Were the current off by ``offset_share``, the count would be off by q after
-    ``since_s``, and of an innovation q^2 slope^2 of q^2 slope^2 + ``one`` would be the count's.
-    """
+    """SOC that the voltages say is missing, were the current off by ``offset_share``."""
     drift = noise.offset_soc_per_s * max(since_s, 0.0)
-    swing = drift * drift * slope_V
-    missing = swing * innovation_V / (swing * slope_V + one)
-    return contradicted + min(dt_s * (1.0 / CONTRADICTED_S), 1.0) * (missing - contradicted)
+    lately = min(dt_s * (1.0 / CONTRADICTED_S), 1.0)
+    return contradicted_step(contradicted, innovation_V, slope_V, one, drift, lately)
 
 
 @inline
 def stated_deviation(
     soc_variance: float, mismatch: float, persistent: float, contradicted: float
 ) -> float:
-    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict.
-
-    P trusted the errors as stated. Where innovations show ``mismatch`` times as much, so much more
-    may be wrong with the SOC (Birge 1932, doi:10.1103/PhysRev.40.207).
-    """
-    beside = persistent * persistent + contradicted * contradicted
-    return math.sqrt(soc_variance * max(mismatch, 1.0) + beside)
-
-
-COUNT_ROUNDING = 1e-6  # a sum of thousands of small counts reaches a whole number
+    """Standard deviation of the SOC: P's, a persistent error's, and what voltages contradict."""
+    return math.sqrt(stated_variance(soc_variance, mismatch, persistent, contradicted))
 
 
 class Innovation(NamedTuple):
@@ -233,10 +207,10 @@ def gate(
         else:
             accepted = True
             rejections = 0.0
-            # 1 / (state_variance + one max(mismatch, 1) above / below), with one division.
-            above, below = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-            below *= own
-            inverse = below / (i.state_variance * below + i.one * max(off, own) * above)
+            # Both times the innovation's variance: of the mismatch without its division.
+            shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
+            weight = i.one * max(off, own) * shared.above
+            inverse = inverse_weight(i.state_variance, weight, own * shared.below)
             evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s

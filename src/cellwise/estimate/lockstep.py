@@ -33,6 +33,7 @@ from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
+from cellwise.estimate.equations.constants import WIDE_VARIANCE
 from cellwise.estimate.evidence_kernels import gate
 from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread, state_in
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
@@ -57,7 +58,7 @@ from cellwise.estimate.filters.step_kernels import innovate, say
 from cellwise.estimate.filters.update_kernels import Predicted, update
 from cellwise.estimate.noise import Noise, NoiseScalars
 from cellwise.estimate.sensing_kernels import Reading, Sample, read_sample
-from cellwise.estimate.slopes_kernels import WIDE_VARIANCE, tangent
+from cellwise.estimate.slopes_kernels import tangent
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 LANES = 16  # fewer than sixteen turns are not worth a vector to the compiler

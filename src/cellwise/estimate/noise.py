@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.arguments import check_kind
-from cellwise.cell.model import CellModel
+from cellwise.arguments import check_kind, number
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.plausibility.validity_kernels import (
     EVERYWHERE,
@@ -16,9 +16,9 @@ from cellwise.cell.plausibility.validity_kernels import (
     validity_scalars,
 )
 from cellwise.errors import InputError
+from cellwise.estimate.equations.constants import IMPOSSIBLE_RATE
 
-# Beyond these a reading is the sensor's fault.
-IMPOSSIBLE_RATE = 200.0
+# Beyond these a voltage is the sensor's fault.
 IMPOSSIBLE_SHARE = 0.5
 IMPOSSIBLE_RISE_V = 0.75
 WANDERS = 1.0 / 3.0  # of the drift of the counted charge, what no constant offset explains
@@ -54,6 +54,9 @@ class NoiseScalars(NamedTuple):
     per_gate2: float
     offset_soc_per_s: float
     valid: ValidityScalars  # beyond it the model's error grows
+
+
+AT_LEAST_ZERO = "a number of at least 0"
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,9 @@ class Noise:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not np.isfinite(value) or (value < 0 and name != "voltage_low_V"):
-                raise InputError(f"noise {name} = {value}", "a number of at least 0", "Correct it.")
+            size = number(f"noise {name}", value, AT_LEAST_ZERO)
+            if not np.isfinite(size) or (size < 0 and name != "voltage_low_V"):
+                raise InputError(f"noise {name} = {value}", AT_LEAST_ZERO, "Correct it.")
         if self.lasting_share > 1:
             raise InputError(
                 f"noise lasting_share = {self.lasting_share}", "a share of at most 1", "Correct it."
@@ -134,6 +138,7 @@ class Noise:
     @classmethod
     def of_model(cls, model: CellModel) -> Noise:
         """Noise taken from the model's own validation error and the cell's size."""
+        check_is_model(model)
         low = np.inf if model.voltage_min_V is None else model.voltage_min_V
         high = -np.inf if model.voltage_max_V is None else model.voltage_max_V
         memory = memory_of(model.error)

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
+    ORDER,
     assumed_temperature_notices,
-    far_off_notices,
-    far_off_text,
+    far_off,
     in_order,
     outside_notices,
     prediction_notices,
@@ -23,25 +24,23 @@ from cellwise.cell.plausibility.notice import (
     times_stated,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
-from cellwise.cell.simulate import simulate
+from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.errors import InputError
 from cellwise.estimate.adaptive import AdaptiveTrace
-from cellwise.estimate.estimators import Estimator, make_estimator
+from cellwise.estimate.estimators import Estimator, OnlineFilter, estimator_of
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
-from cellwise.estimate.trace import Trace, nis_by_scale
+from cellwise.estimate.sensor import Sensor, assumed, seen_by
+from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
 from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 CONVERGED_SOC = 0.02
 SUSTAINED_S = 600.0
-TRACE_COLUMNS = (
-    *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
-    *("test_ratio", "status"),
-)
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,8 @@ class Replay(Plottable, Tabular):
 
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
     never uses the current that the filter sees, nor the model's capacity. ``validity`` is the
-    model's; ``power`` the state of power of every row where it was asked for.
+    model's; ``power`` the state of power of every row where it was asked for; ``sensor`` what was
+    stated of the sensors, in ``model`` as well.
     """
 
     log: CellLog
@@ -71,43 +71,64 @@ class Replay(Plottable, Tabular):
     validity: Validity = UNKNOWN
     power: PowerTrace | None = None
     model: CellModel | None = None
+    sensor: Sensor | None = None
 
     @property
-    def soc_error(self) -> FloatArray | None:
-        """Estimated minus reference SOC, shape (rows,)."""
+    def time_s(self) -> FloatArray:
+        """The log's, shape (rows,)."""
+        return self.log.time_s
+
+    @property
+    def soc(self) -> FloatArray:
+        """Estimated SOC, shape (rows,)."""
+        return self.trace.soc
+
+    @property
+    def soc_std(self) -> FloatArray:
+        """Its standard deviation, shape (rows,)."""
+        return self.trace.soc_std
+
+    @property
+    def error(self) -> FloatArray | None:
+        """Estimated less reference SOC, shape (rows,); None: nobody knows the true one."""
         return None if self.reference_soc is None else self.trace.soc - self.reference_soc
+
+    @property
+    def rmse(self) -> float | None:
+        """RMS of the error over all rows, a fraction of SOC; None: nobody knows the true one."""
+        return None if self.errors is None else self.errors.rmse
 
     @property
     def errors(self) -> SocErrors | None:
         """Over all rows."""
-        return None if self.soc_error is None else soc_errors(self.soc_error)
+        return None if self.error is None else soc_errors(self.error)
 
     @property
     def convergence_s(self) -> float | None:
         """Time from which the error stays within 2 points of SOC for ten minutes or to the end."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        row = converged_row(self.log.time_s, self.soc_error)
+        row = converged_row(self.log.time_s, self.error)
         return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
 
     @property
     def settled(self) -> SocErrors | None:
         """After convergence; over the log's second half when it never converged."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        row = converged_row(self.log.time_s, self.soc_error)
+        row = converged_row(self.log.time_s, self.error)
         if row is None:
             middle = self.log.time_s[0] + self.log.duration_s / 2
             row = int(np.searchsorted(self.log.time_s, middle))
-        return soc_errors(self.soc_error[row:])
+        return soc_errors(self.error[row:])
 
     @property
     def coverage_2sigma(self) -> float | None:
         """Share of rows whose SOC error lies within two of the filter's standard deviations."""
-        if self.soc_error is None:
+        if self.error is None:
             return None
-        known = np.isfinite(self.soc_error)
-        within = np.abs(self.soc_error) <= 2.0 * self.trace.soc_std
+        known = np.isfinite(self.error)
+        within = np.abs(self.error) <= 2.0 * self.trace.soc_std
         return float(np.mean(within[known])) if known.any() else None
 
     @property
@@ -135,14 +156,14 @@ class Replay(Plottable, Tabular):
         return self.model, self.log, np.asarray(self.trace.innovation_V), self.trace.soc
 
     @cached_property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """That the voltages are many times as far off as the model states; None: they are not.
 
         A filter moves the SOC to where another cell is followed best: where half of the rows stay
         beyond what the model states even so, the log simulated by itself says it.
         """
         model, log, innovation_V, soc = self._seen
-        found = far_off_text(model, log, innovation_V, soc)
+        found = far_off(model, log, innovation_V, soc)
         if model is None or found is not None:
             return found
         if times_stated(model, log, innovation_V, soc)[0] <= 1.0:
@@ -150,9 +171,9 @@ class Replay(Plottable, Tabular):
         return simulate(model, log, initial_soc(model, log, whole_log=True).soc).far_off
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = far_off_notices(self.far_off)
+        found = [] if self.far_off is None else [self.far_off]
         found += outside_notices(self.validity, self.log, self.trace.soc)
         found += soc_notices(self.log, self.trace.soc)
         if self.model is not None:
@@ -161,8 +182,41 @@ class Replay(Plottable, Tabular):
         trace = self.trace
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
             found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
+            found += self._remarks()
         limits = () if self.power is None else self.power.known.notices
         return (*in_order(found, self.log.notices), *limits)
+
+    def _remarks(self) -> list[Notice]:
+        """A voltage that stays off for long, a SOC that steps: what a figure at the end hides."""
+        model, log, trace = self.model, self.log, self.trace
+        if model is None:
+            return []
+        found, since_s = [], log.time_s - log.time_s[0]
+        span = long_innovation(model, log, trace)
+        if span is not None:
+            side = "below" if span.mean_V < 0.0 else "above"
+            text = (
+                f"the voltage stays {1e3 * abs(span.mean_V):.0f} mV {side} what is predicted for "
+                f"{(since_s[span.last] - since_s[span.first]) / 60.0:.0f} min, from "
+                f"{since_s[span.first] / 60.0:.0f} min on: {span.times:.1f} times what the model "
+                "states of its error, so that the SOC's band is too narrow"
+            )
+            stated = self.start.how in ("given", "stated")
+            if stated and since_s[span.first] <= MINUTE_S:
+                text += f"; the stated start ({self.start.soc:.3f}) may be wrong: leave it out"
+            rows, size_V = range(span.first, span.last + 1), abs(span.mean_V)
+            found.append(Notice(Code.LONG_INNOVATION, text, rows=rows, size_V=size_V))
+        row = soc_step(model, log, trace)
+        if row is not None:
+            before, after = (100.0 * float(trace.soc[k]) for k in (row - 1, row))
+            text = (
+                f"the SOC steps from {before:.1f} to {after:.1f} % in one sample after "
+                f"{since_s[row] / 60.0:.0f} min: from there on another start explains the voltages "
+                "better, and what was said before was wrong by about as much"
+            )
+            steps = range(row, row + 1)
+            found.append(Notice(Code.SOC_STEP, text, rows=steps, size_V=ORDER.assumed))
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
@@ -184,6 +238,8 @@ class Replay(Plottable, Tabular):
             "voltage_rmse_V": rmse_V if math.isfinite(rmse_V) else None,
             "ns_per_step": self.ns_per_step,
         }
+        if self.model is not None:
+            found["sensor"] = assumed(self.sensor, self.model.capacity_Ah)
         if isinstance(self.trace, AdaptiveTrace):
             found["parameters"] = self.trace.parameters().to_dict()
         if self.power is not None:
@@ -192,7 +248,7 @@ class Replay(Plottable, Tabular):
 
     def columns(self) -> dict[str, Any]:
         """What the estimator said of every row, and the reference where there is one."""
-        found = {name: getattr(self.trace, name) for name in TRACE_COLUMNS}
+        found = Trace.columns(self.trace)
         if self.reference_soc is not None:
             found["reference_soc"] = self.reference_soc
         return found | ({} if self.power is None else self.power.columns())
@@ -203,9 +259,9 @@ class Replay(Plottable, Tabular):
         trace = self.trace
         soc = [Line(self.estimator, hours, trace.soc, 2.0 * trace.soc_std)]
         panels = []
-        if self.reference_soc is not None and self.soc_error is not None:
+        if self.reference_soc is not None and self.error is not None:
             soc.append(Line("reference", hours, self.reference_soc))
-            panels.append(Panel("SOC error [%]", (Line("error", hours, 100 * self.soc_error),)))
+            panels.append(Panel("SOC error [%]", (Line("error", hours, 100 * self.error),)))
         innovation = Line("innovation", hours, 1e3 * trace.innovation_V)
         panels.append(Panel("innovation [mV]", (innovation,)))
         return "time [h]", (Panel("SOC", tuple(soc)), *panels)
@@ -265,11 +321,12 @@ def reference_soc(log: CellLog, soc0: float, capacity_Ah: float) -> FloatArray |
 def replay(
     model: CellModel,
     log: CellLog,
-    estimator: str | Estimator = "ekf",
-    *,
+    estimator: str | Estimator | OnlineFilter = "ekf",
     soc0: float | None = None,
+    *,
     soc0_std: float | None = None,
     noise: Noise | None = None,
+    sensor: Sensor | None = None,
     reference_soc0: float | None = None,
     reference_capacity_Ah: float | None = None,
     power: bool | PowerSettings = False,
@@ -278,10 +335,13 @@ def replay(
 
     Parameters
     ----------
-    estimator : str or Estimator      a name of ``ESTIMATORS`` or anything with its ``run``
+    estimator : str, filter or OnlineFilter      a name of ``ESTIMATORS`` in any case, a filter of
+                                      cellwise, or one's own: an object with ``start`` and ``step``
     soc0 : float or None              initial SOC; None: from a rest or a fit at the log's start
     soc0_std : float or None          its standard deviation; None: 0.15 for a given start, else
                                       what the search for it says
+    noise : Noise or None             None: from the model's own validation error, and the sensors
+    sensor : Sensor or None           what the sensors are off by; None: as a car's
     reference_soc0 : float or None    true SOC at the first row; None: as the whole log shows it,
                                       which no estimator sees
     reference_capacity_Ah : float or None   charge between SOC 1 and 0 for the reference; None: no
@@ -295,12 +355,23 @@ def replay(
 
     Raises
     ------
-    InputError        the power is asked for, and no limit is known (see `power_limits`)
+    InputError        what is of another type; an estimator that there is not; the power is asked
+                      for, and no limit is known (see `power_limits`); a sensor for an estimator
+                      that is made already
     """
     check_is_model(model)
     check_is_log(log)
+    if sensor is not None:
+        if not isinstance(estimator, str):
+            raise InputError(
+                f"a sensor for {type(estimator).__name__}, which is made already",
+                "an estimator by its name",
+                "Name it, or make it of `seen_by(model, sensor)`.",
+            )
+        model, of_sensor = seen_by(model, sensor)
+        noise = of_sensor if noise is None else noise
     asked = power_settings(model, noise=noise) if power is True else power
-    filter_ = make_estimator(estimator, model, noise) if isinstance(estimator, str) else estimator
+    filter_ = estimator_of(estimator, model, noise)
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:
         start = InitialSoc(start.soc, soc0_std, start.how)
@@ -315,9 +386,15 @@ def replay(
         true0 = reference_soc0
         if true0 is None:
             true0 = initial_soc(model, log, whole_log=True).soc
-        reference = reference_soc(log, true0, reference_capacity_Ah)
+        true0 = check_soc0(true0)
+        capacity = number("reference_capacity_Ah", reference_capacity_Ah, "a number above zero")
+        reference = reference_soc(log, true0, capacity)
     limits = power_along(asked, log, trace) if asked else None
-    return Replay(log, filter_.name, start, trace, ns, reference, model.validity, limits, model)
+    # fmt: off
+    return Replay(
+        log, filter_.name, start, trace, ns, reference, model.validity, limits, model, sensor
+    )
+    # fmt: on
 
 
 def expected_std(model: CellModel, replayed: Replay, estimator: Estimator) -> FloatArray:

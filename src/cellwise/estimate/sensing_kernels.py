@@ -10,6 +10,14 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables, needs_temperature, seen_current
+from cellwise.estimate.equations.constants import (
+    COLDEST_C,
+    DITHER_V,
+    FROZEN_READINGS,
+    HOTTEST_C,
+    LOST_RATE,
+)
+from cellwise.estimate.equations.sensors import is_dead, is_frozen, swings_after
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.status import (
     CURRENT_INVALID,
@@ -22,15 +30,8 @@ from cellwise.estimate.status import (
     VOLTAGE_LOST,
 )
 
-NOT_BEGUN = -2.0  # evidence_s before the first sample
-NO_VOLTAGE_YET = -1.0  # evidence_s until the first voltage
-COLDEST_C = -60.0
-HOTTEST_C = 120.0
-FROZEN_READINGS = 3.0
-DITHER_V = 0.0025  # a reading that moves by less repeats itself
-DEAD_SWINGS = 8.0  # of the voltage, up and down, under a current that repeats itself bit by bit
-REST_RATE = 0.01  # below C/100 a cell counts as resting
-LOST_RATE = 0.5  # a current that nobody measures is taken to be of this size
+NOT_BEGUN_S = -2.0  # evidence_s before the first sample
+NO_VOLTAGE_YET_S = -1.0  # evidence_s until the first voltage
 
 
 class Watch(NamedTuple):
@@ -93,7 +94,7 @@ class Sample(NamedTuple):
 @inline
 def first_watch(current_A: float) -> Watch:
     """Nothing seen yet but a current to hold."""
-    return Watch(current_A, math.nan, NOT_BEGUN, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0)
+    return Watch(current_A, math.nan, NOT_BEGUN_S, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0)
 
 
 @inline
@@ -106,7 +107,7 @@ def read_sample(
     held = watch.current_A if math.isfinite(watch.current_A) else 0.0
     current = reading.current_A
     no_current = 0.0
-    dead = current == watch.current_A and abs(watch.swings) >= DEAD_SWINGS
+    dead = current == watch.current_A and is_dead(watch.swings)
     if dead or not abs(current) <= noise.current_limit_A:  # catches what is no number, too
         status |= CURRENT_INVALID
         if math.isfinite(current) and not dead:
@@ -156,29 +157,10 @@ def read_sample(
 
 
 @inline
-def unseen_soc(noise: NoiseScalars, charge_As: float, gap_A2: float, dt_s: float) -> float:
-    """SOC that may have flowed unseen over a gap, one deviation.
-
-    At most ``gap_soc``, and no more than half a rate, or the currents on either side, can move in
-    its time.
-    """
-    rate_A = max(LOST_RATE * charge_As / 3600.0, math.sqrt(gap_A2))
-    return min(noise.gap_soc, rate_A * dt_s / charge_As)
-
-
-@inline
 def watch_current(noise: NoiseScalars, watch: Watch, s: Sample) -> float:
-    """How often the voltage has gone up and down under a current that repeats itself bit by bit.
-
-    A constant current moves a voltage one way. Where it goes both ways by as much as would call a
-    voltage frozen, nobody measures the current.
-    """
-    if s.current_A != watch.current_A:
-        return 0.0
-    moved = s.voltage_V - watch.voltage_V
-    if abs(moved) > noise.frozen_V and not watch.swings * moved > 0.0:
-        return math.copysign(abs(watch.swings) + 1.0, moved)
-    return watch.swings
+    """How often the voltage has gone up and down under a current that repeats itself bit by bit."""
+    after = swings_after(watch.swings, s.voltage_V - watch.voltage_V, noise.frozen_V)
+    return after if s.current_A == watch.current_A else 0.0
 
 
 @inline
@@ -187,10 +169,7 @@ def watch_voltage(
 ) -> tuple[float, float, float, float, int]:
     """Is the voltage frozen? Last reading, its current, its repeats, swings, status bits.
 
-    A reading that repeats itself, but for its last digits, is frozen once R0 times the change of
-    current says that it must have moved, and the prediction is off by half of that: a held voltage
-    (the end of a charge) repeats itself, too, but the model expects it there. It stays frozen until
-    it changes.
+    It stays frozen until it changes.
     """
     swings = watch_current(noise, watch, s)
     if not math.isfinite(s.voltage_V):
@@ -198,10 +177,8 @@ def watch_voltage(
     if not abs(s.voltage_V - watch.voltage_V) <= DITHER_V:
         return s.voltage_V, s.seen_A, 0.0, swings, 0
     repeats = watch.repeats + 1.0
-    moved = abs(r0_ohm * (s.seen_A - watch.frozen_A))
-    if repeats >= FROZEN_READINGS and (
-        math.isinf(repeats) or (moved > noise.frozen_V and abs(innovation_V) > 0.5 * moved)
-    ):
+    frozen = is_frozen(s.seen_A - watch.frozen_A, r0_ohm, innovation_V, noise.frozen_V)
+    if repeats >= FROZEN_READINGS and (math.isinf(repeats) or frozen):
         return watch.voltage_V, watch.frozen_A, math.inf, swings, VOLTAGE_FROZEN
     return watch.voltage_V, watch.frozen_A, repeats, swings, 0
 

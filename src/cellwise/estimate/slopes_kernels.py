@@ -10,10 +10,9 @@ from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import CellTables, loaded
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.equations.constants import SHORTEST_CHORD, WIDE_VARIANCE
+from cellwise.estimate.equations.evidence import chord_of
 from cellwise.estimate.filters.covariance_kernels import Branches, no_branches
-
-WIDE_VARIANCE = 4e-4  # beyond 2 points of SOC the tangent is no guide
-SHORTEST_CHORD = 1e-6
 
 
 class Slopes(NamedTuple):
@@ -48,12 +47,7 @@ def slopes_at(
 ) -> Slopes:
     """Tangents while SOC is known to WIDE_VARIANCE; beyond, chords over a deviation either side.
 
-    A far-off start must not be corrected with the slope of the spot where it happens to stand, nor
-    be thought of as right afterwards when the OCV is no straight line: the bend is the distance
-    from the OCV here to the chord.
-
-    A SOC that is far off brings the resistances of another SOC with it: R0's slope joins the
-    OCV's, those of the branches drive the branch voltages.
+    Those of the branches' resistances drive the branch voltages.
     """
     if soc_variance <= WIDE_VARIANCE:
         return tangent(point.ocv_slope_V, 0.0)
@@ -65,10 +59,14 @@ def slopes_at(
     a: ByState = loaded(tables, low, temperature_C, current_A, slow_A)
     b: ByState = loaded(tables, high, temperature_C, current_A, slow_A)
     per = 1.0 / (high - low)
-    ocv = (b.ocv_V - a.ocv_V) * per
+    # fmt: off
+    chord = chord_of(
+        a.ocv_V, a.r0_ohm, b.ocv_V, b.r0_ohm, per, current_A, soc - low, point.ocv_V
+    )
+    # fmt: on
     return Slopes(
-        ocv - (b.r0_ohm - a.r0_ohm) * per * current_A,
-        a.ocv_V + ocv * (soc - low) - point.ocv_V,
+        chord.slope_V,
+        chord.bend_V,
         spread,
         Branches(*((b.r[i] - a.r[i]) * per for i in BRANCHES)),
     )

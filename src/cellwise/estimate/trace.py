@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
+from cellwise.cell.plausibility.notice import stated_error_V
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.gaps import runs_of
+from cellwise.plotting import Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 UNUSED = INNOVATION_REJECTED | VOLTAGE_INVALID | VOLTAGE_FROZEN  # voltages that did not count
 LEAST_ROWS = 20
+MINUTE_S = 60.0
+LONG_S = 600.0  # as long as an error must stay small to have converged
+BEYOND = 3.0  # deviations, as where a log is far off its model
+STEP_SOC = 0.02  # two points, within which an error has converged
+TRACE_COLUMNS = (
+    *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
+    *("test_ratio", "status"),
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trace:
+class Trace(Tabular):
     """Every array has shape (rows,).
 
     ``voltage_V`` is the voltage predicted before the row's own voltage was used; ``innovation_V``
@@ -38,6 +50,10 @@ class Trace:
 
     def __len__(self) -> int:
         return self.time_s.size
+
+    def columns(self) -> dict[str, Any]:
+        """The arrays, which every estimator has."""
+        return {name: getattr(self, name) for name in TRACE_COLUMNS}
 
     @property
     def used(self) -> BoolArray:
@@ -66,6 +82,60 @@ class Trace:
     def __repr__(self) -> str:
         soc, band = self.soc[-1], 2.0 * self.soc_std[-1]
         return f"Trace({len(self)} rows, final SOC {soc:.4f} +- {band:.4f})"
+
+
+class Span(NamedTuple):
+    """Rows ``first`` to ``last`` (included) whose mean innovation is ``mean_V`` [V].
+
+    ``times`` is its median size over the deviation that the model states there.
+    """
+
+    first: int
+    last: int
+    mean_V: float
+    times: float
+
+
+def long_innovation(model: CellModel, log: CellLog, trace: Trace) -> Span | None:
+    """The longest time for which the voltage stays on one side, beyond what the model states.
+
+    Innovations are averaged over a minute, and compared with three deviations of all that the model
+    states of its error: of a model that is right, three minutes of a thousand are beyond. None
+    where no such time lasts ten minutes, or half of a shorter log.
+    """
+    rows = np.flatnonzero(trace.used)
+    if rows.size < LEAST_ROWS:
+        return None
+    time_s, innovation_V = log.time_s[rows], np.asarray(trace.innovation_V, np.float64)[rows]
+    stated_V = stated_error_V(model, log, trace.soc, trace.voltage_V)[rows]
+    area = np.concatenate(([0.0], np.cumsum(innovation_V)))
+    first = np.searchsorted(time_s, time_s - MINUTE_S)
+    mean_V = (area[1:] - area[first]) / (np.arange(rows.size) + 1 - first)
+    ratio = mean_V / np.maximum(stated_V, 1e-6)
+    least_s = min(LONG_S, 0.5 * log.duration_s)
+    found = None
+    for side in (1.0, -1.0):
+        for a, b in runs_of(side * ratio > BEYOND):
+            lasts_s = time_s[b] - time_s[a]
+            if lasts_s >= least_s and lasts_s > 0.0:
+                least_s = lasts_s
+                middle, size = np.mean(innovation_V[a : b + 1]), np.median(np.abs(ratio[a : b + 1]))
+                found = Span(int(rows[a]), int(rows[b]), float(middle), float(size))
+    return found
+
+
+def soc_step(model: CellModel, log: CellLog, trace: Trace) -> int | None:
+    """The row at which the SOC moves most in one sample beside the charge that flowed.
+
+    None where no move is beyond two points: a filter moves the SOC bit by bit, and that far only
+    where another hypothesis of the start or the sensor takes over. Not of the first minute, in
+    which every start settles, nor after a gap, over which nobody knows what flowed.
+    """
+    flowed = log.known_current_A() * log.interval_s / (3600.0 * model.capacity_Ah)
+    moved = np.diff(np.asarray(trace.soc, np.float64), prepend=trace.soc[0]) + flowed
+    moved[(log.time_s - log.time_s[0] <= MINUTE_S) | log.gap_rows] = 0.0
+    row = int(np.argmax(np.abs(np.nan_to_num(moved))))
+    return row if abs(moved[row]) > STEP_SOC else None
 
 
 def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, ...] | None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
 from cellwise.fit.start import initial_soc
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.plotting import Tabular
 from cellwise.typing import FloatArray
 
 # How far a figure may leave its prior, as a factor of one standard deviation: the sensors' are
@@ -30,7 +32,7 @@ LARGEST_SQUARE = 25.0  # a rejected voltage counts as one at the gate
 
 
 @dataclass(frozen=True)
-class NoiseTuning:
+class NoiseTuning(Tabular):
     """Tuned noise, and the mean NIS of every log before and after.
 
     ``log_likelihood`` is of independent innovations, prior included, before and after.
@@ -51,6 +53,11 @@ class NoiseTuning:
             for name in (*SENSORS, *MODEL)
         }
 
+    def columns(self) -> dict[str, list[Any]]:
+        """One row for each tuned figure of :class:`Noise`, before and after."""
+        before, after = zip(*self.changed.values(), strict=True)
+        return {"figure": list(self.changed), "before": list(before), "after": list(after)}
+
     def __repr__(self) -> str:
         given = ", ".join(f"{k} {a:.3g} -> {b:.3g}" for k, (a, b) in self.changed.items())
         return (
@@ -61,10 +68,10 @@ class NoiseTuning:
 
 def tune_noise(
     model: CellModel,
-    logs: Sequence[CellLog],
+    logs: CellLog | Sequence[CellLog],
+    soc0: float | Sequence[float | None] | None = None,
     *,
     sensors: Noise | None = None,
-    soc0: Sequence[float | None] | None = None,
 ) -> NoiseTuning:
     r"""Noise under which the innovations of some logs are likeliest.
 
@@ -78,17 +85,25 @@ def tune_noise(
     Parameters
     ----------
     model : CellModel
-    logs : sequence of CellLog     of the cell in use; never those on which it is judged afterwards
+    logs : CellLog or several      of the cell in use; never those on which it is judged afterwards
+    soc0 : float, several or None  initial SOC of every log, None where it has to be found
     sensors : Noise or None        where to start, with the sensors' data; None: from the model
-    soc0 : sequence or None        initial SOC of every log, None where it has to be found
 
     Raises
     ------
     InputError        no log; as many starts as logs are needed; a log without a usable voltage
     """
+    check_is_model(model)
+    logs = (logs,) if isinstance(logs, CellLog) else logs
     if not logs:
         raise InputError("no log to tune with", "at least one", "Give a log of the cell in use.")
-    given = [None] * len(logs) if soc0 is None else list(soc0)
+    for log in logs:
+        check_is_log(log)
+    given: list[float | None] = [None] * len(logs)
+    if isinstance(soc0, Iterable) and not isinstance(soc0, str):
+        given = list(soc0)
+    elif soc0 is not None:
+        given = [soc0] * len(logs)
     if len(given) != len(logs):
         raise InputError(
             f"{len(given)} initial SOCs for {len(logs)} logs",

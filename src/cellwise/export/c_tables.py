@@ -16,9 +16,23 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.files import shipped_folder
-from cellwise.printing.firmware import print_header, print_source
+from cellwise.printing.firmware import HEADERS, print_files
 
-BY_HAND = ("cellwise_float.h", "cellwise_store.h", "cellwise_store.c", "cellwise_cell.h")
+BY_HAND = (
+    "cellwise_float.h",
+    "cellwise_store.h",
+    "cellwise_store.c",
+    "cellwise_clock.h",
+    "cellwise_cell.h",
+)
+# Headers that an application includes; the others are parts of cellwise_ekf.c.
+PUBLIC_HEADERS = (
+    *HEADERS,
+    "cellwise_store.h",
+    "cellwise_clock.h",
+    "cellwise_cell.h",
+    "cell_table.h",
+)
 # Every optimisation that keeps IEEE 754 float32, and no contraction.
 STRICT_FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 WARNING_FLAGS = (
@@ -81,8 +95,7 @@ def write_sources(
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of every file that a target compiles."""
     folder = firmware_folder()
-    yield "cellwise_ekf.h", print_header(tables.options)
-    yield "cellwise_ekf.c", print_source(tables.options)
+    yield from print_files(tables.options).items()
     for source in BY_HAND:
         yield source, (folder / source).read_text(encoding="utf-8")
     yield "cell_table.h", header_text(tables, sha256, name)

@@ -17,14 +17,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import file_path, number
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
-from cellwise.estimate.fixed.options import MOST_CELLS, Asked
+from cellwise.estimate.fixed.options import MOST_CELLS, Asked, CellSettings
 from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
 from cellwise.estimate.noise import Noise
-from cellwise.export.c_tables import filled, firmware_folder, prefixed, put, write_sources
+from cellwise.estimate.sensor import Seen, Sensor, assumed, seen_by
+from cellwise.export.c_tables import (
+    PUBLIC_HEADERS,
+    filled,
+    firmware_folder,
+    prefixed,
+    put,
+    write_sources,
+)
 from cellwise.export.example import BUILD, example_files
 
 DESCRIPTION = "cellwise_export.json"
@@ -41,12 +50,13 @@ class Export:
     Parameters
     ----------
     dt_s : float or None      time step of the target; None where what is written has none
-    noise : Noise or None     of the target's sensors; None: the model's
+    noise : Noise or None     None: the model's, with what the sensors add
     asked : Asked             what is compiled in
     cells : int               of a pack in series, 0: one cell
     prefix : str              of every file and name, for several models in one image
     layout : str or None      tree that the package is arranged for; None: all in one folder
     what : str                of an FMU: the ``estimator`` or the ``cell`` alone
+    sensor : Sensor or None   what the target's sensors are off by; None: as a car's
 
     Raises
     ------
@@ -62,6 +72,7 @@ class Export:
     prefix: str = ""
     layout: str | None = None
     what: str = "estimator"
+    sensor: Sensor | None = None
 
     def __post_init__(self) -> None:
         if self.dt_s is not None and self.dt_s > LONGEST_STEP_S:
@@ -88,10 +99,16 @@ class Export:
             prefixed({}, self.prefix)
 
     @cached_property
+    def seen(self) -> Seen:
+        """Model and noise of the filter: with what the sensors add, and the noise as stated."""
+        found = seen_by(self.model, self.sensor)
+        return found if self.noise is None else found._replace(noise=self.noise)
+
+    @cached_property
     def tables(self) -> FixedStepTables:
         """The tables at the time step; raises as `fixed_step_tables`."""
         dt_s = 0.0 if self.dt_s is None else self.dt_s
-        return fixed_step_tables(self.model, dt_s, self.noise, **vars(self.asked))
+        return fixed_step_tables(self.seen.model, dt_s, self.seen.noise, **vars(self.asked))
 
     @property
     def description(self) -> dict[str, Any]:
@@ -104,12 +121,12 @@ class Export:
             return found
         options = self.tables.options
         state_bytes = state_type(options).itemsize
-        noise = Noise.of_model(self.model) if self.noise is None else self.noise
         return {
             **found,
             "dt_s": self.tables.dt_s,
             "dt_limits_s": [shortest_step_s(self.model, options), LONGEST_STEP_S],
-            "noise": asdict(noise),
+            "noise": asdict(self.seen.noise),
+            "sensor": assumed(self.sensor, self.model.capacity_Ah),
             "options": asdict(options),
             "states": options.states,
             "model_bytes": self.tables.flash_bytes,
@@ -163,6 +180,44 @@ def check_folder(folder: Path) -> None:
         )
 
 
+def export_firmware(
+    model: CellModel,
+    folder: Path | str,
+    dt_s: float,
+    *,
+    noise: Noise | None = None,
+    cells: int = 0,
+    prefix: str = "",
+    layout: str | None = None,
+) -> list[Path]:
+    """Write the filter of a model as C sources that step every ``dt_s`` seconds.
+
+    As ``cellwise export --dt S -o DIR`` without a log, and without counting what it costs.
+
+    Parameters
+    ----------
+    folder : path             made where it does not exist
+    dt_s : float              time step of the target [s]
+    cells : int               of a pack in series, 0: one cell
+    noise, prefix, layout     as of :class:`Export`
+
+    Returns
+    -------
+    list of Path              the files, in alphabetical order
+
+    Raises
+    ------
+    InputError                as of :class:`Export`; a folder that cannot be written to
+    """
+    check_is_model(model)
+    place = file_path("folder", folder)
+    step_s = number("dt_s", dt_s, "the time step of the target [s]", "Give dt_s=1, say.")
+    asked = Asked(cells=CellSettings() if cells else None)
+    export = Export(model, step_s, noise, asked, cells, prefix, layout)
+    unmeasured: dict[str, Any] = {"targets": [], "accuracy": [], "sockets": {}, "notices": []}
+    return [place / name for name in write_package(export, place, export.description | unmeasured)]
+
+
 def write_package(export: Export, folder: Path, report: Mapping[str, Any]) -> list[str]:
     """Write every file into ``folder``, which is made where it does not exist; their names.
 
@@ -208,10 +263,11 @@ def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> d
                 found[wanted["example"]] = as_application(text) if layout == "esp-idf" else text
         elif file == "test_vector.h":
             found[wanted["vector"] + file] = text
-        elif file.endswith(".h"):
+        elif file in PUBLIC_HEADERS:
             found[wanted["headers"] + file] = text
-        elif file.endswith(".c"):
-            found[wanted["sources"] + file] = wanted.get("pragma", "") + text
+        elif file.endswith((".c", ".h")):
+            pragma = wanted.get("pragma", "") if file.endswith(".c") else ""
+            found[wanted["sources"] + file] = pragma + text
         else:
             found[file] = text.replace(BUILD, filled(wanted["use"], marks))
     for path in sorted((folder / layout).rglob("*")):

@@ -15,6 +15,7 @@ from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.gaps import uncounted_pauses
+from cellwise.notices import Code, Notice
 
 FEWEST_VOLTAGES = 3  # fewer say nothing of where a stretch begins
 
@@ -69,17 +70,22 @@ def simulate_stretches(
     ]
     if not later:
         return first
-    said = (
-        f"nobody counted in the pause before {log.time_s[p.first]:.0f} s: there the simulation "
-        f"begins again, at SOC {p.start.soc:.3f} +- {2 * p.start.std:.3f}"
-        for p in parts[1:]
-    )
+    said = (_begun_again(log, p) for p in parts[1:])
     return replace(
         first,
         log=log.with_notices((*log.notices, *said)),
         voltage_V=np.concatenate([one.voltage_V for one in (first, *later)]),
         soc=np.concatenate([one.soc for one in (first, *later)]),
     )
+
+
+def _begun_again(log: CellLog, part: Stretch) -> Notice:
+    """That a simulation begins again behind a pause."""
+    text = (
+        f"nobody counted in the pause before {log.time_s[part.first]:.0f} s: there the simulation "
+        f"begins again, at SOC {part.start.soc:.3f} +- {2 * part.start.std:.3f}"
+    )
+    return Notice(Code.PAUSE_NOT_COUNTED, text, rows=range(part.first, part.first + 1))
 
 
 def simulate(

@@ -176,7 +176,7 @@ def _first_minute(model: CellModel, log: CellLog) -> InitialSoc:
     head = log.part(0, min(max(first + 2, end), len(log)))
     tried = np.linspace(0.0, 1.0, ASKED.starts)
     runs = [simulate(model, head, float(s)) for s in tried]
-    away_V = np.interp(EVERY_SOC, tried, [float(np.nanmean(run.error_V)) for run in runs])
+    away_V = np.interp(EVERY_SOC, tried, [float(np.nanmean(run.residual_V)) for run in runs])
     held_V, _ = _past_V(model, head)
     away_V += held_V[-1]
     near = runs[round(float(EVERY_SOC[np.argmin(np.abs(away_V))]) * (ASKED.starts - 1))]
@@ -185,7 +185,7 @@ def _first_minute(model: CellModel, log: CellLog) -> InitialSoc:
     )
     tau_s = [float(np.median(branch_table(model, "tau", s))) for s in BRANCHES]
     left_V = held_V * np.exp(-head.duration_s / np.array(tau_s))
-    known_V2 = float(np.mean(stated_V**2)) + near.metrics.rmse_V**2
+    known_V2 = float(np.mean(stated_V**2)) + near.rmse_V**2
     variance = known_V2 + SHORT_REST_V**2 + float(left_V @ left_V)
     soc, std = likeliest(EVERY_SOC, -0.5 * away_V**2 / variance)
     how = f"fit of the first {head.duration_s:.0f} s under load"

@@ -16,6 +16,7 @@ from cellwise.files import made_folder, write_atomically
 from cellwise.logs.cell_log import CHANNELS, CellLog
 from cellwise.logs.reading import read_log
 from cellwise.logs.writing import read_rows, write_rows
+from cellwise.notices import Code, Notice, from_json, to_json
 
 BY_LOG, BY_MACHINE, BY_US = "log", "machine", "cellwise"  # whose fault a failure is
 INTERNAL = "internal error"
@@ -80,7 +81,7 @@ HISTORY: Mapping[str, type] = {
     **typed(numbers="resistance_scale resistance_std"),
 }
 
-VERSION = 6  # of a log that is kept
+VERSION = 7  # of a log that is kept
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -105,7 +106,7 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
         rows = np.load(file)
         said = json.load(file)
         channels = dict(zip(said.pop("channels"), rows, strict=True))
-        said["notices"] = tuple(said["notices"])
+        said["notices"] = tuple(map(from_json, said["notices"]))
         return CellLog(**channels, **said, source=str(path))
     log = read_log(path, **options)
     try:
@@ -113,7 +114,8 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
         write_atomically(place, lambda target: _keep(log, target))
     except MachineError as error:
         # What is wrong with the cache is not wrong with the log.
-        return log.with_notices((*log.notices, f"not kept in the cache: {error.found}"))
+        noted = Notice(Code.NOT_CACHED, f"not kept in the cache: {error.found}")
+        return log.with_notices((*log.notices, noted))
     return log
 
 
@@ -130,7 +132,8 @@ def _key(path: Path, options: dict[str, Any]) -> str:
 def _keep(log: CellLog, target: Path) -> None:
     """The channels as one array, and what is known beside them below it."""
     names = [field for field in CHANNELS if getattr(log, field) is not None]
-    said = {name: getattr(log, name) for name in ("name", "format", "current_meaning", "notices")}
+    said = {name: getattr(log, name) for name in ("name", "format", "current_meaning")}
+    said["notices"] = list(map(to_json, log.notices))
     with target.open("wb") as file:
         np.save(file, np.stack([getattr(log, name) for name in names]))
         file.write(json.dumps(said | {"channels": names}).encode())

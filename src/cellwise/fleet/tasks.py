@@ -25,6 +25,7 @@ from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.reading import read_pack
 from cellwise.logs.stated import Stated, in_order
+from cellwise.notices import texts
 from cellwise.pack.pack_estimate import estimate_pack
 
 
@@ -164,7 +165,7 @@ class ReplayTask(LogTask):
             reference_soc0=self.reference_soc0,
             reference_capacity_Ah=self.reference_capacity_Ah,
         )
-        return {**_of_log(log), **self._figures(found), "notices": _joined(found.notices)}
+        return {**_of_log(log), **self._figures(found), "notices": _joined(texts(found.notices))}
 
     def _figures(self, found: Replay) -> dict[str, Any]:
         figures = found.to_dict()
@@ -228,7 +229,7 @@ class DiagnoseTask(LogTask):
             self.model,
             log,
             baseline=tuple(self.baseline),
-            soc0="auto" if self.soc0 is None else self.soc0,
+            soc0=self.soc0,
             causes=self.causes,
         ).to_dict()
         causes = found["causes"]
@@ -387,7 +388,7 @@ def _of_log(log: CellLog) -> dict[str, Any]:
         "duration_s": log.duration_s,
         "gaps": int(np.count_nonzero(log.gap_rows)),
         "format": log.format,
-        "notices": _joined(log.notices),
+        "notices": _joined(texts(log.notices)),
     }
 
 

@@ -7,9 +7,10 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.packed import place_of, size_of
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
@@ -32,6 +33,8 @@ from cellwise.forecast.along_kernels import (
     forecast_rows,
 )
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
 Hold = Literal["power", "current"]
@@ -74,7 +77,7 @@ class Forecast(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Flight:
+class Flight(Plottable, Tabular):
     """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
 
     ``load_A`` is the mean current of the last minute, the present load; a moment without a
@@ -122,17 +125,42 @@ class Flight:
             found[name] = tuple(value) if isinstance(value, list) else value
         return Forecast(**found, by="voltage" if self.by_voltage[k] else "charge")
 
+    def columns(self) -> dict[str, FloatArray]:
+        """One row for each moment; a band as two, ``_low`` and ``_high`` before the unit."""
+        found: dict[str, FloatArray] = {}
+        for name in Forecast._fields[:-1]:
+            value = getattr(self, name)
+            if value.ndim == 1:
+                found[name] = value
+                continue
+            quantity, _, unit = name.removesuffix("_band").rpartition("_")
+            found |= {
+                f"{quantity}_{end}_{unit}": value[:, k] for k, end in enumerate(("low", "high"))
+            }
+        return found
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Remaining time and energy with their bands, and the SOC, over the log's time."""
+        hours, to = self.time_s / 3600.0, "full" if self.taper_A > 0.0 else "empty"
+        shown = (
+            (f"time to {to} [min]", self.remaining_s / 60.0, self.remaining_s_band / 60.0),
+            (f"energy to {to} [Wh]", self.remaining_Wh, self.remaining_Wh_band),
+            ("SOC", self.soc, 2.0 * self.soc_std),
+        )
+        return "time [h]", tuple(Panel(label, (Line(label, hours, *x),)) for label, *x in shown)
+
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """Whether the last forecast goes where the model's data never were."""
         now = self.last
         if self.validity.soc is None or now.end_soc >= self.validity.bounds().soc_low:
             return ()
-        return (
+        text = (
             f"the forecast goes on to SOC {max(now.end_soc, 0.0):.2f}, and the model's data end at "
             f"SOC {self.validity.soc[0]:.2f}: below, its OCV is an extension, and the band is "
-            "widened by that",
+            "widened by that"
         )
+        return (Notice(Code.FORECAST_OUTSIDE_DATA, text),)
 
     def to_dict(self) -> dict[str, Any]:
         """The last moment as JSON values, keys as the command prints them."""
@@ -189,9 +217,10 @@ def forecast(
     ------
     InputError                a cutoff above the model's full OCV, an unknown ``hold``
     """
+    check_is_model(model)
+    check_kind("replay", replay, Replay, "Write forecast(model, replay(model, log)).")
     cutoff = cutoff_of(model, cutoff_V)
-    if hold not in get_args(Hold):
-        raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
+    hold = "power" if choice("hold", hold, get_args(Hold)) == "power" else "current"
     log = replay.log
     load_A, load_W = present_load(log, log.known_current_A())
     wanted = at_most(load_A > LEAST_LOAD_C * model.capacity_Ah)
@@ -365,7 +394,7 @@ def cutoff_of(model: CellModel, given: float | None) -> float:
     if given is None:
         given = model.voltage_min_V
     lowest, highest = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
-    cutoff = lowest if given is None else float(given)
+    cutoff = lowest if given is None else number("cutoff_V", given, "a voltage of one cell")
     if not 0.0 < cutoff < highest:
         raise InputError(
             f"a cutoff of {cutoff:g} V for a cell of {lowest:.2f} to {highest:.2f} V",

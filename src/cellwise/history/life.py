@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ from cellwise.history.stretches import Compared, Stretch, compare, cut_at_cycles
 from cellwise.history.trend import FADE, Deviations, Trend, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.notices import Code, Notice, texts
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 
@@ -93,12 +96,12 @@ class LogOfLife:
             "capacity_share": self.share,
             "capacity_share_std": self.share_std,
             "how": self.how,
-            "notices": list(self.log.notices),
+            "notices": texts(self.log.notices),
         }
 
 
 @dataclass(frozen=True, eq=False)
-class Life:
+class Life(Plottable, Tabular):
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
     ``far_off`` names the logs that were left out for it. ``withheld``: all are, and capacity and
@@ -110,13 +113,13 @@ class Life:
     over: str
     way: FloatArray
     trend: Trend
-    far_off: tuple[str, ...] = ()
+    far_off: tuple[Notice, ...] = ()
     withheld: bool = False
 
     def __repr__(self) -> str:
         if self.withheld:
             return f"Life({len(self.logs)} logs, FAR OFF this model)"
-        scale, std = self.resistance
+        scale, std = self.resistance_scale, self.resistance_std
         return (
             f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
             f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
@@ -149,14 +152,14 @@ class Life:
                 "logs of the model's cell, aged or not",
                 "Check the model and how the logs are read.",
             )
-        scale = self.resistance[0]
+        scale = self.resistance_scale
         capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
         aged = changed_model(self.model, capacity, float(np.log(scale)))
         about = {
             "capacity_share": float(self.trend.share[-1]),
             "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
-            "resistance_std": self.resistance[1],
+            "resistance_std": self.resistance_std,
             "logs": [one.log.name for one in self.logs],
         }
         fitted, std = self.model.posterior, self.capacity_std_Ah / self.capacity_Ah
@@ -167,11 +170,17 @@ class Life:
         )
 
     @property
-    def resistance(self) -> tuple[float, float]:
-        """Resistance now, on the model's, and its deviation: the mean of the last fifth of logs.
+    def resistance_scale(self) -> float:
+        """Resistance now over the model's: the mean of the last fifth of the logs."""
+        return self._resistance[0]
 
-        Where these scatter by more than each states, the deviation is as much larger.
-        """
+    @property
+    def resistance_std(self) -> float:
+        """Its deviation; where these logs scatter by more than each states, as much larger."""
+        return self._resistance[1]
+
+    @cached_property
+    def _resistance(self) -> tuple[float, float]:
         last = self.logs[-max(len(self.logs) // 5, 1) :]
         weight = np.array([one.resistance_std**-2.0 for one in last])
         values = np.array([one.resistance_scale for one in last])
@@ -195,7 +204,7 @@ class Life:
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know of the whole life."""
         temperatures = [
             float(np.nanmean(one.log.temperature_C))
@@ -205,22 +214,23 @@ class Life:
         found = [*self.far_off]
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
-            found.append(
-                f"'{first.log.name}' counts {first.capacity_Ah:.4g} Ah at its load, by which the "
-                f"others are compared; the capacity to use is of the whole SOC range: the "
-                f"model's {self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
+            text = (
+                f" counts {first.capacity_Ah:.4g} Ah at its load, by which the others are "
+                "compared; the capacity to use is of the whole SOC range: the model's "
+                f"{self.model.capacity_Ah:.4g} +- {2 * self.model.capacity_std_Ah:.2g} Ah "
                 "of the new cell, times the share that remains"
             )
+            found.append(Notice(Code.CAPACITY_AT_LOAD, text, log=first.log.name))
         if temperatures and max(temperatures) - min(temperatures) > 10.0:
-            found.append(
+            text = (
                 f"the logs are at {min(temperatures):.0f} to {max(temperatures):.0f} degC: those "
                 "at other temperatures are compared through the model, with a wider band"
             )
+            found.append(Notice(Code.TEMPERATURES_DIFFER, text))
         return tuple(found)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
-        scale, scale_std = self.resistance
         return {
             "logs": [one.to_dict() for one in self.logs],
             "trend": {
@@ -233,14 +243,14 @@ class Life:
                 "use": {
                     "capacity_Ah": self.capacity_Ah,
                     "capacity_std_Ah": self.capacity_std_Ah,
-                    "resistance_scale": scale,
-                    "resistance_std": scale_std,
+                    "resistance_scale": self.resistance_scale,
+                    "resistance_std": self.resistance_std,
                 },
             },
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[str]) -> Life:
+    def without_health(self, far_off: Sequence[Notice]) -> Life:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
@@ -266,6 +276,18 @@ class Life:
             "trend_std": self.trend.std,
         }
 
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """Share of the new cell's capacity, and resistance, over the life."""
+        way, logs = np.asarray(self.way, dtype=np.float64), self.logs
+        share, ohm = (np.array([getattr(one, name) for one in logs])
+                      for name in ("share", "resistance_scale"))  # fmt: skip
+        ohm_std = np.array([one.resistance_std for one in logs])
+        lines = Line("logs", way, share), Line("trend", way, self.trend.share, 2 * self.trend.std)
+        return ("time [days]" if self.over == "days" else "charge moved [Ah]"), (
+            Panel("capacity over the new cell's", lines),
+            Panel("resistance over the model's", (Line("logs", way, ohm, 2.0 * ohm_std),)),
+        )
+
 
 def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) -> Life:
     """A life from logs in order.
@@ -289,7 +311,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
     references: list[tuple[Stretch, LogOfLife | None]] = []
-    far_off: list[str] = []
+    far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = log_health(model, log) if one is None or not found else None
@@ -320,6 +342,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         np.array([one.share for one in found]),
         Deviations(*np.array([one.deviations for one in found]).T),
         FADE.start_std if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
+        float(way[-1]) if over == "days" else np.inf,
     )
     return Life(model, tuple(found), over, way, trend, tuple(far_off))
 

@@ -24,6 +24,7 @@ from cellwise.fit.solver import Prior
 from cellwise.fit.start import STATED_STD, initial_soc
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice
 from cellwise.typing import FloatArray
 
 
@@ -85,7 +86,7 @@ class LogHealth:
     soc_start: float
     soc_end: float
     covered: float
-    far_off: str | None
+    far_off: Notice | None
 
 
 class _Fitted(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import runs_of
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
@@ -168,7 +169,8 @@ def cut_at_cycles(log: CellLog, capacity_Ah: float) -> tuple[CellLog, ...]:
         replace(log.part(first, stop), name=f"{log.name}, cycle {k + 1}", notices=())
         for k, (first, stop) in enumerate(pairwise((0, *stops)))
     ]
-    said = f"'{log.name}' holds {len(stops)} complete half cycles, each followed by itself"
+    text = f" holds {len(stops)} complete half cycles, each followed by itself"
+    said = Notice(Code.HALF_CYCLES, text, log=log.name)
     return (replace(parts[0], notices=(*log.notices, said)), *parts[1:])
 
 

@@ -20,7 +20,7 @@ from cellwise.cell.effects import (
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.fit.rows import BEYOND
 from cellwise.fit.solve import FitResult
-from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows, spline_values
+from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_rows, spline_values
 from cellwise.fit.unknowns import LEAST_RATIO
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
@@ -160,11 +160,13 @@ def monotone(voltage_V: FloatArray) -> FloatArray:
 
 
 def table_summary(result: FitResult) -> dict[str, Any]:
-    """What the provenance says of a fit; standard errors: median over the knots of a table.
+    """What the provenance says of a fit; ``standard_error``: the median over the knots of a table.
 
     Those of resistances, time constants and gamma are shares, of OCV and hysteresis volts.
+    ``standard_errors`` has them at every knot.
     """
     lay, std = result.layout, result.theta_std
+    at = {True: greville(OCV_KNOTS), False: greville(TABLE_KNOTS)}
     where = {"ocv_V": (0, lay.knots_ocv), "r0_ohm": (lay.r0, lay.knots)}
     for j in range(lay.branches):
         where |= {f"r{j + 1}_ohm": (lay.r(j), lay.knots), f"tau{j + 1}_s": (lay.tau(j), lay.knots)}
@@ -177,7 +179,13 @@ def table_summary(result: FitResult) -> dict[str, Any]:
         "standard_error": {
             n: float(np.median(std[a : a + size])) for n, (a, size) in where.items()
         },
+        "standard_errors": {
+            n: {"soc": at[n == "ocv_V"].round(6).tolist(),
+                "std": [float(f"{v:.4g}") for v in std[a : a + size]]}
+            for n, (a, size) in where.items()
+            if size > 1
+        },
         "knots_soc": TABLE_KNOTS.tolist(),
         "iterations": result.iterations,
         "residual_level_V": result.level_V,
-    }
+    }  # fmt: skip

@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.plausibility.validity import check_one_cell
 from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
+    CellTests,
     IdentifySettings,
-    TestLogs,
     log_temperature_C,
 )
 from cellwise.logs.cell_log import CellLog
@@ -24,11 +23,11 @@ from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.checks.unsigned import signed_by_loads
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import other_temperature
+from cellwise.notices import Code, Notice
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
 # of one cell and two in series by 2.
 OTHER_VOLTAGE = 1.9
-VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the order of notices
 
 
 class _Together(NamedTuple):
@@ -51,14 +50,14 @@ class CheckedLogs(NamedTuple):
     that measured none.
     """
 
-    tests: TestLogs
+    tests: CellTests
     low_rate: tuple[LowRateTest, ...]
     default_C: float
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
-def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
+def check_logs(tests: CellTests, settings: IdentifySettings) -> CheckedLogs:
     """Refuse what no later step could make sense of.
 
     Raises
@@ -82,16 +81,12 @@ def check_logs(tests: TestLogs, settings: IdentifySettings) -> CheckedLogs:
     for log, stated in (*tests.hppc, *tests.drive):
         other = None if stated is None else other_temperature(log, stated)
         if other is not None:
-            contradictions.append(Notice(VOLT_PER_KELVIN * other[0], other[1]))
+            contradictions.append(other)
     # After a pause that nobody counted a drive is another drive.
     drives = tuple((part, warm) for log, warm in tests.drive for part in cut_at_pauses(log))
     tests = replace(tests, drive=drives)
     # What reading the logs has noted, each with the name of its log.
-    read = [
-        n if log.name and log.name in n else f"'{log.name}': {n}"
-        for log in tests.logs()
-        for n in log.notices
-    ]
+    read = [n.of_log(log.name) for log in tests.logs() for n in log.notices]
     low_rate = tuple(low_rate_tests(tests.ocv, default))
     return CheckedLogs(tests, low_rate, default, tuple(contradictions), (*left_out, *read))
 
@@ -115,14 +110,14 @@ def _check_log(log: CellLog) -> None:
     check_one_cell(log)
 
 
-def _without_wrong_drives(tests: TestLogs) -> tuple[TestLogs, tuple[str, ...]]:
+def _without_wrong_drives(tests: CellTests) -> tuple[CellTests, tuple[Notice, ...]]:
     """The tests without drives that are refused, where half of the drives or more are right."""
     wrong = {}
     for log, _ in tests.drive:
         try:
             _check_log(log)
         except InputError as error:
-            wrong[id(log)] = f"left out: {error.found}"
+            wrong[id(log)] = Notice(Code.LOG_LEFT_OUT, f"left out: {error.found}")
     if 2 * len(wrong) > len(tests.drive) - 1:
         return tests, ()
     kept = tuple(one for one in tests.drive if id(one[0]) not in wrong)
@@ -174,8 +169,8 @@ def nearest_test(tests: Sequence[LowRateTest], temperature_C: float) -> LowRateT
 
 
 def grouped_by_temperature(
-    tests: TestLogs, low_rate: Sequence[LowRateTest], default: float
-) -> dict[float, TestLogs]:
+    tests: CellTests, low_rate: Sequence[LowRateTest], default: float
+) -> dict[float, CellTests]:
     """The logs by temperature: those given one, else by what they measured.
 
     HPPC logs say at which temperatures tables are made; without one the low-rate tests, drives and
@@ -194,13 +189,13 @@ def grouped_by_temperature(
         at = home if tests.hppc else nearest(test[0], None)
         warm |= {id(log): at for log in test}
 
-    def of(temperature_C: float) -> TestLogs:
+    def of(temperature_C: float) -> CellTests:
         return tests.only(lambda log: warm[id(log)] == temperature_C)
 
     return {t: of(t) for t in merged}
 
 
-def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
+def _of_pulses(tests: CellTests, default_C: float) -> list[float]:
     """Temperatures of the HPPC logs; measured ones that are alike are one."""
     stated = {t for _, t in tests.hppc if t is not None}
     measured = {
@@ -213,7 +208,7 @@ def _of_pulses(tests: TestLogs, default_C: float) -> list[float]:
     return merged
 
 
-def _of_all(tests: TestLogs, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
+def _of_all(tests: CellTests, low_rate: Sequence[LowRateTest], default_C: float) -> list[float]:
     """Temperatures of the low-rate tests, and of the drives and capacity tests between them.
 
     Tables of its own has a temperature with several loads. Where fewer than two have, all logs

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
+from cellwise.notices import Code, Notice, Option
 from cellwise.typing import BoolArray
 
 
@@ -33,12 +34,12 @@ class Said(NamedTuple):
 SAID = Said()
 
 
-def fit_notices(posterior: Posterior, checked: CheckedLogs) -> tuple[str, ...]:
+def fit_notices(posterior: Posterior, checked: CheckedLogs) -> tuple[Notice, ...]:
     """What of the model is the prior's."""
     return (*_unseen(posterior), *_assumed(checked))
 
 
-def start_notices(own: Sequence[OwnLog]) -> list[str]:
+def start_notices(own: Sequence[OwnLog]) -> list[Notice]:
     """Where logs of the fit begin that nobody states the start of; tests where they are not full.
 
     The fit's own deviation knows the model that it made to be right; this one the model's error.
@@ -49,7 +50,8 @@ def start_notices(own: Sequence[OwnLog]) -> list[str]:
         full = one.role in ("ocv", "capacity") and start.soc > SAID.full
         if one.used and log.soc0 is None and not full:
             at = f"{start.soc:.3f} +- {2.0 * start.std:.3f}"
-            found.append(f"'{log.name}' begins at SOC {at} by its voltages")
+            text = f" begins at SOC {at} by its voltages"
+            found.append(Notice(Code.START_FOUND, text, log=log.name))
     return found
 
 
@@ -62,13 +64,13 @@ def poor_fit(own: Sequence[OwnLog]) -> list[Notice]:
         return []
     text = (
         f"the model DOES NOT FIT: typically {1e3 * typical[worst]:.0f} mV off "
-        f"'{used[worst].simulation.log.name}': another kind of cell, number of cells in series "
-        "(`series=N`) or unit?"
+        f"'{used[worst].simulation.log.name}': another kind of cell, number of cells in series ("
     )
-    return [Notice(RANGE_V, text)]
+    said = (text, Option("series", letter="N"), ") or unit?")
+    return [Notice(Code.DOES_NOT_FIT, said, size_V=RANGE_V)]
 
 
-def _unseen(posterior: Posterior) -> list[str]:
+def _unseen(posterior: Posterior) -> list[Notice]:
     """Where the OCV is known no better than before the logs."""
     before_V = np.linalg.norm(posterior.ocv_V, axis=0)
     stretches = _stretches(posterior.ocv_std_V > SAID.unseen * before_V)
@@ -76,10 +78,10 @@ def _unseen(posterior: Posterior) -> list[str]:
         return []
     listed = " and ".join(f"{low:.2f} to {high:.2f}" for low, high in stretches)
     text = f"the logs say hardly anything of the OCV at SOC {listed}: there it is the prior's"
-    return [f"{text} ({posterior.prior}), with its spread as error"]
+    return [Notice(Code.OCV_OF_PRIOR, f"{text} ({posterior.prior}), with its spread as error")]
 
 
-def _assumed(checked: CheckedLogs) -> list[str]:
+def _assumed(checked: CheckedLogs) -> list[Notice]:
     """That nobody measured or stated the temperature of some loads, and what is taken for it."""
     tests = checked.tests
     loads = (*tests.hppc, *tests.drive)
@@ -88,7 +90,8 @@ def _assumed(checked: CheckedLogs) -> list[str]:
         return []
     some = "of some logs " if any(known) else ""
     text = f"no temperature {some}was measured: {checked.default_C:.0f} degC is assumed"
-    return [f"{text} (LOG@10 states another)"]
+    stated = Option("temperature_C")
+    return [Notice(Code.TEMPERATURE_ASSUMED, f"{text} (LOG@10 states another)", option=stated)]
 
 
 def _stretches(inside: BoolArray) -> list[tuple[float, float]]:

@@ -9,18 +9,19 @@ from itertools import combinations
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
 from cellwise.fit.start import InitialSoc
-from cellwise.identify.checked_logs import VOLT_PER_KELVIN, CheckedLogs, grouped_by_temperature
+from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
 from cellwise.identify.hppc.pulses import find_pulses, pulses_to_fit
-from cellwise.identify.identification import IdentifySettings, PulseSet, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings, PulseSet
 from cellwise.identify.measured_ocv import pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.fit_pulse import fit_pulse
 from cellwise.identify.pulse_fit.pulse_data import cut_pulse
 from cellwise.identify.tables import PulseTables, pulse_tables
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.stated import VOLT_PER_KELVIN
+from cellwise.notices import Code, Notice
 
 LARGEST_PULSE = 1.0 / 3.0  # of the capacity: a discharge beyond it has no parameters of one SOC
 OUTSIDE = 0.02  # of the SOC range: a pulse may begin so far beyond its ends
@@ -33,7 +34,7 @@ class Group:
     """The tests of one temperature and what their pulses gave."""
 
     temperature_C: float
-    tests: TestLogs
+    tests: CellTests
     pulse_sets: tuple[PulseSet, ...]
     tables: PulseTables | None
 
@@ -44,7 +45,7 @@ class FittedPulses:
 
     groups: tuple[Group, ...]
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def fit_all_pulses(
@@ -114,11 +115,12 @@ def _exchanged(groups: Sequence[Group]) -> tuple[Notice, ...]:
         if at_cold < at_warm:
             names = [g.pulse_sets[0].log.name for g in (cold, warm)]
             text = (
-                f"'{names[0]}' at {cold.temperature_C:.0f} degC has {1e3 * at_cold:.3g} mohm, "
+                f" at {cold.temperature_C:.0f} degC has {1e3 * at_cold:.3g} mohm, "
                 f"'{names[1]}' at {warm.temperature_C:.0f} degC {1e3 * at_warm:.3g} mohm: a cold "
                 "cell has more, are they exchanged?"
             )
-            found.append(Notice(VOLT_PER_KELVIN * colder_K, text))
+            size_V = VOLT_PER_KELVIN * colder_K
+            found.append(Notice(Code.TEMPERATURES_EXCHANGED, text, log=names[0], size_V=size_V))
     return tuple(found)
 
 
@@ -127,12 +129,13 @@ def _resistance(tables: PulseTables) -> float:
     return float(np.median(tables.values["r0_ohm"] + tables.values["r1_ohm"]))
 
 
-def _late_rows(found: PulseSet) -> list[str]:
+def _late_rows(found: PulseSet) -> list[Notice]:
     """What a person should know of a log whose first row after a switch comes late."""
     first_s = [found.log.interval_s[p.start] for p in found.fitted]
     if not first_s or np.median(first_s) <= LATE_ROW_S:
         return []
-    return [
-        f"'{found.log.name}' has its first row {np.median(first_s):.3g} s after a switch: what its "
-        "R0 says is the resistance after that time; for a drive log pulses every second or faster"
-    ]
+    text = (
+        f" has its first row {np.median(first_s):.3g} s after a switch: what its R0 says is the "
+        "resistance after that time; for a drive log pulses every second or faster"
+    )
+    return [Notice(Code.LATE_FIRST_ROW, text, log=found.log.name)]

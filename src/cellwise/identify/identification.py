@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from cellwise.arguments import check_kind, choice, number, shown
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.fit.solve import FitResult
@@ -22,7 +22,8 @@ from cellwise.identify.pulse_fit.circuit import PulseFit
 from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
-from cellwise.plotting import Panel, Plottable, Summarised
+from cellwise.notices import Code, Notice, texts
+from cellwise.plotting import Panel, Plottable, Summarised, Tabular
 from cellwise.typing import BoolArray, FloatArray
 
 REFERENCE_C = 25.0
@@ -45,6 +46,10 @@ class IdentifySettings:
     prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
                                        a stock model where the logs see too little of the SOC range
     name, chemistry : str              written into the model
+
+    Raises
+    ------
+    InputError        a method, tables or branches that there are not; what is no number, no model
     """
 
     nominal_Ah: float | None = None
@@ -60,9 +65,20 @@ class IdentifySettings:
     name: str = ""
     chemistry: str = ""
 
+    def __post_init__(self) -> None:
+        for field_, names in (("method", get_args(Method)), ("tables", get_args(TableKind))):
+            object.__setattr__(self, field_, choice(field_, getattr(self, field_), names))
+        if self.branches not in (2, 3):
+            raise InputError(f"branches = {shown(self.branches)}", "2 or 3", "Choose one of them.")
+        for field_ in ("nominal_Ah", "temperature_C"):
+            if (value := getattr(self, field_)) is not None:
+                object.__setattr__(self, field_, number(field_, value, "a number, or None"))
+        if self.prior is not None:
+            check_kind("prior", self.prior, CellModel, "Write stock_model('nmc-18650'), say.")
+
 
 @dataclass(frozen=True, eq=False)
-class TestLogs:
+class CellTests:
     """Logs of one cell by what they are; an HPPC or drive log may say its temperature [degC].
 
     Parameters
@@ -74,8 +90,6 @@ class TestLogs:
     ------
     InputError        something else
     """
-
-    __test__: ClassVar[bool] = False  # not a test class, whatever pytest thinks of its name
 
     hppc: tuple[tuple[CellLog, float | None], ...] = ()
     ocv: tuple[CellLog, ...] = ()
@@ -95,9 +109,9 @@ class TestLogs:
         every = {id(log): log for log in (*driven, *self.ocv, *self.capacity)}
         return tuple(every.values())
 
-    def only(self, keep: Callable[[CellLog], bool]) -> TestLogs:
+    def only(self, keep: Callable[[CellLog], bool]) -> CellTests:
         """Those of the logs that are wanted."""
-        return TestLogs(
+        return CellTests(
             hppc=tuple(pair for pair in self.hppc if keep(pair[0])),
             ocv=tuple(filter(keep, self.ocv)),
             capacity=tuple(filter(keep, self.capacity)),
@@ -124,10 +138,10 @@ def _pairs(logs: Any, name: str) -> list[tuple[CellLog, float | None]]:
     for one in pairs:
         if not _is_pair(one):
             raise InputError(
-                f"{name} of TestLogs with a {type(one).__name__}",
+                f"{name} of CellTests with a {type(one).__name__}",
                 "a log, logs, or pairs of a log and its temperature [degC]",
-                f"Write TestLogs({name}=read_log('a.csv')) or "
-                f"TestLogs({name}=[(cold, -10.0), (warm, 25.0)]).",
+                f"Write CellTests({name}=read_log('a.csv')) or "
+                f"CellTests({name}=[(cold, -10.0), (warm, 25.0)]).",
             )
     return [(log, stated) for log, stated in pairs]
 
@@ -223,14 +237,15 @@ class PlainComparison(NamedTuple):
     reason: str
 
     @property
-    def notice(self) -> str:
-        """What a person must read first; empty where the fit is handed out."""
+    def notice(self) -> Notice | None:
+        """What a person must read first; None where the fit is handed out."""
         if not self.reason:
-            return ""
-        return (
+            return None
+        text = (
             f"{self.reason}: the plain one is handed out (low-rate curve, R0, two branches, no "
             "effects, a wide posterior). A fault of the fit or of the logs: please report it"
         )
+        return Notice(Code.PLAIN_MODEL, text)
 
     def to_dict(self) -> dict[str, Any]:
         """As the command prints it."""
@@ -264,7 +279,7 @@ class Fitted:
     choices_Ah: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     contradictions: tuple[Notice, ...] = ()
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     plain: PlainComparison | None = None
 
 
@@ -291,7 +306,7 @@ class OwnLog:
     @property
     def compared_V(self) -> FloatArray:
         """Errors of the rows that were compared [V]."""
-        error = self.simulation.error_V
+        error = self.simulation.residual_V
         return error if self.compared is None else error[self.compared]
 
     def to_dict(self) -> dict[str, Any]:
@@ -304,7 +319,7 @@ class OwnLog:
             "soc0": s.soc0,
             "soc0_std": self.start.std,
             "soc0_how": self.start.how,
-            "rmse_V": s.metrics.rmse_V,
+            "rmse_V": s.rmse_V,
             "rmse_above_10pct_V": s.rmse_above_10pct_V,
             **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},
             "reason": self.reason,
@@ -312,7 +327,7 @@ class OwnLog:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Plottable, Summarised):
+class Identification(Plottable, Summarised, Tabular):
     """A model and all that led to it.
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
@@ -329,9 +344,9 @@ class Identification(Plottable, Summarised):
     own_logs: tuple[OwnLog, ...]
     decided: tuple[Decided, ...]
     fit: ErrorMetrics
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
     seconds: float
-    contradictions: tuple[str, ...] = ()
+    contradictions: tuple[Notice, ...] = ()
     plain: PlainComparison | None = None
 
     @property
@@ -354,6 +369,10 @@ class Identification(Plottable, Summarised):
         """As of its model."""
         return self.model.panels()
 
+    def columns(self) -> dict[str, FloatArray]:
+        """The tables of its model with their standard errors."""
+        return self.model.columns()
+
     def facts(self) -> dict[str, str]:
         """Of its model, then how well it says its own logs again."""
         counts = self.pulse_counts
@@ -361,10 +380,10 @@ class Identification(Plottable, Summarised):
             **self.model.facts(),
             "capacity by": self.capacity_choice,
             "RMSE on its own logs": "; ".join(
-                f"{s.log.name or 'log'} {1e3 * s.metrics.rmse_V:.1f} mV" for s in self.simulations
+                f"{s.log.name or 'log'} {1e3 * s.rmse_V:.1f} mV" for s in self.simulations
             ),
             "healthy pulses": f"{counts['healthy']} of {sum(counts.values())}",
-            "notices": "; ".join(self.notices) or "none",
+            "notices": "; ".join(texts(self.notices)) or "none",
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -379,8 +398,7 @@ class Identification(Plottable, Summarised):
                 "mae_V": self.fit.mae_V,
                 "max_error_V": self.fit.max_error_V,
                 "logs": {
-                    s.log.name or f"log {k}": s.metrics.rmse_V
-                    for k, s in enumerate(self.simulations)
+                    s.log.name or f"log {k}": s.rmse_V for k, s in enumerate(self.simulations)
                 },
             },
             "temperatures_C": [t.temperature_C for t in self.temperatures],
@@ -390,7 +408,7 @@ class Identification(Plottable, Summarised):
             "validity": self.model.validity.to_dict(),
             "posterior": None if self.model.posterior is None else self.model.posterior.to_dict(),
             "error": self.model.error.to_dict(),
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
             "seconds": self.seconds,
         }
 

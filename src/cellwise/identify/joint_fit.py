@@ -11,7 +11,6 @@ import numpy as np
 
 from cellwise.cell.effects import Effect
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
@@ -30,6 +29,7 @@ from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 QUICK_ROWS, QUICK_ITERATIONS = 800, 12  # compared rows of a log, where fits are compared
@@ -81,7 +81,7 @@ class JointLogs:
     capacity_Ah: float
     reference_C: float
     grid_C: FloatArray
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     contradictions: tuple[Notice, ...] = ()
 
     def fit(
@@ -213,7 +213,8 @@ def gather_logs(
                 why = why or "it has no discharge"
             if why:
                 starts.append(Start(log, 1.0 if log.soc0 is None else log.soc0, item.compare, why))
-                notices.append(f"'{log.name}' left out of the fit: {why}")
+                text = f" left out of the fit: {why}"
+                notices.append(Notice(Code.LOG_LEFT_OUT, text, log=log.name))
                 continue
             items.append(item)
             roles.append(role)
@@ -242,7 +243,7 @@ def _joint_logs(
     items: Sequence[FitLog],
     roles: Sequence[str],
     starts: Sequence[Start],
-    notices: Sequence[str],
+    notices: Sequence[Notice],
     capacity: MeasuredCapacity,
     settings: IdentifySettings,
     cells: CellPrior,

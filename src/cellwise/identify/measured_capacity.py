@@ -7,14 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import RANGE_V, SHOWN, Notice
+from cellwise.cell.plausibility.notice import RANGE_V, SHOWN
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.hppc.phases import find_phases
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 
 
 class CapacityLimits(NamedTuple):
@@ -65,7 +66,7 @@ class MeasuredCapacity(NamedTuple):
     tests: tuple[CapacityTest, ...]
     ln_std: float
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> MeasuredCapacity:
@@ -77,7 +78,7 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
                       capacity can have
     """
     tests, nominal = checked.tests, settings.nominal_Ah
-    notices: list[str] = []
+    notices: list[Notice] = []
     measured: tuple[CapacityTest, ...] = ()
     # Low-rate logs may be parts of one test: discharge, its last per cent, charge.
     sources: list[CellLog | tuple[CellLog, ...]] = [*checked.low_rate, *tests.capacity]
@@ -86,14 +87,16 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     except InputError as error:
         if nominal is None and not tests.hppc:
             raise
-        notices.append(f"no capacity test found: {error}")
+        notices.append(Notice(Code.NO_CAPACITY_TEST, f"no capacity test found: {error}"))
     total, empty_early = _of_pulse_tests(tests, nominal, notices)
     usable, parts = _without_parts(measured, nominal)
     if not any(t.complete for t in usable):
         usable = ()
         if measured:
-            notices.append("no capacity test reached the lower limit: none is used")
-    notices.extend(f"capacity test {t.left_out}" for t in usable if not t.complete)
+            text = "no capacity test reached the lower limit: none is used"
+            notices.append(Notice(Code.NO_CAPACITY_TEST, text))
+    left_out = (f"capacity test {t.left_out}" for t in usable if not t.complete)
+    notices.extend(Notice(Code.CAPACITY_TEST_UNUSED, text) for text in left_out)
     choices = capacity_choices(usable, nominal, total, temperature_C=checked.default_C)
     choice, capacity = choose_capacity(choices, settings.capacity_choice)
     of_choice = {"nominal": SPREAD.rated, "hppc-total": SPREAD.pulses}
@@ -119,9 +122,10 @@ def _without_parts(
     small = [t for t in tests if t.complete and t.total_Ah * LIMITS.far < nominal]
     found = [
         Notice(
-            RANGE_V * math.log(nominal / t.total_Ah),
+            Code.PART_OF_DISCHARGE,
             f"capacity test '{t.name}' moved {t.total_Ah:.4g} Ah, of {nominal:g} Ah nominal: "
             "the end of a discharge, or a current in another scale? It is not used as a capacity",
+            size_V=RANGE_V * math.log(nominal / t.total_Ah),
         )
         for t in small
     ]
@@ -146,10 +150,10 @@ def _against_nominal(capacity_Ah: float, choice: str, nominal_Ah: float | None) 
         f"the capacity of {capacity_Ah:.4g} Ah ({choice}) is {ratio:.2f} times the nominal "
         f"{nominal_Ah:.4g} Ah: another cell, an aged one, or another unit?"
     )
-    return [Notice(RANGE_V * away, text)]
+    return [Notice(Code.NOT_NOMINAL, text, size_V=RANGE_V * away)]
 
 
-def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Notice]:
+def _against_logs(capacity_Ah: float, choice: str, tests: CellTests) -> list[Notice]:
     """Logs that move more than the cell holds."""
     found = []
     for log in tests.logs():
@@ -163,15 +167,16 @@ def _against_logs(capacity_Ah: float, choice: str, tests: TestLogs) -> list[Noti
             )
         if moved_Ah > SHOWN.charge * capacity_Ah:
             text = (
-                f"'{log.name}' {of_cell} through a cell of {capacity_Ah:.4g} Ah ({choice}): a log "
-                "of another cell, or in another scale?"
+                f" {of_cell} through a cell of {capacity_Ah:.4g} Ah ({choice}): a log of another "
+                "cell, or in another scale?"
             )
-            found.append(Notice(RANGE_V * (moved_Ah / capacity_Ah - 1.0), text))
+            size_V = RANGE_V * (moved_Ah / capacity_Ah - 1.0)
+            found.append(Notice(Code.MORE_THAN_HELD, text, log=log.name, size_V=size_V))
     return found
 
 
 def _of_pulse_tests(
-    tests: TestLogs, nominal_Ah: float | None, notices: list[str]
+    tests: CellTests, nominal_Ah: float | None, notices: list[Notice]
 ) -> tuple[float | None, list[Notice]]:
     """Charge of the pulse test that moved most [Ah], None where it was not the whole cell.
 
@@ -184,22 +189,27 @@ def _of_pulse_tests(
     total, whole = hppc_total_Ah(most), hppc_reaches_empty(most)
     if nominal_Ah is None:
         if not whole:
-            notices.append(
-                f"'{most.name}' is not seen to go from full to empty: its {total:.3f} Ah are taken "
-                "for the capacity, for want of a nominal one"
+            text = (
+                f" is not seen to go from full to empty: its {total:.3f} Ah are taken for the "
+                "capacity, for want of a nominal one"
             )
+            notices.append(Notice(Code.PULSE_TEST_TAKEN, text, log=most.name))
         return total, []
     if total >= (PULSE_TEST.ends_empty if whole else PULSE_TEST.nearly) * nominal_Ah:
         return total, []
-    notices.append(
+    text = (
         f"the HPPC test moved {total:.3f} Ah, {100 * total / nominal_Ah:.0f} % of nominal: "
         "it did not go from full to empty and is no capacity"
     )
+    notices.append(Notice(Code.PULSE_TEST_NO_CAPACITY, text))
+    if not whole:
+        return None, []
     text = (
-        f"'{most.name}' is empty after {total:.4g} Ah, of {nominal_Ah:.4g} Ah nominal: did it "
-        "begin full, and is the nominal capacity that of this cell?"
+        f" is empty after {total:.4g} Ah, of {nominal_Ah:.4g} Ah nominal: did it begin full, and "
+        "is the nominal capacity that of this cell?"
     )
-    return None, [Notice(RANGE_V * math.log(nominal_Ah / total), text)] if whole else []
+    size_V = RANGE_V * math.log(nominal_Ah / total)
+    return None, [Notice(Code.EMPTY_EARLY, text, log=most.name, size_V=size_V)]
 
 
 def hppc_total_Ah(log: CellLog) -> float:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import Notice
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.hppc.pulses import find_pulses
-from cellwise.identify.identification import REFERENCE_C, TestLogs, log_temperature_C
+from cellwise.identify.identification import REFERENCE_C, CellTests, log_temperature_C
 from cellwise.identify.ocv.curve import (
     POINTS,
     OcvCurve,
@@ -22,6 +21,7 @@ from cellwise.identify.ocv.curve import (
 )
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
+from cellwise.notices import Code, Notice
 
 
 class MeasuredOcv(NamedTuple):
@@ -29,7 +29,7 @@ class MeasuredOcv(NamedTuple):
 
     curve: OcvCurve
     contradictions: tuple[Notice, ...]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
 
 
 def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
@@ -42,7 +42,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     InputError        no OCV
     """
     tests = checked.tests
-    notices: list[str] = []
+    notices: list[Notice] = []
     unlike: Notice | None = None
     curve = rests = _of_rests(tests, capacity_Ah, notices)
     slow = nearest_test(checked.low_rate, checked.default_C)
@@ -56,11 +56,12 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
         notices.extend(rests.notes)
     elif tests.capacity:
         curve = ocv_from_low_rate(tests.capacity, capacity_Ah=capacity_Ah)
-        notices.append("OCV taken from the slowest capacity test: it carries its polarisation")
+        text = "OCV taken from the slowest capacity test: it carries its polarisation"
+        notices.append(Notice(Code.OCV_SOURCE, text))
     elif tests.drive:
         curve = _of_drives(tests, capacity_Ah, notices)
     if curve is None:
-        why = notices[-1].partition("; expected")[0]
+        why = notices[-1].head
         raise InputError(
             f"{pulse_counts(tests)}, and no open-circuit voltage ({why})",
             "a low-rate test, or an HPPC log with healthy pulses and rests at several SOC",
@@ -69,7 +70,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
     return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
 
-def pulse_counts(tests: TestLogs) -> str:
+def pulse_counts(tests: CellTests) -> str:
     """The pulses of each log by quality, as text."""
     values = []
     for log, _ in tests.hppc:
@@ -79,7 +80,7 @@ def pulse_counts(tests: TestLogs) -> str:
     return "; ".join(values)
 
 
-def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve | None:
+def _of_rests(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> OcvCurve | None:
     """Of the log nearest to the reference temperature: a cold one relaxes too slowly."""
     if not tests.hppc:
         return None
@@ -87,11 +88,13 @@ def _of_rests(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCur
     try:
         return ocv_from_rests(log, capacity_Ah)
     except InputError as error:
-        notices.append(f"no OCV from the rests of '{log.name}': {error}")
+        text = f"no OCV from the rests of '{log.name}': found {error.found}"
+        said = (text, f"; expected {error.expected}. {error.action}")
+        notices.append(Notice(Code.NO_OCV_OF_RESTS, said))
         return None
 
 
-def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCurve:
+def _of_drives(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> OcvCurve:
     """A first OCV out of the longest drive: the upper quartile of the voltage at each SOC."""
     log = max((log for log, _ in tests.drive), key=lambda x: float(np.ptp(x.counted_charge_Ah())))
     soc = (1.0 if log.soc0 is None else log.soc0) - log.counted_charge_Ah() / capacity_Ah
@@ -109,7 +112,8 @@ def _of_drives(tests: TestLogs, capacity_Ah: float, notices: list[str]) -> OcvCu
             "Add `ocv=LOG` or `hppc=LOG`.",
         )
     begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
-    notices.append(f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}")
+    text = f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}"
+    notices.append(Notice(Code.OCV_SOURCE, text))
     source = f"drive {log.name}"
     return curve_from_points(
         np.array(points), np.array(level), capacity_Ah=capacity_Ah, source=source

@@ -13,7 +13,6 @@ from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import (
     RANGE_V,
     SHOWN,
-    Notice,
     error_notices,
     in_order,
     soc_notices,
@@ -24,9 +23,10 @@ from cellwise.errors import InputError
 from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
-from cellwise.identify.identification import Fitted, OwnLog, Role, Start, TestLogs
+from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
 from cellwise.identify.ocv.curve import LIMITS
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
@@ -38,7 +38,7 @@ BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
 
-def simulate_back(model: CellModel, tests: TestLogs, fitted: Fitted) -> tuple[OwnLog, ...]:
+def simulate_back(model: CellModel, tests: CellTests, fitted: Fitted) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
     The start is what every other command finds with this model; the fit's own, which knows what a
@@ -84,7 +84,7 @@ def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
     try:
         check_physical(model, "the model")
     except InputError as error:
-        first = "".join(f"; {text}" for text in in_order(found)[:1])
+        first = "".join(f"; {one.text}" for one in in_order(found)[:1])
         raise InputError(
             f"tests that give {error.found}{first}",
             error.expected,
@@ -100,8 +100,9 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
     InputError        an error of hundreds of millivolts on its own logs, and a contradiction
     """
     if found and rmse_V >= SHOWN.no_model_V:
+        first = in_order(found)[0]
         raise InputError(
-            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {in_order(found)[0]}",
+            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {first.text}",
             "logs of one cell, in one scale",
             "Leave out the log that does not belong, or check the unit of its current (mA for A?).",
         )
@@ -111,7 +112,7 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     """Where the finished model is far from the logs that made it."""
     found = []
     for s in (o.simulation for o in own if o.used):
-        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.error_V, s.soc)
+        found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.residual_V, s.soc)
     return found
 
 
@@ -122,11 +123,12 @@ def other_capacities(starts: Sequence[Start]) -> list[Notice]:
         away = start.capacity_scale - 1.0
         if abs(away) > LIMITS.other_capacity:
             text = (
-                f"'{start.log.name}' is of a cell that held {100.0 * away:+.1f} % of the others' "
-                "charge: another sample, another age, or a current sensor that is off. It keeps a "
-                "capacity of its own in the fit, and the model that of the others"
+                f" is of a cell that held {100.0 * away:+.1f} % of the others' charge: another "
+                "sample, another age, or a current sensor that is off. It keeps a capacity of its "
+                "own in the fit, and the model that of the others"
             )
-            found.append(Notice(RANGE_V * abs(away), text))
+            name, size_V = start.log.name, RANGE_V * abs(away)
+            found.append(Notice(Code.OTHER_CAPACITY, text, log=name, size_V=size_V))
     return found
 
 
@@ -154,7 +156,7 @@ def log_validity(
 
 
 def identified_validity(
-    tests: TestLogs,
+    tests: CellTests,
     used: Sequence[OwnLog],
     measured_soc: FloatArray,
     temperature_C: float | None = None,
@@ -163,7 +165,7 @@ def identified_validity(
 
     Parameters
     ----------
-    tests : TestLogs                        with the temperatures that were stated
+    tests : CellTests                        with the temperatures that were stated
     used : sequence of OwnLog               the logs that the model was fitted on
     measured_soc : (m,) float               where the OCV was measured
     temperature_C : float or None           of tests that measured none, as stated [degC]
@@ -208,7 +210,7 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
 
 def _known(simulation: Simulation, rows: BoolArray | None) -> FloatArray:
     """Errors of the rows that were measured [V]."""
-    error = simulation.error_V if rows is None else simulation.error_V[rows]
+    error = simulation.residual_V if rows is None else simulation.residual_V[rows]
     return np.asarray(error[np.isfinite(error)])
 
 

@@ -16,10 +16,11 @@ from importlib.metadata import version
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import Notice, in_order
+from cellwise.cell.plausibility.notice import in_order
 from cellwise.errors import InputError
 from cellwise.fit.population import SPREAD
 from cellwise.fit.start import InitialSoc
@@ -30,11 +31,11 @@ from cellwise.identify.fit_notices import fit_notices, poor_fit, start_notices
 from cellwise.identify.fitted_pulses import Group, fit_all_pulses
 from cellwise.identify.identification import (
     REFERENCE_C,
+    CellTests,
     Fitted,
     Identification,
     IdentifySettings,
     TemperatureResult,
-    TestLogs,
 )
 from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
@@ -50,6 +51,7 @@ from cellwise.identify.own_logs import (
 )
 from cellwise.identify.plain_model_check import check_against_plain
 from cellwise.identify.stated_error import leave_out, stated_error
+from cellwise.notices import Code, Notice, texts
 from cellwise.threads import one_blas_thread
 
 Progress = Callable[[str], None]
@@ -58,13 +60,13 @@ UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and anoth
 
 @one_blas_thread
 def identify_cell(
-    tests: TestLogs, settings: IdentifySettings | None = None, progress: Progress | None = None
+    tests: CellTests, settings: IdentifySettings | None = None, progress: Progress | None = None
 ) -> Identification:
     """Identify a cell from its laboratory tests, or from a prior and what there is.
 
     Parameters
     ----------
-    tests : TestLogs          at least one HPPC or drive log; with a prior, one of any kind
+    tests : CellTests          at least one HPPC or drive log; with a prior, one of any kind
     settings : IdentifySettings or None
     progress : callable or None       called with what is being done
 
@@ -78,6 +80,9 @@ def identify_cell(
                       capacity choice; tests that neither a model nor a prior fits
     """
     began = time.perf_counter()
+    check_kind("tests", tests, CellTests, "Write CellTests(hppc=log), or CellTests(drive=log).")
+    if settings is not None:
+        check_kind("settings", settings, IdentifySettings, "Write IdentifySettings(nominal_Ah=5).")
     settings = IdentifySettings() if settings is None else settings
     say = progress or (lambda _: None)
     checked = check_logs(tests, settings)
@@ -95,10 +100,12 @@ def identify_cell(
     found = own_log_notices(own)
     wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
-    first = fitted.plain.notice if fitted.plain is not None else ""
-    contradictory = ((first,) if first else ()) + tuple(in_order(wrong))
+    first = fitted.plain.notice if fitted.plain is not None else None
+    contradictory = (() if first is None else (first,)) + in_order(wrong)
     said = (*capacity.notices, *fitted.notices, *start_notices(own), *checked.notices)
-    reasons = [f"'{o.simulation.log.name}': {o.reason}" for o in used if o.reason]
+    reasons = [
+        Notice(Code.OWN_LOG, f": {o.reason}", log=o.simulation.log.name) for o in used if o.reason
+    ]
     seconds = time.perf_counter() - began
     choices = {**capacity.choices_Ah, **fitted.choices_Ah}
     provenance = {
@@ -171,7 +178,7 @@ def _fitted(
         decided=() if comparison and comparison.reason else fit.decided,
         choices_Ah={"fitted": model.capacity_Ah},
         provenance={
-            "ocv": {"source": curve.source, "notes": list(curve.notes)},
+            "ocv": {"source": curve.source, "notes": texts(curve.notes)},
             "pulses": {
                 "method": settings.method,
                 "tables": settings.tables,
@@ -203,7 +210,7 @@ def _of_unknown_temperature(checked: CheckedLogs) -> float:
 
 def _curve(
     checked: CheckedLogs, model: CellModel
-) -> tuple[OcvCurve, tuple[Notice, ...], tuple[str, ...]]:
+) -> tuple[OcvCurve, tuple[Notice, ...], tuple[Notice, ...]]:
     """The OCV as a test measured it; where none did, the model's."""
     try:
         measured = measure_ocv(checked, model.capacity_Ah)
@@ -216,7 +223,7 @@ def _curve(
     return measured
 
 
-def _stated_of(model: CellModel, tests: TestLogs, settings: IdentifySettings) -> CellModel:
+def _stated_of(model: CellModel, tests: CellTests, settings: IdentifySettings) -> CellModel:
     """With chemistry and voltage window: as stated, else as of the model that was the prior.
 
     A prior's window is widened to hold every log; without one it is what laboratory tests kept to.

@@ -136,14 +136,14 @@ def residual_log(model: CellModel, item: FitLog, rows: BoolArray | None = None) 
     if log.temperature_C is None and item.temperature_C is not None:
         log = replace(log, temperature_C=np.full(len(log), item.temperature_C))
     simulation = simulate(model, log, min(max(item.soc0, 0.0), 1.0), item.h0)
-    use = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
+    use = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
     use &= item.compare if rows is None and item.compare is not None else True
     use &= True if rows is None else rows
     warm = known_temperature_C(model, log)[use]
     soc = simulation.soc[use]
     drop = polarisation_V(model, soc, warm, simulation.voltage_V[use])
     usual = float(np.median(warm)) if warm.size else 0.0
-    return ResidualLog(log.time_s[use], soc, drop, simulation.error_V[use], usual)
+    return ResidualLog(log.time_s[use], soc, drop, simulation.residual_V[use], usual)
 
 
 def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:

@@ -13,6 +13,7 @@ from cellwise.estimate.status import Status
 from cellwise.forecast.display import Displayed
 from cellwise.forecast.outlook import Outlook
 from cellwise.live.live_filter import LiveFilter, Update
+from cellwise.notices import Notice
 
 FORECAST_EVERY_S = 1.0
 
@@ -50,9 +51,10 @@ class Followed:
             self.power.take(reading, state, info.status)
 
     @property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """What is said of a stream that is far off its model; then nothing is foreseen."""
-        return None if self.far is None or self.far.text is None else withheld(self.far.text)
+        found = None if self.far is None else self.far.notice
+        return None if found is None else withheld(found)
 
     def columns(self, update: Update) -> dict[str, Any]:
         """Time and energy to empty, power if it is asked for, the cells of a pack: for JSON."""

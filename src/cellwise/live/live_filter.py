@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import choice
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.model_file import model_mark
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
@@ -264,19 +265,15 @@ class LiveFilter:
         self,
         model: CellModel,
         estimator: str = "ekf",
-        *,
         soc0: float | None = None,
+        *,
         soc0_std: float | None = None,
         noise: Noise | None = None,
         temperature_C: float = math.nan,
         cells: int = 0,
     ) -> None:
-        if estimator not in ESTIMATORS:
-            raise InputError(
-                f"estimator '{estimator}' for a stream",
-                f"one of {', '.join(ESTIMATORS)}",
-                "Choose one of them; the others replay whole logs.",
-            )
+        check_is_model(model)
+        estimator = choice("estimator of a stream", estimator, tuple(ESTIMATORS))
         self.model = model
         self.temperature_C = temperature_C
         self.filter = ESTIMATORS[estimator](model, noise)

@@ -64,7 +64,8 @@ class LatencyMeter:
 class Counts:
     """What came so far. ``late`` samples were older than the one before or had a broken stamp.
 
-    ``outside`` samples lay beyond the SOC, temperature and current of the model's data.
+    ``outside`` samples lay beyond the SOC, temperature and current of the model's data, ``invalid``
+    ones had no voltage that could be used.
     """
 
     samples: int = 0
@@ -72,6 +73,7 @@ class Counts:
     unused: int = 0
     gaps: int = 0
     outside: int = 0
+    invalid: int = 0
     stray: Counter[str] = field(default_factory=Counter)
     latency: LatencyMeter = field(default_factory=LatencyMeter)
     last: Update | None = None
@@ -149,6 +151,7 @@ def run_live(
                     counts.samples += 1
                     counts.gaps += update.gap
                     counts.outside += bool(update.info.status & Status.OUTSIDE)
+                    counts.invalid += bool(update.info.status & Status.VOLTAGE_INVALID)
                     counts.last = update
                     counts.latency.add(time.time() - item.arrived_s, update.dt_s)
                     if counts.samples == most_samples:
@@ -173,8 +176,15 @@ def check_any(source: Source, counts: Counts) -> None:
 
     Raises
     ------
-    InputError          not one sample
+    InputError          not one sample; none with a voltage that a cell can have
     """
+    if counts.samples and counts.invalid == counts.samples and counts.last is not None:
+        raise InputError(
+            f"{counts.samples} samples in {source.name} and no voltage of a cell among them (the "
+            f"last is {counts.last.sample.voltage_V:.4g} V)",
+            "the voltage of one cell, or a pack's with its cells in series",
+            "State `series=N`, or check the channel and its unit.",
+        )
     if counts.samples:
         return
     strays = ", ".join(f"{reason}: {n}" for reason, n in counts.stray.most_common(3))

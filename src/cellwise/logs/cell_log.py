@@ -11,9 +11,10 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellwise.arguments import check_kind, held_soc
+from cellwise.arguments import check_kind, held_soc, number, shown
 from cellwise.errors import InputError
 from cellwise.logs.gaps import Gap, find_gaps, run_edges
+from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
@@ -43,7 +44,7 @@ class CellLog(Plottable, Tabular):
                                 that ends at row k (what testers mean); ``interval_start``: it
                                 flows from row k on
     format : str                the file's format as detected, empty for a log made in memory
-    notices : tuple of str      what a person should know of how the log was read
+    notices : tuple of Notice   what a person should know of how the log was read
     soc0 : float or None        true SOC at the first row where somebody knows it, 0..1: it is
                                 believed
 
@@ -63,14 +64,15 @@ class CellLog(Plottable, Tabular):
     source: str = ""
     current_meaning: CurrentMeaning = "interval_end"
     format: str = ""
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     soc0: float | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
         where = f"log '{self.name or self.source}'" if self.name or self.source else "the log"
         for field in CHANNELS:
-            if (values := getattr(self, field)) is not None:
+            values = getattr(self, field)
+            if values is not None or field in ("time_s", "current_A", "voltage_V"):
                 object.__setattr__(self, field, _channel(values, field, n, where))
         _check_time(self.time_s, where)
         for field in ("current_A", "voltage_V"):
@@ -87,7 +89,7 @@ class CellLog(Plottable, Tabular):
                 "Say which interval the current of a row belongs to.",
             )
         if self.soc0 is not None:
-            object.__setattr__(self, "soc0", held_soc(self.soc0))
+            object.__setattr__(self, "soc0", held_soc(number("soc0", self.soc0, "a SOC, or None")))
         if self.soc0 is not None and not 0.0 <= self.soc0 <= 1.0:
             raise InputError(
                 f"soc0 = {self.soc0:g} of {where}",
@@ -201,12 +203,21 @@ class CellLog(Plottable, Tabular):
         counted = summed + drift - (summed[0] + drift[0])
         return counted
 
-    def with_notices(self, notices: Iterable[str]) -> Self:
+    def with_notices(self, notices: Iterable[Notice]) -> Self:
         """The same log with other notices."""
         return replace(self, notices=tuple(notices))
 
     def part(self, start: int, stop: int) -> Self:
-        """Rows ``start`` to ``stop`` (not included) as a log of their own, time kept."""
+        """Rows ``start`` to ``stop`` (not included) as a log of their own, time kept.
+
+        Raises
+        ------
+        InputError          rows that are no whole numbers, none between them
+        """
+        if not all(isinstance(k, (int, np.integer)) for k in (start, stop)):
+            raise InputError(
+                f"rows {shown(start)} to {shown(stop)}", "whole numbers", "Write log.part(0, 1000)."
+            )
         return self.rows(np.arange(*slice(start, stop).indices(len(self))))
 
     def rows(self, rows: NDArray[np.integer[Any]] | BoolArray) -> Self:
@@ -277,9 +288,19 @@ def typical(values: FloatArray) -> float:
     return float(np.median(known) if known.size else np.nanmedian(values))
 
 
-def _channel(value: ArrayLike, field: str, n: int, where: str) -> NDArray[Any]:
+CHANNEL = "numbers, one for each row, nan where one is missing"
+
+
+def _channel(value: ArrayLike | None, field: str, n: int, where: str) -> NDArray[Any]:
     """A read-only view or copy of one channel; infinite readings become missing ones."""
-    array = np.ascontiguousarray(value, dtype=np.int32 if field == "step" else np.float64)
+    if value is None or isinstance(value, (str, bytes)):
+        found = f"{field} = {shown(value)} in {where}"
+        raise InputError(found, CHANNEL, "Pass an array or a list.")
+    try:
+        array = np.ascontiguousarray(value, dtype=np.int32 if field == "step" else np.float64)
+    except (TypeError, ValueError) as error:
+        found = f"{field} = {shown(value)} in {where} ({error})"
+        raise InputError(found, CHANNEL, "Pass an array or a list.") from None
     if array.shape != (n,):
         raise InputError(
             f"{field} of shape {array.shape} in {where}",
@@ -359,6 +380,8 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
     ------
     InputError        a step that is not above zero, longer than the log, or beyond any memory
     """
+    check_is_log(log)
+    dt_s = number("dt_s", dt_s, "seconds, above zero")
     if not (0.0 < dt_s <= log.duration_s <= LARGEST * dt_s):
         raise InputError(
             f"a time step of {dt_s:g} s for a log of {log.duration_s:g} s",

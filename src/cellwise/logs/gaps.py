@@ -102,6 +102,13 @@ class Run(NamedTuple):
     last: int
 
 
+def rows_between(time_s: FloatArray, low_s: float, high_s: float) -> range:
+    """Rows of a log from one of its times to another, both among them."""
+    first = int(np.searchsorted(time_s, low_s, side="left"))
+    stop = int(np.searchsorted(time_s, high_s, side="right"))
+    return range(min(first, time_s.size - 1), max(stop, min(first + 1, time_s.size)))
+
+
 def runs_of(flags: BoolArray) -> list[Run]:
     """Every run of True."""
     return [Run(int(a), int(b)) for a, b in zip(*run_edges(flags), strict=True)]

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.logs.cell_log import CellLog
+from cellwise.logs.cell_log import CellLog, check_is_log
 from cellwise.logs.checks import faults, grave, units
-from cellwise.logs.checks.sign import CONTRADICTED, SignCheck, Verdict, contradiction, verify_sign
+from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.gaps import Gap, run_edges
+from cellwise.notices import Code, Notice, Place, coded, graves_first
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -79,7 +80,7 @@ class Inspection:
     rests: tuple[Rest, ...]
     stuck: dict[str, faults.Stretch]
     missing: dict[str, int]
-    notices: tuple[str, ...]
+    notices: tuple[Notice, ...]
     soc0: float | None = None
 
     def to_dict(self) -> dict[str, object]:
@@ -90,6 +91,8 @@ class Inspection:
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, Notice):
+        return value.text
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, tuple):
@@ -108,6 +111,7 @@ def inspect_log(log: CellLog) -> Inspection:
     -------
     Inspection        its ``notices``: those of reading, and one for every oddity
     """
+    check_is_log(log)
     possible = faults.possible_part(log)
     check = verify_sign(possible)
     counter = units.compare_counter(log)
@@ -124,18 +128,20 @@ def inspect_log(log: CellLog) -> Inspection:
         if (values := getattr(log, field)) is not None
     }
     notices = [
-        *grave.graves_first([*log.notices, *grave.grave_notices(log)]),
+        *graves_first([*log.notices, *grave.grave_notices(log)]),
         *_sign_notices(log, check),
         *_time_notices(log),
         *_channel_notices(log, missing, stuck, faults.find_spikes(possible).size, mismatch),
     ]
     if not rests:
-        notices.append("no rest of a minute or more anywhere: no open-circuit voltage can be read")
+        text = "no rest of a minute or more anywhere: no open-circuit voltage can be read"
+        notices.append(Notice(Code.NO_REST, text))
     if not _is_quiet(log)[0]:
-        notices.append(
+        text = (
             f"the first row is under load ({log.interval_current_A[0]:.3g} A): its voltage is no "
             "open-circuit voltage"
         )
+        notices.append(Notice(Code.FIRST_ROW_LOADED, text, rows=range(1)))
     return Inspection(
         name=log.name,
         format=log.format or "memory",
@@ -171,16 +177,18 @@ def _sampling(log: CellLog) -> Sampling:
     return Sampling(float(np.median(moving)), float(np.min(interval)), float(np.max(interval)))
 
 
-def _sign_notices(log: CellLog, check: SignCheck) -> list[str]:
+def _sign_notices(log: CellLog, check: SignCheck) -> list[Notice]:
     if check.verdict == "undetermined":
         first = check.evidence[0]
-        return [f"the sign of the current could not be determined from the data: {first}"]
-    if check.verdict == "contradicted" and not any(CONTRADICTED in n for n in log.notices):
+        text = f"the sign of the current could not be determined from the data: {first}"
+        return [Notice(Code.SIGN_UNDETERMINED, text)]
+    known = coded(log.notices, Code.SIGN_CONTRADICTED)
+    if check.verdict == "contradicted" and not known:
         return [contradiction("charge-positive")]
     return []
 
 
-def _time_notices(log: CellLog) -> list[str]:
+def _time_notices(log: CellLog) -> list[Notice]:
     notices = []
     gaps = log.gaps
     for gap in gaps[: NOTED.gaps]:
@@ -189,13 +197,14 @@ def _time_notices(log: CellLog) -> list[str]:
             if gap.charge_Ah is None
             else f"the counter moved by {gap.charge_Ah:.4f} Ah"
         )
-        notices.append(
-            f"a gap of {_duration(gap.duration_s)} without rows at {gap.start_s:.1f} s: {counted}"
-        )
+        at = Place(f"at {gap.start_s:.1f} s", range(max(gap.row - 1, 0), gap.row + 1))
+        said = (f"a gap of {_duration(gap.duration_s)} without rows ", at, f": {counted}")
+        notices.append(Notice(Code.GAP, said))
     if len(gaps) > NOTED.gaps:
-        notices.append(f"{len(gaps) - NOTED.gaps} more gaps")
+        notices.append(Notice(Code.MORE_GAPS, f"{len(gaps) - NOTED.gaps} more gaps"))
     if log.repeated_stamps:
-        notices.append(f"{log.repeated_stamps} row(s) repeat the time of the row before")
+        text = f"{log.repeated_stamps} row(s) repeat the time of the row before"
+        notices.append(Notice(Code.STAMPS_REPEAT, text))
     return notices
 
 
@@ -205,24 +214,24 @@ def _channel_notices(
     stuck: dict[str, faults.Stretch],
     spikes: int,
     mismatch: float | None,
-) -> list[str]:
+) -> list[Notice]:
     notices = [
-        f"{count} of {len(log)} rows without {field}" for field, count in missing.items() if count
+        Notice(Code.ROWS_MISSING, f"{count} of {len(log)} rows without {field}")
+        for field, count in missing.items()
+        if count
     ]
     for field, stretch in stuck.items():
         other = "current" if field == "voltage_V" else "voltage"
-        notices.append(
-            f"{field} stands still for {_duration(stretch.duration_s)} from "
-            f"{stretch.start_s:.1f} s on while the {other} moves: a stuck channel?"
-        )
-    noted = any("differs from the summed current" in notice for notice in log.notices)
+        since = Place(f"from {stretch.start_s:.1f} s", stretch.rows_of(log))
+        text = f"{field} stands still for {_duration(stretch.duration_s)} "
+        said = (text, since, f" on while the {other} moves: a stuck channel?")
+        notices.append(Notice(Code.CHANNEL_STUCK, said))
+    noted = coded(log.notices, Code.COUNTER_DIFFERS)
     if spikes:
-        notices.append(f"{spikes} row(s) whose voltage jumps away and back without the current")
+        text = f"{spikes} row(s) whose voltage jumps away and back without the current"
+        notices.append(Notice(Code.SPIKES, text))
     if mismatch is not None and mismatch > units.COUNTER.inspected_percent and not noted:
-        notices.append(
-            f"the counter ampere_hours differs from the summed current by {mismatch:.1f} % of the "
-            "charge moved"
-        )
+        notices.append(units.differing(mismatch))
     return notices
 
 

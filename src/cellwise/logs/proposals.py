@@ -10,13 +10,12 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.grave import is_grave
-from cellwise.logs.checks.sign import CONTRADICTED, NEEDED, verify_sign
+from cellwise.logs.checks.sign import NEEDED, verify_sign
 from cellwise.logs.checks.units import CELL
-from cellwise.logs.checks.unsigned import NO_SIGN
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import listed
 from cellwise.logs.files.source import LogSource
+from cellwise.notices import Code
 
 TRIED_BYTES = 2_000_000  # of a larger text the beginning is tried
 LEAST_V = 0.5  # of a cell, typically
@@ -52,22 +51,25 @@ def tried(
             if all(passed):
                 break
     if not found:
-        return InputError(
+        return MissingColumnsError(
             refusal.found,
             refusal.expected,
             "None of them was found to fit. If some do, name them with `channels={...}`. "
             + refusal.action,
+            refusal.missing,
         )
     passed, best = max(found, key=lambda one: one[0])
     said = ", ".join(f"{tidy!r}: {name!r}" for tidy, name in best.items())
     why = "it reads, and the voltage answers the current" if passed.answers else "it reads"
     others = sorted({name for _, one in found for name in one.values()} - set(best.values()))
     also = f" What reads, too: {listed(others)}." if others else ""
-    return InputError(
+    return MissingColumnsError(
         refusal.found,
         refusal.expected,
         f"Name the columns with `channels={{{said}}}`, if that is what they hold ({why}).{also} "
         f"Or: {refusal.action[:1].lower()}{refusal.action[1:]}",
+        refusal.missing,
+        fitting=best,
     )
 
 
@@ -88,12 +90,12 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> Passed |
         return None
     one_cell = log.typical_voltage_V <= CELL.largest_V
     pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
-    for notice in log.notices:
-        of_sign = notice.startswith((NO_SIGN, CONTRADICTED))
-        if is_grave(notice) and not (of_sign or (pack and "series" in notice)):
-            return None
+    settled = {Code.NO_SIGN, Code.SIGN_CONTRADICTED}  # by what else is stated of the log
+    settled |= {Code.VOLTAGE_OF_PACK, Code.VOLTAGE_UNIT} if pack else set()
+    if any(n.is_grave and n.code not in settled for n in log.notices):
+        return None
     check = verify_sign(log)
-    if log.typical_voltage_V < LEAST_V or "does not follow" in check.evidence[0]:
+    if log.typical_voltage_V < LEAST_V or not check.follows:
         return None
     peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
     usual = bool(NEEDED.current_A <= peak < MOST_A and every_s < SLOWEST_S)

@@ -41,8 +41,7 @@ from cellwise.logs.packs.cells import to_cell
 from cellwise.logs.packs.pack_log import PackLog, columns_of_table, pack_columns, pack_of
 from cellwise.logs.proposals import tried
 from cellwise.logs.stated import Stated, plain_name
-
-AS_MEAN_CELL = "read as their mean cell"  # marks the notice
+from cellwise.notices import Code, Notice
 
 
 def read_log(
@@ -129,8 +128,9 @@ def _log_of(source: LogSource, sign: str, named: str, check_sign: bool) -> CellL
         )
         warm = sum(c.kind == "temperature" for c in columns)
         what = f"{pack.cells} cells" + (f" and {warm} temperatures" if warm > 1 else "")
-        said = f"a table of {what}, {AS_MEAN_CELL} (`cellwise pack` sees each)"
-        return pack.mean.with_notices((*pack.notices, said))
+        said = f"a table of {what}", ", read as their mean cell (`cellwise pack` sees each)"
+        noted = Notice(Code.PACK_AS_MEAN_CELL, said)
+        return pack.mean.with_notices((*pack.notices, noted))
     raw = one_battery(read_channels(source, known), source, known)
     if raw.form:
         known = in_workbook(next(one for one in FORMATS if one.name == raw.form))

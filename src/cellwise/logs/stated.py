@@ -16,10 +16,12 @@ import numpy as np
 from cellwise.arguments import beyond, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 
 KEYS = ("temperature_C", "soc0", "instance")
 FORM = "LOG@TEMPERATURE or LOG@temperature_C=-20,soc0=1"
 _DAY = re.compile(r"(?<!\d)((?:19|20)\d\d)[-_]?([01]\d)[-_]?([0-3]\d)(?!\d)")
+VOLT_PER_KELVIN = 0.005  # about what a wrong temperature does at 1C: only the order of notices
 OTHER_TEMPERATURE_K = 10.0  # sensors, chambers and the way between them differ by less
 
 
@@ -110,18 +112,19 @@ class Stated:
             held = held_soc(self.soc0)
             log = replace(log, soc0=held)
             if held != self.soc0:
-                log = log.with_notices((*log.notices, beyond(self.soc0)))
+                said = Notice(Code.START_HELD, beyond(self.soc0))
+                log = log.with_notices((*log.notices, said))
         if self.temperature_C is None:
             return log
         measured = log.temperature_C
         if measured is None or not np.any(np.isfinite(measured)):
             return replace(log, temperature_C=np.full(len(log), self.temperature_C))
         found = other_temperature(log, self.temperature_C)
-        return log if found is None else log.with_notices((found[1], *log.notices))
+        return log if found is None else log.with_notices((found, *log.notices))
 
 
-def other_temperature(log: CellLog, stated_C: float) -> tuple[float, str] | None:
-    """By how much [K] and how a stated temperature contradicts all measured ones; None: not.
+def other_temperature(log: CellLog, stated_C: float) -> Notice | None:
+    """How a stated temperature contradicts all measured ones, and by how much; None: not.
 
     A cell may warm up by much from what it was stated to be at.
     """
@@ -132,11 +135,12 @@ def other_temperature(log: CellLog, stated_C: float) -> tuple[float, str] | None
     off_K = max(coldest - stated_C, stated_C - warmest)
     if off_K <= OTHER_TEMPERATURE_K:
         return None
-    text = (
-        f"'{log.name}' is stated to be at {stated_C:g} degC and measured {coldest:.1f} to "
-        f"{warmest:.1f} degC: its rows keep what was measured"
+    said = (
+        f" is stated to be at {stated_C:g} degC and measured {coldest:.1f} to {warmest:.1f} degC: "
+        "its rows keep what was measured"
     )
-    return off_K, text
+    size_V = VOLT_PER_KELVIN * off_K
+    return Notice(Code.TEMPERATURE_CONTRADICTED, said, log=log.name, size_V=size_V)
 
 
 def check_temperature(temperature_C: float | None) -> None:

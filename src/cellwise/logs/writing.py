@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellwise.arguments import file_path
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.cell_log import CHANNELS, CellLog
+from cellwise.logs.cell_log import CHANNELS, CellLog, check_is_log
 from cellwise.logs.files.arrow import from_numpy
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def write_log(log: CellLog, path: str | Path) -> Path:
     ------
     InputError        another suffix, or a place that cannot be written to
     """
-    place = Path(path)
+    check_is_log(log)
+    place = file_path("path", path)
     name = place.name.casefold()
     if name.endswith(".mat"):
         return write_atomically(place, lambda target: _write_matlab(log, target))

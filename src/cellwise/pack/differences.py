@@ -30,6 +30,7 @@ from cellwise.fit.start import InitialSoc, initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import check_order, day_of_name
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
 
@@ -148,7 +149,8 @@ def pack_days(
         raise refused[0]
     check_order([(one.log.name, one.day) for one in days])
     if refused:
-        said = (*days[0].log.mean.notices, *(f"left out: {error.found}" for error in refused))
+        left_out = (Notice(Code.LOG_LEFT_OUT, f"left out: {one.found}") for one in refused)
+        said = (*days[0].log.mean.notices, *left_out)
         first = replace(days[0].log, mean=days[0].log.mean.with_notices(said))
         days[0] = replace(days[0], log=first)
     return tuple(days)

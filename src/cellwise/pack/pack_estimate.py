@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import far_off_text, in_order, outside_notices, withheld
-from cellwise.logs.checks.grave import is_grave
+from cellwise.cell.plausibility.notice import far_off, in_order, outside_notices, withheld
 from cellwise.logs.packs.pack_log import PackLog
+from cellwise.notices import Code, Notice, Option, texts
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
 from cellwise.pack.evidence import PackEvidence, period_evidence
@@ -27,6 +27,7 @@ from cellwise.pack.suspicion import (
     suspicions,
     with_exchanged,
 )
+from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
@@ -79,7 +80,7 @@ UNKNOWN = Usable(np.nan, np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class PackEstimate:
+class PackEstimate(Plottable, Tabular):
     """A pack after its logs.
 
     ``days`` are the logs with their mean cells, ``evidence`` the last period's, ``state`` what a
@@ -92,9 +93,9 @@ class PackEstimate:
     usable: Usable
     evidence: PackEvidence
     suspicions: tuple[Suspicion, ...]
-    exchanged: tuple[str, ...]
+    exchanged: tuple[Notice, ...]
     state: PackState
-    withheld: str | None = None
+    withheld: Notice | None = None
 
     def __repr__(self) -> str:
         odd = ", ".join(f"{c['cell']} {c['name']}" for c in self.causes) or "none is odd"
@@ -105,28 +106,28 @@ class PackEstimate:
         )
 
     @property
-    def far_off(self) -> str | None:
+    def far_off(self) -> Notice | None:
         """What is said first where most rows are of logs that are wrong or far off the model."""
         means = [day.mean for day in self.days]
-        graves = (next((n for n in m.log.notices if is_grave(n)), None) for m in means)
-        texts = [
-            g or far_off_text(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
+        graves = (next((n for n in m.log.notices if n.is_grave), None) for m in means)
+        said = [
+            g or far_off(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
             for g, m in zip(graves, means, strict=True)
         ]
-        rows = sum(len(m.log) for m, text in zip(means, texts, strict=True) if text)
+        rows = sum(len(m.log) for m, one in zip(means, said, strict=True) if one)
         off = 2 * rows > sum(len(m.log) for m in means)
-        return next((text for text in texts if text), None) if off else None
+        return next(filter(None, said), None) if off else None
 
     def without_health(self) -> PackEstimate:
         """The same where it is far off, without what would be made of it: SOC is left."""
-        text = self.far_off
-        if text is None:
+        far = self.far_off
+        if far is None:
             return self
         unknown = np.full(len(self.names), np.nan)
         health = ("capacity", "resistance", "offset", "skew")
         fields = {k: unknown for k in vars(self.cells) if k.startswith(health)}
         cells = replace(self.cells, **fields)
-        return replace(self, cells=cells, usable=UNKNOWN, suspicions=(), withheld=withheld(text))
+        return replace(self, cells=cells, usable=UNKNOWN, suspicions=(), withheld=withheld(far))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -179,19 +180,22 @@ class PackEstimate:
         return list(dict.fromkeys(found))
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first."""
         last = self.days[-1]
         found = outside_notices(self.model.validity, last.log.mean, last.mean.soc)
-        texts = [n for day in self.days for n in day.log.notices]
+        of_reading = [n for day in self.days for n in day.log.notices]
         if not any(np.any(day.mean.used) for day in self.days):
-            texts.insert(0, "no stretch between pauses is long enough to be estimated")
-        said = (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(texts))))
-        text = self.withheld or self.far_off
-        return said if text is None else (text, *(s for s in said if not text.startswith(s)))
+            text = "no stretch between pauses is long enough to be estimated"
+            of_reading.insert(0, Notice(Code.NO_STRETCH, text))
+        said = (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(of_reading))))
+        far = self.far_off
+        if far is None:
+            return said
+        return (self.withheld or far, *(one for one in said if one != far))
 
     @property
-    def _drift(self) -> tuple[str, ...]:
+    def _drift(self) -> tuple[Notice, ...]:
         """What one period shows and only several can decide."""
         if self.evidence.days <= 0.0 or not self.state.drifts or self.withheld is not None:
             return ()
@@ -201,11 +205,13 @@ class PackEstimate:
             return ()
         ampere = 1e3 * self.model.capacity_Ah / 24.0
         low, high = (ampere * (drift.per_day[cell] + k * drift.std[cell]) for k in (-2.0, 2.0))
-        return (
+        text = (
             f"{self.names[cell]} lost {low:.2g} to {high:.2g} mA against the other cells in the "
             f"last {self.evidence.days:.0f} days: balancing or self-discharge. Only the second "
-            "goes on: logs of further months, with --state or together, decide",
+            "goes on: logs of further months, with "
         )
+        said = (text, Option("state", letter="..."), " or together, decide")
+        return (Notice(Code.CELL_DRIFTS, said),)
 
     def to_dict(self) -> dict[str, Any]:
         """Keys as CONTRACT.md has them."""
@@ -235,12 +241,24 @@ class PackEstimate:
                 }
                 for day in self.days
             ],
-            "notices": list(self.notices),
+            "notices": texts(self.notices),
         }
 
     def columns(self) -> dict[str, Any]:
         """One row per cell."""
         return {"name": list(self.names), **vars(self.cells)}
+
+    def panels(self) -> tuple[str, tuple[Panel, ...]]:
+        """SOC, capacity and resistance of every cell with two standard deviations."""
+        cells, at = self.cells, np.arange(1.0, len(self.names) + 1.0)
+        shown = (
+            ("SOC", cells.soc, cells.soc_std),
+            ("capacity [Ah]", cells.capacity_Ah, cells.capacity_std_Ah),
+            ("resistance over the mean cell's", cells.resistance_scale, cells.resistance_std),
+        )
+        return "cell", tuple(
+            Panel(label, (Line(label, at, value, 2.0 * std),)) for label, value, std in shown
+        )
 
 
 @one_blas_thread
@@ -271,7 +289,7 @@ def estimate_pack(
         state = PackState(names, parts[0][0].ordinal, CellDeltas.unknown(len(names)), ())
     deltas, history, drifts = state.deltas, list(state.periods), list(state.drifts)
     suspected: list[Suspicion] = []
-    exchanged: list[str] = []
+    exchanged: list[Notice] = []
     for part in parts:
         evidence = period_evidence(model, part)
         spread = spread_between(evidence)
@@ -286,10 +304,11 @@ def estimate_pack(
             found = suspicions(past, evidence, changed=True)
             if pair := exchanged_cells(past, evidence, found):
                 first, second = (names[k] for k in pair)
-                exchanged.append(
+                text = (
                     f"{first} and {second} have exchanged their voltages from "
                     f"'{part[0].log.name}' on: each is now what the other was"
                 )
+                exchanged.append(Notice(Code.CELLS_EXCHANGED, text))
                 evidence = with_exchanged(evidence, pair)
                 found = suspicions(past, evidence, changed=True)
             # Balancing moves what cells hold; what they are drifts slowly, whatever one month says.

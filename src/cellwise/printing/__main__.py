@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import ast
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cellwise.cell import equations
-from cellwise.printing.firmware import EVERYTHING, print_header, print_source
+from cellwise.printing.firmware import EVERYTHING, print_files
 
 # The repository's root: files are named from there.
 SOURCE = Path(__file__).resolve().parents[3]
@@ -88,11 +88,11 @@ def theory_text(page: Path) -> str:
     return "\n".join([before + BEGIN, "", *table(), "", END]) + after
 
 
-PRINTED: dict[str, Callable[[], str]] = {
-    "docs/theory.md": lambda: theory_text(SOURCE / "docs" / "theory.md"),
-    "firmware_ref/cellwise_ekf.h": lambda: print_header(EVERYTHING),
-    "firmware_ref/cellwise_ekf.c": lambda: print_source(EVERYTHING),
-}
+def printed() -> dict[str, str]:
+    """Texts of all that is printed, by their place in the repository."""
+    theory = "docs/theory.md"
+    files = {f"firmware_ref/{name}": text for name, text in print_files(EVERYTHING).items()}
+    return {theory: theory_text(SOURCE / theory), **files}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,9 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     options = parser.parse_args(arguments)
     differ = 0
-    for name in PRINTED:
+    for name, new in printed().items():
         path = SOURCE / name
-        new = PRINTED[name]()
         if path.exists() and path.read_text(encoding="utf-8") == new:
             continue
         differ += 1

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cellwise.estimate.fixed import layout
-from cellwise.printing.chosen import FLOATS, note_of
-from cellwise.printing.text import broken, comment, float_literal
+from cellwise.printing.chosen import FLOATS, joined, note_of
+from cellwise.printing.text import WIDTH, broken, comment, float_literal
 
 SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
 ELEMENTS = {
@@ -48,7 +48,8 @@ class Program:
 
     ``structs`` are the fields of every record and named tuple with their type, ``constants`` the
     type and text of every name that is one, ``columns`` the fields of the table by column,
-    ``public`` how functions that others call are named there.
+    ``public`` how functions that others call are named there, ``requirements`` the numbers of those
+    that a function meets.
     """
 
     structs: dict[str, dict[str, str]]
@@ -58,6 +59,7 @@ class Program:
     temperatures: bool = False
     functions: dict[str, Any] = field(default_factory=dict)
     public: dict[str, str] = field(default_factory=dict)
+    requirements: dict[str, str] = field(default_factory=dict)
 
 
 # What READ and RISE of cellwise_float.h read: rows of the neighbouring temperatures.
@@ -70,6 +72,8 @@ class Function:
 
     def __init__(self, node: ast.FunctionDef, program: Program, behind: dict[int, str]) -> None:
         self.node, self.program, self.behind = node, program, behind
+        dotted = {ast.unparse(n.value) for n in ast.walk(node) if isinstance(n, ast.Attribute)}
+        node.body = joined(node.body, behind, dotted)
         self.parameters = {a.arg: ast.unparse(a.annotation) for a in node.args.args if a.annotation}
         self.returns = ast.unparse(node.returns) if node.returns else "None"
         self.noinline = any(ast.unparse(d) == "noinline" for d in node.decorator_list)
@@ -131,15 +135,16 @@ class Function:
     # ---- statements ----
 
     def text(self, name: str, static: bool) -> list[str]:
-        """The function in C with what it says of itself."""
+        """The function in C with what it says of itself; a header says it of a public one."""
         self.lines: list[str] = []
         self.declared = set(self.parameters)
         self.lines += [f"    (void){n};" for n in self.parameters if n not in self.uses]
         if "read" in self.uses:
             self.lines += [LOW, HIGH] if self.program.temperatures else [LOW]
         self._block(self._body(), 4)
-        return [*comment(ast.get_docstring(self.node) or ""), *self.signature(name, static), "{",
-                *self.lines, "}"]  # fmt: skip
+        met = self.program.requirements.get(self.node.name, "")
+        said = comment(met + (ast.get_docstring(self.node) or "")) if static else []
+        return [*said, *self.signature(name, static), "{", *self.lines, "}"]
 
     def signature(self, name: str, static: bool) -> list[str]:
         """Its first line, or lines."""
@@ -168,7 +173,7 @@ class Function:
     def _say(self, text: str, indent: int, line: int = 0) -> None:
         """A line, with what stands behind it in Python."""
         note = f" /* {self.behind[line]} */" if line in self.behind else ""
-        if note and indent + len(text + note) > 100:
+        if note and indent + len(text + note) > WIDTH:
             self.lines += comment(self.behind[line], indent)
             note = ""
         self.lines += [" " * indent + text + note] if note else broken(text, indent)
@@ -200,6 +205,8 @@ class Function:
         self.declared = before
 
     def _if(self, node: ast.If, indent: int) -> None:
+        if self._is_guard(node, indent):
+            return
         self._say(f"if ({self.bare(node.test)}) {{", indent, node.lineno)
         self._scope(node.body, indent)
         while node.orelse:
@@ -214,9 +221,22 @@ class Function:
             self._say(f"}} else if ({self.bare(node.test)}) {{", indent, node.lineno)
             self._scope(node.body, indent)
             if not node.orelse:
-                self._say("} else {", indent)
-                self._say("/* as before */", indent + 4)
+                self._say("} else { /* as before */", indent)
         self._say("}", indent)
+
+    def _is_guard(self, node: ast.If, indent: int) -> bool:
+        """Say it on one line where all that follows is a way out."""
+        start = len(self.lines)
+        if node.orelse or not isinstance(node.body[0], ast.Return | ast.Break):
+            return False
+        self._block(node.body, 0)
+        said = self.lines[start:]
+        del self.lines[start:]
+        line = f"{' ' * indent}if ({self.bare(node.test)}) {{ {said[0]} }}"
+        short = len(said) == 1 and len(line) <= WIDTH and node.lineno not in self.behind
+        if short:
+            self.lines.append(line)
+        return short
 
     def _for(self, node: ast.For, indent: int) -> None:
         name = ast.unparse(node.target).replace("_", "k")
@@ -235,6 +255,11 @@ class Function:
             self._say_call(node.value, indent, self.filled)
         elif isinstance(node.value, ast.Call):
             fields = self.program.structs[self.returns]
+            whole = ast.unparse(node.value.args[0]).rpartition(".")[0]
+            if [ast.unparse(a) for a in node.value.args] == [f"{whole}.{f}" for f in fields]:
+                star = "*" if whole in self.pointers else ""
+                self._say(f"*{self.filled} = {star}{whole};", indent)
+                return
             for name, value in zip(fields, node.value.args, strict=True):
                 if not (isinstance(value, ast.Name) and value.id in self.renamed):
                     self._say(f"{self.filled}->{name} = {self.bare(value)};", indent)

@@ -7,7 +7,7 @@ assigned. Comments stay with the statements that they stand above.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from cellwise.cell.description import CELL
@@ -113,6 +113,47 @@ def _removed(node: Any, read: set[str]) -> bool:
         if body:
             setattr(node, part, kept)
     return found
+
+
+def joined(body: list[ast.stmt], behind: Collection[int], records: set[str]) -> list[ast.stmt]:
+    """Statements with what is done to one number in turn as one expression, in the same order.
+
+    What an option has left of a choice is assigned and overwritten at once: it goes. Comments keep
+    statements apart (``behind`` are the lines with one), and so do calls that get one of
+    ``records``: they may read or change what is assigned.
+    """
+    found: list[ast.stmt] = []
+    for node in body:
+        for part in ("body", "orelse"):
+            if hasattr(node, part):
+                setattr(node, part, joined(getattr(node, part), behind, records))
+        last = found[-1] if found else None
+        if isinstance(last, ast.Assign) and isinstance(node, ast.Assign) and not note_of(node):
+            said = last.end_lineno in behind or _gets(last.value, records) or _gets(node, records)
+            if not said and _taken_on(last, node):
+                node.note = note_of(last)  # type: ignore[attr-defined]
+                found.pop()
+        found.append(node)
+    return found
+
+
+def _gets(node: ast.AST, records: set[str]) -> bool:
+    calls = (n for n in ast.walk(node) if isinstance(n, ast.Call))
+    return any(ast.unparse(a) in records for call in calls for a in call.args)
+
+
+def _taken_on(last: ast.Assign, node: ast.Assign) -> bool:
+    """Whether the second says all of the first: it overwrites it, or begins with its value now."""
+    name, at = ast.unparse(last.targets[0]), node.value
+    times = [ast.unparse(n) for n in ast.walk(node.value)].count(name)
+    if ast.unparse(node.targets[0]) != name or times > 1 or isinstance(last.value, ast.IfExp):
+        return ast.unparse(node.targets[0]) == name and not times
+    while times and isinstance(at, ast.BinOp):
+        if ast.unparse(at.left) == name:
+            at.left = last.value
+            return True
+        at = at.left
+    return not times
 
 
 def _is_unread(node: ast.stmt, read: set[str]) -> bool:

@@ -10,12 +10,12 @@ from typing import Any
 
 from cellwise.estimate.fixed.layout import hex_float
 
-WIDTH = 100
+WIDTH = 120
 
 
 def comment(text: str, indent: int = 0) -> list[str]:
     """A comment of C, broken to the width."""
-    plain = re.sub(r"\s+", " ", text.replace("``", "`")).strip()
+    plain = re.sub(r":\w+:(?=`)", "", re.sub(r"\s+", " ", text.replace("``", "`"))).strip()
     pad = " " * indent
     lines = textwrap.wrap(plain, WIDTH - indent - 6, break_on_hyphens=False)
     return [f"{pad}{'/* ' if k == 0 else ' * '}{line}" + (" */" if k == len(lines) - 1 else "")
@@ -50,7 +50,10 @@ def broken(line: str, indent: int) -> list[str]:
         _, cut, inside = max(cuts)
         pieces.append(" " * column + line[:cut])
         line = line[cut + 1 :]
-        column = column + inside if inside and column + inside < 60 else indent + 4
+        if inside and column + inside < 60:
+            column += inside
+        elif len(pieces) == 1:  # later ones stand under the second
+            column = indent + 4
     return [*pieces, " " * column + line]
 
 

@@ -28,7 +28,7 @@ def history_page(
     """
     data = found.to_dict()
     use = data["trend"]["use"]
-    now, now_std = found.resistance
+    now, now_std = found.resistance_scale, found.resistance_std
     known = (
         "unknown"
         if found.withheld
@@ -143,7 +143,7 @@ def resistance_picture(found: Life) -> style.Figure:
     scale = np.array([one.resistance_scale for one in found.logs])
     std = np.array([one.resistance_std for one in found.logs])
     style.error_dots(axes, found.way, scale, std)
-    now, now_std = found.resistance
+    now, now_std = found.resistance_scale, found.resistance_std
     style.finding(axes, f"Resistance now: {now:.2f} ± {2 * now_std:.2f} of the model's")
     style.labels(axes, UNITS[found.over], "resistance / model's")
     return figure

@@ -20,7 +20,7 @@ from cellwise.cell.simulate import simulate
 from cellwise.data import list_datasets, load_dataset
 from cellwise.errors import InputError
 from cellwise.estimate.replay import reference_soc, replay, soc_errors
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.logs.cell_log import CellLog
 from cellwise.studies.published import LFP_ERRORS, NCA_RESIDUALS
@@ -37,7 +37,7 @@ class StudyCell:
     Parameters
     ----------
     name : str
-    tests : TestLogs                  what every choice is identified on
+    tests : CellTests                  what every choice is identified on
     judged : of CellLog               logs that no identification has seen, their initial SOC stated
     reference_Ah : float              charge between SOC 1 and 0 for the reference
     reference : str                   what that number is
@@ -48,13 +48,13 @@ class StudyCell:
     """
 
     name: str
-    tests: TestLogs
+    tests: CellTests
     judged: tuple[CellLog, ...]
     reference_Ah: float
     reference: str
     settings: IdentifySettings = field(default_factory=IdentifySettings)
     values_Ah: Mapping[str, float] = field(default_factory=dict)
-    tests_of: Mapping[str, TestLogs] = field(default_factory=dict)
+    tests_of: Mapping[str, CellTests] = field(default_factory=dict)
 
 
 class SocFigures(NamedTuple):
@@ -229,9 +229,9 @@ def judge(
                 "SOC has no other reference here: judge on a log that has it.",
             )
         simulated = simulate(model, log, soc0)
-        known = np.isfinite(simulated.error_V)
-        errors[VOLTAGE].append(simulated.error_V[known])
-        above.append(simulated.error_V[known & (truth > 0.1)])
+        known = np.isfinite(simulated.residual_V)
+        errors[VOLTAGE].append(simulated.residual_V[known])
+        above.append(simulated.residual_V[known & (truth > 0.1)])
         # What the choice's own SOC scale makes of the same counter.
         axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         ends.append(int(np.nanargmin(truth)))
@@ -324,7 +324,7 @@ def published_orders() -> dict[str, tuple[str, ...]]:
     return {"lfp": tuple(lfp), "ncr18650b": tuple(f"rate:{rate}" for rate in nca)}
 
 
-def _embedded(name: str, nominal_Ah: float, judged: Iterable[str], tests: TestLogs) -> StudyCell:
+def _embedded(name: str, nominal_Ah: float, judged: Iterable[str], tests: CellTests) -> StudyCell:
     """A cell of the physics models; their catalogue knows its capacity and where its logs begin."""
     entries = {str(e["name"]): e for e in list_datasets()}
     known = {log: float(str(entries[log]["initial_soc"])) for log in judged}
@@ -340,7 +340,7 @@ def _embedded(name: str, nominal_Ah: float, judged: Iterable[str], tests: TestLo
 
 def embedded_nmc() -> StudyCell:
     """NMC cell of the physics model: three capacity tests, two drives it has not seen."""
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((load_dataset("nmc_hppc"), None),),
         ocv=(load_dataset("nmc_ocv_c20"),),
         capacity=tuple(load_dataset(f"nmc_cap_{tag}") for tag in NMC_RATES.values()),
@@ -351,9 +351,9 @@ def embedded_nmc() -> StudyCell:
 
 def embedded_nmc_rates() -> StudyCell:
     """The same cell characterized at one rate at a time, as in the NCR18650B paper."""
-    cell = _embedded("embedded NMC, one rate", 5.0, NMC_DRIVES, TestLogs())
+    cell = _embedded("embedded NMC, one rate", 5.0, NMC_DRIVES, CellTests())
     tests = {
-        choice: TestLogs(
+        choice: CellTests(
             hppc=((load_dataset(f"nmc_hppc_{tag}"), None),),
             capacity=(load_dataset(f"nmc_cap_{tag}"),),
         )
@@ -365,7 +365,7 @@ def embedded_nmc_rates() -> StudyCell:
 def embedded_lfp() -> StudyCell:
     """LFP cell of the physics model on a charge-depleting cycle, with the LFP paper's ratios."""
     capacity = tuple(load_dataset(f"lfp_cap_{rate}") for rate in ("0p5c", "1c", "2c", "3c"))
-    tests = TestLogs(hppc=((load_dataset("lfp_hppc"), None),), capacity=capacity)
+    tests = CellTests(hppc=((load_dataset("lfp_hppc"), None),), capacity=capacity)
     cell = _embedded("embedded LFP", 2.3, ["lfp_cdc"], tests)
     values = {name: ratio * 2.3 for name, ratio in PAPER_RATIOS.items()}
     return replace(cell, settings=replace(cell.settings, chemistry="LFP"), values_Ah=values)

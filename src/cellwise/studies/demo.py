@@ -13,7 +13,7 @@ from cellwise.data import list_datasets, load_dataset
 from cellwise.estimate.replay import Replay, replay
 from cellwise.files import made_folder
 from cellwise.fit.start import InitialSoc, initial_soc
-from cellwise.identify import Identification, IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, Identification, IdentifySettings, identify_cell
 
 HELD_OUT = "nmc_drive_b"
 START_ERROR = 0.3
@@ -56,7 +56,7 @@ def run_demo(
     say = progress or (lambda _: None)
     made_folder(folder)
     say("reading")
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((load_dataset("nmc_hppc"), None),),
         ocv=(load_dataset("nmc_ocv_c20"),),
         capacity=tuple(load_dataset(f"nmc_cap_{rate}") for rate in ("c20", "c5", "c3")),

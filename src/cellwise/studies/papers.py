@@ -26,7 +26,7 @@ from cellwise.errors import InputError
 from cellwise.identify.assemble import plain_model
 from cellwise.identify.capacity.capacity_choice import capacity_table, usable_tests
 from cellwise.identify.hppc.pulse_quality import Pulse, PulseQuality
-from cellwise.identify.identification import Identification, IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, Identification, IdentifySettings
 from cellwise.identify.papers.log_linear_exp import fit_log_linear_exp
 from cellwise.identify.papers.segments import SEGMENTS
 from cellwise.identify.pipeline import Progress, identify_cell
@@ -83,7 +83,7 @@ def paper_tables(
     """
     began = time.perf_counter()
     say = progress or (lambda _: None)
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((_log(datasets, "lfp/hppc"), None),),
         capacity=tuple(_log(datasets, f"lfp/{name}") for name in LFP_CAPACITY_TESTS),
     )
@@ -111,7 +111,7 @@ def _published(rows: Mapping[str, Any], name: str) -> dict[str, Any] | None:
     return rows[name]._asdict() if name in rows else None
 
 
-def lfp_tables(tests: TestLogs, cycle: CellLog, method: Method, say: Progress) -> dict[str, Any]:
+def lfp_tables(tests: CellTests, cycle: CellLog, method: Method, say: Progress) -> dict[str, Any]:
     """The LFP paper's: the cell identified for every capacity choice, its way and ours.
 
     The paper's way: single pulses, equation 8 through the rests, cubic polynomials over SOC, no
@@ -176,13 +176,13 @@ def cycle_error(
 ) -> dict[str, float]:
     """Error of a model from a full cell over a load profile; shares are of the measured voltage."""
     simulated = simulate(model, log, 1.0)
-    error = simulated.error_V
+    error = simulated.residual_V
     known = np.isfinite(error)
     share = np.abs(error[known]) / log.voltage_V[known]
     since = log.time_s[known] - log.time_s[0]
     inside = share[(since >= window_s[0]) & (since <= window_s[1])]
     return {
-        "rms_V": simulated.metrics.rmse_V,
+        "rms_V": simulated.rmse_V,
         "mean_abs": float(np.mean(share)),
         "mean_abs_window": float(np.mean(inside)) if inside.size else NAN,
         "peak": float(np.max(share)),
@@ -224,7 +224,7 @@ def polynomials(fits: Sequence[PulseFit]) -> dict[str, tuple[float, ...]]:
 
 def rate_row(rate: str, hppc: CellLog, capacity: CellLog, say: Progress) -> dict[str, Any]:
     """One characterization rate of the NCR18650B paper: errors of each method on its HPPC log."""
-    tests = TestLogs(hppc=((hppc, None),), capacity=(capacity,))
+    tests = CellTests(hppc=((hppc, None),), capacity=(capacity,))
     plain = IdentifySettings(nominal_Ah=NMC_NOMINAL_AH)
     say(f"NCR18650B paper, {rate}: segments")
     paper = identify_cell(tests, replace(plain, method="segments", refine=False))

@@ -6,6 +6,8 @@ import argparse
 import ast
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,9 @@ import pytest
 import cellwise
 from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.common.printing import ARGUMENT, in_options
+from cellwise.cli.common.printing import ARGUMENT, in_command, in_options
 from cellwise.logs import read_log
+from cellwise.notices import Option
 from sources import tree_of
 
 SOURCE = Path(cellwise.__file__).parent
@@ -79,6 +82,21 @@ def test_every_argument_that_a_message_names_is_an_option_of_a_command(library, 
     assert [(place, option) for place, option in named if option not in options] == []
 
 
+def test_every_argument_that_a_notice_proposes_is_an_option_of_a_command(options):
+    proposed = {
+        node.args[0].value
+        for path in SOURCE.rglob("*.py")
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "id", "") == "Option"
+        and node.args
+        and isinstance(node.args[0], ast.Constant)
+    }
+    assert {"sign", "series", "parallel", "soc0", "channels", "instance"} <= proposed
+    written = {in_command(Option(name, letter="X")).split()[0] for name in proposed}
+    assert written <= options
+
+
 @pytest.mark.parametrize(
     ("library", "command"),
     [
@@ -103,7 +121,7 @@ def test_python_and_command_say_the_same_each_in_its_words(tmp_path, refused, ru
     time_s = np.arange(100.0)
     write_log(CellLog(time_s, np.sin(time_s), 15.0 - 0.01 * np.sin(time_s)), path)
     notices = read_log(path).notices
-    assert any("`series=N`" in n for n in notices)
+    assert any("`series=N`" in n.text for n in notices)
     assert any("--series N" in n for n in run_json("inspect", str(path))["notices"])
     with pytest.raises(InputError, match="Give `series=4`, say"):
         read_log(path, series=0)
@@ -152,3 +170,15 @@ def test_a_line_of_megabytes_is_no_message(tmp_path):
     with pytest.raises(InputError) as caught:
         read_log(path)
     assert len(str(caught.value)) < 1500
+
+
+def test_a_help_waits_for_no_numerics():
+    """Numpy alone takes longer than all the rest of a help."""
+    told = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "cellwise", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "Usage" in told.stdout or "usage" in told.stdout
+    assert not re.search(r"\| +(numpy|scipy|numba|pyarrow)$", told.stderr, re.M)

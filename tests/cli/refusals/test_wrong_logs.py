@@ -10,6 +10,7 @@ import pytest
 
 from cellwise import InputError, load_dataset, read_model, replay, simulate, write_log
 from cellwise.diagnose import diagnose
+from cellwise.notices import texts
 
 LARGE_V = 0.2
 
@@ -65,7 +66,7 @@ def test_no_deviation_of_hundreds_of_millivolts_without_a_notice(run_json, model
 def test_a_soc_outside_is_always_said(model, soc0):
     found = simulate(read_model(model), load_dataset("nmc_drive_b"), soc0)
     outside = found.soc.min() < -0.001 or found.soc.max() > 1.001
-    assert any("outside 0..1" in n for n in found.notices) == outside
+    assert any("outside 0..1" in n for n in texts(found.notices)) == outside
     assert outside == (soc0 < 0.5)
 
 
@@ -101,8 +102,10 @@ def test_a_stream_of_a_pack_is_refused(refused, model, tmp_path):
 def test_a_filter_that_uses_no_voltage_says_so(model):
     log = load_dataset("nmc_drive_b")
     lost = replace(log, voltage_V=np.full(len(log), 20.0))
-    assert "no voltage of" in replay(read_model(model), lost, "ekf", soc0=0.9).notices[0]
-    assert not any("no voltage of" in n for n in replay(read_model(model), log, "coulomb").notices)
+    assert "no voltage of" in replay(read_model(model), lost, "ekf", soc0=0.9).notices[0].text
+    assert not any(
+        "no voltage of" in n for n in texts(replay(read_model(model), log, "coulomb").notices)
+    )
 
 
 @pytest.mark.parametrize("logs", ["x", ["x"], [None]])

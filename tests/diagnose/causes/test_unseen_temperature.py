@@ -105,7 +105,7 @@ def test_a_healthy_cell_that_is_cold_has_not_aged() -> None:
     assert said.verdict == "temperature_dependence"
     assert not AGE & {c.name for c in said.causes}
     run = said.runs[-1]
-    assert run.after.metrics.rmse_V < 0.5 * run.before.metrics.rmse_V
+    assert run.after.rmse_V < 0.5 * run.before.rmse_V
     warm = drive(14, 25.0)
     as_before = simulate(model, warm, 0.9).voltage_V
     assert simulate(said.extended_model, warm, 0.9).voltage_V == pytest.approx(as_before, abs=5e-3)

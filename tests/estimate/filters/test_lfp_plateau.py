@@ -1,8 +1,8 @@
 """A123 (LFP with hysteresis): on the plateau a filter says that it does not know.
 
 C/30 branches at 25 degC and drives of five temperatures, the sixth held out; four of the six in
-turn (docs/measured.md has all). The tester's counter is the reference; the log's own current drifts
-from it by up to 1.2 %.
+turn (`python -m benchmarks.accuracy --only lfp` has all). The tester's counter is the reference;
+the log's own current drifts from it by up to 1.2 %.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import pytest
 
 from cellwise.estimate.estimators import make_estimator
 from cellwise.fit.start import initial_soc
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from measured_models import identified_lg, identified_samsung, missed, samsung_log
 
@@ -39,7 +39,7 @@ def leaf_log(real_data, name):
 
 @cache
 def leaf(real_data):
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((leaf_log(real_data, "hppc_p25"), None),),
         capacity=(leaf_log(real_data, "cap_1c_p23"),),
     )
@@ -50,7 +50,7 @@ def leaf(real_data):
 def lipo(real_data):
     rates = (1, 2, 3, 4)
     drives = tuple((read(real_data, f"lipo_5450/c{r}_cycle01"), None) for r in rates)
-    return identify_cell(TestLogs(drive=drives), IdentifySettings(nominal_Ah=5.45)).model
+    return identify_cell(CellTests(drive=drives), IdentifySettings(nominal_Ah=5.45)).model
 
 
 def charge_of(log):

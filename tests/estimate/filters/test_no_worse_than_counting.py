@@ -16,7 +16,7 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.fit.model_error import polarisation_V
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from measured_models import AT_ITS_BOUND, missed, rmse
 
@@ -49,7 +49,7 @@ def nca(real_data):
     def log(tag, name):
         return replace(read_log(folder / f"drive_{tag}_{name}.csv.gz"), soc0=1.0)
 
-    tests = TestLogs(
+    tests = CellTests(
         hppc=tuple((read_log(folder / f"hppc_{t}.csv.gz"), c) for t, c in CHAMBER_C.items()),
         ocv=(read_log(folder / "ocv_c20_p25.csv.gz"),),
         drive=tuple((log(t, name), c) for t, c in CHAMBER_C.items() for name in FITTED),
@@ -224,11 +224,11 @@ def bands(nca):
     for tag, logs in drives.items():
         for log in logs:
             simulation = simulate(model, log, 1.0)
-            known = np.isfinite(simulation.error_V) & (simulation.soc >= 0.0)
+            known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
             warm = known_temperature_C(model, log)[known]
             soc = simulation.soc[known]
             drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
-            measured = in_bands(log.time_s[known], simulation.error_V[known]) ** 2
+            measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
             stated = stated_V2(model, soc, drop, warm)
             rows = soc > 0.15
             each = [x[:, rows].mean(axis=1) for x in (stated, measured)]

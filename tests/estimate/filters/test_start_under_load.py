@@ -14,25 +14,27 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.filters.bank_kernels import (
+from cellwise.estimate.equations.components import past_of
+from cellwise.estimate.equations.constants import (
     LEAST_PAST_V2,
     LOOKS,
     PAST_RATE,
     PAST_SPREAD,
-    RECORD,
+    START_BRANCH_V,
     TAIL,
+)
+from cellwise.estimate.filters.bank_kernels import (
+    RECORD,
     BankRecord,
-    branch_of_past,
-    evidence_share,
     know_past,
     know_past_better,
     left_by_load,
+    new_share,
 )
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import BankState, Ekf, Ukf
 from cellwise.estimate.lockstep import LockstepEkf
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.recovery_kernels import START_BRANCH_V
 from cellwise.estimate.saved_state import state_from_dict, state_to_dict
 from cellwise.logs.cell_log import CellLog
 
@@ -119,10 +121,9 @@ def test_the_bank_is_the_posterior_of_a_start_with_tails(start, std):
 
 
 def test_what_flows_after_the_start_is_in_the_branch_whatever_was_before():
-    cell = linear().parameters().cell
-    held, variance = branch_of_past(cell, R3_OHM, 0.0, 1.5, 1.0)
+    held, variance = past_of(R3_OHM, 1.0, 1.5, 1.0, 0.15)
     assert held == pytest.approx(R3_OHM * 1.5)
-    assert variance == 0.0
+    assert variance == LEAST_PAST_V2
 
 
 @pytest.mark.parametrize(("mean_A", "soc"), [(2.0, 0.995), (-2.0, 0.005)])
@@ -242,7 +243,7 @@ def test_a_persistent_error_is_evidence_once(share):
     """Over any time no more than one error over its share; all of it while little is persistent."""
     noise = replace(Noise.of_model(linear()), lasting_share=share, slow_s=300.0).scalars()
     time_s = np.arange(0.0, 400_000.0)
-    new = np.array([evidence_share(noise, t) for t in time_s])
+    new = np.array([new_share(noise, t) for t in time_s])
     assert np.all(np.diff(new) <= 0.0)
     assert new[0] == 1.0
     errors = np.cumsum(new) / (2.0 * noise.slow_s)

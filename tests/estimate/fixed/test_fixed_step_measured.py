@@ -11,7 +11,7 @@ import pytest
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import resample
 
@@ -29,7 +29,7 @@ def log_of(folder, name):
 @pytest.fixture(scope="module")
 def cold_model(real_data):
     """From the pulses at -20 degC alone: time constants of thousands of steps."""
-    tests = TestLogs(
+    tests = CellTests(
         hppc=((log_of(real_data, "hppc_n20"), -20.0),), ocv=(log_of(real_data, "ocv_c20_p25"),)
     )
     return identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
@@ -50,7 +50,7 @@ def test_soc_is_that_of_the_float64_ekf(name, dt_s, cold_model, real_data):
 @pytest.fixture(scope="module")
 def two_temperatures(real_data):
     """From C/20 and the pulses at 25 and at -10 degC: no drive."""
-    tests = TestLogs(
+    tests = CellTests(
         hppc=tuple((log_of(real_data, f"hppc_{t}"), c) for t, c in (("p25", 25.0), ("n10", -10.0))),
         ocv=(log_of(real_data, "ocv_c20_p25"),),
     )

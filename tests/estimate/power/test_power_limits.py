@@ -215,9 +215,9 @@ def test_where_limits_come_from():
         "charge_A": "none",  # 0.1 A is no charge
     }
     assert (known.limits.voltage_min_V, known.limits.discharge_A) == (2.5, 9.0)
-    assert "usual for its chemistry" in known.notices[0]
-    assert "9 A on discharge" in known.notices[1]
-    assert "on charge: voltage and SOC alone" in known.notices[2]
+    assert "usual for its chemistry" in known.notices[0].text
+    assert "9 A on discharge" in known.notices[1].text
+    assert "on charge: voltage and SOC alone" in known.notices[2].text
     stated = replace(cell, voltage_min_V=2.8, voltage_max_V=4.15)
     given = operating_limits(stated, OperatingLimits(voltage_min_V=3.1, discharge_A=5, charge_A=2))
     assert given.sources["voltage_min_V"] == "given"

@@ -14,7 +14,7 @@ from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import expected_convergence_s, replay
 
 CAPACITY_AH = 2.9973
-# The issue asks for 3 % in the median; measured with the EKF, and why, see docs/tried.md.
+# The issue asks for 3 % in the median; measured with the EKF.
 SHORT = {
     -10.0: "4.4 %: what a pulse says at one SOC is another tenth of SOC away no longer so",
     -20.0: "3.3 %: as at -10 degC",

@@ -10,7 +10,7 @@ import pytest
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.simulate import simulate
 from cellwise.fit.start import initial_soc
-from cellwise.identify import IdentifySettings, TestLogs, identify_cell
+from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell
@@ -88,7 +88,7 @@ def test_measured_lfp_drives_cut_on_the_plateau(real_data, a123, name):
         part = replace(log.part(row, len(log)), charge_Ah=None, soc0=None)
         found = initial_soc(a123, part, whole_log=True)
         assert abs(found.soc - soc[row]) < 0.02, (cut, found)
-        assert simulate(a123, part, found.soc).metrics.rmse_V < 0.03
+        assert simulate(a123, part, found.soc).rmse_V < 0.03
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def a123(real_data):
     def log(name):
         return read_log(real_data / f"plett_a123/{name}.csv.gz")
 
-    tests = TestLogs(
+    tests = CellTests(
         ocv=tuple(log(f"ocv_p25_s{k}") for k in (1, 2, 3, 4)),
         drive=((log("dyn_p35_s1"), None),),
     )

@@ -44,7 +44,7 @@ def check(model: CellModel, log: CellLog) -> None:
 
 
 def rmse(model: CellModel, log: CellLog, soc0: float) -> float:
-    return simulate(model, log, soc0).metrics.rmse_V
+    return simulate(model, log, soc0).rmse_V
 
 
 @pytest.mark.parametrize("model", [curved_cell(), lfp_cell()], ids=["curved", "flat"])

@@ -14,6 +14,7 @@ from cellwise.identify.capacity.capacity_choice import (
 )
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
 from cellwise.logs import read_log
+from cellwise.notices import Code, Notice
 
 
 def measured(rate_C, cc_Ah, cv_Ah=0.0, **known):
@@ -96,7 +97,12 @@ def test_default_is_the_slowest_then_hppc_then_nominal():
 
 
 def test_incomplete_tests_are_left_out():
-    bad = measured(0.2, 20.0, complete=False, notices=("stops at 3.100 V",))
+    bad = measured(
+        0.2,
+        20.0,
+        complete=False,
+        notices=(Notice(Code.CAPACITY_TEST_INCOMPLETE, "stops at 3.100 V"),),
+    )
     assert usable_tests([bad, *LFP_TESTS]) == tuple(LFP_TESTS)
     assert "stops at 3.100 V" in bad.left_out
     assert "rate:C/5" not in capacity_choices([bad, *LFP_TESTS])

@@ -117,21 +117,21 @@ def test_a_test_that_stops_early_is_marked_by_the_others():
     good, bad = measure_capacities([whole, early])
     assert good.complete
     assert not bad.complete
-    assert "lower limit is 2.5" in bad.notices[0]
+    assert "lower limit is 2.5" in bad.notices[0].text
 
 
 def test_a_lone_test_that_stops_in_the_middle_is_not_believed():
     early = Tester(1.0).rest().move(4.0, 2.5, charge=1.83).rest().log()
     (test,) = measure_capacities([early])
     assert not test.complete
-    assert "give the lower limit" in test.notices[0]
+    assert "give the lower limit" in test.notices[0].text
 
 
 def test_a_discharge_that_did_not_begin_full_is_marked():
     halfway = Tester(0.6).rest().discharge(4.0).rest().charge(2.0).rest().log("halfway")
     (test,) = measure_capacities([halfway])
     assert not test.complete
-    assert "in to full" in test.notices[0]
+    assert "in to full" in test.notices[0].text
 
 
 @pytest.mark.parametrize("kind", ["rest", "charge", "drive", "hppc"])

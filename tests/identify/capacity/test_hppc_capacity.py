@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cellwise.identify.checked_logs import check_logs
-from cellwise.identify.identification import IdentifySettings, TestLogs
+from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.measured_capacity import (
     hppc_reaches_empty,
     hppc_total_Ah,
@@ -27,7 +27,7 @@ def cut(log, share):
 
 def measured(log, nominal_Ah):
     settings = IdentifySettings(nominal_Ah=nominal_Ah)
-    return measure_capacity(check_logs(TestLogs(hppc=log), settings), settings)
+    return measure_capacity(check_logs(CellTests(hppc=log), settings), settings)
 
 
 @pytest.mark.parametrize("steps", [gitt(CELL), gitt(CELL, step=0.05), hppc(CELL)])
@@ -37,7 +37,7 @@ def test_a_whole_test_ends_empty_and_a_part_does_not(steps):
     assert measured(log, 3.0).choices_Ah["hppc-total"] == pytest.approx(3.0, rel=0.01)
     part = measured(cut(log, 0.85), 3.0)
     assert list(part.choices_Ah) == ["nominal"]
-    assert "is no capacity" in part.notices[0]
+    assert "is no capacity" in part.notices[0].text
 
 
 def test_without_a_nominal_capacity_a_part_counts_and_is_said():

@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.data import load_dataset
 from cellwise.logs import CellLog, read_log, verify_sign
+from cellwise.notices import texts
 from log_files import pulse_channels, write_csv
 
 OPPOSITE = {
@@ -109,7 +110,7 @@ def test_charge_positive_turns_current_and_counter_round(tmp_path):
     np.testing.assert_array_equal(log.current_A, truth["current_A"])
     np.testing.assert_array_equal(log.charge_Ah, truth["ampere_hours"])
     assert verify_sign(log).verdict == "verified"
-    assert not any("LOOKS WRONG" in notice for notice in log.notices)
+    assert not any("LOOKS WRONG" in notice for notice in texts(log.notices))
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import CellLog, read_log
+from cellwise.notices import texts
 from log_files import pulse_channels
 
 
@@ -21,7 +22,7 @@ def scaled(name: str, factor: float, offset: float = 0.0) -> dict[str, np.ndarra
 
 
 def notices(columns) -> str:
-    return " / ".join(CellLog.from_table(columns).notices)
+    return " / ".join(texts(CellLog.from_table(columns).notices))
 
 
 def test_right_units_raise_no_notice():
@@ -34,7 +35,7 @@ def test_milliampere_or_milliseconds_without_a_counter_are_said_first(field):
     """A thousand times the charge is more than a cell holds."""
     columns = without_counter(pulse_channels(24 * 3600))
     columns[field] = 1000.0 * columns[field]
-    said = CellLog.from_table(columns).notices[0]
+    said = CellLog.from_table(columns).notices[0].text
     assert "current_mA" in said
     assert "time_ms" in said
 
@@ -71,7 +72,7 @@ def test_what_is_sure_is_converted_and_said(name, factor, offset, says):
     log = CellLog.from_table(scaled(name, factor, offset))
     field = "charge_Ah" if name == "ampere_hours" else name
     np.testing.assert_allclose(getattr(log, field), pulse_channels()[name], atol=1e-12)
-    assert any(says in notice for notice in log.notices)
+    assert any(says in notice for notice in texts(log.notices))
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_impossible_temperatures_are_missing_values():
     log = CellLog.from_table(columns)
     assert np.isnan(log.temperature_C[5:8]).all()
     assert np.isfinite(log.temperature_C).sum() == len(log) - 3
-    assert any("3 temperature(s)" in notice for notice in log.notices)
+    assert any("3 temperature(s)" in notice for notice in texts(log.notices))
 
 
 def test_counter_that_restarts_is_joined_up():
@@ -104,7 +105,7 @@ def test_counter_that_restarts_is_joined_up():
         counter[row:] -= counter[row - 1]
     log = CellLog.from_table({**columns, "ampere_hours": counter})
     np.testing.assert_allclose(log.charge_Ah, truth, atol=1e-12)
-    assert any("restarts 3 time(s)" in notice for notice in log.notices)
+    assert any("restarts 3 time(s)" in notice for notice in texts(log.notices))
 
 
 def test_counter_of_throughput_is_left_out():
@@ -115,7 +116,7 @@ def test_counter_of_throughput_is_left_out():
     columns["ampere_hours"] = np.cumsum(moved)
     log = CellLog.from_table(columns)
     assert log.charge_Ah is None
-    assert any("does not follow the current" in notice for notice in log.notices)
+    assert any("does not follow the current" in notice for notice in texts(log.notices))
 
 
 def test_counter_that_disagrees_is_reported():
@@ -128,7 +129,7 @@ def test_measured_logs_raise_no_suspicion_of_units(real_data):
     packs = ("copter_4s", "modules_")  # of these it is right to say so
     cells = [p for p in real_data.glob("*/*.csv.gz") if not p.name.startswith(packs)]
     for path in sorted(cells)[::5]:
-        for notice in read_log(path).notices:
+        for notice in texts(read_log(path).notices):
             assert not any(word in notice for word in words), (path.name, notice)
 
 
@@ -138,6 +139,6 @@ def test_measured_logs_in_another_unit_are_said_or_refused(real_data, name, fiel
     log = read_log(real_data / f"{name}.csv.gz")
     columns = {"time_s": log.time_s, "current_A": log.current_A, "voltage_V": log.voltage_V}
     columns[field] = 1000.0 * columns[field]
-    assert "more than a cell holds" in CellLog.from_table(columns).notices[0]
+    assert "more than a cell holds" in CellLog.from_table(columns).notices[0].text
     with pytest.raises(InputError, match="current_mA"):
         CellLog.from_table({**columns, "ampere_hours": log.charge_Ah})

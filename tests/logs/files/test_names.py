@@ -11,6 +11,7 @@ import pytest
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.notices import texts
 from log_files import pulse_channels
 
 PULSES = pulse_channels()
@@ -78,7 +79,7 @@ def test_a_sign_that_nobody_says_is_said(tmp_path):
     path = tmp_path / "rest.csv"
     rows = "\n".join(f"{k};0.0;3.7" for k in range(100))
     path.write_text(f"Zeit [s];Strom [A];Spannung [V]\n{rows}\n")
-    assert any("nor does the voltage" in n for n in read_log(path).notices)
+    assert any("nor does the voltage" in n for n in texts(read_log(path).notices))
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_what_is_proposed_reads_and_is_the_battery(tmp_path, text):
         if found is None:
             return  # none was found to fit
         log = read_log(path, channels=ast.literal_eval(found[1]))
-    if "sign='charge-positive'" in log.notices[0]:  # tidy names say that theirs is discharge
+    if "sign='charge-positive'" in log.notices[0].text:  # tidy names say that theirs is discharge
         log = read_log(path, sign="charge-positive")
     assert np.nanmedian(log.voltage_V) == pytest.approx(np.median(VOLTAGE), rel=1e-3)
     np.testing.assert_allclose(log.current_A, CURRENT, atol=1e-3)

@@ -13,6 +13,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.notices import texts
 from log_files import pulse_channels
 from tester_files import clock, halves, step_counters, step_times, steps_of, table, write_mpr
 
@@ -282,7 +283,9 @@ def test_an_export_is_read_as_the_truth(name, packed, tmp_path):
         np.testing.assert_allclose(log.charge_Ah - log.charge_Ah[0], Q, atol=1e-6)
     if log.temperature_C is not None:
         np.testing.assert_allclose(log.temperature_C, TEMP)
-    assert not any("LOOKS WRONG" in n or "does not know" in n for n in log.notices), log.notices
+    assert not any("LOOKS WRONG" in n or "does not know" in n for n in texts(log.notices)), (
+        log.notices
+    )
 
 
 def test_an_unsigned_current_in_an_unknown_state_is_refused(tmp_path):
@@ -351,7 +354,7 @@ def test_a_counter_against_a_current_that_no_voltage_confirms_is_said_first(tmp_
              "Net Capacity / Ah": -counted}
         )
     )  # fmt: skip
-    assert "runs against" in read_log(path).notices[0]
+    assert "runs against" in read_log(path).notices[0].text
 
 
 FOOTERS = {
@@ -370,7 +373,7 @@ def test_lines_below_the_data_are_left_out_and_said(footer, tmp_path):
     log = read_log(path)
     assert len(log) == 50
     word = FOOTERS[footer].strip().split(",")[0].split("\n")[0]
-    assert any(word in n and "left out" in n for n in log.notices), log.notices
+    assert any(word in n and "left out" in n for n in texts(log.notices)), log.notices
 
 
 def test_a_last_row_with_text_in_one_channel_is_refused(tmp_path):
@@ -394,7 +397,7 @@ def test_an_mpr_file_with_two_electrodes_gives_the_cell(tmp_path):
     pytest.importorskip("galvani")
     log = read_log(write_mpr(tmp_path / "log.mpr", TRUTH, counter_V=0.1))
     np.testing.assert_allclose(log.voltage_V, V, atol=1e-6)
-    assert any("Ewe less Ece" in notice for notice in log.notices)
+    assert any("Ewe less Ece" in notice for notice in texts(log.notices))
 
 
 GERMAN = {"Zeit": T, "Strom": -I, "Spannung": V}
@@ -449,7 +452,7 @@ def test_the_decimal_sign_can_be_stated(tmp_path):
 def test_a_column_that_the_format_does_not_know_is_reported_with_the_nearest(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(LAYOUTS["arbin"].text().replace("Aux_Temperature_1(C)", "Aux_Temperatur_1(C)"))
-    notices = " ".join(read_log(path).notices)
+    notices = " ".join(texts(read_log(path).notices))
     assert "'Aux_Temperatur_1(C)' (nearest: 'Aux_Temperature_1(C)')" in notices
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.notices import texts
 from log_files import pulse_channels
 from vehicle_files import (
     DBC,
@@ -54,8 +55,8 @@ def refused(*arguments, **options):
 
 def test_a_ulog_says_how_many_cells_it_states(tmp_path):
     path = write_ulog(tmp_path / "flight", [pack()])
-    assert any("4 cells in series: `series='auto'`" in n for n in read_log(path).notices)
-    assert any("3 were stated" in n for n in read_log(path, series=3).notices)
+    assert any("4 cells in series: `series='auto'`" in n for n in texts(read_log(path).notices))
+    assert any("3 were stated" in n for n in texts(read_log(path, series=3).notices))
 
 
 def test_minus_one_is_unknown_not_one_ampere(tmp_path):
@@ -76,7 +77,7 @@ def test_of_several_batteries_the_measured_one_or_the_one_asked_for(tmp_path):
     path = write_ulog(tmp_path / "flight", [nothing, pack(cells=6), pack(cells=12)])
     log = read_log(path, series=6, parallel=2)
     assert_is_the_cell(log)
-    assert any("3 batteries" in n and "read number 1" in n for n in log.notices)
+    assert any("3 batteries" in n and "read number 1" in n for n in texts(log.notices))
     assert_is_the_cell(read_log(path, series=12, parallel=2, instance=2))
     error = refused(path, instance=7)
     assert "no battery 7" in error.found
@@ -91,7 +92,7 @@ def test_a_ulog_that_was_cut_off_is_refused_unless_told(tmp_path, capfd):
     assert "`partial=True`" in error.action
     log = read_log(path, partial=True, series=4, parallel=2)
     assert len(log) == 599
-    assert any("cut off" in n for n in log.notices)
+    assert any("cut off" in n for n in texts(log.notices))
     assert capfd.readouterr() == ("", "")
 
 
@@ -176,7 +177,7 @@ def test_an_mdf_file_of_can_frames_is_read_through_its_database(tmp_path):
     log = read_log(path, dbc=write_dbc(tmp_path / "bms.dbc"), series=4, parallel=2)
     np.testing.assert_allclose(log.current_A, CELL["current_A"], atol=0.0051)
     np.testing.assert_allclose(log.voltage_V, CELL["voltage_V"], atol=0.0126)
-    assert not any("apart" in n for n in log.notices)  # both are in one frame
+    assert not any("apart" in n for n in texts(log.notices))  # both are in one frame
     other = write_dbc(tmp_path / "other.dbc", DBC.replace("256", "257").replace("512", "513"))
     assert "no frame of" in refused(path, dbc=other).found
 
@@ -280,4 +281,4 @@ def test_values_outside_the_databases_range_are_missing(tmp_path):
     dbc = write_dbc(tmp_path / "bms.dbc")
     log = read_log(write_can(tmp_path / "drive", c, "blf"), dbc=dbc, parallel=2)
     assert np.nanmax(log.current_A) < 5
-    assert any("5 value(s) of 'BMS_Pack.PackCurrent' outside" in n for n in log.notices)
+    assert any("5 value(s) of 'BMS_Pack.PackCurrent' outside" in n for n in texts(log.notices))

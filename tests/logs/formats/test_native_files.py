@@ -10,6 +10,7 @@ from cellwise.logs.files.columns import OWN, Channel, Unit
 from cellwise.logs.files.csv_text import read_csv
 from cellwise.logs.files.format import Format
 from cellwise.logs.reading import read_pack
+from cellwise.notices import texts
 from log_files import pulse_channels, write_csv
 from tester_files import (
     digatron_columns,
@@ -43,13 +44,15 @@ def test_a_binary_file_is_read_as_the_truth(name, tmp_path):
     np.testing.assert_allclose(log.voltage_V, TRUTH["voltage_V"], atol=1e-4)  # 0.1 mV, float32
     charge = log.charge_Ah - log.charge_Ah[0]
     np.testing.assert_allclose(charge, TRUTH["ampere_hours"], atol=2e-6)
-    assert not any("LOOKS WRONG" in n or "does not know" in n for n in log.notices), log.notices
+    assert not any("LOOKS WRONG" in n or "does not know" in n for n in texts(log.notices)), (
+        log.notices
+    )
 
 
 def test_a_galvanostatic_biologic_file_has_its_current_from_the_charge(tmp_path):
     log = read_log(write_mpr(tmp_path / "log.mpr", TRUTH, current=False))
     np.testing.assert_allclose(log.current_A, TRUTH["current_A"], atol=1e-6)
-    assert any("taken from the counter" in notice for notice in log.notices)
+    assert any("taken from the counter" in notice for notice in texts(log.notices))
 
 
 def test_columns_of_a_matlab_file_can_be_stated(tmp_path):
@@ -83,7 +86,7 @@ def test_a_native_file_is_its_tidy_twin(name, real_data, tmp_path):
     disguised = tmp_path / "log.xyz"  # told by content, not by name
     disguised.write_bytes((real_data / "native" / name).read_bytes())
     native, tidy = read_log(disguised), read_log(real_data / twin)
-    packs = [n for n in native.notices if "LOOKS WRONG for one cell" in n]
+    packs = [n for n in texts(native.notices) if "LOOKS WRONG for one cell" in n]
     assert len(packs) == (wanted == "ardupilot-dataflash")  # a pack of four, read as one
     assert native.format == wanted
     start = native.time_s - native.time_s[0]
@@ -100,7 +103,7 @@ def test_a_native_file_is_its_tidy_twin(name, real_data, tmp_path):
         share = np.mean(np.abs(found - expected) <= TOLERANCE[field])
         assert share > 0.999, (field, share)
     assert inspect_log(native).sign == "verified"
-    others = [n for n in native.notices if n not in packs]
+    others = [n for n in texts(native.notices) if n not in packs]
     assert not any("LOOKS WRONG" in n or "does not know" in n for n in others)
 
 
@@ -143,7 +146,7 @@ def test_a_new_format_is_read_with_its_units_and_its_sign_unless_overridden(tmp_
     np.testing.assert_allclose(log.time_s, TRUTH["time_s"], rtol=1e-15)
     np.testing.assert_allclose(log.current_A, TRUTH["current_A"], rtol=1e-15)
     np.testing.assert_array_equal(log.charge_Ah, TRUTH["ampere_hours"])
-    assert not any("LOOKS WRONG" in notice for notice in log.notices)
+    assert not any("LOOKS WRONG" in notice for notice in texts(log.notices))
     other = read_log(path, sign="discharge-positive")
     np.testing.assert_array_equal(other.current_A, -log.current_A)
-    assert any("`sign='charge-positive'`" in notice for notice in other.notices)
+    assert any("`sign='charge-positive'`" in notice for notice in texts(other.notices))

@@ -13,6 +13,7 @@ import pytest
 from cellwise.cli import main
 from cellwise.errors import InputError
 from cellwise.logs import read_log
+from cellwise.notices import texts
 from cellwise.report.viewer_files import write_mcap
 
 mcap_writer = pytest.importorskip("mcap.writer")
@@ -115,7 +116,7 @@ def test_the_battery_that_is_measured_is_read_and_another_on_demand(tmp_path, st
     path = mcap(tmp_path / "two.mcap", store, aux={"amps": float("nan")},
                 main={"stamped": False, "cells": 0})  # fmt: skip
     log = read_log(path)
-    assert any("2 batteries (0: /aux, 1: /main); read number 1" in n for n in log.notices)
+    assert any("2 batteries (0: /aux, 1: /main); read number 1" in n for n in texts(log.notices))
     assert log.time_s[-1] == pytest.approx(ROWS - 1)  # by the time of the recording
     with pytest.raises(InputError, match="no battery 2"):
         read_log(path, instance=2)

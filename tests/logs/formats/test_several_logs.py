@@ -10,6 +10,7 @@ from cellwise.errors import InputError
 from cellwise.logs import read_log
 from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.writing import write_columns
+from cellwise.notices import Code, texts
 
 TIME = np.arange(600) * 2.0
 
@@ -144,7 +145,7 @@ def test_of_two_batteries_in_a_table_one_is_read_and_the_first_notice_says_so(tm
     log = read_log(path, series=4)
     np.testing.assert_allclose(log.voltage_V, TESTS[0][2])
     np.testing.assert_allclose(log.current_A, TESTS[0][1])
-    assert log.notices[0].startswith("2 batteries (0: ")
+    assert log.notices[0].code is Code.SEVERAL_BATTERIES
     assert read_log(path, instance=1, series=3).voltage_V == pytest.approx(np.full(600, 4.1))
     with pytest.raises(InputError, match="no battery 7"):
         read_log(path, instance=7)
@@ -210,7 +211,7 @@ def test_blackbox_recordings(tmp_path):
     path.write_bytes(whole[:3000])  # the power was cut
     cut = read_log(path, series=4)
     assert 300 < len(cut) < 600
-    assert any("no end" in notice for notice in cut.notices)
+    assert any("no end" in notice for notice in texts(cut.notices))
     path.write_bytes(whole + session(*test_of(0)) + b"E\xffEnd of log\x00")
     with pytest.raises(SeveralLogsError, match=r"0: session 1, .*1: session 2"):
         read_log(path)

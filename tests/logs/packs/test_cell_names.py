@@ -10,6 +10,7 @@ from cellwise.logs import read_log
 from cellwise.logs.packs.cells import known_column
 from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
+from cellwise.notices import texts
 
 ROWS = 200
 TIME = np.arange(ROWS) * 10.0
@@ -46,7 +47,7 @@ def test_names_without_a_unit_may_be_millivolts_and_may_count_from_zero(tmp_path
     pack = read_pack(path)
     assert pack.names == ("cell_01", "cell_02", "cell_03")
     np.testing.assert_allclose(pack.cell_V, VOLTS)
-    assert any("millivolts" in notice for notice in pack.notices)
+    assert any("millivolts" in notice for notice in texts(pack.notices))
 
 
 def test_any_name_can_be_stated(tmp_path):

@@ -9,6 +9,7 @@ from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
+from cellwise.notices import texts
 
 ROWS = 400
 
@@ -40,7 +41,7 @@ def test_the_tidy_form_of_a_pack_is_read(tmp_path, suffix, unit):
     np.testing.assert_allclose(pack.mean.voltage_V, volts.mean(axis=1), rtol=1e-12)
     np.testing.assert_array_equal(pack.mean.current_A, current)
     assert pack.flags == ()
-    assert not any("cell_" in notice for notice in pack.notices)
+    assert not any("cell_" in notice for notice in texts(pack.notices))
 
 
 def test_names_of_leafspy_are_known_and_its_negative_voltages_are_balancing(tmp_path):
@@ -82,8 +83,8 @@ def test_a_pack_without_one_column_says_which(tmp_path):
     pack = read_pack(write_columns(table, tmp_path / "pack.csv"))
     assert pack.names == ("cell_01", "cell_02", "cell_04", "cell_05")
     assert {flag.kind for flag in pack.flags} == {"missing", "count"}
-    assert any("cell_03" in notice for notice in pack.notices)
-    assert any("5.0 cells in series, and 4" in notice for notice in pack.notices)
+    assert any("cell_03" in notice for notice in texts(pack.notices))
+    assert any("5.0 cells in series, and 4" in notice for notice in texts(pack.notices))
 
 
 @pytest.mark.parametrize("since", [0, 250])

@@ -8,6 +8,7 @@ import pytest
 from cellwise.errors import InputError
 from cellwise.logs.formats.can import FrameDecoder
 from cellwise.logs.formats.vehicle_signals import Series, aligned
+from cellwise.notices import Code, coded
 
 
 def at(step, until=100.0, start=0.0):
@@ -34,13 +35,13 @@ def test_a_faster_current_loses_no_charge():
     channels, notices = brought((fast, current), (T, np.ones(T.size)))
     charge = np.sum(channels["current_A"][1:] * np.diff(channels["time_s"]))
     assert charge == pytest.approx(np.trapezoid(current, fast), rel=1e-12)
-    assert "averaged" in notices[0]
+    assert "averaged" in notices[0].text
 
 
 def test_a_current_between_the_voltages_rows_is_interpolated():
     channels, notices = brought((T, 3 * T), (T[:-1] + 0.25, T[:-1]))
     np.testing.assert_allclose(channels["current_A"], 3 * (T[:-1] + 0.25))
-    assert "interpolated" in notices[0]
+    assert "interpolated" in notices[0].text
 
 
 def test_a_pause_of_the_current_is_missing_not_bridged():
@@ -53,7 +54,8 @@ def test_a_pause_of_the_current_is_missing_not_bridged():
 def test_rows_outside_the_current_are_left_out_and_told():
     channels, notices = brought((T[20:81], T[20:81]), (T, T))
     assert channels["time_s"][[0, -1]].tolist() == [20, 80]
-    assert any("40 row(s)" in n for n in notices)
+    (said,) = coded(notices, Code.ROWS_WITHOUT_CURRENT)
+    assert "40 row(s)" in said.text
 
 
 def test_stamps_out_of_order_and_repeated():

@@ -101,7 +101,7 @@ def test_a_sign_is_a_direction():
 def test_none_and_undetermined_are_said():
     none = diagnosis()
     assert "no error beyond the stated one" in diagnosis_finding(none)
-    assert millivolt(none.runs[1].before.metrics.rmse_V) in diagnosis_finding(none)
+    assert millivolt(none.runs[1].before.rmse_V) in diagnosis_finding(none)
     rivals = (Weighed(("current_offset",), 0.6), Weighed(("current_gain",), 0.4))
     open_verdict = replace(none, verdict="undetermined", competing=rivals)
     assert "may be current offset, current gain or none" in diagnosis_finding(open_verdict)

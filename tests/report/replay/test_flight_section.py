@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.forecast.remaining import forecast
+from cellwise.notices import Code, Notice
 from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration_between
 from cellwise.report.replay.page import flight_finding, flight_plot
@@ -73,7 +74,8 @@ def test_a_log_far_off_its_model_is_the_first_line(flight, tmp_path):
 def test_what_is_unsure_comes_before_how_the_log_was_read(tmp_path):
     """A start that nobody knows and a band that lies are read without a click."""
     run = replay(drive())
-    read = replace(run.log, notices=tuple(f"column {k} was not used" for k in range(4)))
+    unused = (Notice(Code.COLUMN_UNUSED, f"column {k} was not used") for k in range(4))
+    read = replace(run.log, notices=tuple(unused))
     trace = replace(run.trace, soc_std=np.full(len(run.trace), 0.2))
     start = replace(run.start, std=0.3)
     unsure = replace(run, log=read, trace=trace, start=start, reference_soc=None)

@@ -27,6 +27,7 @@ from cellwise.identify.identification import (
 from cellwise.identify.ocv.curve import curve_from_points
 from cellwise.identify.pulse_fit.circuit import PulseFit, PulseParameters
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 
 CAPACITY_AH = 3.0
 POINTS = 41
@@ -185,8 +186,8 @@ def identification(
             OwnLog("hppc", True, s, InitialSoc(s.soc0, 0.01, "given"), None, {}, "") for s in sims
         ),
         decided=(),
-        fit=error_metrics(sims[0].error_V),
-        notices=("a notice with <angle> brackets",),
+        fit=error_metrics(sims[0].residual_V),
+        notices=(Notice(Code.OWN_LOG, "a notice with <angle> brackets"),),
         seconds=1.5,
     )
 
@@ -199,7 +200,7 @@ def capacity_test(rate_C, cc_Ah, cv_Ah):
         cc_Ah=cc_Ah,
         cv_Ah=cv_Ah,
         temperature_C=25.0,
-        notices=("ends <early>",),
+        notices=(Notice(Code.CAPACITY_TEST_INCOMPLETE, "ends <early>"),),
     )
 
 

@@ -4,15 +4,12 @@ from cellwise.benchmark.certify.certificate import Certificate, Limits
 from cellwise.benchmark.certify.exported import Exported, read_export
 from cellwise.benchmark.certify.lives import measured_log
 from cellwise.benchmark.certify.run import certify
-from cellwise.benchmark.certify.virtual_cells import Sensor, read_sensor
 
 __all__ = [
     "Certificate",
     "Exported",
     "Limits",
-    "Sensor",
     "certify",
     "measured_log",
     "read_export",
-    "read_sensor",
 ]

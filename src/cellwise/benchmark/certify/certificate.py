@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.benchmark.records import check_ranges, within
+from cellwise.estimate.sensor import assumed_text
+from cellwise.records import check_ranges, within
 from cellwise.report.page import style
 from cellwise.report.page.markup import (
     Markup,
@@ -128,6 +129,7 @@ class Certificate:
                 "limits": stated,
                 "beyond": self.beyond,
             },
+            "sensor": self.settings["sensor"],
             "settings": self.settings,
         }
 
@@ -329,14 +331,13 @@ def _worst(data: Mapping[str, Any]) -> Markup:
 
 def _made(data: Mapping[str, Any]) -> Markup:
     settings = data["settings"]
-    sensor = ", ".join(f"{k} {v:.3g}" for k, v in settings["sensor"].items())
     cost = ", ".join(f"{core} {n:,.0f}" for core, n in data["instructions"].items())
     logs = [f"{name} (from {soc0:.2f}, {ah:.3g} Ah)" for name, soc0, ah in settings["measured"]]
     return bullets(
         (
             *MADE,
             f"Measured logs: {', '.join(logs) or 'none'}.",
-            f"Sensors, as standard deviations: {sensor}.",
+            f"As standard deviations, {assumed_text(settings['sensor'])}.",
             f"Seed {settings['seed']}, time step {settings['dt_s']:g} s, model sha256 "
             f"{settings['model_sha256'][:16]}.",
             f"Instructions of a step: {cost or 'not counted, no cross compiler at the export'}.",

@@ -17,6 +17,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import INPUT, OUTPUT
+from cellwise.estimate.sensor import Sensor, sensor_of
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed
 from cellwise.export.firmware import compile_rows, host_compiler, load_library
 from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
@@ -48,6 +49,15 @@ class Exported:
     def dt_s(self) -> float:
         """Time step of the target [s]."""
         return float(self.description["dt_s"])
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """What it was made for, where somebody stated it."""
+        stated = self.description.get("sensor", {"by_default": True})
+        if stated["by_default"]:
+            return None
+        known = {k: v for k, v in stated.items() if k != "by_default" and v is not None}
+        return sensor_of(known, DESCRIPTION)
 
     def run(self, records: NDArray[Any], soc: float, soc_std: float) -> NDArray[Any]:
         """Step the C through samples from a start that is known to ``soc_std``.

@@ -15,7 +15,6 @@ from cellwise.benchmark.certify.virtual_cells import (
     FAULTS,
     NO_FAULT,
     START_STD,
-    Sensor,
     Spread,
     draw_cell,
     with_sensor,
@@ -26,6 +25,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.protocol import run_protocol
 from cellwise.errors import InputError
 from cellwise.estimate.replay import reference_soc
+from cellwise.estimate.sensor import Sensor
 from cellwise.fit.start import initial_soc
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,12 @@ from cellwise.benchmark.certify.lives import (
     Life,
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
-from cellwise.benchmark.certify.virtual_cells import START_STD, Sensor, usual_sensor
+from cellwise.benchmark.certify.virtual_cells import START_STD
 from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.errors import InputError, MachineError
 from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.sensor import CAR, Sensor, assumed
 from cellwise.files import made_folder
 from cellwise.fleet.engine import LOCAL, connected, rows_of
 from cellwise.logs.cell_log import CellLog
@@ -58,7 +59,8 @@ def certify(
     ----------
     exported : Exported
     cells, hours : int, float     cells of the exported model, and hours of each
-    sensor : Sensor or None       what the target's sensors are off by; None: as vehicles have them
+    sensor : Sensor or None       what the target's sensors are off by; None: what the export was
+                                  made for, a car's unless it says so
     seed : int                    of everything drawn: the same seed gives the same certificate
     limits : Limits or None       what it is judged against; None: no verdict
     physics : int or None         cells of porous electrodes beside, at most 20 h each; None: one
@@ -83,7 +85,9 @@ def certify(
         )
     if keep_logs and folder is None:
         raise InputError("logs to keep, and no folder", "a folder for them", "Name one.")
-    used = usual_sensor(exported.model) if sensor is None else sensor
+    capacity_Ah = exported.model.capacity_Ah
+    stated = exported.sensor if sensor is None else sensor
+    used = (stated or CAR).of_cell(capacity_Ah)
     fleet = Fleet(cells, _physics(physics, cells), tuple(measured), hours, seed, used)
     settings = {
         "model_sha256": exported.description["model_sha256"],
@@ -95,7 +99,7 @@ def certify(
         "pybamm": version("pybamm") if fleet.physics else None,
         "measured": [[one.log.name, one.soc0, one.reference_Ah] for one in measured],
         "seed": seed,
-        "sensor": asdict(used),
+        "sensor": assumed(stated, capacity_Ah),
     }
     place = None if folder is None else made_folder(folder, "the certificate")
     kept = KeptRows(place and place / ROWS_FILE)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellwise.benchmark.faults import Fault
-from cellwise.benchmark.records import check_ranges, record, within
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence
 from cellwise.cell.model import CellModel
 from cellwise.cell.posterior import POINTS, CellDraw
 from cellwise.cell.protocol import ConstantCurrent, ConstantVoltage, DriveProfile, Rest, Step
-from cellwise.errors import InputError
+from cellwise.estimate.sensor import Sensor
 from cellwise.typing import FloatArray
 
 
@@ -38,59 +35,6 @@ class Spread:
     resistance_grown: float = 1.0
     slipped_soc: float = 0.03
     model_error: float = 1.0  # of what the model states of its own error
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """Standard deviations of what the target's sensors are off by, the same for a whole life.
-
-    Parameters
-    ----------
-    current_offset_A, voltage_offset_V, temperature_K : float
-    current_gain : float                          share of the current
-    current_noise_A, voltage_noise_V : float      of every sample
-
-    Raises
-    ------
-    InputError        a value that is negative or not finite
-    """
-
-    current_offset_A: float = within(0.0, 1e6, 0.0)
-    current_gain: float = within(0.0, 1e6, 0.005)
-    voltage_offset_V: float = within(0.0, 1e6, 0.003)
-    temperature_K: float = within(0.0, 1e6, 1.0)
-    current_noise_A: float = within(0.0, 1e6, 0.0)
-    voltage_noise_V: float = within(0.0, 1e6, 0.001)
-
-    def __post_init__(self) -> None:
-        check_ranges(self, "the sensor's standard deviations")
-
-
-USUAL_OFFSET = 0.002  # of 1C: what a current sensor of a vehicle is off by after its calibration
-
-
-def usual_sensor(model: CellModel) -> Sensor:
-    """A sensor as vehicles have it, for a cell of this size."""
-    size_A = model.capacity_Ah
-    return Sensor(current_offset_A=USUAL_OFFSET * size_A, current_noise_A=USUAL_OFFSET * size_A)
-
-
-def read_sensor(path: str | Path) -> Sensor:
-    """A sensor from a TOML file whose keys are those of :class:`Sensor`.
-
-    Raises
-    ------
-    InputError        no such file, no TOML, a key that is none, a value that is refused
-    """
-    try:
-        found = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"'{path}', which is no sensor's specification ({error})",
-            "a TOML file with lines such as voltage_offset_V = 0.005",
-            f"Write it with any of {', '.join(one.name for one in fields(Sensor))}.",
-        ) from error
-    return record(Sensor, found, f"'{path}'")
 
 
 # What goes wrong beside, in every second cell; shares of 1C so that they fit a cell of any size.
@@ -146,16 +90,20 @@ def draw_cell(
 def with_sensor(
     fault: Fault, sensor: Sensor, capacity_Ah: float, rng: np.random.Generator
 ) -> Fault:
-    """A fault and what one sensor of its class is off by beside."""
+    """A fault and what one sensor of its class is off by beside, on a cell of this size."""
     off = rng.standard_normal(4)
+    wide_A = fault.current_range_A if sensor.current_range_A is None else sensor.current_range_A
     return replace(
         fault,
-        current_offset_A=sensor.current_offset_A * off[0],
+        current_offset_A=sensor.offset_A(capacity_Ah) * off[0],
         current_gain=fault.current_gain * (1.0 + sensor.current_gain * off[1]),
         voltage_offset_V=fault.voltage_offset_V + sensor.voltage_offset_V * off[2],
         temperature_K=sensor.temperature_K * off[3],
-        current_noise_C=sensor.current_noise_A / capacity_Ah,
+        current_noise_C=sensor.noise_A(capacity_Ah) / capacity_Ah,
         voltage_noise_V=sensor.voltage_noise_V,
+        current_resolution_A=sensor.current_resolution_A,
+        voltage_resolution_V=sensor.voltage_resolution_V,
+        current_range_A=wide_A,
     )
 
 

@@ -7,7 +7,6 @@ equations. The order of operations is part of them: the same bits come out where
 from cellwise.cell.equations.interval import advance as advance
 from cellwise.cell.equations.interval import loaded as loaded
 from cellwise.cell.equations.interval import look_up as look_up
-from cellwise.cell.equations.load import charge_transfer as charge_transfer
 from cellwise.cell.equations.load import transfer_resistance as transfer_resistance
 from cellwise.cell.equations.load import under_load as under_load
 from cellwise.cell.equations.lookup import BEYOND as BEYOND
@@ -18,6 +17,7 @@ from cellwise.cell.equations.records import at_rest as at_rest
 from cellwise.cell.equations.records import empty_state as empty_state
 from cellwise.cell.equations.records import with_heat as with_heat
 from cellwise.cell.equations.records import with_soc as with_soc
+from cellwise.cell.equations.scalar import charge_transfer as charge_transfer
 from cellwise.cell.equations.states import branch_gain as branch_gain
 from cellwise.cell.equations.states import charge_used as charge_used
 from cellwise.cell.equations.states import decay as decay

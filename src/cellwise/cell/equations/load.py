@@ -6,28 +6,9 @@ from typing import Any
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.description import BRANCHES, V1, V2
+from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
-
-
-@inline
-def charge_transfer(overvoltage: float) -> float:
-    r"""Factor on a resistance whose voltage follows asinh, 1 at small currents.
-
-    .. math:: f(y) = \frac{\mathrm{asinh}\, y}{y}, \qquad y = k R I
-
-    As a fraction that is within 0.05 % of it up to \|y\| = 60, because an embedded target has no
-    logarithm whose bits are the same everywhere.
-    """
-    y = abs(overvoltage)
-    above = 0.42143288 + y * 0.01126451
-    above = 0.66171232 + y * above
-    above = 1.0 + y * above
-    below = 0.11957555 + y * 0.00170013
-    below = 0.59291773 + y * below
-    below = 0.66171232 + y * below
-    below = 1.0 + y * below
-    return above / below
 
 
 @inline

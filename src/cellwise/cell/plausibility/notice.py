@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,23 +19,16 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.grave import is_grave
 from cellwise.logs.checks.sign import contradiction, verify_sign
+from cellwise.notices import Code, Notice, Option, Piece, Place
 from cellwise.typing import FloatArray
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
 RANGE_V = 1.0
 
 
-class Notice(NamedTuple):
-    """What a person should know, and about how far it moves a voltage [V]."""
-
-    size_V: float
-    text: str
-
-
 def _name(log: CellLog) -> str:
-    return f"'{log.name or 'the log'}'"
+    return log.name or "the log"
 
 
 def _usual_C(log: CellLog) -> float | None:
@@ -43,15 +37,15 @@ def _usual_C(log: CellLog) -> float | None:
     return None if measured is None or np.isnan(measured).all() else float(np.nanmedian(measured))
 
 
-def in_order(found: Iterable[Notice], of_reading: Sequence[str] = ()) -> tuple[str, ...]:
-    """Notices as text, the most harmful first, those of reading a log last.
+def in_order(found: Iterable[Notice], of_reading: Sequence[Notice] = ()) -> tuple[Notice, ...]:
+    """Notices, the most harmful first, those of reading a log last.
 
     A channel that cannot be what it is taken for, such as a current of the wrong sign, comes before
     all: it turns every other figure into nonsense.
     """
-    grave = [n for n in of_reading if is_grave(n)]
-    texts = [n.text for n in sorted(found, key=lambda n: -n.size_V)]
-    return tuple(dict.fromkeys((*grave, *texts, *of_reading)))
+    grave = [n for n in of_reading if n.is_grave]
+    by_size = sorted(found, key=lambda n: -n.size_V)
+    return tuple(dict.fromkeys((*grave, *by_size, *of_reading)))
 
 
 class FarOff(NamedTuple):
@@ -103,8 +97,12 @@ class Shown(NamedTuple):
 
 
 FAR_OFF, ORDER, SHOWN = FarOff(), Order(), Shown()
-OTHER = "a log of another cell, number of cells in series (`series=N`), temperature or age"
-WITHHELD = "remaining time and health would be made of it: withheld (`anyway=True` gives them)"
+OTHER: tuple[Piece, ...] = (
+    "a log of another cell, number of cells in series (",
+    Option("series", letter="N"),
+    "), temperature or age",
+)
+WITHHELD = "emaining time and health would be made of it: withheld ("
 
 
 def times_stated(
@@ -127,29 +125,34 @@ def times_stated(
     return times, float(np.median(error))
 
 
-def far_off_text(
+def far_off(
     model: CellModel | None, log: CellLog, error_V: FloatArray, soc: FloatArray
-) -> str | None:
+) -> Notice | None:
     """What is said first of a log that is far off; None of one that is not, or without a model."""
     if model is None:
         return None
     times, typical_V = times_stated(model, log, error_V, soc)
-    return _said(_name(log), times, typical_V)
+    found = _said("", times, typical_V)
+    return None if found is None else replace(found, log=_name(log))
 
 
-def _said(what: str, times: float, typical_V: float, causes: str = OTHER) -> str | None:
+def _said(
+    what: str, times: float, typical_V: float, causes: tuple[Piece, ...] = OTHER
+) -> Notice | None:
     little = typical_V < SHOWN.no_model_V  # else half as many deviations are enough
     most = FAR_OFF.deviations if little else 0.5 * FAR_OFF.deviations
     if times <= most or not math.isfinite(times):
         return None
-    return (
-        f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, "
-        f"{times:.3g} times what the model states of itself: {causes} than the model's?"
+    text = (
+        f"{what} is FAR OFF this model: typically {1e3 * typical_V:.0f} mV, {times:.3g} times "
+        "what the model states of itself"
     )
+    said = (text, ": ", *causes, " than the model's?")
+    return Notice(Code.FAR_OFF, said, size_V=ORDER.first)
 
 
 class FarOffStream:
-    """The same of a stream: of its last hour, by one look a second.
+    """The same of a stream: of its last hour, by one look a second; ``notice`` says it.
 
     ``sign``: what its current was read as, which is compared with what the voltage does.
     """
@@ -157,13 +160,14 @@ class FarOffStream:
     def __init__(self, model: CellModel, sign: str = "auto") -> None:
         self._model = model
         self._other = "discharge-positive" if sign == "charge-positive" else "charge-positive"
-        self._causes = f"the sign of the current (`sign='{self._other}'`), {OTHER}"
+        other = Option("sign", self._other)
+        self._causes: tuple[Piece, ...] = ("the sign of the current (", other, "), ", *OTHER)
         self._passed_s, self._looks = 0.0, 0
         self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_OFF.looks)
         self._contradicted = False
         self._since_s = math.inf
         self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_OFF.looks)
-        self.text: str | None = None
+        self.notice: Notice | None = None
 
     def look(
         self,
@@ -174,7 +178,7 @@ class FarOffStream:
         voltage_V: float,
         temperature_C: float,
     ) -> None:
-        """One sample: measured minus predicted, where the model is; then ``text`` is true of it."""
+        """One sample: measured minus predicted, where the model is; ``notice`` is true after it."""
         self._since_s += dt_s
         self._passed_s += dt_s
         if self._since_s < 1.0 or not math.isfinite(error_V):
@@ -188,7 +192,7 @@ class FarOffStream:
         if len(self._seen) >= FAR_OFF.fewest:
             times, typical_V = np.median(self._seen, axis=0).tolist()
             said = _said("the stream", times, typical_V, self._causes)
-            self.text = contradiction(self._other) if self._contradicted else said
+            self.notice = contradiction(self._other) if self._contradicted else said
 
     def _check_sign(self) -> None:
         """Ask what the sign of the last hour is, once a minute."""
@@ -201,23 +205,15 @@ class FarOffStream:
             self._contradicted = verify_sign(log).verdict == "contradicted"
 
 
-def far_off_notices(text: str | None) -> list[Notice]:
-    """The same as a notice: after one that names the unit or the temperature, before all others."""
-    return [] if text is None else [Notice(ORDER.first, text)]
-
-
-def ends_forecasts(far_off: str | None, log: CellLog) -> str | None:
+def ends_forecasts(far: Notice | None, log: CellLog) -> Notice | None:
     """Why nothing is foreseen from a log: a channel is not what it is taken for, or far off."""
-    grave = next((n for n in log.notices if is_grave(n)), None)
-    text = grave or far_off
-    return None if text is None else withheld(text)
+    return next((n for n in log.notices if n.is_grave), far)
 
 
-def withheld(far_off: str) -> str:
+def withheld(far: Notice) -> Notice:
     """What is far off, and what is therefore not said."""
-    if is_grave(far_off):
-        return f"{far_off}; {WITHHELD}"
-    return f"{far_off} {WITHHELD[0].upper()}{WITHHELD[1:]}"
+    begin = "; r" if far.is_grave else " R"  # one without a full stop, the other with one
+    return far.followed_by(begin + WITHHELD, Option("anyway", True), " gives them)")
 
 
 WARMED = (TemperatureDependence, Entropy)  # effects that follow the temperature
@@ -237,13 +233,14 @@ def outside_notices(validity: Validity, log: CellLog, soc: FloatArray) -> list[N
     if not found:
         return []
     text = (
-        f"{_name(log)} leaves what the model's data covered: {'; '.join(found)}. "
-        "There the error is not validated and grows with the distance"
+        f" leaves what the model's data covered: {'; '.join(p.text for p in found)}. There the "
+        "error is not validated and grows with the distance"
     )
     # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
     # and current out of their ranges, and is then the cause: only a temperature stands by itself.
-    by_itself = "degC" in text
-    return [Notice(math.inf if by_itself else ORDER.outside, text)]
+    by_itself = any(p.channel == "temperature_C" for p in found)
+    size_V = math.inf if by_itself else ORDER.outside
+    return [Notice(Code.OUTSIDE_DATA, text, log=_name(log), size_V=size_V)]
 
 
 def assumed_temperature_notices(model: CellModel, log: CellLog, assumed_C: float) -> list[Notice]:
@@ -253,10 +250,11 @@ def assumed_temperature_notices(model: CellModel, log: CellLog, assumed_C: float
     if model.temperature_C.size == 1 and not any(isinstance(e, WARMED) for e in model.effects):
         return []
     text = (
-        f"no temperature was measured in {_name(log)}: {assumed_C:.0f} degC is "
+        f"no temperature was measured in '{_name(log)}': {assumed_C:.0f} degC is "
         "assumed (LOG@10 states another)"
     )
-    return [Notice(ORDER.assumed, text)]
+    stated = Option("temperature_C")
+    return [Notice(Code.TEMPERATURE_ASSUMED, text, option=stated, size_V=ORDER.assumed)]
 
 
 def outside_moment(
@@ -277,14 +275,22 @@ def outside_moment(
     return ", ".join(found) or None
 
 
-def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[str]:
+class Beyond(NamedTuple):
+    """A channel that leaves the data on one side."""
+
+    channel: str
+    text: str
+
+
+def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[Beyond]:
     """Of each side: the share of the rows beyond, where the data end, how far the rows go."""
     b = validity.bounds()
-    for values, ends, low, high, written in (
-        (log.temperature_C, validity.temperature_C, b.cold_C, b.warm_C, "{:.3g} degC"),
-        (soc, validity.soc, b.soc_low, b.soc_high, "SOC {:.2f}"),
-        (log.current_A, validity.current_A, b.charge_A, b.discharge_A, "{:.3g} A"),
+    for channel, values, low, high, written in (
+        ("temperature_C", log.temperature_C, b.cold_C, b.warm_C, "{:.3g} degC"),
+        ("soc", soc, b.soc_low, b.soc_high, "SOC {:.2f}"),
+        ("current_A", log.current_A, b.charge_A, b.discharge_A, "{:.3g} A"),
     ):
+        ends: tuple[float, float] | None = getattr(validity, channel)
         if values is None or ends is None:
             continue
         known = float(np.count_nonzero(np.isfinite(values))) or 1.0
@@ -295,10 +301,11 @@ def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[str]:
             share = 100.0 * beyond.size / known
             if beyond.size >= SHOWN.rows and share >= 100.0 * SHOWN.share:
                 furthest = float(beyond[np.argmax(np.abs(beyond - end))])
-                yield (
+                text = (
                     f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side} "
                     f"{written.format(end)}, where its data end, to {furthest:.3g}"
                 )
+                yield Beyond(channel, text)
 
 
 def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
@@ -316,21 +323,16 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
     moved = float(np.ptp(log.counted_charge_Ah()))
     if high - low > SHOWN.charge:
-        return [
-            Notice(
-                math.inf,  # every other figure follows from it
-                f"{name} moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}):"
-                " the unit of the current (mA?), the cells in parallel (`parallel=N`), or a log of "
-                "another cell?",
-            )
-        ]
-    return [
-        Notice(
-            RANGE_V * outside,
-            f"{name} runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC "
-            "(`soc0=X` states it) and the capacity",
+        text = (
+            f" moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}): the unit "
+            "of the current (mA?), the cells in parallel ("
         )
-    ]
+        said = (text, Option("parallel", letter="N"), "), or a log of another cell?")
+        # Before all others: every other figure follows from it.
+        return [Notice(Code.TOO_MUCH_CHARGE, said, log=name, size_V=math.inf)]
+    text = f" runs through {ran}, beginning at {soc[0]:.3f}: check the initial SOC ("
+    said = (text, Option("soc0", letter="X"), " states it) and the capacity")
+    return [Notice(Code.SOC_OUTSIDE, said, log=name, size_V=RANGE_V * outside)]
 
 
 def error_notices(
@@ -352,21 +354,21 @@ def error_notices(
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
     of_stated = error_V / np.maximum(stated_V, SHOWN.least_V)
     everywhere = error_metrics(of_stated).rmse_V > FAR_OFF.deviations
-    somewhere = max(b.metrics.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
+    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
     if not (everywhere or somewhere or all_rows.max_error_V >= SHOWN.no_model_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero
-    text = (
-        f"{_name(log)} is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
-        f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} after "
-        f"{(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h"
+    said: tuple[Piece, ...] = (
+        f" is up to {1e3 * all_rows.max_error_V:.0f} mV off (RMSE "
+        f"{1e3 * all_rows.rmse_V:.0f} mV), most at SOC {at:.3f} ",
+        Place(f"after {(log.time_s[row] - log.time_s[0]) / 3600.0:.2f} h", range(row, row + 1)),
     )
     if everywhere:
-        text += f": {OTHER} than the model's, or another initial SOC?"
+        said += (": ", *OTHER, " than the model's, or another initial SOC?")
     elif at < SHOWN.empty:
-        text += ": near empty, where the OCV is steep and the resistance high"
-    return [Notice(all_rows.rmse_V, text)]
+        said += (": near empty, where the OCV is steep and the resistance high",)
+    return [Notice(Code.MODEL_OFF, said, log=_name(log), size_V=all_rows.rmse_V)]
 
 
 def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Notice]:
@@ -379,15 +381,16 @@ def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Not
     """
     name = _name(log)
     if math.isnan(rmse_V) and np.any(np.isfinite(log.voltage_V)):
-        text = f"no voltage of {name} was used: all are missing, or outside what a sensor reads"
-        return [Notice(RANGE_V, f"{text} (another pack count?)")]
+        text = f"no voltage of '{name}' was used: all are missing, or outside what a sensor reads"
+        return [Notice(Code.VOLTAGE_UNUSED, f"{text} (another pack count?)", size_V=RANGE_V)]
     if math.isnan(rmse_V) or rejected < SHOWN.rejected:
         return []
     text = (
-        f"the voltage of {name} is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "
-        f"rejected in {100.0 * rejected:.0f} % of the rows"
+        f"the voltage of '{name}' is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "
+        f"rejected in {100.0 * rejected:.0f} % of the rows: "
     )
-    return [Notice(max(rmse_V, RANGE_V * rejected), f"{text}: {OTHER} than the model's?")]
+    size_V = max(rmse_V, RANGE_V * rejected)
+    return [Notice(Code.VOLTAGE_REJECTED, (text, *OTHER, " than the model's?"), size_V=size_V)]
 
 
 def stated_error_V(

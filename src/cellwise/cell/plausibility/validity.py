@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from cellwise.arguments import numbers
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
@@ -73,7 +74,8 @@ class Validity:
             given = getattr(self, name)
             if given is None:
                 continue
-            low, high = (float(v) for v in given)
+            pair = numbers(name, given)
+            low, high = pair.tolist() if pair.shape == (2,) else (np.nan, np.nan)
             if not (np.isfinite(low) and np.isfinite(high) and low <= high):
                 raise InputError(
                     f"a validity of {name} from {low:g} to {high:g}",

@@ -18,6 +18,7 @@ import numpy as np
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.effects import TemperatureDependence
+from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.equations.temperature import ZERO_CELSIUS_K
 from cellwise.cell.packed import changed
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
@@ -35,7 +36,6 @@ ENTROPY_V_PER_K = 3e-4  # OCV of lithium-ion cells: up to 0.5 mV/K, either way
 # A single cell taken into the cold loses 20 K in about a quarter of an hour.
 DRIFT_K_PER_S = 0.02
 LARGEST_DRIFT_K = 20.0
-HALF, SIXTH = 0.5, 1.0 / 6.0
 
 
 class ValidityScalars(NamedTuple):
@@ -107,10 +107,9 @@ def extrapolation_V(
     ----------
     held_V : float      what ohmic drop and branches take off the OCV, in absolute values [V]
     """
-    far_K = max(max(valid.cold_C - temperature_C, temperature_C - valid.warm_C), 0.0)
-    far_A = max(max(valid.charge_A - current_A, current_A - valid.discharge_A), 0.0)
-    x = valid.share_per_K * far_K
-    share = x * (1.0 + x * (HALF + x * SIXTH)) + valid.share_per_A * far_A
+    far_K = distance_beyond(temperature_C, valid.cold_C, valid.warm_C)
+    far_A = distance_beyond(current_A, valid.charge_A, valid.discharge_A)
+    share = exponential_rise(valid.share_per_K * far_K) + valid.share_per_A * far_A
     return share * held_V + valid.voltage_per_K * far_K
 
 
@@ -121,15 +120,14 @@ def lost_temperature_V(lost_s: float, held_V: float) -> float:
     The cell may have cooled or warmed as fast as a small one does, until it is where it is used.
     """
     away_K = min(DRIFT_K_PER_S * lost_s, LARGEST_DRIFT_K)
-    x = ACTIVATION_K / ROOM_K**2 * away_K
-    return x * (1.0 + x * (HALF + x * SIXTH)) * held_V + ENTROPY_V_PER_K * away_K
+    rise = exponential_rise(ACTIVATION_K / ROOM_K**2 * away_K)
+    return rise * held_V + ENTROPY_V_PER_K * away_K
 
 
 @inline
 def soc_extrapolation_V(valid: ValidityScalars, soc: float) -> float:
     """What the OCV can be off by beyond the data's SOC, one deviation [V]."""
-    far = max(max(valid.soc_low - soc, soc - valid.soc_high), 0.0)
-    return valid.voltage_per_soc * far
+    return valid.voltage_per_soc * distance_beyond(soc, valid.soc_low, valid.soc_high)
 
 
 @inline

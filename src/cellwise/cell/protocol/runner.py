@@ -17,6 +17,7 @@ from cellwise.cell.protocol import supply_kernels as kernel
 from cellwise.cell.simulate import check_soc0, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 LONGEST_S = 30 * 86400.0  # a step that has not ended by then ends, and the log says so
@@ -218,7 +219,7 @@ class _Run:
         )
         self.dt_s, self.temperature_C = dt_s, temperature_C
         self.clock_s, self.number = 0.0, 0
-        self.notices: list[str] = []
+        self.notices: list[Notice] = []
         start_V = kernel.interval(self.tables, state, 0.0, 0.0, temperature_C).voltage_V
         self.parts: list[FloatArray] = [np.array([[0.0], [0.0], [start_V], [1.0]])]
 
@@ -250,7 +251,7 @@ class _Run:
         elif len(self.parts) == parts:
             said = "at its limit from the start, so it has no row"
         if said is not None:
-            self.notices.append(f"step {self.number}: {said}")
+            self.notices.append(Notice(Code.STEP_NOT_DONE, f"step {self.number}: {said}"))
 
     def log(self) -> CellLog:
         """What was recorded."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
 from cellwise.cell.model import CellModel
 from cellwise.cli.common import log_options
@@ -14,10 +15,8 @@ from cellwise.estimate.power.state_of_power import (
     PowerSettings,
     power_settings,
 )
-from cellwise.forecast.charging import limit_of, taper_of
-from cellwise.forecast.display import Display, display_of
 from cellwise.forecast.plan import Plan, is_plan, plan_of_log, read_plan
-from cellwise.forecast.remaining import cutoff_of
+from cellwise.workflows.replaying import Ahead
 
 LIMITS = ("voltage_limits", "current_limits", "soc_limits")
 
@@ -86,12 +85,17 @@ def plans_of(arguments: argparse.Namespace) -> list[Plan]:
     return plans
 
 
-def how_displayed(arguments: argparse.Namespace, model: CellModel) -> Display | None:
-    """How a percentage is shown; None where it is not asked for."""
-    if arguments.display is None:
-        return None
-    limit_V = limit_of(model, arguments.charge_limit_v)
-    taper_A = taper_of(model, arguments.charge_end_a)
-    return display_of(
-        model, cutoff_of(model, arguments.cutoff_v), limit_V, taper_A, arguments.display
+def ahead_of(arguments: argparse.Namespace, plans: Sequence[Plan] = ()) -> Ahead:
+    """What the arguments ask to foresee; a stream's have no load or plan of their own."""
+    said = vars(arguments)
+    return Ahead(
+        hold=said.get("hold") or "power",
+        cutoff_V=arguments.cutoff_v,
+        load=said.get("load"),
+        charge_limit_V=arguments.charge_limit_v,
+        charge_end_A=arguments.charge_end_a,
+        plans=plans,
+        above=said.get("land_above") or 0.0,
+        display=arguments.display,
+        anyway=arguments.anyway,
     )

@@ -18,9 +18,10 @@ from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import logs_of
+from cellwise.workflows import served
 
 if TYPE_CHECKING:
-    from cellwise.identify import TestLogs
+    from cellwise.identify import CellTests
 
 Log = TypeVar("Log")
 Made = TypeVar("Made")
@@ -118,19 +119,14 @@ def each_that_serves(logs: Sequence[Log], do: Callable[[Log], Made]) -> list[Mad
     ------
     InputError        as ``do``, of the first where none serves
     """
-    made, refused = [], []
-    for log in logs:
-        try:
-            made.append(do(log))
-        except MachineError:
-            raise
-        except InputError as error:
-            refused.append(error)
-    if refused and not made:
-        raise refused[0]
-    for one in refused:
+    return serving(served.each_that_serves(logs, do))
+
+
+def serving(found: served.Served[Made]) -> list[Made]:
+    """What was made; what was refused is said on standard error."""
+    for one in found.refused:
         printing.warn(f"left out: {one.found}")
-    return made
+    return found.made
 
 
 def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, Stated]]:
@@ -144,20 +140,20 @@ def _all_of(one: Stated, read_one: Callable[[Stated], Log]) -> list[tuple[Log, S
     return [(read_one(nth), nth) for nth in each]
 
 
-def test_logs(arguments: argparse.Namespace) -> TestLogs:
+def test_logs(arguments: argparse.Namespace) -> CellTests:
     """The laboratory tests, those with a temperature of their own with it.
 
     Raises
     ------
     InputError        as :func:`read`
     """
-    from cellwise.identify import TestLogs
+    from cellwise.identify import CellTests
 
     def stated(paths: Sequence[str]) -> tuple[tuple[CellLog, float | None], ...]:
         found = read_each(paths, lambda one: read(one, arguments))
         return tuple((log, one.temperature_C) for log, one in found)
 
-    return TestLogs(
+    return CellTests(
         hppc=stated(arguments.hppc),
         drive=stated(arguments.drive),
         ocv=read_all(arguments.ocv, arguments),

@@ -9,13 +9,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwise.arguments import beyond
 from cellwise.cli.common import printing
 from cellwise.errors import InputError
 from cellwise.files import file_place
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
+    from cellwise.estimate.sensor import Sensor
 
 
 OUTPUTS = ("output", "report")
@@ -94,6 +94,7 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     ------
     InputError        neither; no fraction from 0 to 1
     """
+    from cellwise.arguments import beyond  # with numpy, which a help need not wait for
     from cellwise.cell.simulate import check_soc0
 
     if arguments.soc0 == "auto":
@@ -109,20 +110,16 @@ def soc0_of(arguments: argparse.Namespace) -> float | None:
     return held
 
 
-def start_of(stated: float | None, asked: float | None, option: str = "--soc0") -> float | None:
-    """The start that is asked for; None where the log's own stated one holds, or none is known.
+def sensor_of(arguments: argparse.Namespace) -> Sensor | None:
+    """The sensors that the arguments state, None where they state none.
 
     Raises
     ------
-    InputError        an option that contradicts what is stated of the log
+    InputError        as `read_sensor`
     """
-    if stated is not None and asked is not None and asked != stated:
-        raise InputError(
-            f"{option} {asked:g} for a log whose initial SOC is stated as {stated:g}",
-            "one initial SOC",
-            f"Leave out {option}, or what is stated behind the @.",
-        )
-    return asked if stated is None else None
+    from cellwise.estimate.sensor import read_sensor
+
+    return None if arguments.sensor is None else read_sensor(arguments.sensor)
 
 
 def check_fraction(option: str, value: float | None) -> None:

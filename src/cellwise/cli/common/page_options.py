@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -93,13 +93,17 @@ def hand_over(
     found: Any,
     write_page: Callable[..., Path],
     say: Callable[[Any], None],
+    data: Mapping[str, Any],
 ) -> None:
-    """Write the page of a result if one is wanted, and print the result as was asked."""
+    """Write the page of a result if one is wanted, and print the result as was asked.
+
+    ``data`` is its JSON, with notices in a command's words.
+    """
     with page_places(arguments) as pages:
         if pages is not None:
             write_page(found, pages.page, figures=pages.figures)
     if arguments.json:
-        printing.print_json(found.to_dict())
+        printing.print_json(data)
         return
     say(found)
     say_pages(arguments)

@@ -17,39 +17,54 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
+from cellwise.notices import Notice, Option
 from cellwise.progress import progress_bar
 
 T = TypeVar("T")
 # A message names an argument as Python has it, between backticks.
 ARGUMENT = re.compile(r"`([A-Za-z]\w*)=([^`]*)`")
-NAMED = re.compile(r"'[^']*'")  # the log of which a notice speaks
 # Where the option is not the argument's own name.
 NAMES = {"channels": "channel", "dt_s": "dt", "limits": "voltage-limits"}
 OPEN = "..."  # the argument, whatever its value
 
 
 def in_options(text: str) -> str:
-    """A message with every argument as the option of a command.
+    """A refusal's message with every argument as the option of a command.
 
     ``series=4`` is ``--series 4``, ``partial=True`` is ``--partial``, ``refine=False`` is
     ``--no-refine``, ``channels={'time_s': 'COLUMN'}`` is ``--channel time_s=COLUMN``.
     """
-    return ARGUMENT.sub(lambda found: _option(found[1], found[2]), text)
+    return ARGUMENT.sub(lambda found: _written(found[1], found[2]), text)
 
 
-def _option(argument: str, value: str) -> str:
-    name = NAMES.get(argument, argument).replace("_", "-").lower()
-    if value == "False":
-        return f"--no-{name}"
-    if value.strip("{}") == OPEN or value == "True":
-        return f"--{name}"
+def _written(argument: str, value: str) -> str:
+    """An argument as a message has it, as an option."""
+    if value.strip("{}") == OPEN:
+        return in_command(Option(argument, letter=OPEN))
     try:
         plain = ast.literal_eval(value)
     except (SyntaxError, TypeError, ValueError):  # a word that stands for a value: MODEL, ...
         plain = value
-    if isinstance(plain, dict):
-        return " ".join(f"--{name} {key}={shlex.quote(str(one))}" for key, one in plain.items())
-    return f"--{name} {shlex.quote(str(plain))}"
+    pairs = tuple(plain.items()) if isinstance(plain, dict) else (plain,)
+    return " ".join(in_command(Option(argument, one)) for one in pairs)
+
+
+def in_command(option: Option) -> str:
+    """An argument and its value as the option of a command."""
+    argument, value = option.argument, option.letter or option.value
+    if value == OPEN:
+        value = True
+    name = NAMES.get(argument, argument).replace("_", "-").lower()
+    if isinstance(value, bool):
+        return f"--{name}" if value else f"--no-{name}"
+    if isinstance(value, tuple):
+        return f"--{name} {value[0]}={shlex.quote(str(value[1]))}"
+    return f"--{name} {shlex.quote(str(value))}"
+
+
+def rendered(notices: Iterable[Notice]) -> list[str]:
+    """Notices in a command's words, for JSON."""
+    return [notice.rendered(in_command) for notice in notices]
 
 
 @contextmanager
@@ -97,13 +112,12 @@ def record_table(title: str, items: Iterable[T], *columns: tuple[str, Callable[[
     table(title, [head for head, _ in columns], rows)
 
 
-def say_notices(notices: Iterable[str]) -> None:
+def say_notices(notices: Iterable[Notice]) -> None:
     """What a person should know, each once; what holds for several logs once for all of them."""
     logs_of: dict[str, list[str]] = {}
     for notice in dict.fromkeys(notices):
-        named = NAMED.match(notice)
-        logs = logs_of.setdefault(notice[named.end() :] if named else notice, [])
-        logs += [named[0]] if named else []
+        logs = logs_of.setdefault(notice.behind_name(in_command), [])
+        logs += [notice.before] if notice.log else []
     for said, logs in logs_of.items():
         more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
         say(f"  ! {logs[0] if logs else ''}{more}{said}")

@@ -186,6 +186,8 @@ SHARED = """
     --soc0 SOC=auto  0..1, or auto
 <start std>
     --soc0-std S  standard deviation of the initial SOC (of a stated --soc0 0.15 unless given)
+<sensor>
+    --sensor F.toml  what the sensors are off by, as TOML [a car's]
 <reference>
     --reference-soc0 X  true SOC at the start [by the whole log]
     --reference-capacity-ah X  for the reference by the counter

@@ -25,6 +25,36 @@ from cellwise.cell.equations import CellState, CellTables, loaded, rc_step
 from cellwise.cell.packed import changed, place_of, put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.equations.components import (
+    cost_of_past,
+    cost_of_voltage,
+    edge,
+    evidence_share,
+    let_pass,
+    past_of,
+    start_cost,
+)
+from cellwise.estimate.equations.constants import (
+    BANK_RATE,
+    COMPONENT_WIDTH,
+    COST_MOST,
+    LEAST_USE_RATE,
+    LEAST_WIDTH,
+    LOAD_LIMIT_V,
+    LOOK_FACTOR,
+    LOOK_S,
+    LOOKS,
+    PAST_PART,
+    PAST_RATE,
+    PERSISTENT_MOST,
+    RECOVERY_RATE,
+    RECOVERY_VARIANCE,
+    REST_RATE,
+    SPREAD_VARIANCE,
+    WIDE_VARIANCE,
+)
+from cellwise.estimate.equations.evidence import as_shown, inverse_weight
+from cellwise.estimate.equations.start import held_variance
 from cellwise.estimate.evidence_kernels import (
     Innovation,
     Verdict,
@@ -42,26 +72,19 @@ from cellwise.estimate.filters.covariance_kernels import (
 )
 from cellwise.estimate.filters.drift_kernels import drift_variance, no_drift
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState
+from cellwise.estimate.filters.predict_kernels import RESTED_V2
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import innovate, predict, say
 from cellwise.estimate.filters.update_kernels import counted, update
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import (
-    LOAD_LIMIT_V,
-    RECOVERY_RATE,
-    RECOVERY_VARIANCE,
-    START_BRANCH_V,
-)
 from cellwise.estimate.sensing_kernels import (
-    NOT_BEGUN,
-    REST_RATE,
+    NOT_BEGUN_S,
     Reading,
     Sample,
     read_sample,
     watch_on,
     watch_voltage,
 )
-from cellwise.estimate.slopes_kernels import WIDE_VARIANCE
 from cellwise.estimate.status import (
     CURRENT_LOST,
     GATE_RECOVERY,
@@ -73,24 +96,7 @@ from cellwise.estimate.status import (
 from cellwise.typing import FloatArray
 
 COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
-SPREAD_VARIANCE = 1.6e-3  # beyond it a SOC is no longer known well enough for one filter
-COMPONENT_WIDTH = 0.6  # deviation of a component over the distance to the next
-DENSE = 3.0  # deviations of a start within which the components lie close
-LEAST_WIDTH = 1e-3
-TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself not sure
-COST_MOST = 20.0  # a component less likely than exp(-20) is given up
-GIVEN_UP = 1e9
-PERSISTENT_MOST = 0.9  # of the model's error: some of it always fades
-
-BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
-LOOK_S = 60.0
-LOOK_FACTOR = 4.0
-LOOKS = 3.0
-PAST_PARTS = 32  # of the SOC, in which the way of a load before the start is gone
-PAST_SPREAD = 0.5  # of what a load has left before the start may be otherwise
-PAST_RATE = 0.05  # may have flowed before beside it
-LEAST_RATE = 0.02  # a use takes no longer from full to empty, or back
-LEAST_PAST_V2 = 1e-6
+GIVEN_UP = 1e9  # the cost of a component that nobody steps any more
 
 
 class BankRecord(NamedTuple):
@@ -114,7 +120,7 @@ class BankRecord(NamedTuple):
 LIKELIEST_AT, OFF_AT, LOOKS_AT = (
     place_of(BankRecord, name) for name in ("likeliest", "mismatch", "looks")
 )
-NEVER_SPREAD = BankRecord(0.0, 1.0, 1.0, 0.0, 0.0, 0.0, LOOKS, 0.0)
+NEVER_SPREAD = BankRecord(0.0, 1.0, 1.0, 0.0, 0.0, 0.0, float(LOOKS), 0.0)
 
 # A bank in memory: the estimate, the components, the record, one in each row. Behind a state
 # stand its cost, minus the logarithm of its likelihood beside the likeliest's, and its weight.
@@ -179,16 +185,6 @@ def weigh_components(bank: FloatArray, least: float) -> None:
         bank[k, WEIGHT] /= total
 
 
-@inline
-def edge(t: float, soc: float, std: float) -> float:
-    """SOC between two components: ``t`` from -1 to 1 goes from 0 to 1, densely about the start."""
-    room = 1.0 - soc if t > 0.0 else soc
-    near = min(DENSE * std, room)
-    size = abs(t)
-    away = size * (near + (room - near) * (size * size))
-    return soc + away if t > 0.0 else soc - away
-
-
 @part
 @unrolled
 def spread_out(bank: FloatArray, state: EkfState) -> None:
@@ -196,7 +192,7 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
 
     A start under load is yet to be looked at.
     """
-    p, x, begun = state.p, state.cell, state.watch.evidence_s != NOT_BEGUN
+    p, x, begun = state.p, state.cell, state.watch.evidence_s != NOT_BEGUN_S
     soc, std = min(max(x.soc, 0.0), 1.0), math.sqrt(p.ss)
     likeliest, least = 1, math.inf
     step = 2.0 / (end_of(bank) - 1)
@@ -210,12 +206,11 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
         narrow = uncorrelated(wide * wide, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
         put_record(bank[k], 0, 1, changed(changed(state, "cell", one), "p", narrow), True)
         away = here - soc
-        bank[k, COST] = 0.5 * (TAIL + 1.0) * math.log(1.0 + away * away / (TAIL * p.ss))
-        bank[k, COST] -= math.log(width)
+        bank[k, COST] = start_cost(away, p.ss, width)
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]
     weigh_components(bank, least)
-    looks = LOOKS if begun else 0.0
+    looks = float(LOOKS) if begun else 0.0
     # fmt: off
     put_record(
         bank[RECORD], 0, 1,
@@ -248,9 +243,7 @@ def loosened(tables: CellTables, start: EkfStart, state: EkfState) -> EkfState:
     at: ByState = loaded(tables, x.soc, warm_C, state.watch.current_A, x.slow_A)
     v = Branches(
         *(
-            START_BRANCH_V * START_BRANCH_V
-            + min(held_A * at.r[i], LOAD_LIMIT_V) ** 2
-            + x.state[i] * x.state[i]
+            held_variance(RESTED_V2, at.r[i], held_A, LOAD_LIMIT_V) + x.state[i] * x.state[i]
             for i in BRANCHES
         )
     )
@@ -309,26 +302,22 @@ def left_by_load(
     tables: CellTables, mean_A: float, soc: float, temperature_C: float, slow_A: float
 ) -> float:
     """What a load from full, or a charge from empty, has left in the slow branch at a SOC [V]."""
-    size = max(abs(mean_A), LEAST_RATE * tables.cell.charge_As / 3600.0)
+    size = max(abs(mean_A), LEAST_USE_RATE * tables.cell.charge_As / 3600.0)
     flowed_A = size if mean_A >= 0.0 else -size
-    step_s = tables.cell.charge_As / (PAST_PARTS * size)
+    step_s = PAST_PART * tables.cell.charge_As / size
     way = 1.0 - soc if mean_A >= 0.0 else soc
     before = 0.0
-    for k in range(1, int(way * PAST_PARTS + 0.5) + 1):
-        s = 1.0 - k / PAST_PARTS if mean_A >= 0.0 else k / PAST_PARTS
+    for k in range(1, int(way / PAST_PART + 0.5) + 1):
+        s = 1.0 - k * PAST_PART if mean_A >= 0.0 else k * PAST_PART
         at = loaded(tables, s, temperature_C, mean_A, slow_A)
         before = rc_step(before, flowed_A, at.r3_ohm, at.tau3_s, step_s)
     return before
 
 
 @inline
-def branch_of_past(
-    cell: CellScalars, r_ohm: float, left: float, mean_A: float, before_V: float
-) -> tuple[float, float]:
-    """What a branch holds when ``left`` of the past's ``before_V`` is left: mean, variance."""
-    held = r_ohm * (1.0 - left) * mean_A + left * before_V
-    spread = left * (PAST_SPREAD * abs(before_V) + r_ohm * PAST_RATE * cell.charge_As / 3600.0)
-    return held, spread * spread
+def past_A(cell: CellScalars) -> float:
+    """What may have flowed before a start beside a load like the one after it [A]."""
+    return PAST_RATE * cell.charge_As / 3600.0
 
 
 @inline
@@ -354,12 +343,12 @@ def know_past(
         return state, 0.0
     before = left_by_load(tables, mean_A, x.soc, temperature_C, x.slow_A)
     left = math.exp(-since_s / at.tau3_s)
-    held, variance = branch_of_past(tables.cell, at.r3_ohm, left, mean_A, before)
-    variance += p[V3, V3] + LEAST_PAST_V2
-    off = held - x.v3_V
+    past = past_of(at.r3_ohm, 1.0 - left, mean_A, before, past_A(tables.cell))
+    variance = p[V3, V3] + past.variance_V2
+    off = past.held_V - x.v3_V
     d = Column(*(p[i, V3] for i in CELL))
     k = scaled(d, 1.0 / variance)
-    cost = 0.5 * (off * off / variance + math.log(1.0 + variance / LEAST_PAST_V2))
+    cost = cost_of_past(off, variance)
     return changed(
         changed(state, "cell", held_within(moved(x, k, off))), "p", corrected(p, k, d)
     ), cost
@@ -386,8 +375,8 @@ def know_past_better(
     taken = left_by_load(tables, before_A, x.soc, temperature_C, x.slow_A)
     held = left_by_load(tables, mean_A, x.soc, temperature_C, x.slow_A)
     left = math.exp(-since_s / at.tau3_s)
-    _, variance = branch_of_past(tables.cell, at.r3_ohm, left, 0.0, taken)
-    k = scaled(Column(*(p[i, V3] for i in CELL)), 1.0 / max(variance, p[V3, V3]))
+    past = past_of(at.r3_ohm, 1.0 - left, 0.0, taken, past_A(tables.cell))
+    k = scaled(Column(*(p[i, V3] for i in CELL)), 1.0 / max(past.variance_V2, p[V3, V3]))
     return changed(state, "cell", held_within(moved(x, k, left * (held - taken))))
 
 
@@ -438,19 +427,13 @@ class Seen(NamedTuple):
 
 
 @inline
-def evidence_share(noise: NoiseScalars, since_s: float) -> float:
-    r"""How much of a voltage's evidence is new, where a part of the model's error stays for good.
-
-    Of a mean over t the variance is :math:`((1 - p) 2 \tau / t + p) \sigma^2`: what it says never
-    exceeds one error over p, however long it is taken.
-    """
+def new_share(noise: NoiseScalars, since_s: float) -> float:
+    """How much of a voltage's evidence is new, ``since_s`` after the first."""
     if noise.slow_s <= 0.0:
         return 1.0
-    p = min(noise.persistent * noise.persistent, PERSISTENT_MOST)
-    whole = 2.0 * noise.slow_s
-    fades = (1.0 - p) * whole
-    left = fades + p * max(since_s, 0.0)
-    return min(fades * whole / (left * left), 1.0)
+    stays = min(noise.persistent * noise.persistent, PERSISTENT_MOST)
+    shared_s = 2.0 * noise.slow_s
+    return evidence_share((1.0 - stays) * shared_s, stays, shared_s, max(since_s, 0.0))
 
 
 @inline
@@ -466,30 +449,24 @@ def use_in_bank(
 ) -> Seen:
     """A voltage to a component: none is rejected, each moves by what the gate lets pass.
 
-    Beyond that it speaks against a component in proportion to how far it is off (Huber): below
-    empty the lowest of them is the nearest.
-
     The variance of a voltage is that of the likeliest component, for all: one whose tables state
-    a larger error must not explain everything. What a voltage says against a component counts as
-    often as it moves the state: samples that share one error of the model are one.
+    a larger error must not explain everything.
     """
     variance = i.state_variance + (i.one + i.free_variance)
     innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
     reading = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
     used = math.isfinite(innovation_V) and reading[4] & VOLTAGE_FROZEN == 0
-    inverse, cost, ratio, grows = 0.0, 0.0, math.nan, 1.0
+    inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
         ratio = square / variance * noise.per_gate2
-        if ratio > 1.0:
-            innovation_V /= math.sqrt(ratio)
-            grows = 2.0 * math.sqrt(ratio) - 1.0
+        passed = let_pass(innovation_V, variance, noise.gate * noise.gate)
+        innovation_V = passed.off_V
         resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
-        above, below = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-        weight = error_V2 * max(mismatch, 1.0) * above
-        inverse = below / (i.state_variance * below + weight)
-        cost = grows * (innovation_V * innovation_V * inverse)
-        cost = 0.5 * (cost + math.log(1.0 + i.state_variance * below / weight))
-        cost *= evidence_share(noise, evidence_s)
+        shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
+        weight = as_shown(error_V2 * shared.above, mismatch)
+        inverse = inverse_weight(i.state_variance, weight, shared.below)
+        share, explained = new_share(noise, evidence_s), i.state_variance * shared.below
+        cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight)
         evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
@@ -545,7 +522,7 @@ def step_bank(
     b = record_of(bank)
     main = state_in(bank, int(b.likeliest))
     s = read_sample(tables, noise, main.watch, start.temperature_C, reading)
-    first = main.watch.evidence_s == NOT_BEGUN
+    first = main.watch.evidence_s == NOT_BEGUN_S
     error_V2, status, likeliest, least = 0.0, 0, int(b.likeliest), math.inf
     mean_V, square_V2, variance, first_V = 0.0, 0.0, 0.0, 0.0
     for turn in range(end_of(bank) - 1):

@@ -20,8 +20,9 @@ from cellwise.estimate.filters.kalman import (
     log_arrays,
     reading_from,
 )
+from cellwise.estimate.filters.predict_kernels import gap_variance
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.sensing_kernels import LOST_RATE, Reading
+from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.status import CLAMPED, CURRENT_INVALID, DUPLICATE, SEQUENCE_GAP, Status
 from cellwise.estimate.trace import Trace
 from cellwise.fit.rest import RELAXED_S, REST_RATE, SHORT_REST_V
@@ -79,9 +80,8 @@ def counted(
         status |= CURRENT_INVALID
     if r.gap:
         status |= SEQUENCE_GAP
-        rate_A = max(LOST_RATE * cell.charge_As / 3600.0, abs(current), abs(state.previous_A))
-        unseen = min(rules.gap_soc, rate_A * r.dt_s / cell.charge_As)
-        variance += unseen * unseen
+        gap_A2 = current * current + state.previous_A * state.previous_A
+        variance += gap_variance(rules.gap_soc, cell.charge_As, gap_A2, r.dt_s)
     elif r.dt_s <= 0.0:
         status |= DUPLICATE
     # Nobody knows what flowed in a gap.

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from cellwise.cell.compiled import inline
 from cellwise.cell.description import BRANCHES, CELL, SOC, H, entry, triangle
 from cellwise.cell.unrolled import row, unrolled
-
-VARIANCE_FLOOR = 1e-12
+from cellwise.estimate.equations.constants import VARIANCE_FLOOR
+from cellwise.estimate.equations.evidence import covariance_by_soc
 
 # The upper triangle of P over the states, ss, s1 ... phh; one number for each of them, s, v1 ... h,
 # P H' or a gain; one for each branch. What follows from the table of states no type checker sees.
@@ -96,10 +96,7 @@ def driven_by_soc(p: Covariance, f: Branches) -> Covariance:
             if i == SOC
             else p[i, j] + f.row[i] * p[SOC, j]
             if j not in BRANCHES
-            else p[i, j] + f.row[i] * (2.0 * p[SOC, i] + f.row[i] * p.ss)
-            if i == j
-            else p[i, j]
-            + (f.row[i] * p[SOC, j] + f.row[j] * p[SOC, i] + f.row[i] * f.row[j] * p.ss)
+            else p[i, j] + covariance_by_soc(f.row[i], f.row[j], p[SOC, i], p[SOC, j], p.ss)
             for i, j in triangle(CELL)
         )
     )

@@ -17,8 +17,8 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.equations import relaxed
 from cellwise.cell.unrolled import CALLED, ByState, unrolled
+from cellwise.estimate.equations.constants import REST_RATE
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import REST_RATE
 
 CHANCE = 0.2  # of an offset, before any data, as in the adaptive filter
 ODDS = CHANCE / (1.0 - CHANCE)

@@ -17,11 +17,12 @@ from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outs
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.cell.unrolled import CALLED
-from cellwise.estimate.evidence_kernels import repeated_evidence, share_at, voltage_variance
+from cellwise.estimate.equations.constants import REST_RATE
+from cellwise.estimate.equations.start import held_variance
+from cellwise.estimate.evidence_kernels import repeated_evidence, share_variance, variance_about
 from cellwise.estimate.filters.kalman import STATES, FilterOfModel, SigmaPoints
+from cellwise.estimate.filters.predict_kernels import RESTED_V2, before_start, gap_variance
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.recovery_kernels import start_branch
-from cellwise.estimate.sensing_kernels import REST_RATE, unseen_soc
 from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog, check_is_log
@@ -103,10 +104,12 @@ class FilterpyFilter(FilterOfModel):
             now = Interval(dt, seen, flow, unknown, float(temperature[k]), heat_K, slow_A)
             if k == 0:
                 point = self.point(float(kf.x[0]), now)
+                flow_A, spread_A, limit_V = before_start(self.cell, seen)
                 for j, r in enumerate(resistances(point), start=1):
-                    kf.x[j], kf.P[j, j] = start_branch(self.cell, float(r), seen)
+                    kf.x[j] = r * flow_A
+                    kf.P[j, j] = held_variance(RESTED_V2, float(r), spread_A, limit_V)
             if gaps[k]:
-                kf.P[0, 0] += unseen_soc(noise, self.cell.charge_As, unknown, dt) ** 2
+                kf.P[0, 0] += gap_variance(noise.gap_soc, self.cell.charge_As, unknown, dt)
             after = self.moved(kf.x, now)
             now = now._replace(slow_A=after.slow_A)  # of the tables at its end
             diagonal, kf.Q = self.process(after.soc, now)
@@ -151,7 +154,8 @@ class FilterpyFilter(FilterOfModel):
         g = np.array([getattr(t, s.drive) if s.drive else 0.0 for s in CELL])
         walk = noise.soc_per_sqrt_s**2 * now.dt_s
         walk += noise.capacity_soc * abs(now.flow_A) * now.dt_s / self.cell.charge_As
-        branch = (share_at(noise, now.flow_A) * now.flow_A * r) ** 2 * (1 - a * a)
+        share2 = share_variance(noise, now.flow_A)
+        branch = share2 * (now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])
         q += now.gap_A2 * np.outer(branches, branches)
@@ -171,7 +175,7 @@ class FilterpyFilter(FilterOfModel):
             drop = abs(float(point.r0_ohm) * now.seen_A) + held
             far_V = extrapolation_V(noise.valid, now.temperature_C, now.seen_A, drop)
             point = widened(point, far_V)
-        one = voltage_variance(noise, point, point.r0_ohm, now.seen_A, 0.0, held)
+        one = variance_about(noise, point, point.r0_ohm, now.seen_A, 0.0, held)
         return float(one), OUTSIDE if outside else 0
 
 

@@ -45,7 +45,7 @@ from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_know
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.sensing_kernels import NOT_BEGUN, Reading
+from cellwise.estimate.sensing_kernels import NOT_BEGUN_S, Reading
 from cellwise.typing import FloatArray
 
 # Where the constants of a filter begin in their row: the cell, its noise, the start of the unknown.
@@ -64,7 +64,7 @@ def bank_or_alone(
 ) -> EkfInfo:
     """One step of a bank in memory: of its components, or of the estimate alone."""
     state = state_in(bank, 0)
-    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN:
+    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
         begin_bank(bank, state)
     if is_spread(bank):
         return step_bank(tables, noise, sigma, start, bank, reading)
@@ -238,7 +238,7 @@ def adaptive_step(
 ) -> Free:
     """One step for online use; ``bank`` goes on, ``out`` is its one row."""
     state = state_in(bank, 0)
-    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN:
+    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
         begin_bank(bank, state)
     after: Free | None = free
     if is_spread(bank):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 from cellwise.cell.compiled import inline
@@ -24,9 +23,19 @@ from cellwise.cell.plausibility.validity_kernels import (
     lost_temperature_V,
     widened,
 )
-from cellwise.cell.point_kernels import CellPoint
+from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
-from cellwise.estimate.evidence_kernels import share_at
+from cellwise.estimate.equations.constants import (
+    LOST_RATE,
+    REST_RATE,
+    START_BRANCH_V,
+    START_LOAD_RATE,
+    START_REST_RATE,
+)
+from cellwise.estimate.equations.evidence import unknown_square
+from cellwise.estimate.equations.sensors import drifted_variance, unseen_variance
+from cellwise.estimate.equations.start import Before, flow_before, held_variance
+from cellwise.estimate.evidence_kernels import share_variance
 from cellwise.estimate.filters.covariance_kernels import (
     Branches,
     Covariance,
@@ -35,13 +44,13 @@ from cellwise.estimate.filters.covariance_kernels import (
     noisy,
 )
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.recovery_kernels import start_branch
-from cellwise.estimate.sensing_kernels import Sample, unseen_soc
+from cellwise.estimate.sensing_kernels import Sample
 from cellwise.estimate.slopes_kernels import Slopes, slopes_at
 from cellwise.estimate.status import OUTSIDE
 
 SOC_LOW = 0.0
 SOC_HIGH = 1.0
+RESTED_V2 = START_BRANCH_V * START_BRANCH_V
 
 
 class Interval(NamedTuple):
@@ -62,6 +71,15 @@ class Interval(NamedTuple):
 
 
 @inline
+def before_start(cell: CellScalars, seen_A: float) -> Before:
+    """What may have flowed in a cell before its first sample."""
+    rate_A = cell.charge_As / 3600.0
+    return flow_before(
+        seen_A, REST_RATE * rate_A, START_REST_RATE * rate_A, START_LOAD_RATE * rate_A
+    )
+
+
+@inline
 @unrolled
 def over_interval(
     tables: CellTables, noise: NoiseScalars, x: ByState, soc: float, s: Sample, begins: bool
@@ -76,8 +94,10 @@ def over_interval(
     for i in BRANCHES:
         held[i], unknown[i] = x.state[i], 0.0
     if begins:
+        before = before_start(cell, s.seen_A)
         for i in BRANCHES:
-            held[i], unknown[i] = start_branch(cell, point.r[i], s.seen_A)
+            held[i] = point.r[i] * before.flow_A
+            unknown[i] = held_variance(RESTED_V2, point.r[i], before.spread_A, before.limit_V)
     t = transition(cell, point, s.flow_A, s.dt_s)
     old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     end = states_step(old, t, s.flow_A, soc, slow)
@@ -104,9 +124,8 @@ def with_noise(
 ) -> Covariance:
     """What an interval adds: by the current sensor, a gap, the resistances, SOC's own wandering.
 
-    A resistance that is off by a share drives its branch like a current that is off by it, and so
-    does a current that is lost; 1 - a^2 keeps the stationary spread independent of the interval. A
-    constant offset of the current is a hypothesis of its own, as long as voltages judge it.
+    1 - a^2 keeps the stationary spread independent of the interval. A constant offset of the
+    current is a hypothesis of its own, as long as voltages judge it.
     """
     point: ByState = now.point
     t: ByState = now.t
@@ -115,37 +134,38 @@ def with_noise(
     q = noise.current_A * noise.current_A
     # A capacity that is off puts every count off alike; over one discharge it adds up to as much.
     flowed = noise.capacity_soc * abs(s.flow_A) * s.dt_s / charge_As
-    share = share_at(noise, s.flow_A) * s.flow_A
-    share = share * share + s.lost_A * s.lost_A
+    lost_A2 = unknown_square(share_variance(noise, s.flow_A), s.flow_A, s.lost_A * s.lost_A)
     return noisy(
         p,
         t,
         q,
         q + s.gap_A2,
         per_sqrt_s * per_sqrt_s * s.dt_s + flowed,
-        Branches(*(share * point.r[i] * point.r[i] * (1.0 - t.a[i] * t.a[i]) for i in BRANCHES)),
+        Branches(*(lost_A2 * point.r[i] * point.r[i] * (1.0 - t.a[i] * t.a[i]) for i in BRANCHES)),
     )
 
 
 @inline
-def unseen_variance(tables: CellTables, noise: NoiseScalars, s: Sample, ss: float) -> float:
+def gap_variance(gap_soc: float, charge_As: float, gap_A2: float, dt_s: float) -> float:
+    """SOC's variance of what may have flowed unseen over a gap, at most ``gap_soc``."""
+    lost_A = LOST_RATE * charge_As / 3600.0
+    return unseen_variance(gap_soc * gap_soc, gap_A2, lost_A * lost_A, dt_s / charge_As)
+
+
+@inline
+def variance_after_gap(tables: CellTables, noise: NoiseScalars, s: Sample, ss: float) -> float:
     """SOC's variance after a gap: nobody knows what flowed in it."""
     if s.gap:
-        unseen = unseen_soc(noise, tables.cell.charge_As, s.gap_A2, s.dt_s)
-        ss += unseen * unseen
+        ss += gap_variance(noise.gap_soc, tables.cell.charge_As, s.gap_A2, s.dt_s)
     return ss
 
 
 @inline
 def drifted(tables: CellTables, s: Sample, ss: float) -> float:
-    """SOC's variance while the current is lost.
-
-    It may keep one sign for as long as it is away: the deviation grows, not the variance.
-    """
+    """SOC's variance while the current is lost."""
     if s.lost_A <= 0.0:
         return ss
-    drift = math.sqrt(ss) + s.lost_A * s.dt_s / tables.cell.charge_As
-    return drift * drift
+    return drifted_variance(ss, s.lost_A * s.dt_s / tables.cell.charge_As)
 
 
 @inline
@@ -161,7 +181,7 @@ def by_tangents(
     """Mean, covariance and slopes at the end, by first derivatives (EKF)."""
     end, point = now.end, now.point
     t: ByState = now.t
-    ss = drifted(tables, s, unseen_variance(tables, noise, s, p.ss))
+    ss = drifted(tables, s, variance_after_gap(tables, noise, s, p.ss))
     p = changed(decayed(p, t), "ss", ss)
     at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
     if at.spread > 0.0:

@@ -20,8 +20,8 @@ from cellwise.cell.description import BRANCHES, CELL, SOC
 from cellwise.cell.equations import CellState, CellTables, loaded, rc_step, terminal_voltage
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.equations.constants import VARIANCE_FLOOR
 from cellwise.estimate.filters.covariance_kernels import (
-    VARIANCE_FLOOR,
     Column,
     Covariance,
     column,
@@ -34,7 +34,7 @@ from cellwise.estimate.filters.covariance_kernels import (
 from cellwise.estimate.filters.predict_kernels import (
     Interval,
     drifted,
-    unseen_variance,
+    variance_after_gap,
     with_noise,
 )
 from cellwise.estimate.noise import NoiseScalars
@@ -96,7 +96,7 @@ def by_points(
     t, c = now.t, sigma.reach
     old: ByState = now.old
     point: ByState = now.point
-    ss = unseen_variance(tables, noise, s, p.ss)
+    ss = variance_after_gap(tables, noise, s, p.ss)
     root, along = along_soc(p, ss)
     # A resistance that is off by a share must not vouch for the SOC: unless the SOC is badly known,
     # every point has the centre's.

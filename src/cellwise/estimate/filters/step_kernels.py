@@ -26,12 +26,13 @@ from cellwise.cell.equations import (
     with_heat,
     with_soc,
 )
+from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.evidence_kernels import (
     Innovation,
     Verdict,
     gate,
     stated_deviation,
-    voltage_variance,
+    variance_about,
 )
 from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
 from cellwise.estimate.filters.drift_kernels import (
@@ -60,8 +61,8 @@ from cellwise.estimate.filters.sigma_kernels import (
 from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, update
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
-    NO_VOLTAGE_YET,
-    NOT_BEGUN,
+    NO_VOLTAGE_YET_S,
+    NOT_BEGUN_S,
     Reading,
     Sample,
     read_sample,
@@ -89,10 +90,10 @@ def predict(
         soc = state.cell.soc
         status = STATE_RESET
     p, evidence = state.p, state.watch.evidence_s
-    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN)
-    if evidence == NOT_BEGUN:
+    now = over_interval(tables, noise, state.cell, soc, s, evidence == NOT_BEGUN_S)
+    if evidence == NOT_BEGUN_S:
         p = uncorrelated(p.ss, now.unknown, p.phh)
-        evidence = NO_VOLTAGE_YET
+        evidence = NO_VOLTAGE_YET_S
     followed = state.drift.believed * state.drift.reach + capacity_soc(free)
     counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
     drift = counted_on(noise, state.drift, now.t, cell.charge_As, counts * s.dt_s, s.current_A)
@@ -123,12 +124,10 @@ def innovate(
     """Measured less predicted voltage; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
     branches = held_in_branches(x)
-    one = voltage_variance(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
+    one = variance_about(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
     if sigma is None:
         d = column(now.p, at.slope_V, point.m_V)
-        # An OCV that bends by c at one deviation is off its tangent by c z^2, 3 c^2 in square.
-        bend2 = 3.0 * at.bend_V * at.bend_V
-        variance = explained(d, at.slope_V, point.m_V) + bend2
+        variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
         seen = Voltage(voltage_of(point, x, s.seen_A), d, variance, at.slope_V)
     else:
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)

@@ -7,12 +7,12 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.equations.evidence import persistent_step
 from cellwise.estimate.evidence_kernels import (
     Innovation,
     Verdict,
-    contradicted_step,
-    persistent_step,
-    persistent_V,
+    contradicted_after,
+    lasting_V,
 )
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
@@ -92,14 +92,14 @@ def update(
     x = moved(now.x, k, v.innovation_V)
     p = corrected(now.p, k, seen.d)
     # fmt: off
-    contradicted = contradicted_step(
+    contradicted = contradicted_after(
         noise, old.contradicted, v.innovation_V, slope, i.one, old.watch.evidence_s, s.dt_s
     )
     # fmt: on
     # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
     if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
-    error_V = persistent_V(noise, now.point, v.mismatch)
+    error_V = lasting_V(noise, now.point, v.mismatch)
     persistent = persistent_step(k.s, slope, old.persistent, error_V)
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the

@@ -17,6 +17,11 @@ from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from cellwise.cell.equations import BEYOND as GOES_ON
+from cellwise.cell.equations.scalar import at_least as at_least
+from cellwise.cell.equations.scalar import at_most as at_most
+from cellwise.cell.equations.scalar import clip as clip
+from cellwise.estimate.equations.constants import *
 from cellwise.estimate.status import OUT_OF_RANGE
 
 # To a type checker numbers are Python's; numba sees float32 and uint32. Records are anything.
@@ -63,20 +68,11 @@ LARGEST_FLOAT = F(float.fromhex("0x1.fffffep+127"))
 KNOW_NOTHING_SOC = F(0.5)
 KNOW_NOTHING_VARIANCE = F(0.09)
 SOC_VARIANCE_MOST = F(1.0)  # SOC lies in 0..1: more says nothing
-VARIANCE_FLOOR = F(1e-12)
-BEYOND = F(0.05)  # how far the OCV goes on outside 0..1
-WIDE_VARIANCE = F(4e-4)  # beyond it the tangent is no guide
-SHORTEST_CHORD = F(1e-6)
-RECOVERY_VARIANCE = F(0.09)
-TEMPERATURE_LOW_C = F(-60.0)
-TEMPERATURE_HIGH_C = F(120.0)
+BEYOND = F(GOES_ON)  # how far the OCV goes on outside 0..1
 HEAT_MOST_K = F(200.0)
 LARGE = F(2.0**20)  # no sound state goes beyond it, in V, A or their squares
 CARRY_MOST = F(2.0**-10)
 LEAST_FALL = F(0.1)  # with the current a resistance rises by ten at most
-TRANSFER_1 = F(0.66171232)  # asinh(y) / y as a fraction in powers of y
-ABOVE_2, ABOVE_3 = F(0.42143288), F(0.01126451)
-BELOW_2, BELOW_3, BELOW_4 = F(0.59291773), F(0.11957555), F(0.00170013)
 LONGEST_GAP = U(0x100000)  # samples
 NOT_BEGUN = U(0)  # evidence before the first sample
 NO_VOLTAGE_YET = U(1)
@@ -85,30 +81,13 @@ EVIDENCE_MOST = U(0x200000)
 REPEATED = U(0)  # a sample that was seen before,
 NO_INTERVAL = U(1)  # the first one, which ends no interval,
 INTERVAL = U(2)  # and one that ends an interval
-START_LOAD_SHARE = F(0.5)
-REST_LIMIT_V = F(0.03)  # a rested branch holds no more
-LOAD_LIMIT_V = F(0.3)
 ALONE = U(0)  # a state that stands for itself,
 COMPONENT = U(1)  # one of a bank,
 CONTRADICTED = U(2)  # one whose voltages have contradicted it for long,
 UNCOUNTED = U(3)  # and one of whose charge a part is not known
-SPREAD_VARIANCE = F(1.6e-3)  # beyond it a SOC is no longer known well enough for one filter
-COMPONENT_WIDTH = F(0.6)  # deviation of a component over the distance to the next
-DENSE = F(3.0)  # deviations of a start within which the components lie close
-LEAST_WIDTH = F(1e-3)
-LEAST_PASSED = F(1e-4)  # of an innovation that the gate lets pass
-COST_MOST = F(20.0)  # a component less likely than exp(-20) is given up
-LOOKS = U(3)  # times that a past is looked at, each four times as long after the start
 NEVER_LOOKED = U(0xFFFFFFFF)
-SQUARE_MOST = F(4.0)  # that a root is taken of
-PAST_PART = F(1.0 / 32.0)  # of the SOC: the way of a load before the start goes in such parts
-PAST_SPREAD = F(0.5)  # of what a load has left before the start may be otherwise
-LEAST_PAST_V2 = F(1e-6)
 LN_2 = F(math.log(2.0))
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
-FROZEN_READINGS = U(3)
-DITHER_V = F(0.0025)  # a reading that moves by less repeats itself
-DEAD_SWINGS = F(8.0)  # of the voltage, up and down, under a current that repeats itself
 POWER_TRIALS = U(8)
 LONGEST = F(1e9)  # remaining seconds, and joules: no cell lasts for more
 REMAINING_PARTS = F(64.0)  # of the SOC down to empty
@@ -128,7 +107,6 @@ LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
 COUNT_MOST = U(2_000_000_000)
-SWINGS_MOST = F(100.0)
 
 Step = TypeVar("Step", bound=Callable[..., Any])
 
@@ -205,16 +183,6 @@ def is_same(a: float, b: float) -> bool:
 def between(a: float, b: float, f: float) -> float:
     """From a at f = 0 to b at f = 1."""
     return a + (f * (b - a))
-
-
-def clip(x: float, low: float, high: float) -> float:
-    """Held within low..high."""
-    return low if x < low else (high if x > high else x)
-
-
-def at_least(x: float, low: float) -> float:
-    """Held above low."""
-    return low if x < low else x
 
 
 @noinline

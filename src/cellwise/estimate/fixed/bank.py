@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, CELL, V3, triangle
+from cellwise.cell.description import CARRIED, CELL, V3, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.components import cost_of_past, edge, past_of, start_cost
+from cellwise.estimate.equations.evidence import lately_shown
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     Column,
@@ -22,25 +24,10 @@ from cellwise.estimate.fixed.covariance import (
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import Place, look_up, place_now, within_one
-from cellwise.estimate.fixed.sensing import stated_variance
-from cellwise.estimate.fixed.state import admitted, start
+from cellwise.estimate.fixed.sensing import variance_of
+from cellwise.estimate.fixed.state import start
 from cellwise.estimate.fixed.step import begin_at, step
 from cellwise.estimate.status import INNOVATION_REJECTED, STATE_RESET
-
-
-def edge(t: float, soc: float, std: float) -> float:
-    """SOC between two components: ``t`` from -1 to 1 goes from 0 to 1, densely about the start."""
-    room = soc
-    if t > 0.0:
-        room = 1.0 - soc
-    near = DENSE * std
-    near = near if near < room else room
-    size = magnitude(t)
-    away = size * (near + ((room - near) * (size * size)))
-    at = soc - away
-    if t > 0.0:
-        at = soc + away
-    return F(at)
 
 
 def component_start(a: State, first: State, low: float, high: float) -> None:
@@ -48,9 +35,7 @@ def component_start(a: State, first: State, low: float, high: float) -> None:
     width = at_least(high - low, LEAST_WIDTH)
     soc = 0.5 * (low + high)
     away = soc - first.soc
-    # How sure a stated start is, is itself not sure: Student's t of four degrees of freedom.
-    a.cost = 2.5 * log_of_more((away * away) / (4.0 * first.ss))
-    a.cost = a.cost + log_of_more((1.0 / width) - 1.0)
+    a.cost = start_cost(away, first.ss, width)
     a.soc = soc
     a.soc_carry = 0.0
     a.ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width)
@@ -59,18 +44,6 @@ def component_start(a: State, first: State, low: float, high: float) -> None:
     if HYSTERESIS and a.evidence == NOT_BEGUN:
         a.h = 1.0 if soc > 0.5 else -1.0
     a.in_bank = COMPONENT
-
-
-@unrolled_by_option
-def loosen(m: Model, x: State) -> None:
-    """After voltages that contradicted the estimate for long the branches may hold anything."""
-    c = m.constant
-    place = place_now(m, x)
-    p = look_up(m, place, x.soc, x.current_A)
-    for i in BRANCHES:
-        kept = x.state[i] * x.state[i]
-        x.p[i, i] = admitted(c.branch_variance_V2, c.recovery_A * p.r[i], LOAD_LIMIT_V) + kept
-    x.ss = at_least(x.ss, RECOVERY_VARIANCE)
 
 
 def weigh_components(of: States, count: int, least: float) -> None:
@@ -120,8 +93,10 @@ def mean_of(of: States, count: int) -> Column:
     for i in CELL:
         mean[i] = 0.0
     for k in range(count):
-        for i in CELL:
-            mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
+        # One that was dropped has no weight, and nobody looks after its memory.
+        if of[k + 1].cost < LARGE:
+            for i in CELL:
+                mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
     return Column(0.0, *(mean[i] if THERE else 0.0 for i in CELL))
 
 
@@ -157,7 +132,8 @@ def gather(b: Bank, of: States, count: int) -> None:
     take_mean(of[0], mean)
     hold_within(of[0])  # weights add up to one but for rounding
     for k in range(count):
-        collect(of[0], of[k + 1])
+        if of[k + 1].cost < LARGE:
+            collect(of[0], of[k + 1])
     of[0].mismatch = b.mismatch
     if of[0].ss <= WIDE_VARIANCE and b.looks == LOOKS:
         b.spread = U(0)
@@ -199,13 +175,12 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
     before = left_by_load(m, place, mean_A, a.soc)
     for i in (V3,):
         gone = risen(since * p.gain[i])
-        spread = (PAST_SPREAD * magnitude(before)) + (p.r[i] * m.constant.past_A)
-        spread = (1.0 - gone) * spread
+        past = past_of(p.r[i], gone, mean_A, before, m.constant.past_A)
         d = column_of_slow_branch(a)
-        variance = d.variance + ((spread * spread) + LEAST_PAST_V2)
-        off = ((gone * (p.r[i] * mean_A)) + ((1.0 - gone) * before)) - a.state[i]
+        variance = d.variance + past.variance_V2
+        off = past.held_V - a.state[i]
         inverse = 1.0 / variance
-        a.cost = a.cost + (0.5 * (((off * off) * inverse) + log_of_more(variance / LEAST_PAST_V2)))
+        a.cost = a.cost + cost_of_past(off, variance)
         move(a, d, inverse, off)
         narrow(a, d, inverse)
     hold_within(a)
@@ -224,12 +199,9 @@ def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: 
     more = left_by_load(m, place, mean_A, a.soc) - taken
     for i in (V3,):
         gone = risen(since * p.gain[i])
-        spread = (PAST_SPREAD * magnitude(taken)) + (p.r[i] * m.constant.past_A)
-        spread = (1.0 - gone) * spread
+        past = past_of(p.r[i], gone, 0.0, taken, m.constant.past_A)
         d = column_of_slow_branch(a)
-        move(
-            a, d, 1.0 / at_least(d.variance, (spread * spread) + LEAST_PAST_V2), (1.0 - gone) * more
-        )
+        move(a, d, 1.0 / at_least(d.variance, past.variance_V2), (1.0 - gone) * more)
 
 
 def look_back(m: Model, b: Bank, of: States, count: int, sample: Sample) -> None:
@@ -249,7 +221,7 @@ def look_back(m: Model, b: Bank, of: States, count: int, sample: Sample) -> None
                         know_past_better(m, of[k + 1], F(b.since), b.mean_A, b.looked_A)
             b.looked_A = b.mean_A
             b.looks = U(b.looks + 1)
-            b.next_look = U(b.next_look * 4)
+            b.next_look = U(b.next_look * LOOK_FACTOR)
     elif elapsed > U(1):  # nobody knows what flowed
         b.looks = LOOKS
     if b.looks == NEVER_LOOKED:
@@ -292,8 +264,7 @@ def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, o
         ratio = (out.innovation_V * out.innovation_V) / out.innovation_variance_V2
         if ratio > c.gate_square:
             status = U(status | INNOVATION_REJECTED)
-        ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
-        b.mismatch = b.mismatch + (c.lately * (ratio - b.mismatch))
+        b.mismatch = lately_shown(b.mismatch, ratio, c.mismatch_cap, c.lately)
     return status
 
 
@@ -378,10 +349,7 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
         of[0].in_bank = ALONE
         status = step(m, of[0], sample, out)
         b.looks = LOOKS
-        if count > U(0) and of[0].in_bank == CONTRADICTED:
-            loosen(m, of[0])
-            spread_out(b, of, count)
-        elif count > U(0) and is_lost(of[0]):
+        if (count > U(0) and of[0].in_bank == CONTRADICTED) or (count > U(0) and is_lost(of[0])):
             spread_out(b, of, count)
     else:
         status = step_components(m, b, of, count, sample, out)
@@ -395,6 +363,6 @@ def step_bank(m: Model, b: Bank, of: States, count: int, sample: Sample, out: Ou
             gather(b, of, count)
     status = U(status | lost)
     out.soc = of[0].soc
-    out.soc_variance = stated_variance(of[0], of[0].ss)
+    out.soc_variance = variance_of(of[0], of[0].ss)
     out.status = status
     return status

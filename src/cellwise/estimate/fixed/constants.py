@@ -21,24 +21,25 @@ from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
-from cellwise.estimate.evidence_kernels import CONTRADICTED_S, COUNT_ROUNDING
-from cellwise.estimate.filters.bank_kernels import (
+from cellwise.estimate.equations.constants import (
     BANK_RATE,
-    LEAST_RATE,
+    CONTRADICTED_S,
+    COUNT_ROUNDING,
+    IMPOSSIBLE_RATE,
+    LEAST_USE_RATE,
     LOOK_S,
+    LOST_RATE,
     PAST_RATE,
     PERSISTENT_MOST,
-)
-from cellwise.estimate.fixed.options import CellSettings, Options
-from cellwise.estimate.noise import Noise
-from cellwise.estimate.power.limits import LEAST_LOAD_C
-from cellwise.estimate.recovery_kernels import (
     RECOVERY_RATE,
+    REST_RATE,
     START_BRANCH_V,
     START_LOAD_RATE,
     START_REST_RATE,
 )
-from cellwise.estimate.sensing_kernels import LOST_RATE, REST_RATE
+from cellwise.estimate.fixed.options import CellSettings, Options
+from cellwise.estimate.noise import Noise
+from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
-CURRENT_LIMIT_C = 200.0  # no cell gives that; a sensor fault does
 LEAST_CUTOFF_V = 0.1
 MONTH_S = 30.0 * 86_400.0
 # Rejected voltages until a cell's SOC is taken for unknown.
@@ -104,7 +104,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
         "mismatch_cap": noise.mismatch_cap,
         "gap_variance": noise.gap_soc**2,
-        "current_limit_A": min(noise.current_limit_A, CURRENT_LIMIT_C * model.capacity_Ah),
+        "current_limit_A": min(noise.current_limit_A, IMPOSSIBLE_RATE * model.capacity_Ah),
         "voltage_low_V": max(noise.voltage_low_V, TARGET.voltage_least_V),
         "voltage_high_V": min(noise.voltage_high_V, TARGET.voltage_most_V),
         "branch_variance_V2": START_BRANCH_V**2,
@@ -116,7 +116,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
         "bank_A": BANK_RATE * model.capacity_Ah,
         "past_A": PAST_RATE * model.capacity_Ah,
-        "least_use_A": LEAST_RATE * model.capacity_Ah,
+        "least_use_A": LEAST_USE_RATE * model.capacity_Ah,
         "fades": (1.0 - stays) * shared,
         "stays": stays,
         "look_steps": int(np.ceil(LOOK_S / dt_s)),
@@ -213,7 +213,7 @@ def power_constants(model: CellModel, power: PowerSettings, dt_s: float) -> dict
         )
     (horizon_s,) = power.horizons_s
     limits = power.known.scalars()
-    most_A = CURRENT_LIMIT_C * model.capacity_Ah
+    most_A = IMPOSSIBLE_RATE * model.capacity_Ah
     return {
         "power_steps": horizon_s / dt_s,
         "power_low_V": limits.low_V,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, V3, H, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.evidence import covariance_by_soc
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
 
@@ -129,11 +130,7 @@ def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
     for i in BRANCHES:
         f[i] = (w.rise[i] * p.gain[i]) * flow
     for i, j in triangle(BRANCHES):
-        if i == j:
-            x.p[i, i] = x.p[i, i] + (f[i] * ((2.0 * x.p[SOC, i]) + (f[i] * x.ss)))
-        else:
-            both = ((f[i] * x.p[SOC, j]) + (f[j] * x.p[SOC, i])) + ((f[i] * f[j]) * x.ss)
-            x.p[i, j] = x.p[i, j] + both
+        x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], x.p[SOC, j], x.ss)
     for i in BRANCHES:
         for j in (H,):
             x.p[i, j] = x.p[i, j] + (f[i] * x.p[SOC, j])

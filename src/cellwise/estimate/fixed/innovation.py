@@ -5,12 +5,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
+from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.evidence import (
+    Shared,
+    bent_variance,
+    shared_evidence,
+    voltage_variance,
+)
+from cellwise.estimate.equations.sensors import is_frozen, swings_after
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import Column, column_of
 from cellwise.estimate.fixed.lookup import Point, Slopes
 from cellwise.estimate.fixed.sensing import Reading
-from cellwise.estimate.fixed.state import guess_branches
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
 
 
@@ -23,13 +30,6 @@ def voltage_of(x: State, p: Point, drop: float) -> float:
     for i in (H,):
         voltage = voltage + (p.m_V * x.state[i])
     return voltage
-
-
-def widen(c: Constants, x: State, p: Point, seen: float) -> None:
-    """The gate may have locked the truth out: anything is admitted, and the next voltage passes."""
-    x.ss = RECOVERY_VARIANCE
-    x.evidence = FIRST_VOLTAGE
-    guess_branches(c, x, p, seen)
 
 
 class Innovation(NamedTuple):
@@ -47,35 +47,16 @@ class Innovation(NamedTuple):
     column: Column
 
 
-class Shared(NamedTuple):
-    """How many samples share one model error: ``above / below``, never divided."""
-
-    above: float
-    below: float
-
-
 def watch_current(c: Constants, x: State, voltage: float) -> None:
-    """How often the voltage has gone up and down under a current that repeats itself.
-
-    A constant current moves a voltage one way. Where it goes both ways by as much as would call a
-    voltage frozen, nobody measures the current.
-    """
-    moved = voltage - x.voltage_V
-    if not size_within(moved, c.frozen_V) and not (x.swings * moved > 0.0):
-        count = magnitude(x.swings) + 1.0
-        count = count if count < SWINGS_MOST else SWINGS_MOST
-        x.swings = count if moved > 0.0 else -count
+    """How often the voltage has gone up and down under a current that repeats itself."""
+    if x.evidence >= FIRST_VOLTAGE:
+        x.swings = swings_after(x.swings, voltage - x.voltage_V, c.frozen_V)
 
 
 def watch_voltage(
     c: Constants, x: State, voltage: float, seen: float, r0_ohm: float, innovation: float
 ) -> int:
-    """Whether the voltage is frozen.
-
-    A reading that repeats itself, but for its last digits, is frozen once R0 times the change of
-    current says that it must have moved, and the prediction is off by half of that: a held voltage
-    repeats itself, too, but the model expects it there. It stays frozen until it changes.
-    """
+    """Whether the voltage is frozen. It stays so until it changes."""
     status = U(0)
     if not size_within(voltage - x.voltage_V, DITHER_V):
         x.voltage_V = voltage
@@ -84,33 +65,29 @@ def watch_voltage(
     elif x.repeats == FROZEN:
         status = U(VOLTAGE_FROZEN)
     else:
-        moved = magnitude(r0_ohm * (seen - x.frozen_A))
-        off = magnitude(innovation) > (0.5 * moved)
+        frozen = is_frozen(seen - x.frozen_A, r0_ohm, innovation, c.frozen_V)
         if x.repeats < COUNT_MOST:
             x.repeats = U(x.repeats + 1)
-        if x.repeats >= FROZEN_READINGS and moved > c.frozen_V and off:
+        if x.repeats >= FROZEN_READINGS and frozen:
             x.repeats = FROZEN
             status = U(VOLTAGE_FROZEN)
     return status
 
 
-def shared_by(c: Constants, x: State, seen: float) -> Shared:
-    """How many samples share one model error, as a fraction: at least 1.
-
-    The model's error is a sum of processes with memories of a second to half an hour. The quick
-    ones average out first, so the rest of a mean has an ever longer memory. The first voltage
-    at rest is evidence by itself.
-    """
-    seen_before = U(0)
+def steps_of_evidence(x: State) -> float:
+    """Steps since the first voltage, or since a recovery."""
+    since = U(0)
     if x.evidence >= FIRST_VOLTAGE:
-        seen_before = U(x.evidence - FIRST_VOLTAGE)
-        seen_before = seen_before if seen_before < EVIDENCE_MOST else EVIDENCE_MOST
-    since = F(seen_before)
-    below = since + c.shared_half
-    above = below
-    if x.evidence >= FIRST_VOLTAGE or not size_below(seen, c.rest_A):
-        above = (c.shared * since) + c.shared_early
-    return Shared(above, below)
+        since = U(x.evidence - FIRST_VOLTAGE)
+        since = since if since < EVIDENCE_MOST else EVIDENCE_MOST
+    return F(since)
+
+
+def shared_by(c: Constants, x: State, seen: float) -> Shared:
+    """How many samples share one model error; the first voltage at rest stands alone."""
+    since = steps_of_evidence(x)
+    alone = x.evidence < FIRST_VOLTAGE and size_below(seen, c.rest_A)
+    return shared_evidence(c.shared, c.shared_early, c.shared_half, since, 1.0, alone)
 
 
 def outside(c: Constants, x: State, s: Reading) -> int:
@@ -131,14 +108,11 @@ def extrapolated(c: Constants, x: State, seen: float, polarisation_V: float) -> 
     The law of the float64 filters: a share of the polarisation, as of an exponential to its third
     order; what lies beyond in SOC is in the table of the error.
     """
-    far_A = at_least(c.valid_charge_A - seen, seen - c.valid_discharge_A)
-    share = c.share_per_A * at_least(far_A, 0.0)
+    share = c.share_per_A * distance_beyond(seen, c.valid_charge_A, c.valid_discharge_A)
     moved_V = 0.0
     if THERMAL:
-        far_K = at_least(c.valid_cold_C - x.temperature_C, x.temperature_C - c.valid_warm_C)
-        far_K = at_least(far_K, 0.0)
-        z = c.share_per_K * far_K
-        share = share + (z * (1.0 + (z * (0.5 + (z * SIXTH)))))
+        far_K = distance_beyond(x.temperature_C, c.valid_cold_C, c.valid_warm_C)
+        share = share + exponential_rise(c.share_per_K * far_K)
         moved_V = c.voltage_per_K * far_K
     return F((share * polarisation_V) + moved_V)
 
@@ -152,15 +126,12 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
     share = c.share_variance if s.seen >= 0.0 else c.charge_variance
-    one_V2 = p.noise_V2 + (
-        (share * (polarisation_V * polarisation_V))
-        + ((c.current_variance_A2 + s.unmeasured_A2) * (p.r0_ohm * p.r0_ohm))
-    )
+    current_A2 = c.current_variance_A2 + s.unmeasured_A2
+    one_V2 = voltage_variance(p.noise_V2, share, polarisation_V, current_A2, p.r0_ohm)
     if VALIDITY:
         beyond_V = extrapolated(c, x, s.seen, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
-    # An OCV that bends by c at one standard deviation is off its tangent by c z^2.
     column = column_of(x, p, w.slope_V)
-    explained_V2 = column.variance + (3.0 * (w.bend_V * w.bend_V))
+    explained_V2 = bent_variance(column.variance, w.bend_V)
     variance_V2 = explained_V2 + one_V2
     return Innovation(voltage_V, variance_V2, explained_V2, one_V2, polarisation_V, column)

@@ -83,7 +83,7 @@ CONSTANTS = (
     Field("lost_soc", "deviation that SOC gains in one step after that", "WIDE"),
     Field("frozen_V", "how far a voltage must have moved to be called frozen", "WIDE"),
     Field("lost_walk", "variance that SOC gains in one step without a current", "not WIDE"),
-    Field("recovery_A", "what branches may hold after a lock-out", "BANK"),
+    Field("recovery_A", "what branches may hold after a lock-out", "WIDE"),
     Field("bank_A", "what may have flowed for hours before a start under load,", "BANK"),
     Field("past_A", "and beside a load like it", "BANK"),
     Field("least_use_A", "a use takes no longer from full to empty", "BANK"),

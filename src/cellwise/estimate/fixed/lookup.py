@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES, V1, V2, V3
+from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.evidence import chord_of, error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
 
@@ -176,17 +178,6 @@ def rise(m: Model, place: Place, k: int, column: int) -> Any:
     return low
 
 
-def charge_transfer(overvoltage: float) -> float:
-    """Factor on a resistance whose voltage follows asinh, for an overvoltage y >= 0.
-
-    The fraction of the float64 equations, which is asinh(y) / y to 0.05 % up to y = 60.
-    """
-    y = overvoltage if overvoltage < LARGE else LARGE
-    above = 1.0 + (y * (TRANSFER_1 + (y * (ABOVE_2 + (y * ABOVE_3)))))
-    below = TRANSFER_1 + (y * (BELOW_2 + (y * (BELOW_3 + (y * BELOW_4)))))
-    return known_fraction(above / (1.0 + (y * below)))
-
-
 @unrolled_by_option
 def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
@@ -209,8 +200,7 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     ocv_V = read(m, place, k, OCV_V, f)
     slope_V = rise(m, place, k, OCV_V) * F(points - 1)
     error_V = read(m, place, k, ERROR_V, g)
-    noise_V2 = m.constant.fixed_V2 + (error_V * error_V)
-    noise_V2 = noise_V2 + (m.constant.ocv_soc2 * (slope_V * slope_V))
+    noise_V2 = error_variance(m.constant.fixed_V2, error_V, m.constant.ocv_soc2, slope_V)
     at = k
     share = g
     if SURFACE:
@@ -237,7 +227,8 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
         for i in (V1, V2):
             r[i] = r[i] * scale
     if TRANSFER:
-        r[V1] = r[V1] * charge_transfer((m.constant.asinh_per_V * r[V1]) * magnitude(current))
+        overvoltage = (m.constant.asinh_per_V * r[V1]) * magnitude(current)
+        r[V1] = r[V1] * known_fraction(charge_transfer(at_most(overvoltage, LARGE)))
     return Point(
         ocv_V,
         slope_V,
@@ -259,11 +250,7 @@ def no_slopes(p: Point) -> Slopes:
 def slopes_of(
     m: Model, place: Place, soc: float, spread: float, current: float, p: Point
 ) -> Slopes:
-    """While SOC is badly known slopes are chords over one standard deviation to either side.
-
-    A far-off start must not be corrected with the slope of where it stands. A SOC that is far off
-    brings the resistances of another SOC with it, so R0's slope joins the OCV's.
-    """
+    """While SOC is badly known slopes are chords over one standard deviation to either side."""
     low = clip(soc - spread, 0.0, 1.0)
     high = clip(soc + spread, 0.0, 1.0)
     slope_V = p.slope_V
@@ -278,12 +265,10 @@ def slopes_of(
         ohmic = end.r0_ohm
         for i in BRANCHES:
             rise[i] = end.r[i]
-        bend_V = end.ocv_V - p.ocv_V
         end = look_up(m, place, high, current)
-        ocv = (end.ocv_V - ocv) * per
-        ohmic = (end.r0_ohm - ohmic) * per
         for i in BRANCHES:
             rise[i] = (end.r[i] - rise[i]) * per
-        slope_V = ocv - (ohmic * current)
-        bend_V = bend_V + (ocv * (soc - low))
+        chord = chord_of(ocv, ohmic, end.ocv_V, end.r0_ohm, per, current, soc - low, p.ocv_V)
+        slope_V = chord.slope_V
+        bend_V = chord.bend_V
     return Slopes(slope_V, bend_V, spread, *(rise[i] for i in BRANCHES))

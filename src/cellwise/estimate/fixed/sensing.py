@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from cellwise.estimate.equations.evidence import stated_variance
+from cellwise.estimate.equations.sensors import drifted_variance, is_dead
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import within_one
 from cellwise.estimate.fixed.state import taken
@@ -69,12 +71,12 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     if WIDE:
         if not is_same(current, x.current_A):
             x.swings = 0.0
-        elif magnitude(x.swings) >= DEAD_SWINGS:
+        elif is_dead(x.swings):
             status = U(status | CURRENT_INVALID)
             silent = U(1)
     temperature_C = 0.0
     if WARM:
-        if not within(sample.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
+        if not within(sample.temperature_C, COLDEST_C, HOTTEST_C):
             status = U(status | TEMPERATURE_INVALID)
         elif news != REPEATED:
             x.temperature_C = sample.temperature_C
@@ -128,10 +130,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
         x.soc, x.soc_carry = add(x.soc, x.soc_carry, -used)
         if s.unmeasured_A2 > 0.0:
             if WIDE:
-                # It may keep one sign for as long as it is away: the deviation grows, not the
-                # variance.
-                drift = root(x.ss) + c.lost_soc
-                x.ss = drift * drift
+                x.ss = drifted_variance(x.ss, c.lost_soc)
                 if BANK and x.in_bank == ALONE:
                     x.in_bank = UNCOUNTED
             else:
@@ -148,20 +147,10 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
         x.slow_A = x.slow_A + (c.surface_gain * (s.flow - x.slow_A))
 
 
-def stated_variance(x: State, known: float) -> float:
-    """What is stated of the SOC: P's variance, a persistent error's, what voltages contradict.
-
-    P trusted the errors as stated; where innovations show ``mismatch`` times as much, so much more
-    may be wrong with the SOC.
-    """
-    times = 1.0
-    if positive_above(x.mismatch, 1.0):
-        times = x.mismatch
-    beside = (x.persistent * x.persistent) + (x.contradicted * x.contradicted)
-    stated = (times * known) + beside
-    if not not_negative(stated, LARGE):
-        stated = LARGE
-    return F(stated)
+def variance_of(x: State, known: float) -> float:
+    """What is stated of the SOC beside P's variance ``known``; LARGE where it is no number."""
+    stated = stated_variance(known, x.mismatch, x.persistent, x.contradicted)
+    return stated if not_negative(stated, LARGE) else LARGE
 
 
 def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> int:
@@ -185,5 +174,5 @@ def finish(x: State, s: Reading, missing: int, sequence: int, out: Output) -> in
     out.soc = x.soc
     out.soc_variance = x.ss if not_negative(x.ss, LARGE) else KNOW_NOTHING_VARIANCE
     if WIDE:
-        out.soc_variance = stated_variance(x, out.soc_variance)
+        out.soc_variance = variance_of(x, out.soc_variance)
     return status

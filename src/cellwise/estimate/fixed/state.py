@@ -6,6 +6,9 @@ from typing import Any
 
 from cellwise.cell.description import BRANCHES, CARRIED, V3, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.evidence import unknown_square
+from cellwise.estimate.equations.sensors import unseen_variance
+from cellwise.estimate.equations.start import flow_before, held_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     add_variance,
@@ -44,7 +47,7 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if SURFACE and not size_within(x.slow_A, LARGE):
         return False
-    if WARM and not within(x.temperature_C, TEMPERATURE_LOW_C, TEMPERATURE_HIGH_C):
+    if WARM and not within(x.temperature_C, COLDEST_C, HOTTEST_C):
         return False
     if WIDE and not (size_within(x.contradicted, 1.0) and size_within(x.persistent, LARGE)):
         return False
@@ -126,44 +129,49 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
     x.evidence = NOT_BEGUN
 
 
-def admitted(rested_V2: float, held_V: float, limit_V: float) -> float:
-    """Variance of a branch that holds anything up to what a current leaves there."""
-    most = held_V
-    if WIDE:
-        most = held_V if held_V < limit_V else limit_V
-    return rested_V2 + (most * most)
-
-
 @noinline
 @unrolled_by_option
 def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
-    """What the branches hold when nobody knows what was before.
-
-    Nearly nothing at rest, half of the load's steady voltage under load.
-    """
+    """What the branches hold when nobody knows what was before."""
+    rested_V2 = c.branch_variance_V2
+    forget_correlations(x)
     if WIDE:
-        flow = 0.0
-        spread = c.start_rest_A
-        limit_V = REST_LIMIT_V
-        if not size_below(current, c.rest_A):
-            flow = START_LOAD_SHARE * current
-            spread = at_least(magnitude(flow), c.start_load_A)
-            limit_V = LARGE
+        before = flow_before(current, c.rest_A, c.start_rest_A, c.start_load_A)
+        for i in BRANCHES:
+            x.state[i] = p.r[i] * before.flow_A
+            if i in CARRIED:
+                x.carry[i] = 0.0
+            x.p[i, i] = held_variance(rested_V2, p.r[i], before.spread_A, before.limit_V)
     else:
         flow = START_LOAD_SHARE * current
         spread = magnitude(flow) + c.start_rest_A
-        limit_V = LARGE
-    forget_correlations(x)
-    for i in BRANCHES:
-        x.state[i] = p.r[i] * flow
-        if i in CARRIED:
-            x.carry[i] = 0.0
-        x.p[i, i] = admitted(c.branch_variance_V2, spread * p.r[i], limit_V)
+        for i in BRANCHES:
+            x.state[i] = p.r[i] * flow
+            held_V = spread * p.r[i]
+            x.p[i, i] = rested_V2 + (held_V * held_V)
     if BANK and x.in_bank == COMPONENT and not size_below(current, c.rest_A):
         # What flowed for hours no first sample shows; it is looked at once more is known.
         for i in (V3,):
             wide_V = c.bank_A * p.r[i]
             x.p[i, i] = x.p[i, i] + (wide_V * wide_V)
+
+
+@unrolled_by_option
+def open_up(c: Constants, x: State, p: Point, seen: float) -> None:
+    """After voltages that contradicted it for long the SOC is open, branches may hold anything.
+
+    Without CELLWISE_WIDE they are what they would be at a start.
+    """
+    if WIDE:
+        x.ss = at_least(x.ss, RECOVERY_VARIANCE)
+        forget_correlations(x)
+        for i in BRANCHES:
+            kept = x.state[i] * x.state[i]
+            held = held_variance(c.branch_variance_V2, p.r[i], c.recovery_A, LOAD_LIMIT_V)
+            x.p[i, i] = held + kept
+    else:
+        x.ss = RECOVERY_VARIANCE
+        guess_branches(c, x, p, seen)
 
 
 def taken(c: Constants, x: State, current: float) -> float:
@@ -190,9 +198,11 @@ def cross_gap(
     unknown_A2 = (current * current) + (x.current_A * x.current_A)
     steps = F(missing)
     spread = c.gap_variance
+    moved = c.soc_per_A * steps
     if missing <= c.gap_steps:
-        moved = c.soc_per_A * steps
         spread = (moved * moved) * unknown_A2
+    elif WIDE:
+        spread = unseen_variance(c.gap_variance, unknown_A2, c.lost_A2, moved)
     x.ss = x.ss + spread
     if WIDE:
         gain: dict[Any, float] = {}
@@ -210,13 +220,9 @@ def cross_gap(
 
 @unrolled_by_option
 def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured_A2: float) -> None:
-    """One interval of constant current.
-
-    A resistance that is off by a share drives its branch like a current that is off by it, and so
-    does a current that nobody measured.
-    """
+    """One interval of constant current."""
     share = c.share_variance if flow >= 0.0 else c.charge_variance
-    square_A2 = (share * (flow * flow)) + unmeasured_A2
+    square_A2 = unknown_square(share, flow, unmeasured_A2)
     relax(x, p, *(p.gain[i] for i in BRANCHES), flow, square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(flow))

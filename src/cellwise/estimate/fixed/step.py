@@ -5,6 +5,15 @@ The correction: gate, recovery, weight.
 
 from __future__ import annotations
 
+from cellwise.estimate.equations.components import cost_of_voltage, evidence_share, let_pass
+from cellwise.estimate.equations.evidence import (
+    as_shown,
+    contradicted_step,
+    inverse_weight,
+    lately_shown,
+    persistent_step,
+    persistent_V,
+)
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
@@ -12,9 +21,9 @@ from cellwise.estimate.fixed.innovation import (
     innovate,
     outside,
     shared_by,
+    steps_of_evidence,
     watch_current,
     watch_voltage,
-    widen,
 )
 from cellwise.estimate.fixed.layout import Model
 from cellwise.estimate.fixed.lookup import (
@@ -28,7 +37,15 @@ from cellwise.estimate.fixed.lookup import (
     under_surface,
 )
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
-from cellwise.estimate.fixed.state import cross_gap, guess_branches, heat, is_sound, predict, start
+from cellwise.estimate.fixed.state import (
+    cross_gap,
+    guess_branches,
+    heat,
+    is_sound,
+    open_up,
+    predict,
+    start,
+)
 from cellwise.estimate.status import (
     GATE_RECOVERY,
     INNOVATION_REJECTED,
@@ -54,26 +71,20 @@ def reject(c: Constants, x: State, p: Point, seen: float) -> int:
             x.persistent = 0.0
         if BANK:
             x.in_bank = CONTRADICTED
-        widen(c, x, p, seen)
+        x.evidence = FIRST_VOLTAGE
+        open_up(c, x, p, seen)
     return status
 
 
 def contradict(
     c: Constants, x: State, w: Slopes, s: Reading, one_V2: float, innovation: float
 ) -> None:
-    """Running mean of the SOC that the voltages say is missing, as far as the count may be off.
-
-    Were the current off, the count would by now be off by ``drift``, and of an innovation the part
-    that this explains would be the count's. It widens what is said of the SOC, and nothing else.
-    Beyond the model's data a voltage may contradict the count, but confirms nothing.
-    """
+    """What the voltages say against the count. Beyond the model's data they confirm nothing."""
     drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
-    drift = drift if drift < 1.0 else 1.0
-    swing_V = (drift * drift) * w.slope_V
-    missing = (swing_V * innovation) / ((swing_V * w.slope_V) + one_V2)
-    missing = clip(missing, -1.0, 1.0)
-    if size_within(missing, 1.0):  # a number
-        now = x.contradicted + (c.contradicted_share * (missing - x.contradicted))
+    now = contradicted_step(
+        x.contradicted, innovation, w.slope_V, one_V2, drift, c.contradicted_share
+    )
+    if size_within(now, 1.0):  # a number
         beyond = U(0)
         if VALIDITY and magnitude(now) < magnitude(x.contradicted):
             beyond = outside(c, x, s)
@@ -82,16 +93,9 @@ def contradict(
 
 
 def persist(c: Constants, x: State, p: Point, slope_V: float, gain: float) -> None:
-    """SOC error that a persistent error of the model has brought in, after a voltage with a gain.
-
-    No further voltage averages it out: in the end the SOC is off by that error over the slope.
-    """
-    square = p.noise_V2 - c.fixed_V2
-    if positive_above(x.mismatch, 1.0):
-        square = square * x.mismatch
-    error_V = c.persistent * root(square if square < SQUARE_MOST else SQUARE_MOST)
-    kept = clip(1.0 - (gain * slope_V), 0.0, 1.0)
-    now = (kept * x.persistent) + (gain * error_V)
+    """SOC error by a persistent error of the model, after a voltage with a gain."""
+    error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, x.mismatch)
+    now = persistent_step(gain, slope_V, x.persistent, error_V)
     if not size_within(now, 1.0):
         now = 1.0
     x.persistent = now
@@ -106,11 +110,9 @@ def fuse(
     sample under load says more of the load than of the SOC.
     """
     shared = shared_by(c, x, s.seen)
-    weight = i.one_V2 * shared.above
-    if positive_above(x.mismatch, 1.0):
-        weight = weight * x.mismatch
+    weight = as_shown(i.one_V2 * shared.above, x.mismatch)
     if s.news == INTERVAL or shared.above <= shared.below:
-        inverse = shared.below / ((i.explained_V2 * shared.below) + weight)
+        inverse = inverse_weight(i.explained_V2, weight, shared.below)
         move(x, i.column, inverse, innovation)
         narrow(x, i.column, inverse)
         if WIDE:
@@ -122,52 +124,26 @@ def fuse(
         x.evidence = FIRST_VOLTAGE
 
 
-def evidence_share(c: Constants, x: State) -> float:
-    """How much of a voltage's evidence is new, where a part of the model's error stays for good.
-
-    What a mean says never exceeds one error over that part, however long it is taken.
-    """
-    since = U(0)
-    if x.evidence > FIRST_VOLTAGE:
-        since = U(x.evidence - FIRST_VOLTAGE)
-    since = since if since < EVIDENCE_MOST else EVIDENCE_MOST
-    left = c.fades + (c.stays * F(since))
-    share = (c.fades * c.shared) / (left * left)
-    return F(share if share < 1.0 else 1.0)
-
-
 def use_in_bank(
     c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
 ) -> None:
     """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
 
-    Beyond that it speaks against a component in proportion to how far it is off (Huber): below
-    empty the lowest of them is the nearest.
-
     The variance of a voltage is that of the likeliest component, for all: one whose tables state
-    a larger error must not explain everything. What a voltage says against a component counts as
-    often as it moves the state: samples that share one error of the model are one.
+    a larger error must not explain everything.
     """
     if not (x.error_V2 > 0.0):
         x.error_V2 = i.one_V2
     shared = shared_by(c, x, s.seen)
-    weight = x.error_V2 * shared.above
-    if positive_above(x.mismatch, 1.0):
-        weight = weight * x.mismatch
+    weight = as_shown(x.error_V2 * shared.above, x.mismatch)
     if s.news == INTERVAL or shared.above <= shared.below:
-        off = innovation
-        most = c.gate_square * i.variance_V2
-        square = off * off
-        grows = 1.0
-        if positive_above(square, most):
-            passed = at_least(root(most / square), LEAST_PASSED)
-            off = off * passed
-            grows = (2.0 / passed) - 1.0
+        passed = let_pass(innovation, i.variance_V2, c.gate_square)
+        inverse = inverse_weight(i.explained_V2, weight, shared.below)
+        share = evidence_share(c.fades, c.stays, c.shared, steps_of_evidence(x))
         explained = i.explained_V2 * shared.below
-        inverse = shared.below / (explained + weight)
-        against = (grows * ((off * off) * inverse)) + log_of_more(explained / weight)
-        x.cost = x.cost + (evidence_share(c, x) * (0.5 * against))
-        move(x, i.column, inverse, off)
+        cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight)
+        x.cost = x.cost + cost
+        move(x, i.column, inverse, passed.off_V)
         narrow(x, i.column, inverse)
         persist(c, x, p, w.slope_V, i.column.s * inverse)
     if x.evidence < FIRST_VOLTAGE:
@@ -186,8 +162,7 @@ def weigh(
     else:
         if s.news == INTERVAL:
             ratio = square / i.variance_V2
-            ratio = ratio if ratio < c.mismatch_cap else c.mismatch_cap
-            x.mismatch = x.mismatch + (c.lately * (ratio - x.mismatch))
+            x.mismatch = lately_shown(x.mismatch, ratio, c.mismatch_cap, c.lately)
         if positive_above(square, most):
             status = reject(c, x, p, s.seen)
         else:

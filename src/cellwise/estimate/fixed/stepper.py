@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 
 from cellwise.arguments import shown
 from cellwise.cell.compiled import cached
+from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
+from cellwise.estimate.equations import components, constants, evidence, sensors
+from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
     arithmetic,
@@ -62,7 +65,13 @@ STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 INNER = {**STRICT, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 # In the order of their calls; the C is printed in it, too.
 STEP_MODULES = (
+    constants,
     arithmetic,
+    scalar,
+    evidence,
+    sensors,
+    whole_start,
+    components,
     lookup,
     covariance,
     state,
@@ -77,11 +86,17 @@ STEP_MODULES = (
 
 
 def functions_of(module: ModuleType) -> list[FunctionType]:
-    """The functions that a module defines, in order."""
-    return [
-        f for f in vars(module).values()
-        if isinstance(f, FunctionType) and f.__module__ == module.__name__
-    ]  # fmt: skip
+    """The functions that a module defines, in order: of those compiled in float64 the text."""
+    found = (getattr(f, "py_func", f) for f in vars(module).values())
+    return [f for f in found if isinstance(f, FunctionType) and f.__module__ == module.__name__]
+
+
+# The equations' numbers in float32, as every function of the step sees them.
+SINGLE = {
+    name: (F if isinstance(value, float) else U)(value)
+    for name, value in vars(constants).items()
+    if name.isupper()
+}
 
 
 # ---- what `firmware_ref/port/host_rows.c` has, too ----
@@ -151,7 +166,7 @@ def specialised(options: Options) -> dict[str, Any]:
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
-            scope = {**f.__globals__, **columns, **flags_of(options), **made}
+            scope = {**f.__globals__, **columns, **flags_of(options), **SINGLE, **made}
             own = FunctionType(_single(f.__code__), scope, f.__name__)
             made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made

@@ -42,6 +42,7 @@ from cellwise.estimate.sensing_kernels import Reading
 from cellwise.estimate.status import INNOVATION_REJECTED, VOLTAGE_FROZEN, VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
 from cellwise.logs.cell_log import CellLog
+from cellwise.plotting import Tabular
 from cellwise.typing import FloatArray, IntArray
 
 # What the model has been off by over the longest usual horizon is taken to stay over the next.
@@ -221,7 +222,7 @@ def column_names(way: str, horizon_s: float) -> tuple[str, str]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PowerTrace:
+class PowerTrace(Tabular):
     """Power limits along a log, without sign; every array has shape (horizons, rows) [W].
 
     ``discharge_W`` and ``charge_W`` are the values, ``discharge_low_W`` and ``charge_low_W`` the

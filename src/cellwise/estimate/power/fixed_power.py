@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.evidence import voltage_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
@@ -108,9 +109,7 @@ def go_on(
         spread_V = p.m_V * keep
         kept_V2 = kept_V2 + ((spread_V * spread_V) * x.phh)
     share = c.share_variance if current >= 0.0 else c.charge_variance
-    variance_V2 = p.noise_V2 + (
-        (share * (held_V * held_V)) + (c.current_variance_A2 * (p.r0_ohm * p.r0_ohm))
-    )
+    variance_V2 = voltage_variance(p.noise_V2, share, held_V, c.current_variance_A2, p.r0_ohm)
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)
@@ -202,7 +201,7 @@ def one_way(
     by_soc_V = end.voltage_V - worse.voltage_V
     variance_V2 = end.variance_V2 + end.kept_V2
     square = (by_soc_V * by_soc_V) + ((SUSTAINED * SUSTAINED) * variance_V2)
-    off_V = root(square if square < 4.0 else 4.0)
+    off_V = root(at_most(square, SQUARE_MOST))
     low_soc_A = at_least((room_soc - shift) * per_soc_A, 0.0)
     low_V = limit_V + (side * off_V)
     sure = able(m, place, x, soc, side, low_V, most_A if most_A < low_soc_A else low_soc_A)

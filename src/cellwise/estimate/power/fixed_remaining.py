@@ -22,7 +22,7 @@ class End(NamedTuple):
 
 def off_by(at: Along) -> float:
     """Two deviations of the voltage by what the model is off by."""
-    return 2.0 * root(at.variance_V2 if at.variance_V2 < 4.0 else 4.0)
+    return 2.0 * root(at_most(at.variance_V2, SQUARE_MOST))
 
 
 @noinline

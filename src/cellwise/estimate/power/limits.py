@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limit_kernels import LimitScalars
+from cellwise.notices import Code, Notice
 
 # The usual window of a cell by what its chemistry's name begins with [V].
 WINDOWS: Mapping[str, tuple[float, float]] = {
@@ -49,7 +51,7 @@ class OperatingLimits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and not np.isfinite(value):
+            if value is not None and not np.isfinite(number(name, value, "a finite number")):
                 raise InputError(f"a limit {name} = {value}", "a finite number", "Correct it.")
         for name in ("discharge_A", "charge_A"):
             value = getattr(self, name)
@@ -88,7 +90,7 @@ class KnownLimits:
         )
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know: limits that nobody stated."""
         found = []
         known = self.limits
@@ -112,7 +114,7 @@ class KnownLimits:
                 "no limit of current is stated or in the model's data on "
                 f"{' and '.join(ways['none'])}: voltage and SOC alone limit that power"
             )
-        return tuple(found)
+        return tuple(Notice(Code.POWER_LIMIT_ASSUMED, text) for text in found)
 
 
 def operating_limits(model: CellModel, given: OperatingLimits | None = None) -> KnownLimits:

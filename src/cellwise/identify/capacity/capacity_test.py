@@ -16,6 +16,7 @@ from cellwise.errors import InputError
 from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
 from cellwise.identify.capacity.half_cycles import HalfCycle, Trace, find_half_cycles, join_logs
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
 
 
@@ -61,7 +62,7 @@ class CapacityTest:
     charged_Ah : float or None     the complete charge that follows, else the one before [Ah]
     temperature_C : float or None      at which it began: median over its first tenth
     cooled : bool                  moved to a colder place meanwhile: it belongs to no temperature
-    notices : tuple of str         what a person should know
+    notices : tuple of Notice      what a person should know
     """
 
     name: str
@@ -73,7 +74,7 @@ class CapacityTest:
     charged_Ah: float | None = None
     temperature_C: float | None = None
     cooled: bool = False
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def total_Ah(self) -> float:
@@ -83,7 +84,7 @@ class CapacityTest:
     @property
     def left_out(self) -> str:
         """Why it is no capacity, for one that is not complete."""
-        why = "; ".join(self.notices) or "not from full to the lower limit"
+        why = "; ".join(texts(self.notices)) or "not from full to the lower limit"
         return f"{self.name}: not used ({why})"
 
     @property
@@ -196,24 +197,24 @@ def _measure(
     charge, voltage = trace.charge_Ah, trace.voltage_V
     lowest = float(np.min(voltage[first : end + 1]))
     slack = abs(float(voltage[half.steady_stop - 1] - voltage[max(half.steady_stop - 2, 0)]))
-    notices = []
+    short = []
     if lowest > window.low_V + _tolerance_V(trace) + slack:
-        notices.append(f"stops at {lowest:.3f} V, the lower limit is {window.low_V:.3f} V")
+        short.append(f"stops at {lowest:.3f} V, the lower limit is {window.low_V:.3f} V")
     else:
         held = charge[end] - charge[limit - 1] > LIMITS.held * (charge[end] - charge[begin])
         if not (window.shared or held or _looks_like_end(trace, first, limit)):
             said = "without the look of an end: give the lower limit"
-            notices.append(f"ends at {lowest:.3f} V {said}")
-    notices += _not_full(trace, halves, k, window)
+            short.append(f"ends at {lowest:.3f} V {said}")
+    short += _not_full(trace, halves, k, window)
+    notices = [Notice(Code.CAPACITY_TEST_INCOMPLETE, text) for text in short]
     complete = not notices
     temperature = trace.temperature_C[first:limit]
     tenth = max(1, temperature.size // 10)
     first_C, last_C = _median(temperature[:tenth]), _median(temperature[-tenth:])
     cooled = first_C is not None and last_C is not None and last_C < first_C - LIMITS.cooling_C
     if cooled:
-        notices.append(
-            f"the temperature fell from {first_C:.1f} to {last_C:.1f} degC during the test"
-        )
+        text = f"the temperature fell from {first_C:.1f} to {last_C:.1f} degC during the test"
+        notices.append(Notice(Code.CAPACITY_TEST_COOLED, text))
     seconds = float(np.sum(trace.interval_s[first:limit]))
     charges = [_complete_charge(trace, halves, j, window) for j in (k + 1, k - 1)]
     return CapacityTest(

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.optimize import isotonic_regression, minimize_scalar, nnls
 
-from cellwise.cell.plausibility.notice import RANGE_V, Notice
+from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.errors import InputError
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 GRID_INTERVALS = 200
@@ -109,7 +110,7 @@ class OcvCurve:
     points_soc, points_V, points_weight : (m,) float     what was fitted
     discharge_V, charge_V : (n,) or None     low-rate branches on the grid, nan where not measured
     source : str                             log or logs, and method
-    notes : tuple of str                     what a person should know
+    notes : tuple of Notice                  what a person should know
     """
 
     soc: FloatArray
@@ -122,7 +123,7 @@ class OcvCurve:
     discharge_V: FloatArray | None = None
     charge_V: FloatArray | None = None
     source: str = ""
-    notes: tuple[str, ...] = ()
+    notes: tuple[Notice, ...] = ()
 
     @property
     def gap_V(self) -> FloatArray | None:
@@ -141,7 +142,7 @@ def curve_from_points(
     discharge_V: FloatArray | None = None,
     charge_V: FloatArray | None = None,
     source: str = "",
-    notes: tuple[str, ...] = (),
+    notes: tuple[Notice, ...] = (),
 ) -> OcvCurve:
     """Fit points of OCV over SOC and hold the result on the uniform grid.
 
@@ -291,7 +292,7 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
     correction = np.linalg.solve(normal, weighted @ difference)
     grid = low_rate.soc
     left_V = np.sqrt(np.average((difference - hats @ correction) ** 2, weights=weight))
-    note = (
+    text = (
         f"low-rate curve moved by {1e3 * correction.min():+.1f} to {1e3 * correction.max():+.1f} mV"
         f" to {s.size} rests, {1e3 * left_V:.1f} mV RMS left"
     )
@@ -302,7 +303,7 @@ def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
         discharge_V=low_rate.discharge_V,
         charge_V=low_rate.charge_V,
         source=f"{low_rate.source}; {rests.source}",
-        notes=(*low_rate.notes, *rests.notes, note),
+        notes=(*low_rate.notes, *rests.notes, Notice(Code.OCV_SOURCE, text)),
     )
 
 
@@ -337,10 +338,11 @@ def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> No
     moved_Ah = max(float(np.ptp(at)) * low_rate.capacity_Ah, 1e-3 * capacity_Ah)
     rests_Ah = float(np.ptp(soc)) * rests.capacity_Ah
     text = (
-        f"'{low_rate.source}' and '{rests.source}' do not look like one cell: from "
+        f" and '{rests.source}' do not look like one cell: from "
         f"{v[-1]:.3f} to {v[0]:.3f} V the first moves {moved_Ah:.3f} Ah, the second "
         f"{rests_Ah:.3f} Ah ({100.0 * (rests_Ah / moved_Ah - 1.0):+.1f} %), and "
         f"{1e3 * left_V:.0f} mV RMS are left between them. Two samples, two ages, or a current "
         f"sensor that is off; SOC refers to {capacity_Ah:.3f} Ah"
     )
-    return Notice(RANGE_V * abs(math.log(rests_Ah / moved_Ah)) + left_V, text)
+    size_V = RANGE_V * abs(math.log(rests_Ah / moved_Ah)) + left_V
+    return Notice(Code.TWO_CELLS, text, log=low_rate.source, size_V=size_V)

@@ -7,7 +7,7 @@ whole. A charge that was cut short would tilt it: such a branch is kept, named, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from cellwise.identify.ocv.curve import (
     fit_monotone_spline,
 )
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
@@ -189,7 +190,7 @@ def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArr
     return np.asarray(share * from_discharge + (1.0 - share) * from_charge)
 
 
-def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> tuple[str, ...]:
+def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> tuple[Notice, ...]:
     notes = []
     for label, branch in (("discharge", discharge), ("charge", charge)):
         if branch is not None:
@@ -200,7 +201,7 @@ def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> t
             if branch.rate > LIMITS.low_rate:
                 notes.append(f"{label} branch is faster than C/10: it carries much polarisation")
     if discharge is None or charge is None:
-        return tuple(notes)
+        return _as_notices(notes)
     if averaged:
         gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
         notes.append(f"gap between the branches: {gap:.1f} mV median")
@@ -212,4 +213,8 @@ def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> t
             f" at the low rate the branches cover {charge.cover:.0%} and {discharge.cover:.0%}. "
             "Not averaged"
         )
-    return tuple(notes)
+    return _as_notices(notes)
+
+
+def _as_notices(notes: Iterable[str]) -> tuple[Notice, ...]:
+    return tuple(Notice(Code.OCV_SOURCE, text) for text in notes)

@@ -10,6 +10,7 @@ from cellwise.errors import InputError
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
@@ -128,7 +129,7 @@ def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
         capacity_Ah=capacity_Ah,
         weight=weight[inside],
         source=f"rests of {log.name or log.source or 'a log'}",
-        notes=tuple(notes),
+        notes=tuple(Notice(Code.OCV_SOURCE, text) for text in notes),
     )
 
 

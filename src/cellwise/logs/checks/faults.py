@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import CELL
-from cellwise.logs.gaps import Run, run_edges, runs_of
+from cellwise.logs.gaps import Run, rows_between, run_edges, runs_of
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -79,6 +79,10 @@ class Stretch(NamedTuple):
 
     start_s: float
     duration_s: float
+
+    def rows_of(self, log: CellLog) -> range:
+        """Its rows."""
+        return rows_between(log.time_s, self.start_s, self.start_s + self.duration_s)
 
 
 def impossible_runs(log: CellLog) -> dict[str, list[Run]]:

@@ -11,9 +11,8 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.faults import Stretch, impossible_runs, longest, stuck_voltage, without
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import Run, runs_of
+from cellwise.notices import Code, Notice, Piece, Place, place
 from cellwise.typing import FloatArray
-
-MARK = "LOOKS WRONG"
 
 MOST_NAMED = 3  # rows, in a notice
 
@@ -37,17 +36,7 @@ class Grave(NamedTuple):
 GRAVE = Grave()
 
 
-def is_grave(notice: str) -> bool:
-    """Whether a notice says that a channel cannot be what it is taken for."""
-    return MARK in notice
-
-
-def graves_first(notices: list[str]) -> list[str]:
-    """The same notices, the grave ones first, each once."""
-    return sorted(dict.fromkeys(notices), key=lambda notice: not is_grave(notice))
-
-
-def without_impossible(log: CellLog) -> tuple[CellLog, list[str]]:
+def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
     """The log with values that nothing measures, and single ones that no cell has, missing.
 
     The latter only where they are rare and far above the rest: else the channel is in another unit.
@@ -65,8 +54,8 @@ def without_impossible(log: CellLog) -> tuple[CellLog, list[str]]:
             wrong = np.zeros(size.size, dtype=bool)
         if runs := runs_of(wrong | (size > GRAVE.impossible)):
             found[field] = runs
-    notices = [f"{_impossible(log, name, runs)}; taken as missing" for name, runs in found.items()]
-    return without(log, found), notices
+    notices = [_impossible(log, name, runs) for name, runs in found.items()]
+    return without(log, found), [n.followed_by("; taken as missing") for n in notices]
 
 
 def check_time_possible(time_s: FloatArray, where: str) -> None:
@@ -101,48 +90,50 @@ def check_time_moves(time_s: FloatArray, where: str) -> None:
         )
 
 
-def grave_notices(log: CellLog) -> list[str]:
+def grave_notices(log: CellLog) -> list[Notice]:
     """What would turn every figure about this log into nonsense."""
     notices = []
     rows = len(log)
     repeated = log.repeated_stamps
     if repeated > GRAVE.repeated * rows:
-        notices.append(
-            f"the time {MARK}: {repeated} of {rows} rows repeat the time of the row before; what "
-            "flowed in them counts for no time"
+        text = (
+            f"the time LOOKS WRONG: {repeated} of {rows} rows repeat the time of the row before; "
+            "what flowed in them counts for no time"
         )
+        notices.append(Notice(Code.TIME_REPEATS, text))
     for field in ("current_A", "voltage_V"):
         missing = int(np.count_nonzero(np.isnan(getattr(log, field))))
         if missing > GRAVE.missing * rows:
-            notices.append(
-                f"the {field.partition('_')[0]} {MARK}: {missing} of {rows} rows are without it"
-            )
+            name = field.partition("_")[0]
+            text = f"the {name} LOOKS WRONG: {missing} of {rows} rows are without it"
+            notices.append(Notice(Code.CHANNEL_MISSING, text))
     highest, lowest = np.fmax.reduce(log.current_A), np.fmin.reduce(log.current_A)
     moves = bool(highest > lowest)
     if not (highest > 0.0 or lowest < 0.0):
-        notices.append(f"the current {MARK}: it is 0 throughout")
+        notices.append(Notice(Code.CURRENT_ZERO, "the current LOOKS WRONG: it is 0 throughout"))
     impossible = impossible_runs(log)
     notices += [_impossible(log, name, runs) for name, runs in impossible.items()]
     stuck = longest(log, stuck_voltage(without(log, impossible)))
     if stuck is None and moves and np.fmax.reduce(log.voltage_V) == np.fmin.reduce(log.voltage_V):
         stuck = Stretch(float(log.time_s[0]), log.duration_s)  # any current that moves is enough
     if stuck is not None:
-        notices.append(
-            f"the voltage {MARK}: it stands still for {stuck.duration_s:.0f} s from "
-            f"{stuck.start_s:.1f} s on while the current moves"
-        )
+        text = f"the voltage LOOKS WRONG: it stands still for {stuck.duration_s:.0f} s "
+        since = Place(f"from {stuck.start_s:.1f} s", stuck.rows_of(log))
+        said = (text, since, " on while the current moves")
+        notices.append(Notice(Code.VOLTAGE_STUCK, said))
     return notices
 
 
-def _impossible(log: CellLog, channel: str, runs: list[Run]) -> str:
-    """What no cell has, with its rows (people count from 1)."""
+def _impossible(log: CellLog, channel: str, runs: list[Run]) -> Notice:
+    """What no cell has, with its rows."""
     quantity, _, unit = channel.partition("_")
     values = getattr(log, channel)
     count = sum(r.last - r.first + 1 for r in runs)
-    named = ", ".join(
-        f"{values[r.first]:g} {unit} in row{f's {r.first + 1} to' if r.last > r.first else ''} "
-        f"{r.last + 1}"
-        for r in runs[:MOST_NAMED]
-    )
+    named: list[Piece] = []
+    for run in runs[:MOST_NAMED]:
+        before = ", " if named else ""
+        named.append(f"{before}{values[run.first]:g} {unit} in ")
+        named.append(place(range(run.first, run.last + 1)))
     more = f" and {len(runs) - MOST_NAMED} more times" if len(runs) > MOST_NAMED else ""
-    return f"the {quantity} {MARK} in {count} row(s): {named}{more}, which no cell has"
+    text = f"the {quantity} LOOKS WRONG in {count} row(s): "
+    return Notice(Code.IMPOSSIBLE_VALUE, (text, *named, f"{more}, which no cell has"))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import run_edges
+from cellwise.notices import Code, Notice, Option
 from cellwise.typing import BoolArray, FloatArray
 
 Verdict = Literal["verified", "contradicted", "undetermined"]
@@ -92,12 +93,14 @@ class SignCheck:
 
     ``verified``: positive current discharges the cell. ``contradicted``: it charges it.
     ``undetermined``: the windows disagree, or there is nothing to see. ``score`` runs from -1
-    (contradicted) to +1 (verified): the windows' leads, each weighed by its own size.
+    (contradicted) to +1 (verified): the windows' leads, each weighed by its own size. ``follows``
+    is False where the voltage does not follow the current in any window.
     """
 
     verdict: Verdict
     evidence: tuple[str, ...]
     score: float = 0.0
+    follows: bool = True
 
 
 def verify_sign(log: CellLog) -> SignCheck:
@@ -135,7 +138,7 @@ def verify_sign(log: CellLog) -> SignCheck:
     votes = [c for c in _contrasts(*_reduced(series)) if c.lead != 0.0]
     if not votes:
         none = "the voltage does not follow the current in any window"
-        return SignCheck("undetermined", (none,))
+        return SignCheck("undetermined", (none,), follows=False)
     score = sum(c.lead * abs(c.lead) for c in votes) / sum(c.lead**2 for c in votes)
     verdict: Verdict = "undetermined"
     if abs(score) >= NEEDED.score and max(abs(c.lead) for c in votes) >= NEEDED.lead:
@@ -143,15 +146,13 @@ def verify_sign(log: CellLog) -> SignCheck:
     return SignCheck(verdict, tuple(c.text() for c in votes), float(score))
 
 
-CONTRADICTED = "THE SIGN OF THE CURRENT LOOKS WRONG"  # begins the notice
-
-
-def contradiction(way_out: str) -> str:
+def contradiction(way_out: str) -> Notice:
     """Notice of a sign that looks wrong, and with which ``sign`` to read the log."""
-    return (
-        f"{CONTRADICTED}: the voltage rises when the stated current discharges "
-        f"the cell. Nothing was inverted; read the log with `sign='{way_out}'`"
+    text = (
+        "THE SIGN OF THE CURRENT LOOKS WRONG: the voltage rises when the stated current discharges "
+        "the cell. Nothing was inverted; read the log with "
     )
+    return Notice(Code.SIGN_CONTRADICTED, (text, Option("sign", way_out)))
 
 
 def _held(current: FloatArray, voltage: FloatArray) -> BoolArray:

@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog, typical
 from cellwise.logs.files.columns import KELVIN_OFFSET
+from cellwise.notices import Code, Notice, Option, place
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -85,7 +86,7 @@ def compare_counter(log: CellLog) -> CounterCheck | None:
     return CounterCheck(both / moved, both / np.sqrt(moved * seen), mismatch, drawn)
 
 
-def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | None, list[str]]:
+def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | None, list[Notice]]:
     """Counter in ampere hours, joined up over restarts; left out where it is of no use.
 
     Raises
@@ -95,7 +96,8 @@ def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | N
     if log.charge_Ah is None:
         return log, None, []
     if not np.any(np.isfinite(log.charge_Ah)):
-        return replace(log, charge_Ah=None), None, ["the counter ampere_hours holds no value"]
+        empty = Notice(Code.COUNTER_EMPTY, "the counter ampere_hours holds no value")
+        return replace(log, charge_Ah=None), None, [empty]
     check = compare_counter(log)
     if check is None:
         return log, None, []
@@ -104,19 +106,23 @@ def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | N
     joined = joined_counter(counter, check.drawn_Ah, log.gap_rows)
     if joined is not None:
         counter, restarts = joined
-        notices.append(f"the counter ampere_hours restarts {restarts} time(s) and was joined up")
+        text = f"the counter ampere_hours restarts {restarts} time(s) and was joined up"
+        notices.append(Notice(Code.COUNTER_JOINED, text))
     if counter is not log.charge_Ah:
         log = replace(log, charge_Ah=counter)
         check = compare_counter(log) or check
     if abs(check.agreement) < COUNTER.another:
-        noted = "the counter ampere_hours does not follow the current and was left out"
-        return replace(log, charge_Ah=None), None, [noted]
+        text = "the counter ampere_hours does not follow the current and was left out"
+        return replace(log, charge_Ah=None), None, [Notice(Code.COUNTER_LEFT_OUT, text)]
     if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
-        notices.append(
-            f"the counter ampere_hours differs from the summed current by "
-            f"{check.mismatch_percent:.1f} % of the charge moved"
-        )
+        notices.append(differing(check.mismatch_percent))
     return log, check, notices
+
+
+def differing(percent: float) -> Notice:
+    """That counter and summed current differ, in per cent of the charge moved."""
+    text = "the counter ampere_hours differs from the summed current by "
+    return Notice(Code.COUNTER_DIFFERS, f"{text}{percent:.1f} % of the charge moved")
 
 
 def joined_counter(
@@ -193,7 +199,7 @@ SLIPS = {
 }
 
 
-def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[str]:
+def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[Notice]:
     """Refuse millivolts; note when the voltage is that of a string, or of another unit.
 
     ``of_pack``: it was divided by a number of cells in series.
@@ -212,22 +218,25 @@ def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[st
             else "It looks like microvolts: name the column voltage_uV.",
         )
     if usual > CELL.largest_V and of_pack:
-        return [
+        text = (
             f"the voltage LOOKS WRONG for a cell of the pack: it is typically {usual:.1f} V; check "
             "the number of cells in series, and the unit (`voltage_mV`; `voltage_cV` for 0.01 V)"
-        ]
+        )
+        return [Notice(Code.VOLTAGE_UNIT, text)]
     if usual > CELL.largest_V:
-        return [
+        text = (
             f"the voltage LOOKS WRONG for one cell: it is typically {usual:.1f} V, a pack of some "
-            f"{usual / CELL.typical_V:.0f} cells in series, read as one cell; state their number "
-            "(`series=N`), or the unit, where it is not volts"
-        ]
+            f"{usual / CELL.typical_V:.0f} cells in series, read as one cell; state their number ("
+        )
+        said = (text, Option("series", letter="N"), "), or the unit, where it is not volts")
+        return [Notice(Code.VOLTAGE_OF_PACK, said)]
     if np.nanmin(log.voltage_V) < 0:
-        return [f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"]
+        text = f"the voltage goes down to {np.nanmin(log.voltage_V):.3f} V, below zero"
+        return [Notice(Code.VOLTAGE_NEGATIVE, text)]
     return []
 
 
-def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
+def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[Notice]:
     """Turn a tester's millivolts under a name of volts into volts; what was done.
 
     No tester of cells reaches the voltage that one cell's millivolts would be in volts.
@@ -236,21 +245,23 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[str]:
     if not CELL.string_V < usual < 1e3 * CELL.largest_V:
         return []
     channels["voltage_V"] = channels["voltage_V"] / 1e3
-    return [f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"]
+    text = f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"
+    return [Notice(Code.VOLTAGE_CONVERTED, text)]
 
 
-def check_charge(log: CellLog) -> list[str]:
+def check_charge(log: CellLog) -> list[Notice]:
     """Note a charge that no cell holds: milliamperes, or milliseconds, under a plain name."""
     swing = float(np.ptp(np.cumsum(log.known_current_A() * log.interval_s))) / 3600.0
     if swing <= CELL.largest_Ah:
         return []
-    return [
+    text = (
         f"the current LOOKS WRONG: it moves {swing:.0f} Ah, more than a cell holds; check the "
         "units of current and time (`current_mA`, `time_ms`)"
-    ]
+    )
+    return [Notice(Code.CURRENT_UNIT, text)]
 
 
-def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float, list[str]]:
+def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float, list[Notice]]:
     """Factor that turns the counter into ampere hours, from its ratio to the summed current.
 
     Raises
@@ -263,7 +274,8 @@ def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float
     fast = float(np.median(log.interval_s[1:])) < CLOCK.fast_s
     for times, unit in COUNTERS.items():
         if _near(ratio, times) and not (fast and times in SLIPS):
-            return 1.0 / times, [f"the counter ampere_hours is in {unit} and was converted"]
+            text = f"the counter ampere_hours is in {unit} and was converted"
+            return 1.0 / times, [Notice(Code.COUNTER_CONVERTED, text)]
     slip = next((text for times, text in SLIPS.items() if _near(ratio, times)), None)
     if slip is not None:
         raise InputError(
@@ -274,33 +286,35 @@ def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float
     return 1.0, []
 
 
-def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[str]]:
+def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[Notice]]:
     """Temperature in degC: kelvin converted, impossible readings taken as missing ones."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
-        return None, ["the temperature column holds no value"]
+        return None, [Notice(Code.TEMPERATURE_EMPTY, "the temperature column holds no value")]
     notices = []
     if float(np.median(finite)) > CELL.kelvin:
         values = values + KELVIN_OFFSET
-        notices.append("the temperature is in kelvin and was converted to degC")
+        text = "the temperature is in kelvin and was converted to degC"
+        notices.append(Notice(Code.TEMPERATURE_CONVERTED, text))
     low, high = CELL.temperature_C
     impossible = (values < low) | (values > high)
     if np.any(impossible):
         values = np.where(impossible, np.nan, values)
         count = int(np.count_nonzero(impossible))
-        row = int(np.argmax(impossible)) + 1  # people count from 1
-        notices.append(
-            f"{count} temperature(s) outside {low:.0f} to {high:.0f} degC left out, row {row} first"
-        )
+        row = int(np.argmax(impossible))
+        text = f"{count} temperature(s) outside {low:.0f} to {high:.0f} degC left out, "
+        said = (text, place(range(row, row + 1)), " first")
+        notices.append(Notice(Code.TEMPERATURE_IMPOSSIBLE, said))
     return (None if np.all(np.isnan(values)) else values), notices
 
 
-def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[str]]:
+def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[Notice]]:
     """Seconds from the log's start where the file counts from 1970 or so."""
     if time_s.size == 0 or not abs(time_s[0]) > CLOCK.epoch_s:
         return time_s, []
     start = float(time_s[0])
-    return time_s - start, [f"the time begins at {start:.0f} s; it is counted from there"]
+    text = f"the time begins at {start:.0f} s; it is counted from there"
+    return time_s - start, [Notice(Code.TIME_FROM_START, text)]
 
 
 def _near(ratio: float, target: float) -> bool:

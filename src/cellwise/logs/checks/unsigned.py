@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.grave import MARK
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import run_edges
+from cellwise.notices import Code, Notice, Option
 from cellwise.typing import FloatArray
 
 
@@ -43,7 +43,6 @@ class LoadRule(NamedTuple):
 
 
 RULE = LoadRule()
-NO_SIGN = f"the current {MARK}: it has no sign"  # begins the notice where nothing gives it one
 
 
 def loads_of(log: CellLog) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -89,7 +88,7 @@ def _direction(log: CellLog, current: FloatArray, first: int, last: int) -> floa
     return float(np.sign(total)) if abs(total) >= 2.0 else 0.0
 
 
-def signed_by_loads(log: CellLog) -> tuple[FloatArray | None, str]:
+def signed_by_loads(log: CellLog) -> tuple[FloatArray | None, Notice | None]:
     """A current that has no sign with the one that the voltage gives it, and a notice.
 
     The voltage rises under some loads and falls under others, and all have one sign: None and
@@ -99,7 +98,7 @@ def signed_by_loads(log: CellLog) -> tuple[FloatArray | None, str]:
     loaded = np.abs(current) > RULE.load * np.nanmax(np.abs(current), initial=0.0)
     ways = [np.count_nonzero(loaded & (current > 0)), np.count_nonzero(loaded & (current < 0))]
     if min(ways) > 0.001 * sum(ways) or sum(ways) < RULE.rows:
-        return None, ""
+        return None, None
     size = _size(log)
     counted = np.cumsum(size * log.interval_s) / 3600.0
     moved = float(counted[-1])
@@ -110,22 +109,24 @@ def signed_by_loads(log: CellLog) -> tuple[FloatArray | None, str]:
     ways_of = np.array([_direction(log, size, a, b) for a, b in zip(firsts, lasts, strict=True)])
     out, back = (float(charge[ways_of == way].sum()) for way in (1.0, -1.0))
     if min(out, back) < RULE.both * moved:
-        return None, ""
-    said = (
-        f"it has no sign: {out:.3g} Ah flow while the voltage falls and {back:.3g} Ah while it "
-        "rises, all of one sign"
+        return None, None
+    flows = (
+        f"{out:.3g} Ah flow while the voltage falls and {back:.3g} Ah while it rises, all of one "
+        "sign"
     )
     if moved - out - back > RULE.unknown * moved:
         way_out = "Export it with its sign, or with a column of the tester's states"
-        return None, f"the current {MARK}: {said}. {way_out}"
+        text = f"the current LOOKS WRONG: it has no sign: {flows}. {way_out}"
+        return None, Notice(Code.NO_SIGN, text)
     edges = np.append(firsts[1:], len(log))
     sign = np.full(len(log), ways_of[0] or 1.0)
     for way, first, end in zip(ways_of, firsts, edges, strict=True):
         sign[first:end] = way or 1.0
-    return sign * np.abs(current), f"the current has no sign, the voltage gave it one ({said[15:]})"
+    text = f"the current has no sign, the voltage gave it one ({flows})"
+    return sign * np.abs(current), Notice(Code.SIGN_BY_VOLTAGE, text)
 
 
-def emptied_too_fast(log: CellLog) -> list[str]:
+def emptied_too_fast(log: CellLog) -> list[Notice]:
     """A notice of a cell that one load empties within seconds: the time is in another unit."""
     if log.duration_s > RULE.longest_s or len(log) < 2 * RULE.rows:
         return []
@@ -139,9 +140,11 @@ def emptied_too_fast(log: CellLog) -> list[str]:
             and moved > RULE.emptied * log.typical_voltage_V
             and np.ptp(part) <= 2.0 * RULE.drift * np.mean(part)
         ):
-            return [
-                f"the time {MARK}: the voltage goes from {voltage[first + 1]:.2f} to "
+            text = (
+                f"the time LOOKS WRONG: the voltage goes from {voltage[first + 1]:.2f} to "
                 f"{voltage[last]:.2f} V within {seconds:.3g} s of one load, as of a cell that is "
-                "empty so soon; is it in hours or minutes (`channels={'time_h': 'COLUMN'}`)?"
-            ]
+                "empty so soon; is it in hours or minutes ("
+            )
+            said = (text, Option("channels", ("time_h", "COLUMN")), ")?")
+            return [Notice(Code.TIME_UNIT, said, rows=range(int(first), int(last) + 1))]
     return []

@@ -20,6 +20,7 @@ from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
+from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import grave, units
@@ -28,9 +29,10 @@ from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.unsigned import emptied_too_fast, signed_by_loads
 from cellwise.logs.files.columns import TIDY_CHANNELS
 from cellwise.logs.files.format import Format, SignConvention
-from cellwise.logs.files.source import FROM_FILE, OF_PACK, RawLog
+from cellwise.logs.files.source import FROM_FILE, RawLog
 from cellwise.logs.files.tables import table_channels
 from cellwise.logs.files.times import DAY_S
+from cellwise.notices import Code, Notice, Option, coded, graves_first
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 
 
@@ -54,7 +56,7 @@ class StateRule(NamedTuple):
 
 
 STATE = StateRule()
-BY_STATE = "the current has no sign; the tester's state gave it one"
+BY_STATE = Notice(Code.SIGN_BY_STATE, "the current has no sign; the tester's state gave it one")
 
 
 def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_FILE) -> RawLog:
@@ -81,12 +83,13 @@ def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_F
     step_time = channels.pop("step_time_s", None)
     if "time_s" not in channels and step_time is not None:
         channels["time_s"] = accumulated(step_time)
-        notices.append("the time of the steps was joined up")
+        notices.append(Notice(Code.TIME_OF_STEPS, "the time of the steps was joined up"))
     working, counter = channels.pop("working_V", None), channels.pop("counter_V", None)
     if "voltage_V" not in channels and working is not None:
         channels["voltage_V"] = working if counter is None else working - counter
         if counter is not None:
-            notices.append("the voltage is Ewe less Ece: both electrodes are logged")
+            text = "the voltage is Ewe less Ece: both electrodes are logged"
+            notices.append(Notice(Code.VOLTAGE_OF_ELECTRODES, text))
     direction = channels.pop("direction", None)
     if direction is None:
         direction = _counted_direction(channels)
@@ -115,7 +118,8 @@ def complete(raw: RawLog, sign: SignConvention, where: str, stated: str = FROM_F
         channels.setdefault("charge_Ah", np.cumsum(steps))
     if "current_A" not in channels:
         channels["current_A"] = _counted_current(channels, sign)
-        notices.append("there is no current; it was taken from the counter's steps")
+        text = "there is no current; it was taken from the counter's steps"
+        notices.append(Notice(Code.CURRENT_OF_COUNTER, text))
     notices += _drop_rows_without_time(channels, where)
     return replace(raw, channels=channels, notices=tuple(notices))
 
@@ -139,7 +143,7 @@ def accumulated(counter: FloatArray) -> FloatArray:
 
 def _signed(
     current: FloatArray, direction: FloatArray, sign: SignConvention, where: str
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[Notice]]:
     """Current in the format's sign, by the tester's state where the file has none."""
     size = np.abs(current)
     has_sign, load = _has_sign(current)
@@ -171,7 +175,7 @@ def _has_sign(current: FloatArray) -> tuple[bool, BoolArray]:
 
 def _signed_by_label(
     current: FloatArray, state: FloatArray, sign: SignConvention, where: str, *, trusted: bool
-) -> tuple[FloatArray, bool, list[str]]:
+) -> tuple[FloatArray, bool, list[Notice]]:
     """A current, whether a column of states has given it its sign, and what is to be said.
 
     Nobody vouches for such a column: it is used where it fits the current throughout, and does not
@@ -191,7 +195,7 @@ def _signed_by_label(
 
 def _sign_by_state(
     current: FloatArray, direction: FloatArray, load: BoolArray, sign: SignConvention, where: str
-) -> tuple[FloatArray, list[str]]:
+) -> tuple[FloatArray, list[Notice]]:
     """A current that has a sign, in the format's, by what the tester's state says of it."""
     stated = load & (np.nan_to_num(direction) != 0.0)
     count = int(np.count_nonzero(stated))
@@ -209,7 +213,8 @@ def _sign_by_state(
     if discharge_positive == (sign == "discharge-positive"):
         return current, []
     found = "discharge" if discharge_positive else "charge"
-    return -current, [f"positive current is {found}, as the tester's state says"]
+    text = f"positive current is {found}, as the tester's state says"
+    return -current, [Notice(Code.SIGN_BY_STATE, text)]
 
 
 def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
@@ -296,7 +301,8 @@ def assemble(
     read_as = own_sign if sign == "auto" else sign
     if read_as == "charge-positive":
         channels["current_A"] = -channels["current_A"]
-        notices.append("positive current was read as charge and inverted")
+        text = "positive current was read as charge and inverted"
+        notices.append(Notice(Code.SIGN_INVERTED, text))
     log = CellLog(
         time_s=channels["time_s"],
         current_A=channels["current_A"],
@@ -311,38 +317,42 @@ def assemble(
     )
     log, noted = grave.without_impossible(log)
     notices += noted
-    current, no_sign = signed_by_loads(log) if BY_STATE not in notices else (None, "")
+    current, no_sign = signed_by_loads(log) if BY_STATE not in notices else (None, None)
     if current is not None:
         log = replace(log, current_A=current)
-    if no_sign:
+    if no_sign is not None:
         notices.insert(0, no_sign)
     elif sign == "auto" and not raw.signed:
         log, noted = _signed_by_voltage(log)
         notices += noted
     notices += emptied_too_fast(log)
     notices += grave.grave_notices(log)
-    of_pack = any(notice.startswith(OF_PACK) for notice in raw.notices)
+    of_pack = bool(coded(raw.notices, Code.PACK_DIVIDED))
     notices += units.check_voltage(log, where, of_pack=of_pack)
     log, counter, noted = units.checked_counter(log, where)
     notices += noted
     notices += units.check_charge(possible_part(log))
     opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
     if not (check_sign or opposite):
-        return log.with_notices(grave.graves_first(notices))
+        return log.with_notices(graves_first(notices))
     way_out = "charge-positive" if read_as != "charge-positive" else "discharge-positive"
     log, noted = _with_checked_sign(log, sign, way_out, opposite=opposite)
-    return log.with_notices(grave.graves_first([*noted, *notices]))
+    return log.with_notices(graves_first([*noted, *notices]))
 
 
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
     """`CellLog.from_table`."""
     where = f"'{source or name}'" if source or name else "the table"
+    if table is None or not hasattr(table, "__getitem__"):
+        raise InputError(
+            f"table = {shown(table)}", "a data frame, or a dict of arrays", "Pass one of them."
+        )
     raw = table_channels(table, TIDY_CHANNELS, where)
     raw = complete(raw, "discharge-positive", where, sign)
     return assemble(raw, None, source, name, sign)
 
 
-def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[str]:
+def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list[Notice]:
     """Leave out the few rows whose time is missing: they cannot be placed."""
     missing = ~np.isfinite(channels["time_s"])
     count = int(np.count_nonzero(missing))
@@ -358,7 +368,7 @@ def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list
         )
     for field in channels:
         channels[field] = channels[field][~missing]
-    return [f"{count} row(s) without a time left out"]
+    return [Notice(Code.ROWS_WITHOUT_TIME, f"{count} row(s) without a time left out")]
 
 
 def _steps(step: FloatArray | None) -> IntArray | None:
@@ -369,34 +379,38 @@ def _steps(step: FloatArray | None) -> IntArray | None:
     return np.where(known, step, NO_STEP).astype(np.int32)
 
 
-def _signed_by_voltage(log: CellLog) -> tuple[CellLog, list[str]]:
+def _signed_by_voltage(log: CellLog) -> tuple[CellLog, list[Notice]]:
     """A current whose sign nobody states, by what the voltage does under it."""
     said = "nothing says what the sign of the current means"
     verdict = verify_sign(possible_part(log)).verdict
     if verdict == "contradicted":
         log = replace(log, current_A=-log.current_A)
-        return log, [f"{said}; positive is charge, by the voltage, and was inverted"]
+        text = f"{said}; positive is charge, by the voltage, and was inverted"
+        return log, [Notice(Code.SIGN_BY_VOLTAGE, text)]
     if verdict == "verified":
-        return log, [f"{said}; positive is discharge, by the voltage"]
-    other = "positive was read as discharge; else `sign='charge-positive'`"
-    return log, [f"{said}, nor does the voltage: {other}"]
+        text = f"{said}; positive is discharge, by the voltage"
+        return log, [Notice(Code.SIGN_BY_VOLTAGE, text)]
+    text = f"{said}, nor does the voltage: positive was read as discharge; else "
+    return log, [Notice(Code.SIGN_ASSUMED, (text, Option("sign", "charge-positive")))]
 
 
 def _with_checked_sign(
     log: CellLog, sign: str, way_out: str, *, opposite: bool
-) -> tuple[CellLog, list[str]]:
+) -> tuple[CellLog, list[Notice]]:
     """Verify the sign and bring the counter in line with a current that is right."""
-    notices: list[str] = []
+    notices: list[Notice] = []
     check = verify_sign(possible_part(log))
     if opposite and log.charge_Ah is not None:
         if check.verdict == "verified" or sign != "auto":
             log = replace(log, charge_Ah=-log.charge_Ah)
-            notices.append("the counter ampere_hours runs against the current and was inverted")
+            text = "the counter ampere_hours runs against the current and was inverted"
+            notices.append(Notice(Code.COUNTER_INVERTED, text))
         else:
-            notices.append(
-                f"the sign of the current {grave.MARK}: the counter ampere_hours runs against it, "
+            text = (
+                "the sign of the current LOOKS WRONG: the counter ampere_hours runs against it, "
                 "and the voltage does not confirm it"
             )
+            notices.append(Notice(Code.SIGN_UNCONFIRMED, text))
     if check.verdict == "contradicted":
         notices.append(contradiction(way_out))
     return log, notices

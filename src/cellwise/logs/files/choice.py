@@ -40,6 +40,7 @@ from cellwise.logs.files.words import (
     state_of,
     unit_for,
 )
+from cellwise.notices import Code, Notice
 
 Look = Callable[[int], Sequence[str]]
 _NUMBERS = re.compile(r"\d+")
@@ -114,7 +115,7 @@ class Evidence:
         column = Column("time_s", place, name, DATE if kind else unit, by_words=True)
         return column, [self.names[k] for k in clear if k != place]
 
-    def completed(self, columns: Sequence[Column]) -> tuple[list[Column], list[str]]:
+    def completed(self, columns: Sequence[Column]) -> tuple[list[Column], list[Notice]]:
         """The columns with the day of a clock, the state of a tester, two currents for one."""
         found = list(columns)
         notices = []
@@ -127,15 +128,17 @@ class Evidence:
                 clock, day = (found[at].index, other)[:: 1 if wanted == "day" else -1]
                 found[at] = replace(found[at], index=clock, name=self.names[clock], unit=CLOCK)
                 found.append(Column("day_s", day, self.names[day], DATE, by_words=True))
-                notices.append(
+                text = (
                     f"the days of column '{self.names[day]}' and the clock of "
                     f"'{self.names[clock]}' are the time"
                 )
+                notices.append(Notice(Code.TIME_OF_DAYS, text))
         if not any(c.field == "current_A" for c in found):
             found += self._two_currents({c.index for c in found})
             if two_currents(found):
                 names = listed([c.name for c in found[-2:]])
-                notices.append(f"the current is the difference of columns {names}")
+                text = f"the current is the difference of columns {names}"
+                notices.append(Notice(Code.CURRENT_OF_TWO, text))
         states = [k for k in self._free({c.index for c in found}) if self._is_state(k)]
         if states and len(found) > 1:
             found.append(Column("state", states[0], self.names[states[0]], _STATE, by_words=True))
@@ -222,19 +225,28 @@ def says_its_sign(columns: Sequence[Column]) -> bool:
 
 
 class MissingColumnsError(InputError):
-    """Columns that are needed are not there; ``proposals`` are what may hold them, best first.
+    """Columns that are needed, ``missing``, are not there.
 
-    Each maps tidy names to names in the file. Nobody has tried them.
+    ``proposals`` are what may hold them, best first: tidy names to names in the file. Nobody has
+    tried them. ``fitting`` is one that was tried and reads.
     """
 
     def __init__(
-        self, found: str, expected: str, action: str, proposals: Sequence[Mapping[str, str]] = ()
+        self,
+        found: str,
+        expected: str,
+        action: str,
+        missing: Sequence[str] = (),
+        proposals: Sequence[Mapping[str, str]] = (),
+        fitting: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(found, expected, action)
-        self.proposals = tuple(proposals)
+        self.missing, self.proposals = tuple(missing), tuple(proposals)
+        self.fitting = dict(fitting or {})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.found, self.expected, self.action, self.proposals)
+        said = self.found, self.expected, self.action
+        return type(self), (*said, self.missing, self.proposals, self.fitting)
 
 
 def choose_columns(
@@ -245,7 +257,7 @@ def choose_columns(
     known: Sequence[str] | None = None,
     chosen: Mapping[str, str] | None = None,
     look: Look | None = None,
-) -> tuple[list[Column], list[str]]:
+) -> tuple[list[Column], list[Notice]]:
     """Find the channels' columns in a header.
 
     Parameters
@@ -262,7 +274,7 @@ def choose_columns(
     Returns
     -------
     columns : list of Column
-    notices : list of str           units converted, columns not used
+    notices : list of Notice        units converted, columns not used
 
     Raises
     ------
@@ -272,7 +284,10 @@ def choose_columns(
     table = Evidence([name.strip() for name in header], look or (lambda _: ()))
     names = table.names
     columns = [_stated(tidy, name, names, where) for tidy, name in (chosen or {}).items()]
-    notices = [f"column '{c.name}' was taken for {c.field}, as stated" for c in columns]
+    notices = [
+        Notice(Code.COLUMN_STATED, f"column '{c.name}' was taken for {c.field}, as stated")
+        for c in columns
+    ]
     usual = {folded(name) for name in (*TIDY_NAMES, *(n for c in channels for n in c.names))}
     columns = [replace(c, by_words=folded(c.name) not in usual) for c in columns]
     found = {column.field for column in columns}
@@ -284,10 +299,12 @@ def choose_columns(
             column, others = table.by_words(channel, {c.index for c in columns})
             if column is not None:
                 said = f"column '{column.name}' was taken for {channel.field}, by its name"
-                notices.append(said + (f" (not {listed(others)})" if others else ""))
-        elif column is not None and known is None and column.unit != OWN:
+                said += f" (not {listed(others)})" if others else ""
+                notices.append(Notice(Code.COLUMN_BY_NAME, said))
+        elif column is not None and known is None and _is_converted(column):
             tidy = TIDY_NAME.get(channel.field, channel.field)
-            notices.append(f"column '{column.name}' was converted to {tidy}")
+            text = f"column '{column.name}' was converted to {tidy}"
+            notices.append(Notice(Code.COLUMN_CONVERTED, text, column=column.name))
         if column is not None:
             columns.append(column)
     if known is None:
@@ -304,8 +321,14 @@ def choose_columns(
     used = {column.index for column in columns}
     unused = [name for k, name in enumerate(names) if k not in used and name]
     if unused and known is None:
-        return columns, [*notices, f"column(s) not used: {listed(unused)}"]
+        text = f"column(s) not used: {listed(unused)}"
+        return columns, [*notices, Notice(Code.COLUMN_UNUSED, text)]
     return columns, notices + (_unknown(unused, channels, known or ()) if known != ANY else [])
+
+
+def _is_converted(column: Column) -> bool:
+    """A measured column in another unit; the number of a battery has none."""
+    return column.unit != OWN and column.field != "instance"
 
 
 def has_days(columns: Sequence[Column]) -> bool:
@@ -330,7 +353,9 @@ def _stated(tidy: str, name: str, names: Sequence[str], where: str) -> Column:
     return Column(field, places[0], names[places[0]], unit)
 
 
-def _unknown(unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str]) -> list[str]:
+def _unknown(
+    unused: Sequence[str], channels: Sequence[Channel], known: Sequence[str]
+) -> list[Notice]:
     """A notice of columns that a format does not know; one of numbered ones is known by another."""
     expected = {folded(n): n for n in (*(n for c in channels for n in c.names), *known)}
     siblings = {_NUMBERS.sub("", name) for name in expected if _NUMBERS.search(name)}
@@ -346,10 +371,8 @@ def _unknown(unused: Sequence[str], channels: Sequence[Channel], known: Sequence
         near = get_close_matches(folded(name), expected, n=1)
         listing.append(f"'{name}'" + (f" (nearest: '{expected[near[0]]}')" if near else ""))
     more = len(unknown) - len(listing)
-    return [
-        f"column(s) that this format does not know: {', '.join(listing)}"
-        + (f" and {more} more" if more else "")
-    ]
+    text = f"column(s) that this format does not know: {', '.join(listing)}"
+    return [Notice(Code.COLUMN_UNKNOWN, text + (f" and {more} more" if more else ""))]
 
 
 def _find(channel: Channel, names: Sequence[str], where: str) -> Column | None:
@@ -384,6 +407,7 @@ def _missing_columns(
         f"the columns {required} (and, where measured, {optional})",
         "Give the columns these names; the name gives the unit (current_mA, voltage_mV, time_ms, "
         "time_min, time_h).",
+        [c.usual_name for c in missing],
         table.proposals([c.field for c in missing], {c.index for c in columns}),
     )
 

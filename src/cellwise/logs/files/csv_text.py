@@ -37,6 +37,7 @@ from cellwise.logs.files.source import (
     decoded,
 )
 from cellwise.logs.files.tables import arrow_type, column_values
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -203,18 +204,20 @@ def read_csv(source: LogSource, known: Format) -> RawLog:
         layout.header, known.channels, where, known=known.known, chosen=chosen, look=look
     )
     if layout.decimal == ",":
-        notices.append("decimal commas were read as such")
+        notices.append(Notice(Code.DECIMAL_COMMAS, "decimal commas were read as such"))
     end = None
     for k, column in enumerate(columns):
         if column.field not in _TIMES:
             continue
         if column.unit.kind == "number" and any(map(_OF_CLOCK.search, look(column.index))):
             columns[k] = replace(column, unit=CLOCK)
-            notices.append(f"column '{column.name}' holds clocks or dates and was read as such")
+            text = f"column '{column.name}' holds clocks or dates and was read as such"
+            notices.append(Notice(Code.TIME_OF_CLOCKS, text))
         if end is None:
             end, line = data_end(source, layout, column.index)
             if end is not None:
-                notices.append(f"what follows the data ('{line[:40]}') was left out")
+                text = f"what follows the data ('{line[:40]}') was left out"
+                notices.append(Notice(Code.TEXT_AFTER_DATA, text))
     odd_rows: list[tuple[int, int, str]] = []
     arrays = _read(source, layout, columns, end, odd_rows, notices)
     rows = next(iter(arrays.values())).size
@@ -233,7 +236,7 @@ def _read(
     columns: Sequence[Column],
     end: int | None,
     odd_rows: list[tuple[int, int, str]],
-    notices: list[str],
+    notices: list[Notice],
 ) -> dict[str, FloatArray]:
     """The columns' values by field; rows up to a byte."""
     import pyarrow as pa
@@ -327,12 +330,15 @@ def _refused(
     )
 
 
-def _cut_off(odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout, where: str) -> str:
+def _cut_off(
+    odd: Sequence[tuple[int, int, str]], rows: int, layout: CsvLayout, where: str
+) -> Notice:
     """Notice about a cut off last line; any other row of another width is refused."""
     number, cells, text = odd[0]
     expected = len(layout.header)
     if len(odd) == 1 and cells < expected and number == rows + 1:
-        return f"the last line is cut off ('{text[:40]}') and was left out"
+        said = f"the last line is cut off ('{text[:40]}') and was left out"
+        return Notice(Code.LINE_CUT_OFF, said)
     action = "Repair or remove these lines."
     if layout.delimiter == "," and cells > expected and is_numeric(text):
         action = "If the numbers are written with decimal commas, separate the cells by semicolons."

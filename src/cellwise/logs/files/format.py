@@ -17,6 +17,7 @@ from cellwise.errors import InputError
 from cellwise.logs.cell_log import CurrentMeaning
 from cellwise.logs.files.columns import MOST_LISTED, Channel, folded
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.notices import Code, Notice, Option
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
 Reader = Callable[[LogSource, "Format"], RawLog]
@@ -165,7 +166,7 @@ def _check_options(source: LogSource, known: Format) -> None:
 
 def chosen_battery(
     batteries: Mapping[int, str], live: Sequence[int], source: LogSource
-) -> tuple[int, list[str]]:
+) -> tuple[int, list[Notice]]:
     """Which battery of a file that holds several is read, and a notice of the others.
 
     Parameters
@@ -186,8 +187,11 @@ def chosen_battery(
             "Choose one of them with `instance=K`.",
         )
     chosen = next(iter(live or batteries)) if stated is None else stated
-    said = f"{len(batteries)} batteries ({named}); read number {chosen}; `instance=K` reads another"
-    return chosen, [said] if len(batteries) > 1 else []
+    if len(batteries) < 2:
+        return chosen, []
+    text = f"{len(batteries)} batteries ({named}); read number {chosen}; "
+    said = (text, Option("instance", letter="K"), " reads another")
+    return chosen, [Notice(Code.SEVERAL_BATTERIES, said)]
 
 
 def one_battery(raw: RawLog, source: LogSource, known: Format) -> RawLog:
@@ -208,11 +212,10 @@ def one_battery(raw: RawLog, source: LogSource, known: Format) -> RawLog:
     named = {k: f"{np.nanmedian(v):.1f} V" for k, v in each.items() if np.isfinite(v).any()}
     if len(named) < 2 and source.options.instance is None:
         return replace(raw, channels=channels)
-    noted = [n for n in raw.notices if not n.endswith("converted to instance")]
     live = [k for k in named if np.nanmedian(each[k]) > 0.0]
     chosen, notices = chosen_battery(named or {0: ""}, live, source)
     rows = {field: values[of == chosen] for field, values in channels.items()}
-    return replace(raw, channels=rows if named else channels, notices=(*notices, *noted))
+    return replace(raw, channels=rows if named else channels, notices=(*notices, *raw.notices))
 
 
 class SeveralLogsError(InputError):

@@ -17,6 +17,7 @@ from typing import IO, Literal, cast
 
 from cellwise.errors import InputError, MachineError
 from cellwise.logs.files.words import words_in
+from cellwise.notices import Notice
 from cellwise.typing import FloatArray
 
 # Called with the bytes (or columns) done and the number there are in all.
@@ -32,7 +33,6 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 FROM_FILE: Literal["auto"] = "auto"
-OF_PACK = "a pack of"  # begins the notice of a pack that was divided
 
 
 @dataclass(frozen=True)
@@ -185,12 +185,12 @@ class RawLog:
     """
 
     channels: dict[str, FloatArray]
-    notices: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     cells: int | None = None
     signed: bool = True
     form: str = ""
 
-    def noted(self, notices: Iterable[str]) -> RawLog:
+    def noted(self, notices: Iterable[Notice]) -> RawLog:
         """The same with more notices."""
         return replace(self, notices=(*self.notices, *notices))
 

@@ -25,6 +25,7 @@ from cellwise.logs.files.format import (
 from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.logs.files.times import epoch_unit, seconds_of
 from cellwise.logs.files.words import state_of
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray, NamedColumns
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def _no_numbers(column: Column, where: str, found: str) -> InputError:
 
 
 def column_values(
-    values: Any, column: Column, where: str, notices: list[str] | None = None
+    values: Any, column: Column, where: str, notices: list[Notice] | None = None
 ) -> FloatArray:
     """A column in its channel's own unit; times that are dates or durations in seconds.
 
@@ -208,7 +209,7 @@ def column_values(
             alone = notices is not None
             seconds, noted = seconds_of(found, column.name, where, alone=alone)
             if notices is not None and noted:
-                notices.append(noted)
+                notices.append(Notice(Code.TIME_PAST_MIDNIGHT, noted))
             return _converted(seconds, column)
         if column.field == "time_s" and pa.types.is_temporal(found.type):
             return unit.convert(_from_first(found))

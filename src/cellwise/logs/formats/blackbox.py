@@ -12,6 +12,7 @@ from cellwise.logs.files.format import Format, chosen_log, library_at_work, need
 from cellwise.logs.files.source import Limits, LogSource, RawLog
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
+from cellwise.notices import Code, Notice
 
 _HEADER = b"H Product:Blackbox flight data recorder"
 LOOK_FRAMES = 1000  # between two looks at the limits
@@ -42,7 +43,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
         except (TypeError, IndexError):  # as the library takes the end of the bytes
             if file.tell() < len(file):
                 raise
-            notices.append("the recording has no end: the power was cut, or the memory was full")
+            text = "the recording has no end: the power was cut, or the memory was full"
+            notices.append(Notice(Code.FILE_CUT_OFF, text))
     if not rows:
         raise InputError(
             f"no frame in {source.where}, session {session + 1}",

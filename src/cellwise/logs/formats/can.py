@@ -24,6 +24,7 @@ from cellwise.logs.formats.vehicle_signals import (
     cell_signals,
     choose_signals,
 )
+from cellwise.notices import Code, Notice
 
 
 def can_database(path: Path | None, of: str) -> Any:
@@ -205,7 +206,8 @@ def _read(source: LogSource, known: Format) -> RawLog:
                 "Choose another DBC file.",
             )
         if outside:
-            notices.append(f"{outside} value(s) of '{one.signal.name}' outside its range left out")
+            text = f"{outside} value(s) of '{one.signal.name}' outside its range left out"
+            notices.append(Notice(Code.SIGNAL_OUTSIDE, text))
         series[str(one.field)] = Series(times - start, values)
     channels, noted = aligned(series, source.where)
     return RawLog(channels, (*notices, *noted))

@@ -15,6 +15,7 @@ from cellwise.logs.files.header import header_cells
 from cellwise.logs.files.source import LogSource, RawLog, lines_of
 from cellwise.logs.files.times import epoch_unit, seconds_of, time_kind
 from cellwise.logs.files.words import PART, likeness, long_table
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 
@@ -80,10 +81,11 @@ def _read(source: LogSource, known: Format) -> RawLog:
     begun = np.logical_and.accumulate(np.any([np.isnan(x) for x in found.values()], axis=0))
     last_of &= ~begun  # before each entity has its first value
     found = {"time_s": times, **found}
-    notices.append("a long table: each value holds until the next of its entity")
+    text = "a long table: each value holds until the next of its entity"
+    notices.append(Notice(Code.LONG_TABLE, text))
     return RawLog(
         {field: values[last_of] for field, values in found.items()},
-        tuple(n for n in notices if not n.startswith("column(s) not used")),
+        tuple(n for n in notices if n.code is not Code.COLUMN_UNUSED),
         signed=says_its_sign(columns),
     )
 

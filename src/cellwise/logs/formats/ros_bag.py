@@ -20,6 +20,7 @@ from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
+from cellwise.notices import Notice
 from cellwise.typing import FloatArray
 
 MCAP_MAGIC, SQLITE_MAGIC, BAG_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"
@@ -78,7 +79,7 @@ def is_bag(source: LogSource) -> bool:
     return source.head.startswith((MCAP_MAGIC, BAG_MAGIC))
 
 
-def _choose(topics: dict[str, Any], source: LogSource) -> tuple[str, list[str]]:
+def _choose(topics: dict[str, Any], source: LogSource) -> tuple[str, list[Notice]]:
     """The battery that was asked for, else the first that was measured."""
     names = dict(enumerate(topics))
     live = [k for k, n in names.items() if all(map(_known, map(topics[n][0].get, FIELDS[:2])))]

@@ -24,6 +24,7 @@ from cellwise.logs.files.header import header_cells
 from cellwise.logs.files.source import NOTHING_SAID, LogSource, RawLog, lines_of
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
+from cellwise.notices import Code, Notice
 
 # Basytec: lines with a tilde before the rows, cells between tabs or blanks.
 
@@ -169,7 +170,8 @@ def _read_neware(source: LogSource, known: Format) -> RawLog:
         frame: Any = fastnda.read(path)
         arrays = {name: frame[name].to_numpy() for name in frame.columns}
     raw = channels_of(arrays, source, known)
-    return raw.noted(str(warning.message).split(" If you can")[0] for warning in caught)
+    said = (str(warning.message).split(" If you can")[0] for warning in caught)
+    return raw.noted(Notice(Code.LIBRARY_WARNING, text) for text in said)
 
 
 NEWARE_STORED = mapped("neware-nda", matches=_is_neware, read=_read_neware, isolated=True)

@@ -20,6 +20,7 @@ from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 from cellwise.logs.formats.vehicle_signals import Series, Signal, aligned, choose_signals
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -60,9 +61,11 @@ def _read_ulog(source: LogSource, known: Format) -> RawLog:
     arrays["timestamp"] = arrays["timestamp"] - start
     raw = channels_of(arrays, source, known, _cells(data))
     if watched.ended_within:
-        notices.append("the ULog is cut off; it was read as far as it goes")
+        text = "the ULog is cut off; it was read as far as it goes"
+        notices.append(Notice(Code.FILE_CUT_OFF, text))
     if log.file_corruption:
-        notices.append("the ULog is damaged in places; what could not be read was passed over")
+        text = "the ULog is damaged in places; what could not be read was passed over"
+        notices.append(Notice(Code.FILE_DAMAGED, text))
     return RawLog(_measured(raw.channels), (*raw.notices, *notices), raw.cells)
 
 
@@ -159,7 +162,8 @@ def _read_dataflash(source: LogSource, known: Format) -> RawLog:
     raw = channels_of(arrays, source, known)
     notices = [*raw.notices, *notices]
     if not whole:
-        notices.append("the dataflash log is cut off; it was read as far as it goes")
+        said = "the dataflash log is cut off; it was read as far as it goes"
+        notices.append(Notice(Code.FILE_CUT_OFF, said))
     channels = _measured(raw.channels)
     channels["time_s"] = channels["time_s"] - channels["time_s"][0]
     return RawLog(channels, tuple(notices))

@@ -25,6 +25,7 @@ from cellwise.logs.files.columns import (
 )
 from cellwise.logs.files.words import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 SIGNAL_UNITS = {
@@ -69,7 +70,7 @@ class Chosen(NamedTuple):
 
 def choose_signals(
     signals: Sequence[Signal], stated: Mapping[str, str], where: str
-) -> tuple[list[Chosen], list[str]]:
+) -> tuple[list[Chosen], list[Notice]]:
     """Find current, voltage and, where they are clear, temperature and counter.
 
     Parameters
@@ -81,14 +82,14 @@ def choose_signals(
     Returns
     -------
     chosen : list of Chosen
-    notices : list of str
+    notices : list of Notice
 
     Raises
     ------
     InputError              no such signal, none of that unit, or several that it could be
     """
     chosen = [_stated(tidy, name, signals, where) for tidy, name in stated.items()]
-    notices: list[str] = []
+    notices: list[Notice] = []
     fields = {c.field for c in chosen}
     for field, units in SIGNAL_UNITS.items():
         if field in fields:
@@ -98,7 +99,8 @@ def choose_signals(
             signal = found[0]
             chosen.append(Chosen(field, signal, units[_unit(signal, field)]))
             unit = signal.unit or "no unit"
-            notices.append(f"signal '{signal.name}' ({unit}) was taken for {field}")
+            text = f"signal '{signal.name}' ({unit}) was taken for {field}"
+            notices.append(Notice(Code.SIGNAL_CHOSEN, text))
         elif field in REQUIRED:
             raise _unclear(field, found, signals, where)
     return chosen, notices
@@ -194,7 +196,7 @@ def _unclear(
             f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
             "one",
             f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
-            [{tidy_of(field, f"({_unit(s, field)})"): s.name} for s in found],
+            proposals=[{tidy_of(field, f"({_unit(s, field)})"): s.name} for s in found],
         )
     names = [s.name + (f" [{s.unit}]" if s.unit else "") for s in signals]
     return InputError(
@@ -214,7 +216,7 @@ class Series(NamedTuple):
     values: FloatArray
 
 
-def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatArray], list[str]]:
+def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatArray], list[Notice]]:
     """Rows at the stamps of the voltage, with what the other channels were then.
 
     A current that is sampled faster than the voltage becomes its mean over the interval that ends
@@ -257,12 +259,12 @@ def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatAr
     notices = []
     if not np.array_equal(voltage.time_s, current.time_s):
         how = "averaged" if per_row > FASTER else "interpolated"
-        notices.append(
-            f"voltage and current are sampled apart: the current was {how} to the voltage's rows"
-        )
+        text = f"voltage and current are sampled apart: the current was {how} to the voltage's rows"
+        notices.append(Notice(Code.SAMPLED_APART, text))
     lost = voltage.time_s.size - time.size
     if lost:
-        notices.append(f"{lost} row(s) before the first or after the last current left out")
+        text = f"{lost} row(s) before the first or after the last current left out"
+        notices.append(Notice(Code.ROWS_WITHOUT_CURRENT, text))
     return channels, notices
 
 

@@ -16,6 +16,7 @@ from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import TIDY_CHANNELS, listed
 from cellwise.logs.files.format import Format, detect_format, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
+from cellwise.notices import Code, Notice
 
 _INSIDE_XLSX = (b"xl/", b"[Content_Types].xml")
 _LEAST_ROWS = 2
@@ -54,7 +55,8 @@ def _reader(formats: Sequence[Format]) -> Callable[[LogSource, Format], RawLog]:
                 refusals.append((len(rows), refusal))
                 continue
             others = [other for other in tables if other != name]
-            said = [f"sheet '{name}' was read, not {listed(others)}"] if others else []
+            text = f"sheet '{name}' was read, not {listed(others)}"
+            said = [Notice(Code.SHEET_CHOSEN, text)] if others else []
             return replace(raw.noted(said), form=form.name)
         names = listed(list(tables)) or "none with rows"
         missing = [one for one in refusals if isinstance(one[1], MissingColumnsError)]

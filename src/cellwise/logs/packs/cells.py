@@ -13,7 +13,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
-from cellwise.logs.files.source import FROM_FILE, OF_PACK, RawLog, ReadOptions
+from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
+from cellwise.notices import Code, Notice, Option
 from cellwise.typing import BoolArray, FloatArray
 
 Kind = Literal["cell", "balancing", "temperature"]
@@ -146,6 +147,21 @@ class CellFlag:
     cell: str
     kind: FlagKind
     text: str
+    rows: range | None = None
+
+    @property
+    def notice(self) -> Notice:
+        """The same among the notices of a log."""
+        return Notice(OF_FLAG[self.kind], self.text, rows=self.rows)
+
+
+OF_FLAG: dict[FlagKind, Code] = {
+    "missing": Code.CELL_MISSING,
+    "dead": Code.CELL_DEAD,
+    "frozen": Code.CELL_FROZEN,
+    "balancing": Code.CELL_BALANCING,
+    "count": Code.CELLS_UNCOUNTED,
+}
 
 
 def checked_cells(
@@ -270,7 +286,7 @@ def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
             yield CellFlag(name, "dead", text)
         elif np.count_nonzero(most[last:]) >= BELIEVED.rows:
             text = f"{name} {what} from row {last + 1} on: earlier rows are used alone"
-            yield CellFlag(name, "dead", text)
+            yield CellFlag(name, "dead", text, range(last, len(volts)))
         else:
             count = np.count_nonzero(bad)
             text = f"{name} has {count} row(s) without a possible voltage, which are left out"
@@ -334,13 +350,12 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
         series = raw.cells
     notices = list(raw.notices)
     if raw.cells is not None and raw.cells > 1 and options.series == 1:
-        notices.append(
-            f"the file states {raw.cells} cells in series: `series='auto'` reads their mean cell"
-        )
+        text = f"the file states {raw.cells} cells in series: "
+        said = (text, Option("series", "auto"), " reads their mean cell")
+        notices.append(Notice(Code.CELLS_NOT_DIVIDED, said))
     elif raw.cells is not None and raw.cells != series:
-        notices.append(
-            f"the file states {raw.cells} cells in series, {series} were stated by the user"
-        )
+        text = f"the file states {raw.cells} cells in series, {series} were stated by the user"
+        notices.append(Notice(Code.CELLS_DISAGREE, text))
     channels = dict(raw.channels)
     if series > 1:
         channels["voltage_V"] = channels["voltage_V"] / series
@@ -349,7 +364,8 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
             if field in channels:
                 channels[field] = channels[field] / options.parallel
     if series > 1 or options.parallel > 1:
-        notices.append(
-            f"{OF_PACK} {series} in series, {options.parallel} in parallel, read as its mean cell"
+        text = (
+            f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
         )
+        notices.append(Notice(Code.PACK_DIVIDED, text))
     return replace(raw, channels=channels, notices=tuple(notices))

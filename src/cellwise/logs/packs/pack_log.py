@@ -29,6 +29,7 @@ from cellwise.logs.packs.cells import (
     mean_voltage_V,
     to_cell,
 )
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -77,9 +78,9 @@ class PackLog:
         return len(self.names)
 
     @property
-    def notices(self) -> tuple[str, ...]:
+    def notices(self) -> tuple[Notice, ...]:
         """What a person should know: of the cells first, then of reading the log."""
-        return (*dict.fromkeys(flag.text for flag in self.flags), *self.mean.notices)
+        return (*dict.fromkeys(flag.notice for flag in self.flags), *self.mean.notices)
 
     @property
     def difference_V(self) -> FloatArray:
@@ -227,7 +228,8 @@ def pack_of(
     unsaid = [k for k, c in enumerate(cells) if not c.stated]
     if unsaid and np.nanmedian(np.abs(volts[:, unsaid])) > BELIEVED.millivolts:
         volts[:, unsaid] /= 1e3
-        raw = raw.noted(["the cells' voltages, whose names state no unit, are in millivolts"])
+        text = "the cells' voltages, whose names state no unit, are in millivolts"
+        raw = raw.noted([Notice(Code.CELLS_CONVERTED, text)])
     balancing = None
     if bypasses := {c.number: found[c.field] > 0.0 for c in of_kind("balancing")}:
         never = np.zeros(len(volts), dtype=np.bool_)
@@ -239,7 +241,8 @@ def pack_of(
     if warm := [found[c.field] for c in of_kind("temperature")]:
         mean.setdefault("temperature_C", mean_of_known(np.stack(warm, axis=1)))
     # A conversion of each cell's column is not news.
-    notices = [n for n in raw.notices if not any(f"'{c.name}' was converted" in n for c in cells)]
+    of_cell = {c.name for c in cells}
+    notices = [n for n in raw.notices if n.column not in of_cell]
     of_cells = replace(raw, channels=mean, notices=tuple(notices), cells=None)
     one = to_cell(of_cells, replace(source.options, series=1), source.where)
     log = assemble(one, known, source.path, name, sign, check_sign=check_sign)

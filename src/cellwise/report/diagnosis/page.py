@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Code
 from cellwise.report.diagnosis.pictures import before_after_plot, residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
@@ -36,6 +37,7 @@ from cellwise.report.page.markup import (
     clock_of,
     details,
     escape,
+    linked,
     linked_among,
     paragraph,
     record_table,
@@ -121,9 +123,9 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
     """Key figures."""
     facts: list[tuple[object, object]] = []
     if (judged := judged_run(diagnosis)) is not None:
-        facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.metrics.rmse_V)))
+        facts.append((f"RMSE on {named_log(judged)}", millivolt(judged.before.rmse_V)))
         if diagnosis.causes:
-            facts.append(("with the extended model", millivolt(judged.after.metrics.rmse_V)))
+            facts.append(("with the extended model", millivolt(judged.after.rmse_V)))
         if corrected := corrected_mV(judged):
             facts.append(("and with the log corrected", corrected))
     gain = diagnosis.soc_gain
@@ -137,10 +139,10 @@ def diagnosis_tiles(diagnosis: Diagnosis) -> Markup:
 def alerts(diagnosis: Diagnosis) -> list[Markup]:
     """What sensors did wrong and where the model was not measured, with links to where."""
     logs = [run.log for run in diagnosis.runs]
-    faults = (t for c in diagnosis.causes if c.name == "sensor_fault" for t in c.evidence)
-    far_off = {run.before.far_off for run in diagnosis.runs}
-    worst_first = sorted(diagnosis.notices, key=lambda text: text not in far_off)
-    return [linked_among(text, logs) for text in (*faults, *worst_first)]
+    shown = {log.name: log for log in logs}
+    faults = [linked(f.notice(), f.log, shown.get(f.log.name)) for f in diagnosis.faults]
+    worst_first = sorted(diagnosis.notices, key=lambda n: n.code is not Code.FAR_OFF)
+    return [*faults, *(linked_among(n, logs) for n in worst_first)]
 
 
 def lead_lines(diagnosis: Diagnosis) -> list[str]:
@@ -215,7 +217,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
 
     def own_start(run: LogRun) -> str:
         own = run.own_start
-        return f"{millivolt(own.metrics.rmse_V)} from {own.soc0:.3f}" if own else ""
+        return f"{millivolt(own.rmse_V)} from {own.soc0:.3f}" if own else ""
 
     caption = (
         "What a simulation shows with either model: all rows of every log, from this initial SOC."
@@ -228,7 +230,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
             "model finds another one."
         )
     after: list[tuple[object, Callable[[LogRun], object]]] = [
-        ("extended model", lambda r: millivolt(r.after.metrics.rmse_V)),
+        ("extended model", lambda r: millivolt(r.after.rmse_V)),
         ("log corrected, too", corrected_mV),
         ("its own start", own_start),
         ("less by", lambda r: percent(r.gain, 0)),
@@ -239,7 +241,7 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
         ("used", lambda r: "held out" if r.used == "holdout" else "fitted"),
         ("rows", lambda r: counted(len(r.log))),
         ("initial SOC", lambda r: f"{r.before.soc0:.3f}"),
-        ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.metrics.rmse_V)),
+        ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.rmse_V)),
         *(after if explained else ()),
         caption=caption,
         text_columns=(0, 1),

@@ -24,7 +24,7 @@ BEFORE_AFTER_CAPTION = (
 
 def before_after_plot(run: LogRun, explained: bool, key: str) -> Plot:
     """Voltage and residual of a log before and after."""
-    size = millivolt(run.before.metrics.rmse_V)
+    size = millivolt(run.before.rmse_V)
     title = f"{named_log(run)}: " + (f"error {change(run)}" if explained else f"{size} RMSE")
     before = as_model(run.before, "before" if explained else "simulated")
     if not explained:
@@ -33,7 +33,7 @@ def before_after_plot(run: LogRun, explained: bool, key: str) -> Plot:
     after = run.explained
     moved = run.log.voltage_V - after.log.voltage_V
     name = "after, log corrected" if corrected_mV(run) else "after"
-    models = [before, (name, after.voltage_V + moved, after.error_V)]
+    models = [before, (name, after.voltage_V + moved, after.residual_V)]
     return simulation_plot(key, title, run.log, models, caption=BEFORE_AFTER_CAPTION)
 
 

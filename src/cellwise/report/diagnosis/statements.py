@@ -58,7 +58,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         return f"{advice(diagnosis)}: {'; '.join(said)}{but}."
     error = ""
     if judged is not None:
-        error = f"{millivolt(judged.before.metrics.rmse_V)} RMSE on {named_log(judged)}"
+        error = f"{millivolt(judged.before.rmse_V)} RMSE on {named_log(judged)}"
     if diagnosis.verdict == "none":
         return f"Keep the model: no error beyond the stated one{'; ' * bool(error)}{error}."
     if diagnosis.verdict == "unexplained":
@@ -173,12 +173,12 @@ def named_log(run: LogRun) -> str:
 
 def change(run: LogRun) -> str:
     """What `simulate` shows with both models; where the log is corrected, that beside it."""
-    before, after = run.before.metrics.rmse_V, run.after.metrics.rmse_V
+    before, after = run.before.rmse_V, run.after.rmse_V
     corrected = corrected_mV(run)
     if not corrected:
         return change_of(before, after)
     if math.isclose(before, after, rel_tol=1e-6):
-        return f"{change_of(before, run.explained.metrics.rmse_V)}{CORRECTED}"
+        return f"{change_of(before, run.explained.rmse_V)}{CORRECTED}"
     return f"{change_of(before, after)}, {corrected}{CORRECTED}, too"
 
 
@@ -186,8 +186,8 @@ def corrected_mV(run: LogRun) -> str:
     """The RMSE of the corrected log; empty where it shows no other figure than the log itself."""
     if run.corrected is None:
         return ""
-    shown = millivolt(run.corrected.metrics.rmse_V)
-    return "" if shown == millivolt(run.after.metrics.rmse_V) else shown
+    shown = millivolt(run.corrected.rmse_V)
+    return "" if shown == millivolt(run.after.rmse_V) else shown
 
 
 def change_of(before_V: float, after_V: float) -> str:

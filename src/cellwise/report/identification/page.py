@@ -76,7 +76,7 @@ def identify_finding(identification: Identification) -> str:
         text = f"{significant(model.capacity_Ah)} ± {band}{SPACE}Ah"
     text += f": {error} RMSE on its own {fitted_logs(identification)}"
     if unseen := unseen_drives(identification):
-        worst = float(np.max([s.metrics.rmse_V for s in unseen]))
+        worst = float(np.max([s.rmse_V for s in unseen]))
         one = len(unseen) == 1
         where = unseen[0].log.name or "a log" if one else plural(len(unseen), "log")
         text += f", {'' if one else 'at most '}{millivolt(worst)} on {where} outside the fit"
@@ -169,7 +169,7 @@ def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
     found = record_table(
         logs,
         ("log", lambda own: clock_of(own.simulation.log)),
-        ("RMSE", lambda own: millivolt(own.simulation.metrics.rmse_V)),
+        ("RMSE", lambda own: millivolt(own.simulation.rmse_V)),
         ("above 10 % SOC", lambda own: _volt(own.simulation.rmse_above_10pct_V)),
         ("discharge", lambda own: _volt(own.sides_V.get("discharge"))),
         ("charge", lambda own: _volt(own.sides_V.get("charge"))),

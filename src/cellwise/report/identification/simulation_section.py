@@ -50,7 +50,7 @@ def simulation_blocks(
     simulations: Sequence[Simulation], prefix: str = "simulation"
 ) -> tuple[Block, ...]:
     """Figures of every log, links to their worst minutes, then plots of those with most error."""
-    order = sorted(simulations, key=lambda s: -np.nan_to_num(s.metrics.rmse_V))
+    order = sorted(simulations, key=lambda s: -np.nan_to_num(s.rmse_V))
     worst = {id(s) for s in order[: MOST.simulations]}
     shown = [(k, s) for k, s in enumerate(simulations, start=1) if id(s) in worst]
     plots = [_plot(s, f"{prefix}-{k}-{safe_key(clock_of(s.log))}") for k, s in shown]
@@ -73,7 +73,7 @@ def _table(simulations: Sequence[Simulation]) -> Markup:
         simulations,
         ("log", lambda s: clock_of(s.log)),
         ("rows", lambda s: counted(s.metrics.samples)),
-        ("RMSE", lambda s: millivolt(s.metrics.rmse_V)),
+        ("RMSE", lambda s: millivolt(s.rmse_V)),
         ("above 10 % SOC", lambda s: millivolt(s.rmse_above_10pct_V)),
         ("MAE", lambda s: millivolt(s.metrics.mae_V)),
         ("max", lambda s: millivolt(s.metrics.max_error_V)),
@@ -85,8 +85,8 @@ def _table(simulations: Sequence[Simulation]) -> Markup:
 
 
 def _plot(simulation: Simulation, key: str) -> Plot:
-    log, error = simulation.log, simulation.error_V
-    size, high = millivolt(simulation.metrics.rmse_V), millivolt(simulation.rmse_above_10pct_V)
+    log, error = simulation.log, simulation.residual_V
+    size, high = millivolt(simulation.rmse_V), millivolt(simulation.rmse_above_10pct_V)
     worst = int(np.argmax(np.where(np.isfinite(error), np.abs(error), -1.0)))
     title = (
         f"{clock_of(log)}: {size} RMSE over {duration(log.duration_s)} ({high} above 10 % SOC), "
@@ -99,8 +99,8 @@ def _worst_minutes(simulations: Sequence[Simulation]) -> Markup:
     """Links to where the model is worst above 10 % SOC."""
     said = []
     for s in simulations:
-        part = worst_part(s.log, s.error_V, s.soc > LOW_SOC)
-        size = millivolt(error_metrics(s.error_V[part]).rmse_V)
+        part = worst_part(s.log, s.residual_V, s.soc > LOW_SOC)
+        size = millivolt(error_metrics(s.residual_V[part]).rmse_V)
         length = duration(float(s.log.time_s[part][-1] - s.log.time_s[part][0]))
         where = percent(float(np.mean(s.soc[part])), 0)
         said.append(jump(f"{length} of {clock_of(s.log)} at {where} SOC, {size}", s.log, part))
@@ -119,7 +119,7 @@ def _first_explained(pictures: Sequence[Picture]) -> list[Picture]:
 def error_by_soc_picture(simulation: Simulation) -> style.Figure:
     """Mean error and the interval of 95 % in every tenth of SOC."""
     figure, axes = style.new_axes(2.3)
-    bands = [b for b in simulation.bands if np.isfinite(b.metrics.rmse_V)]
+    bands = [b for b in simulation.bands if np.isfinite(b.rmse_V)]
     title = clock_of(simulation.log)
     if bands:
         centre = np.array([50.0 * (b.soc_low + b.soc_high) for b in bands])
@@ -127,9 +127,9 @@ def error_by_soc_picture(simulation: Simulation) -> style.Figure:
         mean = np.array([1e3 * b.metrics.mean_error_V for b in bands])
         axes.bar(centre, high - low, 8.6, bottom=low, color=style.MODEL, alpha=0.25)
         axes.hlines(mean, centre - 4.3, centre + 4.3, color=style.MODEL, linewidth=1.8)
-        worst = max(bands, key=lambda b: b.metrics.rmse_V)
+        worst = max(bands, key=lambda b: b.rmse_V)
         where = f"{100 * worst.soc_low:.0f}–{percent(worst.soc_high, 0)} SOC"
-        title += f": {millivolt(worst.metrics.rmse_V)} RMSE at {where}"
+        title += f": {millivolt(worst.rmse_V)} RMSE at {where}"
     style.finding(axes, title)
     style.zero_line(axes)
     style.soc_axis(axes, "error [mV]")

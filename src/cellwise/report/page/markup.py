@@ -5,13 +5,13 @@ from __future__ import annotations
 import html
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice, Option, Place, in_python
 from cellwise.report.page.numerals import NONE
 
 T = TypeVar("T")
@@ -171,44 +171,44 @@ def finite(value: Any) -> Any:
     return number if math.isfinite(number) else None
 
 
-# "row 12", "rows 12 to 40", "rows between 12 and 40", counted from 1; "at 812 s", "from 8.5 s on",
-# and hours from the first row, where an error is largest.
-PLACES = re.compile(
-    r"\brows? (?P<first>\d+)(?: to (?P<last>\d+))?"
-    r"|\brows between (?P<low>\d+) and (?P<high>\d+)"
-    r"|\b(?:at|from) (?P<second>\d+(?:\.\d+)?) s\b"
-    r"|(?<=\d )after (?P<hours>\d+\.\d\d) h\b"
-)
-
-
 def clock_of(log: CellLog) -> str:
     """What the plots of a log share, so that a time in one of them is a time in all."""
     return log.name or "log"
 
 
-def linked(notice: str, log: CellLog) -> Markup:
-    """A notice about a log; the rows and times in it are links that show them in its plots.
+def linked(notice: Notice, log: CellLog, shown: CellLog | None = None) -> Markup:
+    """A notice about a log; the rows that it names are links that show them in its plots.
 
     Parameters
     ----------
-    notice : str        rows counted from 1, times in the log's own seconds
-    log : CellLog       whose rows they are
+    notice : Notice
+    log : CellLog            whose rows they are
+    shown : CellLog or None  the part of it that is drawn; None: all of it
 
     Returns
     -------
     Markup        the text, escaped; without links where it names no row that the log has
     """
-    parts: list[str] = []
-    done = 0
-    for found in PLACES.finditer(notice):
-        seconds = _seconds(found, log)
-        if seconds is None:
-            continue
-        parts.append(escape(notice[done : found.start()]))
-        low, high = (f"{s - log.time_s[0]:.10g}" for s in seconds)
-        parts.append(_jump(found[0], log, low, high))
-        done = found.end()
-    return Markup("".join([*parts, escape(notice[done:])]))
+    named = any(isinstance(piece, Place) for piece in notice.pieces)
+    parts = [escape(notice.before)]
+    for piece in notice.pieces:
+        if isinstance(piece, Place):
+            parts.append(_link(piece.words, log, piece.rows, shown or log))
+        else:
+            parts.append(escape(in_python(piece) if isinstance(piece, Option) else piece))
+    if notice.rows is not None and not named:
+        parts += [Markup(" "), _link("show", log, notice.rows, shown or log)]
+    return Markup("".join(parts))
+
+
+def _link(text: str, log: CellLog, rows: range, shown: CellLog) -> Markup:
+    """A link, or the text alone where those rows are not drawn."""
+    if not 0 <= rows.start < rows.stop <= len(log):
+        return escape(text) if text != "show" else EMPTY
+    ends = log.time_s[rows.start], log.time_s[rows.stop - 1]
+    if ends[0] < shown.time_s[0] or ends[1] > shown.time_s[-1]:
+        return escape(text) if text != "show" else EMPTY
+    return _jump(text, shown, *(f"{s - shown.time_s[0]:.10g}" for s in ends))
 
 
 def jump(text: str, log: CellLog, rows: slice) -> Markup:
@@ -224,28 +224,7 @@ def _jump(text: str, log: CellLog, low: str, high: str) -> Markup:
     )
 
 
-def linked_among(notice: str, logs: Iterable[CellLog]) -> Markup:
-    """A notice that begins with the name of one of several logs, or has it in quotes."""
-    for log in logs:
-        if log.name and (notice.startswith(f"{log.name}: ") or f"'{log.name}'" in notice):
-            return linked(notice, log)
-    return escape(notice)
-
-
-def _seconds(found: re.Match[str], log: CellLog) -> tuple[float, float] | None:
-    """First and last time that a place names, none where the log has no such row."""
-    if found["second"]:
-        second = float(found["second"])
-        return (second, second) if log.time_s[0] <= second <= log.time_s[-1] else None
-    if found["hours"]:  # to a hundredth
-        middle = float(log.time_s[0]) + 3600.0 * float(found["hours"])
-        low, high = (
-            max(middle - 18.0, float(log.time_s[0])),
-            min(middle + 18.0, float(log.time_s[-1])),
-        )
-        return (low, high) if low <= high else None
-    first = int(found["first"] or found["low"])
-    last = int(found["last"] or found["high"] or first)
-    if not 1 <= first <= last <= len(log):
-        return None
-    return float(log.time_s[first - 1]), float(log.time_s[last - 1])
+def linked_among(notice: Notice, logs: Iterable[CellLog]) -> Markup:
+    """A notice that begins with the name of one of several logs, with links to its rows."""
+    own = next((log for log in logs if log.name and log.name == notice.log), None)
+    return escape(notice.text) if own is None else linked(notice, own)

@@ -95,7 +95,7 @@ def simulation_plot(
 
 def as_model(simulation: Simulation, name: str = "simulated") -> tuple[str, FloatArray, FloatArray]:
     """A simulation as `simulation_plot` takes it."""
-    return name, simulation.voltage_V, simulation.error_V
+    return name, simulation.voltage_V, simulation.residual_V
 
 
 def robust_limits(values: FloatArray, share: float = 99.5) -> tuple[float, float] | None:

@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import OTHER
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight, Forecast
-from cellwise.logs.checks.grave import is_grave
 from cellwise.plotting import Line, Panel
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import (
@@ -286,11 +284,11 @@ def replay_page(
 
 def warning(replay: Replay) -> str | None:
     """What makes all else on the page useless, as its first line; None: nothing does."""
-    grave = next((n for n in replay.log.notices if is_grave(n)), None)
+    grave = next((n for n in replay.log.notices if n.is_grave), None)
     if grave is not None:
-        return f"{capitalised(grave)}."
-    far_off = replay.far_off
-    return far_off and f"{far_off.partition(f': {OTHER}')[0]}: neither SOC nor time can be used."
+        return f"{capitalised(grave.text)}."
+    far = replay.far_off
+    return None if far is None else f"{far.head}: neither SOC nor time can be used."
 
 
 def narrow_band(replay: Replay) -> str | None:
@@ -333,8 +331,8 @@ def noticed(
     Rows are links to where they are drawn.
     """
     runs: list[Replay | Simulation] = [*replays, *simulations]
-    read = {n for one in runs for n in one.log.notices if not is_grave(n)}
-    every = [(n, escape(n)) for f in flights for n in f.notices]
+    read = {n for one in runs for n in one.log.notices if not n.is_grave}
+    every = [(n, escape(n.text)) for f in flights for n in f.notices]
     every += [(n, linked(n, one.log)) for one in runs for n in one.notices]
     of_model, of_reading = ([m for n, m in every if (n in read) == side] for side in (False, True))
     return list(dict.fromkeys(of_model)), list(dict.fromkeys(of_reading))

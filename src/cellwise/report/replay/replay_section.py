@@ -93,9 +93,9 @@ def replay_plot(replay: Replay, key: str) -> Plot:
     band = 100.0 * np.clip(np.column_stack(list(ends)), 0.0, 1.0)
     soc = [Line(replay.estimator, t, 100.0 * trace.soc, band)]
     panels = []
-    if replay.reference_soc is not None and replay.soc_error is not None:
+    if replay.reference_soc is not None and replay.error is not None:
         soc.insert(0, Line("reference", t, 100.0 * replay.reference_soc))
-        error = 100.0 * replay.soc_error
+        error = 100.0 * replay.error
         panels.append(_within("SOC error [points]", t, error, 100.0 * trace.soc_std))
     panels.insert(0, Panel("SOC [%]", tuple(soc)))
     measured = Line("measured", t, log.voltage_V)
@@ -156,9 +156,9 @@ def comparison_plot(replays: Sequence[Replay], key: str) -> Plot:
     if replays[0].reference_soc is not None:
         soc.insert(0, Line("reference", t, 100.0 * replays[0].reference_soc))
     errors = [
-        Line(n, t, 100.0 * r.soc_error)
+        Line(n, t, 100.0 * r.error)
         for n, r in zip(names, replays, strict=True)
-        if r.soc_error is not None
+        if r.error is not None
     ]
     title = f"{clock_of(log)}, within 2 points: "
     title += "; ".join(f"{n} {_after(r)}" for n, r in zip(names, replays, strict=True))
@@ -282,7 +282,7 @@ def estimated_content(replay: Replay) -> Markup:
 
 def reached(replay: Replay) -> str:
     """How long the error took to come within two points and stay."""
-    if replay.soc_error is None:
+    if replay.error is None:
         return duration(None)
     if replay.convergence_s is None:
         return "never"

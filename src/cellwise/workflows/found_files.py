@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import re
-import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,30 +14,26 @@ from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
-from cellwise.logs.checks.sign import CONTRADICTED
+from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
-from cellwise.logs.reading import AS_MEAN_CELL
 from cellwise.logs.stated import SUFFIXES, in_order
+from cellwise.notices import Code, Option, coded, in_python
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash", "blackbox")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
 CAN_LOGS = (".blf", ".asc", ".log", ".trc", ".mf4")
-MISSING_COLUMNS = re.compile(r"; missing: (.+)$", re.DOTALL)  # of a table that was refused
 # A temperature in a name: _p25, _n10, -10degC.
 NAMED_C = re.compile(r"[_-]([pn])(\d\d)(?=[_.-]|$)|([-_]|_-)(\d{1,2}) ?deg", re.IGNORECASE)
-OTHER_SIGN = re.compile(CONTRADICTED + r".*`sign='([a-z-]+)'`", re.DOTALL)  # in a notice
 TESTS = ("hppc", "ocv", "capacity")
 # What else lies about, by how its name ends.
 OTHERS = {
     **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
-    ".jsonl": "samples of a stream: cellwise live --source json:FILE",
+    ".jsonl": "samples of a stream: cellwise live `source='json:FILE'`",
     ".json": "a model, a state or settings",
     **dict.fromkeys((".zip", ".7z", ".tar", ".rar", ".bz2", ".xz"), "an archive: unpack it"),
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg"), "a picture"),
 }
-PROPOSED = re.compile(r"Name the columns with `channels=\{(.+?)\}`")
-_PAIR = re.compile(r"'(\w+)': '([^']+)'")
 MOST_IN_FILE = 12  # logs of one file that are looked at one by one
 
 
@@ -62,7 +56,8 @@ class FoundFile:
     ``moved_Ah`` through one string of cells, ``whole_Ah`` by a discharge at one current,
     ``current_A``; ``highest_V`` of one cell; ``usual_C`` as measured, ``named_C`` a temperature
     that only the name states; ``other_sign`` what the current's sign would have to mean where the
-    voltage contradicts it; ``instance``: which of several logs in the file.
+    voltage contradicts it; ``instance``: which of several logs in the file; ``channels`` the names
+    under which an unread one reads.
     """
 
     path: Path
@@ -78,6 +73,7 @@ class FoundFile:
     named_C: float | None = None
     other_sign: str = ""
     instance: int | None = None
+    channels: tuple[tuple[str, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -92,10 +88,26 @@ class FoundFile:
         return f"{self.path}@{','.join(said)}" if said else str(self.path)
 
 
+class Looked(NamedTuple):
+    """The files of a folder, and the sign by which all of them were read."""
+
+    files: list[FoundFile]
+    sign: str
+
+
 def look_at(
-    folder: Path, arguments: argparse.Namespace, follow: Callable[..., None]
-) -> list[FoundFile]:
+    folder: Path,
+    sign: str = "auto",
+    nominal_Ah: float | None = None,
+    follow: Callable[..., object] = lambda *_: None,
+) -> Looked:
     """Every file of a folder, in the order of time; those of folders in it are left alone.
+
+    Parameters
+    ----------
+    sign : str          as of `read_log`; where ``auto`` contradicts all files alike, the other one
+    nominal_Ah : float or None    of the cell, by which tests are told apart
+    follow : callable   what is read, how many are, of how many
 
     Raises
     ------
@@ -112,26 +124,27 @@ def look_at(
         found = []
         for k, place in enumerate(places):
             follow(f"reading {place.name}", k, len(places))
-            found += _look_at_one(place, sign, arguments.nominal_ah, dbc)
+            found += _look_at_one(place, sign, nominal_Ah, dbc)
         return found
 
-    found = read_as(arguments.sign)
+    found = read_as(sign)
     others = {one.other_sign for one in found if one.other_sign}
-    if arguments.sign == "auto" and len(others) == 1:
-        again = read_as(sign := others.pop())
+    if sign == "auto" and len(others) == 1:
+        again = read_as(other := others.pop())
         if not any(one.other_sign for one in again):
-            arguments.sign, said = sign, f"; {sign}, by its voltage"
+            sign, said = other, f"; {other}, by its voltage"
             found = [
                 replace(now, why=now.why + said) if before.other_sign else now
                 for before, now in zip(found, again, strict=True)
             ]
     found = [_with_a_wrong_sign(one) if one.other_sign else one for one in found]
-    return [_end_of_test(one, found) for one in found]
+    return Looked([_end_of_test(one, found) for one in found], sign)
 
 
 def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
     """Of no use beside files whose sign is another's."""
-    why = f"the sign of the current looks wrong: read it by itself, with --sign {one.other_sign}"
+    why = "the sign of the current looks wrong: read it by itself, with "
+    why += in_python(Option("sign", one.other_sign))
     return replace(one, kind="unread", why=why)
 
 
@@ -165,7 +178,9 @@ def _look_at_one(
         each = (_look_at_one(place, sign, nominal_Ah, dbc, k) for k in several.numbers)
         return [one for found in each for one in found]
     except InputError as error:
-        return [FoundFile(place, "unread", _to_do(place, error), instance=nth)]
+        fitting = error.fitting if isinstance(error, MissingColumnsError) else {}
+        named = tuple(fitting.items())
+        return [FoundFile(place, "unread", _to_do(error), instance=nth, channels=named)]
     series = 1
     if log.typical_voltage_V > ONE_CELL.largest_V:
         series = cells_in_series(log, ONE_CELL.full_V)
@@ -173,16 +188,13 @@ def _look_at_one(
     return [replace(found, instance=nth)]
 
 
-def _to_do(place: Path, error: InputError) -> str:
+def _to_do(error: InputError) -> str:
     """What a file that was refused is, and the one thing to do about it."""
-    if proposed := PROPOSED.search(error.action):
-        named = [w for a, b in _PAIR.findall(proposed[1]) for w in ("--channel", f"{a}={b}")]
-        into = place.with_name(f"{place.name.partition('.')[0]}_tidy.csv")
-        what = ("cellwise", "convert", str(place), *named, "-o", str(into))
-        return f"a log under other names: {shlex.join(what)}"
-    lacks = MISSING_COLUMNS.search(error.found)
-    if lacks is not None and "," in lacks[1]:  # most columns: only what it lacks
-        return f"a table without {lacks[1]}: no log"
+    if isinstance(error, MissingColumnsError):
+        if error.fitting:
+            return "a log under other names"
+        if len(error.missing) > 1:  # most columns: only what it lacks
+            return f"a table without {', '.join(error.missing)}: no log"
     return f"{error.found}. {error.action}"
 
 
@@ -192,11 +204,11 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
     kind: str = "flight" if log.format in FLIGHTS else test.kind
     why = test.why if series == 1 else f"{series} cells in series; {test.why}"
     moved_Ah = float(np.ptp(log.counted_charge_Ah()))
-    mean = next((n for n in log.notices if AS_MEAN_CELL in n), None)
-    if mean is not None:  # what a test is called by its load says nothing of a day on the road
+    for mean in coded(log.notices, Code.PACK_AS_MEAN_CELL):
+        # What a test is called by its load says nothing of a day on the road.
         hours = log.duration_s / 3600.0
         kind = "pack"
-        why = f"{mean.partition(',')[0]}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
+        why = f"{mean.head}; {moved_Ah:.3g} Ah moved within {hours:.3g} h"
     return FoundFile(
         place,
         kind,
@@ -209,7 +221,7 @@ def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None)
         highest_V=float(np.nanmax(log.voltage_V)),
         usual_C=None if log.temperature_C is None else float(np.nanmedian(log.temperature_C)),
         named_C=_named_C(log),
-        other_sign=next((m[1] for n in log.notices if (m := OTHER_SIGN.search(n))), ""),
+        other_sign=next((str(n.value) for n in coded(log.notices, Code.SIGN_CONTRADICTED)), ""),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, field, fields, is_dataclass
+from difflib import get_close_matches
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cellwise.errors import InputError
@@ -35,7 +36,7 @@ def keyed(key: str) -> Any:
     return field(default=(), metadata={"key": key})
 
 
-def check_ranges(record: Any, where: str) -> None:
+def check_ranges(record: Any, where: str, action: str = "Correct it.") -> None:
     """Refuse a record with a number that is not finite, or beyond the range of its field.
 
     Raises
@@ -48,7 +49,7 @@ def check_ranges(record: Any, where: str) -> None:
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int | float):
                 text = f"{one.name} = {number:g} in {where}"
-                need(low <= number <= high, text, f"a number from {low:g} to {high:g}")
+                need(low <= number <= high, text, f"a number from {low:g} to {high:g}", action)
 
 
 def record(kind: type[R], table: Any, where: str, **given: Any) -> R:
@@ -63,11 +64,12 @@ def record(kind: type[R], table: Any, where: str, **given: Any) -> R:
     hints = get_type_hints(kind)
     known = {_key(f): f for f in fields(kind) if _key(f) and f.name not in given}  # type: ignore[arg-type]
     unknown = next((key for key in table if key not in known), None)
+    near = get_close_matches(unknown or "", known, n=1)
     need(
         unknown is None,
         f"key '{unknown}' in {where}",
         f"some of {', '.join(known)}",
-        "Correct its name.",
+        f"Did you mean '{near[0]}'?" if near else "Correct its name.",
     )
     for key, one in known.items():
         if key in table:

@@ -1,0 +1,198 @@
+/* Part of cellwise_ekf.c. What a step does to P, and to the state through it. Printed from src/cellwise/estimate by
+ * `python -m cellwise.printing`; do not edit. */
+#ifndef CELLWISE_COVARIANCE_H
+#define CELLWISE_COVARIANCE_H
+
+#include "cellwise_lookup.h"
+
+/* P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains. */
+typedef struct {
+    float variance;
+    float s;
+    float v1;
+    float v2;
+    float v3;
+    float h;
+} cellwise_column;
+
+/* A variance of SOC that is large changes by less than rounding keeps of it. */
+static void add_variance(cellwise_state *x, float value)
+{
+    add(&x->ss, &x->ss_carry, value);
+}
+
+/* Every entry in its range. A variance of SOC is never 0: that is memory that was cleared. */
+static bool covariance_is_sound(const cellwise_state *x)
+{
+    if (!POSITIVE_WITHIN(x->ss, VARIANCE_FLOOR, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s1, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s2, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->s3, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->sh, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p11, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p12, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p13, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p1h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p22, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p23, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p2h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->p33, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->p3h, LARGE)) { return false; }
+    if (!NOT_NEGATIVE(x->phh, LARGE)) { return false; }
+    return true;
+}
+
+/* Only the diagonal stays. */
+static void forget_correlations(cellwise_state *x)
+{
+    x->s1 = 0.0f;
+    x->s2 = 0.0f;
+    x->s3 = 0.0f;
+    x->sh = 0.0f;
+    x->p12 = 0.0f;
+    x->p13 = 0.0f;
+    x->p1h = 0.0f;
+    x->p23 = 0.0f;
+    x->p2h = 0.0f;
+    x->p3h = 0.0f;
+}
+
+/* SOC known with a variance, branches at rest, nothing known of hysteresis. */
+static void start_covariance(cellwise_state *x, float soc_variance)
+{
+    forget_correlations(x);
+    x->ss = soc_variance;
+    x->p11 = 0.0f;
+    x->p22 = 0.0f;
+    x->p33 = 0.0f;
+    x->phh = 1.0f;
+}
+
+/* The branches over one interval of constant current, exactly, and their covariance. A current that is not known to
+ * `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of the time step. What decays slowly
+ * is stated by how much it loses: 1 - 1e-5 as a float is off by 0.3 % of that. */
+static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2, float gain3, float flow,
+                  float square_A2)
+{
+    const float a1 = 1.0f - gain1;
+    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * flow) - x->v1_V));
+    x->s1 = x->s1 - (gain1 * x->s1);
+    x->p1h = x->p1h - (gain1 * x->p1h);
+    x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
+    const float a2 = 1.0f - gain2;
+    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * flow) - x->v2_V));
+    x->s2 = x->s2 - (gain2 * x->s2);
+    x->p2h = x->p2h - (gain2 * x->p2h);
+    x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));
+    const float a3 = 1.0f - gain3;
+    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * flow) - x->v3_V));
+    x->s3 = x->s3 - (gain3 * x->s3);
+    x->p3h = x->p3h - (gain3 * x->p3h);
+    x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (p->r3_ohm * p->r3_ohm)) - x->p33));
+    x->p12 = x->p12 - ((gain1 + (gain2 * a1)) * x->p12);
+    x->p13 = x->p13 - ((gain1 + (gain3 * a1)) * x->p13);
+    x->p23 = x->p23 - ((gain2 + (gain3 * a2)) * x->p23);
+}
+
+/* The row of h where a share of h is kept. */
+static void fade_hysteresis(cellwise_state *x, float keep)
+{
+    x->sh = keep * x->sh;
+    x->p1h = keep * x->p1h;
+    x->p2h = keep * x->p2h;
+    x->p3h = keep * x->p3h;
+    x->phh = (keep * keep) * x->phh;
+}
+
+/* Nothing is known of h. */
+static void forget_hysteresis(cellwise_state *x)
+{
+    x->sh = 0.0f;
+    x->p1h = 0.0f;
+    x->p2h = 0.0f;
+    x->p3h = 0.0f;
+    x->phh = 1.0f;
+}
+
+/* A SOC that is off drives the branches by the resistances' slopes. */
+static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float flow)
+{
+    const float f1 = (w->rise1 * p->gain1) * flow;
+    const float f2 = (w->rise2 * p->gain2) * flow;
+    const float f3 = (w->rise3 * p->gain3) * flow;
+    x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, x->s1, x->ss);
+    x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, x->s2, x->ss);
+    x->p13 = x->p13 + covariance_by_soc(f1, f3, x->s1, x->s3, x->ss);
+    x->p22 = x->p22 + covariance_by_soc(f2, f2, x->s2, x->s2, x->ss);
+    x->p23 = x->p23 + covariance_by_soc(f2, f3, x->s2, x->s3, x->ss);
+    x->p33 = x->p33 + covariance_by_soc(f3, f3, x->s3, x->s3, x->ss);
+    x->p1h = x->p1h + (f1 * x->sh);
+    x->s1 = x->s1 + (f1 * x->ss);
+    x->p2h = x->p2h + (f2 * x->sh);
+    x->s2 = x->s2 + (f2 * x->ss);
+    x->p3h = x->p3h + (f3 * x->sh);
+    x->s3 = x->s3 + (f3 * x->ss);
+}
+
+/* The column, and the innovation variance that the state explains. */
+static void column_of(const cellwise_state *x, const cellwise_point *p, float slope, cellwise_column *column)
+{
+    column->s = ((((slope * x->ss) - x->s1) - x->s2) - x->s3) + (p->m_V * x->sh);
+    column->v1 = ((((slope * x->s1) - x->p11) - x->p12) - x->p13) + (p->m_V * x->p1h);
+    column->v2 = ((((slope * x->s2) - x->p12) - x->p22) - x->p23) + (p->m_V * x->p2h);
+    column->v3 = ((((slope * x->s3) - x->p13) - x->p23) - x->p33) + (p->m_V * x->p3h);
+    column->h = ((((slope * x->sh) - x->p1h) - x->p2h) - x->p3h) + (p->m_V * x->phh);
+    column->variance = ((((slope * column->s) - column->v1) - column->v2) - column->v3) + (p->m_V * column->h);
+    column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
+}
+
+/* The same where the slow branch itself is measured. */
+static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
+{
+    column->variance = 0.0f;
+    column->s = x->s3;
+    column->v1 = x->p13;
+    column->v2 = x->p23;
+    column->v3 = x->p33;
+    column->h = x->p3h;
+    column->variance = x->p33;
+}
+
+/* State + K innovation. */
+static void move(cellwise_state *x, const cellwise_column *d, float inverse, float innovation)
+{
+    add(&x->soc, &x->soc_carry, (d->s * inverse) * innovation);
+    x->v1_V = x->v1_V + ((d->v1 * inverse) * innovation);
+    x->v2_V = x->v2_V + ((d->v2 * inverse) * innovation);
+    add(&x->v3_V, &x->v3_carry_V, (d->v3 * inverse) * innovation);
+    x->h = x->h + ((d->h * inverse) * innovation);
+    x->h = clip(x->h, -1.0f, 1.0f);
+}
+
+/* P - K d', row by row. */
+static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
+{
+    float k = d->s * inverse;
+    add_variance(x, -(k * d->s));
+    x->ss = clip(x->ss, VARIANCE_FLOOR, LARGE);
+    x->s1 = x->s1 - (k * d->v1);
+    x->s2 = x->s2 - (k * d->v2);
+    x->s3 = x->s3 - (k * d->v3);
+    x->sh = x->sh - (k * d->h);
+    k = d->v1 * inverse;
+    x->p11 = at_least(x->p11 - (k * d->v1), 0.0f);
+    x->p12 = x->p12 - (k * d->v2);
+    x->p13 = x->p13 - (k * d->v3);
+    x->p1h = x->p1h - (k * d->h);
+    k = d->v2 * inverse;
+    x->p22 = at_least(x->p22 - (k * d->v2), 0.0f);
+    x->p23 = x->p23 - (k * d->v3);
+    x->p2h = x->p2h - (k * d->h);
+    k = d->v3 * inverse;
+    x->p33 = at_least(x->p33 - (k * d->v3), 0.0f);
+    x->p3h = x->p3h - (k * d->h);
+    k = d->h * inverse;
+    x->phh = at_least(x->phh - (k * d->h), 0.0f);
+}
+
+#endif

@@ -1,0 +1,113 @@
+/* Part of cellwise_ekf.c. What the branches of a component hold of the load before its start. Printed from
+ * src/cellwise/estimate by `python -m cellwise.printing`; do not edit. */
+#ifndef CELLWISE_PAST_H
+#define CELLWISE_PAST_H
+
+#include "cellwise_components.h"
+
+/* What a load from full, or a charge from empty, has left in the slow branch at a SOC [V]. */
+static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place *place, float mean_A, float soc)
+{
+    float before = 0.0f;
+    const float size = at_least(magnitude(mean_A), m->constant.least_use_A);
+    const float steps = PAST_PART / (m->constant.soc_per_A * size);
+    float way = soc;
+    if (mean_A >= 0.0f) {
+        way = 1.0f - soc;
+    }
+    const uint32_t points = (uint32_t)((way / PAST_PART) + 0.5f);
+    for (uint32_t k = 0u; k < points; k++) {
+        const float moved = (float)(k + 1u) * PAST_PART;
+        float at = moved;
+        if (mean_A >= 0.0f) {
+            at = 1.0f - moved;
+        }
+        cellwise_point p;
+        look_up(m, place, at, mean_A, &p);
+        const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
+        before = before + (risen(steps * p.gain3) * (end - before));
+    }
+    return before;
+}
+
+/* A load under which a log begins was there before: what it has left in the slow branch. Half of that, and a
+ * twentieth of a rate, may be otherwise. It is knowledge of the start that comes late: the slow branch has been
+ * followed from nothing known. */
+static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float since, float mean_A)
+{
+    cellwise_place place;
+    place_now(m, a, &place);
+    cellwise_point p;
+    look_up(m, &place, a->soc, mean_A, &p);
+    const float before = left_by_load(m, &place, mean_A, a->soc);
+    const float gone = risen(since * p.gain3);
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, mean_A, before, m->constant.past_A, &past);
+    cellwise_column d;
+    column_of_slow_branch(a, &d);
+    const float variance = d.variance + past.variance_V2;
+    const float off = past.held_V - a->v3_V;
+    const float inverse = 1.0f / variance;
+    a->cost = a->cost + cost_of_past(off, variance);
+    move(a, &d, inverse, off);
+    narrow(a, &d, inverse);
+    hold_within(a);
+}
+
+/* A longer mean of the load says more of the past: what that moves in the slow branch. What has been taken for the
+ * branch's and was not is the SOC's, as far as they go together. */
+static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a, float since, float mean_A,
+                                      float before_A)
+{
+    cellwise_place place;
+    place_now(m, a, &place);
+    cellwise_point p;
+    look_up(m, &place, a->soc, mean_A, &p);
+    const float taken = left_by_load(m, &place, before_A, a->soc);
+    const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
+    const float gone = risen(since * p.gain3);
+    cellwise_past past;
+    past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
+    cellwise_column d;
+    column_of_slow_branch(a, &d);
+    move(a, &d, 1.0f / at_least(d.variance, past.variance_V2), (1.0f - gone) * more);
+}
+
+/* The mean of the load since a start under load, and what it says of the past, three times. */
+static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                      const cellwise_input *sample)
+{
+    const cellwise_constants *const c = &m->constant;
+    const uint32_t elapsed = sample->sequence - b->sequence;
+    b->sequence = sample->sequence;
+    if ((b->looks < LOOKS) && (elapsed == 1u)) {
+        b->since = b->since + 1u;
+        b->mean_A = b->mean_A + ((of[b->likeliest].current_A - b->mean_A) / (float)b->since);
+        if (b->since >= b->next_look) {
+            for (uint32_t k = 0u; k < count; k++) {
+                if (of[k + 1u].cost < LARGE) {
+                    if (b->looks == 0u) {
+                        know_past(m, &of[k + 1u], (float)b->since, b->mean_A);
+                    } else {
+                        know_past_better(m, &of[k + 1u], (float)b->since, b->mean_A, b->looked_A);
+                    }
+                }
+            }
+            b->looked_A = b->mean_A;
+            b->looks = b->looks + 1u;
+            b->next_look = b->next_look * LOOK_FACTOR;
+        }
+    } else if (elapsed > 1u) { /* nobody knows what flowed */
+        b->looks = LOOKS;
+    } else { /* as before */
+    }
+    if (b->looks == NEVER_LOOKED) {
+        b->looks = 0u;
+        b->next_look = c->look_steps;
+        if (SIZE_BELOW(of[b->likeliest].current_A, c->rest_A)) {
+            b->looks = LOOKS;
+        }
+    }
+}
+
+#endif

@@ -1,0 +1,175 @@
+/* Part of cellwise_ekf.c. What a sample means: numbers missing, currents and voltages that are invalid. Printed from
+ * src/cellwise/estimate by `python -m cellwise.printing`; do not edit. */
+#ifndef CELLWISE_SENSING_H
+#define CELLWISE_SENSING_H
+
+#include "cellwise_state.h"
+
+/* A sample as the filter takes it. `news` says whether it ends an interval, `missing` how many were left out,
+ * `silent` for how many steps there was no current that could be used. `current` is the one that is held, `seen`
+ * what the voltage has seen of it, `flow` what flows without the sensor's offset. */
+typedef struct {
+    uint32_t status;
+    uint32_t news;
+    uint32_t missing;
+    uint32_t silent;
+    float current;
+    float seen;
+    float flow;
+    float unmeasured_A2;
+    float temperature_C;
+} cellwise_reading;
+
+/* What an interval took: samples missing, and the current that bridges them. */
+typedef struct {
+    uint32_t status;
+    uint32_t missing;
+    float bridge;
+} cellwise_charge;
+
+/* CW-001, CW-004, CW-005. Sequence number, current and temperature of a sample; the status `before` with theirs. */
+static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_input *sample, uint32_t before,
+                cellwise_reading *reading)
+{
+    reading->status = before;
+    reading->news = NO_INTERVAL;
+    reading->missing = 0u;
+    reading->silent = 0u;
+    reading->current = sample->current_A;
+    reading->unmeasured_A2 = 0.0f;
+    /* The first sample ends no interval; a sequence number that was taken before ends none either. */
+    if (x->evidence != NOT_BEGUN) {
+        const uint32_t elapsed = sample->sequence - x->sequence;
+        if (elapsed == 0u) {
+            reading->news = REPEATED;
+            reading->status = reading->status | CELLWISE_DUPLICATE;
+        } else {
+            reading->news = INTERVAL;
+            reading->missing = elapsed - 1u;
+        }
+    }
+    if (!SIZE_WITHIN(reading->current, c->current_limit_A)) {
+        reading->status = (reading->status | CELLWISE_CURRENT_INVALID) | out_of_range(reading->current);
+        reading->silent = 1u;
+    }
+    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
+        reading->current = x->current_A;
+    }
+    if (!is_same(reading->current, x->current_A)) {
+        x->swings = 0.0f;
+    } else if (is_dead(x->swings)) {
+        reading->status = reading->status | CELLWISE_CURRENT_INVALID;
+        reading->silent = 1u;
+    } else { /* as before */
+    }
+    reading->temperature_C = 0.0f;
+    if (!WITHIN(sample->temperature_C, COLDEST_C, HOTTEST_C)) {
+        reading->status = reading->status | CELLWISE_TEMPERATURE_INVALID;
+    } else if (reading->news != REPEATED) {
+        x->temperature_C = sample->temperature_C;
+    } else { /* as before */
+    }
+    reading->temperature_C = x->temperature_C + x->heat_K;
+    reading->seen = reading->current;
+    if (reading->news == INTERVAL) {
+        reading->seen = reading->current + (c->skew_share * (x->current_A - reading->current));
+    }
+    reading->flow = reading->seen;
+    /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as much as half a rate
+     * may flow either way. */
+    if ((reading->silent != 0u) || (reading->news == REPEATED)) {
+        reading->silent = x->no_current;
+        if ((reading->news == INTERVAL) && (reading->silent < COUNT_MOST)) {
+            reading->silent = reading->silent + 1u;
+        }
+    }
+    if (reading->silent > c->hold_steps) {
+        reading->status = reading->status | CELLWISE_CURRENT_LOST;
+        reading->seen = 0.0f;
+        reading->flow = 0.0f;
+        reading->unmeasured_A2 = c->lost_A2;
+    }
+}
+
+/* CW-003. SOC over the interval that ends now: charge comes first, then the branches at the new SOC. */
+static void count_charge(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+                         cellwise_charge *charge)
+{
+    charge->status = s->status;
+    charge->missing = s->missing;
+    charge->bridge = 0.0f;
+    if (s->news == INTERVAL) {
+        float used = taken(c, x, s->flow);
+        if (charge->missing != 0u) {
+            charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
+            if (charge->missing <= c->gap_steps) {
+                charge->bridge = 0.5f * (s->current + x->current_A);
+                if (s->silent > c->hold_steps) {
+                    charge->bridge = 0.0f;
+                }
+                used = used + (taken(c, x, charge->bridge) * (float)charge->missing);
+            } else { /* nobody knows what flowed; self-discharge goes on */
+                charge->missing = (charge->missing < LONGEST_GAP) ? charge->missing : LONGEST_GAP;
+                if (x->in_bank == ALONE) {
+                    x->in_bank = UNCOUNTED;
+                }
+                const float lost = (c->leak_soc * (float)charge->missing) * x->per_capacity;
+                used = used + lost;
+            }
+        }
+        add(&x->soc, &x->soc_carry, -used);
+        if (s->unmeasured_A2 > 0.0f) {
+            x->ss = drifted_variance(x->ss, c->lost_soc);
+            if (x->in_bank == ALONE) {
+                x->in_bank = UNCOUNTED;
+            }
+        }
+    }
+}
+
+/* Current that the particles' surface follows: over missing samples what bridges them. */
+static void follow(const cellwise_constants *c, cellwise_state *x, const cellwise_reading *s,
+                   const cellwise_charge *charge)
+{
+    if (charge->missing != 0u) {
+        const float left = vanishing((float)charge->missing * c->surface_rate);
+        x->slow_A = charge->bridge + (left * (x->slow_A - charge->bridge));
+    }
+    if (s->news == INTERVAL) {
+        x->slow_A = x->slow_A + (c->surface_gain * (s->flow - x->slow_A));
+    }
+}
+
+/* What is stated of the SOC beside P's variance `known`; LARGE where it is no number. */
+static float variance_of(const cellwise_state *x, float known)
+{
+    const float stated = stated_variance(known, x->mismatch, x->persistent, x->contradicted);
+    return NOT_NEGATIVE(stated, LARGE) ? stated : LARGE;
+}
+
+/* CW-007. Hold SOC within its bounds, remember the sample: the status of the clamp. A variance that memory which
+ * lost a bit has driven below zero is none: this step knows nothing, and the next one re-initialises the state. */
+static uint32_t finish(cellwise_state *x, const cellwise_reading *s, uint32_t missing, uint32_t sequence,
+                       cellwise_output *out)
+{
+    uint32_t status = 0u;
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) {
+        x->soc = within_one(x->soc);
+        x->soc_carry = 0.0f;
+        status = CELLWISE_CLAMPED;
+    }
+    if (s->news != REPEATED) {
+        x->current_A = s->current;
+        x->sequence = sequence;
+        x->no_current = s->silent;
+        if ((s->news == INTERVAL) && ((x->evidence - FIRST_VOLTAGE) < EVIDENCE_MOST)) {
+            x->evidence = (x->evidence + 1u) + missing;
+        }
+    }
+    out->soc = x->soc;
+    out->soc_variance = NOT_NEGATIVE(x->ss, LARGE) ? x->ss : KNOW_NOTHING_VARIANCE;
+    out->soc_variance = variance_of(x, out->soc_variance);
+    return status;
+}
+
+#endif

@@ -1,0 +1,187 @@
+/* Part of cellwise_ekf.c. Whether a state is sound, where it starts, what an interval does to it. Printed from
+ * src/cellwise/estimate by `python -m cellwise.printing`; do not edit. */
+#ifndef CELLWISE_STATE_H
+#define CELLWISE_STATE_H
+
+#include "cellwise_covariance.h"
+
+/* CW-006. Every number in its range: memory that lost its content, or was never set, is noticed. */
+static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
+{
+    (void)c;
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) { return false; }
+    if (!SIZE_WITHIN(x->ss_carry, CARRY_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->soc_carry, CARRY_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->v3_carry_V, CARRY_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->v1_V, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->v2_V, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->v3_V, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->h, 1.0f)) { return false; }
+    if (!(SIZE_WITHIN(x->current_A, LARGE) && NOT_NEGATIVE(x->mismatch, LARGE))) { return false; }
+    if (!WITHIN(x->heat_K, -HEAT_MOST_K, HEAT_MOST_K)) { return false; }
+    if (!SIZE_WITHIN(x->slow_A, LARGE)) { return false; }
+    if (!WITHIN(x->temperature_C, COLDEST_C, HOTTEST_C)) { return false; }
+    if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
+    if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
+    if (!SIZE_WITHIN(x->swings, SWINGS_MOST)) { return false; }
+    if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) { return false; }
+    if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) { return false; }
+    if (!SIZE_WITHIN(x->mean_V, LARGE)) { return false; }
+    if (!(NOT_NEGATIVE(x->error_V2, LARGE) && (x->in_bank <= UNCOUNTED))) { return false; }
+    return covariance_is_sound(x);
+}
+
+uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float capacity_share, float resistance_scale)
+{
+    uint32_t status = CELLWISE_OUT_OF_RANGE;
+    const bool share = POSITIVE_WITHIN(capacity_share, LEAST_SHARE, MOST_SHARE);
+    const bool scale = POSITIVE_WITHIN(resistance_scale, LEAST_SCALE, MOST_SCALE);
+    if (share && scale && is_sound(&m->constant, x)) {
+        x->per_capacity = 1.0f / capacity_share;
+        x->resistance_scale = resistance_scale;
+        status = 0u;
+    }
+    return status;
+}
+
+/* A cell at rest; its branches are guessed at the first sample. */
+static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float soc, float soc_variance)
+{
+    x->soc = soc;
+    x->v1_V = 0.0f;
+    x->v2_V = 0.0f;
+    x->v3_V = 0.0f;
+    x->soc_carry = 0.0f;
+    x->v3_carry_V = 0.0f;
+    x->h = (soc > 0.5f) ? 1.0f : -1.0f;
+    start_covariance(x, soc_variance);
+    x->current_A = 0.0f;
+    x->mismatch = 1.0f;
+    x->heat_K = 0.0f;
+    x->slow_A = 0.0f;
+    x->temperature_C = c->temperature_C;
+    x->ss_carry = 0.0f;
+    x->contradicted = 0.0f;
+    x->persistent = 0.0f;
+    x->voltage_V = 0.0f;
+    x->frozen_A = 0.0f;
+    x->repeats = 0u;
+    x->swings = 0.0f;
+    x->no_current = 0u;
+    x->no_voltage = 0u;
+    x->per_capacity = 1.0f;
+    x->resistance_scale = 1.0f;
+    x->cost = 0.0f;
+    x->weight = 1.0f;
+    x->error_V2 = 0.0f;
+    x->in_bank = ALONE;
+    x->mean_V = 0.0f;
+    x->cells_at = 0u;
+    x->turn = 0u;
+    x->sequence = 0u;
+    x->rejections = 0u;
+    x->evidence = NOT_BEGUN;
+}
+
+/* What the branches hold when nobody knows what was before. */
+static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                                    float current)
+{
+    const float rested_V2 = c->branch_variance_V2;
+    forget_correlations(x);
+    cellwise_before before;
+    flow_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
+    x->v1_V = p->r1_ohm * before.flow_A;
+    x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
+    x->v2_V = p->r2_ohm * before.flow_A;
+    x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
+    x->v3_V = p->r3_ohm * before.flow_A;
+    x->v3_carry_V = 0.0f;
+    x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
+    if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
+        /* What flowed for hours no first sample shows; it is looked at once more is known. */
+        const float wide_V = c->bank_A * p->r3_ohm;
+        x->p33 = x->p33 + (wide_V * wide_V);
+    }
+}
+
+/* After voltages that contradicted it for long the SOC is open, branches may hold anything. Without CELLWISE_WIDE
+ * they are what they would be at a start. */
+static void open_up(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
+{
+    (void)seen;
+    x->ss = at_least(x->ss, RECOVERY_VARIANCE);
+    forget_correlations(x);
+    float kept = x->v1_V * x->v1_V;
+    float held = held_variance(c->branch_variance_V2, p->r1_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p11 = held + kept;
+    kept = x->v2_V * x->v2_V;
+    held = held_variance(c->branch_variance_V2, p->r2_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p22 = held + kept;
+    kept = x->v3_V * x->v3_V;
+    held = held_variance(c->branch_variance_V2, p->r3_ohm, c->recovery_A, LOAD_LIMIT_V);
+    x->p33 = held + kept;
+}
+
+/* Charge that leaves the cell in one step, in SOC. */
+static float taken(const cellwise_constants *c, const cellwise_state *x, float current)
+{
+    float used = current;
+    if (used < 0.0f) {
+        used = used * c->charge_efficiency;
+    }
+    used = ((c->soc_per_A * used) + c->leak_soc) * x->per_capacity;
+    return used;
+}
+
+/* Samples are missing: the branches may hold what the currents on both sides can have left. With CELLWISE_WIDE they
+ * relax towards the mean of these currents, too. */
+static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, uint32_t missing,
+                      float current, float bridge)
+{
+    const float unknown_A2 = (current * current) + (x->current_A * x->current_A);
+    const float steps = (float)missing;
+    float spread = c->gap_variance;
+    const float moved = c->soc_per_A * steps;
+    if (missing <= c->gap_steps) {
+        spread = (moved * moved) * unknown_A2;
+    } else {
+        spread = unseen_variance(c->gap_variance, unknown_A2, c->lost_A2, moved);
+    }
+    x->ss = x->ss + spread;
+    const float gain1 = risen(steps * p->gain1);
+    const float gain2 = risen(steps * p->gain2);
+    const float gain3 = risen(steps * p->gain3);
+    relax(x, p, gain1, gain2, gain3, bridge, unknown_A2);
+    forget_hysteresis(x);
+    x->heat_K = x->heat_K * vanishing(steps * c->heat_rate);
+}
+
+/* One interval of constant current. */
+static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
+                    float flow, float unmeasured_A2)
+{
+    const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
+    const float square_A2 = unknown_square(share, flow, unmeasured_A2);
+    relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
+    const float rise = risen(c->hysteresis_per_A * magnitude(flow));
+    const float keep = 1.0f - rise;
+    x->h = clip((keep * x->h) + ((flow < 0.0f) ? rise : -rise), -1.0f, 1.0f);
+    fade_hysteresis(x, keep);
+    if (w->spread > 0.0f) {
+        tilt(x, p, w, flow);
+    }
+    if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
+        add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(flow)));
+    }
+}
+
+/* The cell's own warming over one interval. */
+static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float seen, float flow)
+{
+    const float fall = (((r0_ohm * seen) + x->v1_V) + x->v2_V) + x->v3_V;
+    const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
+    x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
+}
+
+#endif

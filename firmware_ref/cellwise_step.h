@@ -1,0 +1,72 @@
+/* Part of cellwise_ekf.c. A start and one step. Printed from src/cellwise/estimate by `python -m cellwise.printing`;
+ * do not edit. */
+#ifndef CELLWISE_STEP_H
+#define CELLWISE_STEP_H
+
+#include "cellwise_correction.h"
+
+/* As `init`, for the estimate of a bank, too. */
+static uint32_t begin_at(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
+{
+    const float positive = soc + 0.0f; /* never -0 */
+    uint32_t status = 0u;
+    const bool known = POSITIVE_WITHIN(soc_variance, VARIANCE_FLOOR, SOC_VARIANCE_MOST);
+    if (NOT_NEGATIVE(positive, 1.0f) && known) {
+        start(&m->constant, x, positive, soc_variance);
+    } else {
+        start(&m->constant, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
+        status = CELLWISE_STATE_RESET;
+    }
+    return status;
+}
+
+uint32_t cellwise_init(const cellwise_model *m, cellwise_state *x, float soc, float soc_variance)
+{
+    return begin_at(m, x, soc, soc_variance);
+}
+
+uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *sample, cellwise_output *out)
+{
+    const cellwise_constants *const c = &m->constant;
+    uint32_t status = 0u;
+    if (!is_sound(c, x)) {
+        start(c, x, KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
+        status = CELLWISE_STATE_RESET;
+        x->in_bank = CONTRADICTED;
+    }
+    cellwise_reading s;
+    see(c, x, sample, status, &s);
+    cellwise_place place;
+    place_of(m, s.temperature_C, &place);
+    cellwise_charge charge;
+    count_charge(c, x, &s, &charge);
+    follow(c, x, &s, &charge);
+    under_surface(c, x, &place, s.temperature_C, &place);
+    aged(x, &place, &place);
+    cellwise_point p;
+    look_up(m, &place, x->soc, s.seen, &p);
+    if (x->evidence == NOT_BEGUN) {
+        guess_branches(c, x, &p, s.seen);
+        x->evidence = NO_VOLTAGE_YET;
+    }
+    if (charge.missing != 0u) {
+        cross_gap(c, x, &p, charge.missing, s.current, charge.bridge);
+    }
+    cellwise_slopes w;
+    no_slopes(&p, &w);
+    if (x->ss > WIDE_VARIANCE) {
+        slopes_of(m, &place, x->soc, root(x->ss), s.seen, &p, &w);
+    }
+    if (s.news == INTERVAL) {
+        predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
+        heat(c, x, p.r0_ohm, s.seen, s.flow);
+    }
+    const uint32_t beyond = outside(c, x, &s);
+    status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, out);
+    status = status | finish(x, &s, charge.missing, sample->sequence, out);
+    status = status | beyond;
+    out->status = status;
+    return status;
+}
+
+#endif

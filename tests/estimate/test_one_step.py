@@ -1,0 +1,160 @@
+"""One step: every equation and every constant of the filters stands once, for float64 and for C."""
+
+from __future__ import annotations
+
+import ast
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+
+from cellwise.estimate.equations import constants
+from cellwise.estimate.fixed.stepper import FUNCTIONS, STEP_MODULES
+from sources import tree_of
+
+ESTIMATE = Path(constants.__file__).parents[1]
+CELL = ESTIMATE.parent / "cell"
+ONCE = [*sorted((ESTIMATE / "equations").glob("*.py")), CELL / "equations" / "scalar.py"]
+# What each target computes in its own way: functions of these names stand there twice.
+OWN_WAY = CELL / "equations" / "double.py"
+FIXED = [
+    *sorted((ESTIMATE / "fixed").glob("*.py")),
+    *sorted((ESTIMATE / "power").glob("fixed_*.py")),
+]
+KERNELS = [p for p in sorted(ESTIMATE.rglob("*.py")) if p not in FIXED and p not in ONCE]
+# An expression of so many operations is an equation, and no longer a product here and a sum there.
+EQUATION = 4
+CALLED = {"max": "at_least", "min": "at_most", "abs": "magnitude", "fabs": "magnitude"}
+
+
+def numbers_of(path: Path) -> dict[str, float]:
+    """Upper-case names that a module gives a number, whatever kind of float it is made."""
+    found = {}
+    for node in tree_of(path).body:
+        if isinstance(node, ast.Assign):
+            target, value = node.targets[0], node.value
+            pairs = zip(*(getattr(n, "elts", [n]) for n in (target, value)), strict=False)
+            for name, given in pairs:
+                number = number_in(given)
+                if isinstance(name, ast.Name) and name.id.isupper() and number is not None:
+                    found[name.id] = number
+    return found
+
+
+def number_in(node: ast.expr) -> float | None:
+    """The number that an expression of literals is."""
+    if isinstance(node, ast.Call) and ast.unparse(node.func) in ("F", "U"):
+        node = node.args[0]
+    try:
+        value = eval(ast.unparse(node), {"__builtins__": {}})
+    except (NameError, SyntaxError):
+        return None
+    return value if isinstance(value, float | int) and not isinstance(value, bool) else None
+
+
+def functions_of(path: Path) -> dict[str, ast.FunctionDef]:
+    return {n.name: n for n in tree_of(path).body if isinstance(n, ast.FunctionDef)}
+
+
+class Shape(ast.NodeTransformer):
+    """An expression without the names of what it reads."""
+
+    def visit_Name(self, node):
+        return ast.Name("x")
+
+    visit_Attribute = visit_Subscript = visit_Name
+
+    def visit_Call(self, node):
+        name = ast.unparse(node.func).rsplit(".", 1)[-1]
+        given = [self.visit(a) for a in node.args]
+        if name in ("F", "U", "float"):
+            return given[0]
+        return ast.Call(ast.Name(CALLED.get(name, name)), given, [])
+
+
+def equations_in(tree: ast.AST, least: int = EQUATION) -> dict[str, str]:
+    """Arithmetic of ``least`` operations or more: its shape, and how it is written."""
+    found = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.BinOp):
+            operations = sum(isinstance(n, ast.BinOp | ast.Call) for n in ast.walk(node))
+            if operations >= least:
+                found[ast.unparse(Shape().visit(deepcopy(node)))] = ast.unparse(node)
+    return found
+
+
+def imported_by(paths: list[Path]) -> set[str]:
+    nodes = (n for p in paths for n in ast.walk(tree_of(p)) if isinstance(n, ast.ImportFrom))
+    return {a.name for n in nodes for a in n.names}
+
+
+def test_no_number_stands_in_both_rooms():
+    """Of the same name: neither beside the shared ones, nor once for float64 and once for C."""
+    shared = numbers_of(ESTIMATE / "equations" / "constants.py")
+    assert len(shared) > 30
+    for path in (*FIXED, *KERNELS):
+        assert not shared.keys() & numbers_of(path).keys(), path.name
+    of_fixed = {name for p in FIXED for name in numbers_of(p)}
+    of_kernels = {name for p in KERNELS for name in numbers_of(p)}
+    assert not of_fixed & of_kernels
+
+
+def test_no_equation_is_written_a_second_time():
+    shared = {shape: text for p in ONCE for shape, text in equations_in(tree_of(p)).items()}
+    assert len(shared) > 20
+    for path in (*FIXED, *KERNELS):
+        again = {s: t for s, t in equations_in(tree_of(path)).items() if s in shared}
+        assert not again, (path.name, again)
+
+
+def test_no_equation_stands_in_both_rooms():
+    """Of a step: what stands beside it (power, cells of a pack) has its own."""
+    beside = ("power", "cells")
+    step = [m.__file__ for m in STEP_MODULES if not m.__name__.endswith(beside)]
+    longer = EQUATION + 1  # a running mean of squares is none of a filter
+    fixed: dict[str, str] = {}
+    for path in FIXED:
+        if str(path) in step:
+            fixed |= equations_in(tree_of(path), longer)
+    assert len(fixed) > 10
+    for path in KERNELS:
+        if path.name.endswith("_kernels.py") and path.parent.name != "power":
+            again = {s: t for s, t in equations_in(tree_of(path), longer).items() if s in fixed}
+            assert not again, (path.name, again)
+
+
+@pytest.mark.parametrize("path", [p for p in ONCE if p.stem != "constants"], ids=lambda p: p.stem)
+def test_an_equation_has_one_name_and_both_rooms_take_it(path):
+    for name in functions_of(path):
+        assert not [p for p in (*FIXED, *KERNELS) if name in functions_of(p)], name
+        inside = {n.id for p in ONCE for n in ast.walk(tree_of(p)) if isinstance(n, ast.Name)}
+        assert name in imported_by(FIXED) | inside, f"{name} is not what the C does"
+        others = [p for p in CELL.rglob("*.py") if p not in ONCE]
+        assert name in imported_by(KERNELS + others) | inside, f"{name} is not what the filters do"
+
+
+def test_the_fixed_step_has_its_own_way_of_everything_that_a_target_does_in_its_own():
+    """Else a function of float64 would be called within the float32 step."""
+    for name in functions_of(OWN_WAY):
+        assert FUNCTIONS[name].__module__.endswith("fixed.arithmetic")
+
+
+def test_the_same_function_is_compiled_in_either_precision():
+    for path in ONCE:
+        for name in functions_of(path):
+            assert FUNCTIONS[name].__code__.co_filename == str(path)
+
+
+@pytest.mark.parametrize("text", ["DITHER_V = 0.003", "DITHER_V = F(0.0025)", "A, LOOKS = 1, U(3)"])
+def test_a_number_that_is_given_again_is_found(text, tmp_path):
+    path = tmp_path / "again.py"
+    path.write_text(text)
+    assert numbers_of(path).keys() & vars(constants).keys()
+
+
+def test_an_equation_under_other_names_is_found():
+    (text,) = [t for t in equations_in(tree_of(ONCE[0].parent / "components.py")).values()
+               if t.startswith("size *")]  # fmt: skip
+    assert text == "size * (near + (room - near) * (size * size))"
+    again = "def f(w: float):\n    return w * (a.b + (c[0] - a.b) * (w * w))"
+    assert equations_in(ast.parse(again)).keys() & equations_in(ast.parse(text)).keys()

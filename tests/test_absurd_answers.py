@@ -1,0 +1,154 @@
+"""Answers that no engineer would give: each kind was given once, and is not given again."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import cellwise as cw
+from cellwise.cell.simulate import simulate
+from cellwise.cli.replay_output import state_of_health
+from cellwise.diagnose.limits import next_test
+from cellwise.errors import InputError
+from cellwise.estimate.status import Status
+from cellwise.estimate.trace import long_innovation, soc_step
+from cellwise.fit.start import InitialSoc
+from cellwise.history.trend import FADE, Deviations, trend_of
+from cellwise.live.run import Counts, check_any
+from cellwise.notices import Code
+from example_cells import curved_cell, random_log
+
+MODEL = curved_cell()
+MINUTES = 90
+
+
+def followed(innovation_V=0.0, step=0.0, how="rest"):
+    """A replay of ninety minutes, one row a second, whose filter was off by so much."""
+    n = 60 * MINUTES
+    log = cw.CellLog(np.arange(float(n)), np.full(n, 0.5), np.full(n, 3.7))
+    found = simulate(MODEL, log, 0.8)
+    soc = found.soc + np.where(np.arange(n) >= n // 2, step, 0.0)
+    zeros, off = np.zeros(n), np.broadcast_to(innovation_V, n).astype(float)
+    log = cw.CellLog(log.time_s, log.current_A, found.voltage_V + off)
+    trace = cw.Trace(log.time_s, soc, zeros + 0.01, found.voltage_V, off, zeros + 1e-4, zeros,
+                     zeros.astype(np.int32))  # fmt: skip
+    return cw.Replay(log, "ekf", InitialSoc(0.8, 0.01, how), trace, 1.0, None, model=MODEL)
+
+
+def between(first, last, value):
+    """An innovation [V] from one minute to another."""
+    minute = np.arange(60 * MINUTES) / 60.0
+    return np.where((minute >= first) & (minute < last), value, 0.0)
+
+
+def test_innovations_of_95_mv_for_43_minutes_are_remarked_on():
+    run = followed(between(20, 63, -0.095))
+    (said,) = (n for n in run.notices if n.code is Code.LONG_INNOVATION)
+    assert re.search(r"9[45] mV below what is predicted for 43 min, from 20 min on", said.text)
+    assert said.rows.start == pytest.approx(20 * 60, abs=60)
+    assert said.rows.stop == pytest.approx(63 * 60, abs=60)
+    assert "stated start" not in said.text
+
+
+@pytest.mark.parametrize(
+    "innovation_V",
+    [0.0, between(20, 28, -0.095), between(20, 63, -0.010)],
+    ids=["none", "short", "small"],
+)
+def test_short_and_small_ones_are_not(innovation_V):
+    assert long_innovation(MODEL, followed().log, followed(innovation_V).trace) is None
+
+
+def test_noise_of_the_size_that_the_model_states_is_not_remarked_on():
+    """Ten minutes beyond three deviations do not happen to a model that is right."""
+    rng = np.random.default_rng(0)
+    n, memory = 60 * MINUTES, np.exp(-1.0 / 300.0)
+    slow = np.zeros(n)
+    for k in range(1, n):
+        slow[k] = memory * slow[k - 1] + 0.010 * np.sqrt(1.0 - memory**2) * rng.normal()
+    assert long_innovation(MODEL, followed().log, followed(slow).trace) is None
+
+
+@pytest.mark.parametrize(("how", "said"), [("stated", True), ("given", True), ("rest", False)])
+def test_a_stated_start_is_questioned_where_the_voltage_contradicts_it_from_the_first_row(
+    how, said
+):
+    notices = followed(-0.075, how=how).notices
+    (notice,) = (n for n in notices if n.code is Code.LONG_INNOVATION)
+    assert ("the stated start (0.800) may be wrong" in notice.text) == said
+
+
+def test_a_step_of_the_soc_in_one_sample_is_marked():
+    run = followed(step=-0.06)
+    (said,) = (n for n in run.notices if n.code is Code.SOC_STEP)
+    assert said.rows == range(30 * MINUTES, 30 * MINUTES + 1)
+    before, after = 100.0 * run.soc[30 * MINUTES - 1], 100.0 * run.soc[30 * MINUTES]
+    assert f"from {before:.1f} to {after:.1f} % in one sample after 45 min" in said.text
+
+
+def test_what_flowed_is_no_step_and_neither_is_the_first_minute():
+    log = random_log(np.random.default_rng(3), rows=200)
+    large = cw.CellLog(60.0 * np.arange(200.0), 3.0 * np.sign(log.current_A), log.voltage_V)
+    found = simulate(MODEL, large, 0.5)
+    assert np.abs(np.diff(found.soc)).max() > 0.01
+    counted = SimpleNamespace(soc=found.soc)
+    assert soc_step(MODEL, large, counted) is None
+    settled = SimpleNamespace(soc=found.soc + np.where(np.arange(200) == 0, 0.2, 0.0))
+    assert soc_step(MODEL, large, settled) is None
+    moved = SimpleNamespace(soc=found.soc + np.where(np.arange(200) < 50, 0.03, 0.0))
+    assert soc_step(MODEL, large, moved) == 50
+
+
+def fade(days):
+    """The trend where windows, each +- 24 % in much the same way, say that 43 % were lost."""
+    share, std = np.linspace(1.0, 0.57, 10), np.full(10, 0.12)
+    alike = np.sqrt(FADE.windows_alike)
+    own = np.sqrt(1.0 - FADE.windows_alike)
+    deviations = Deviations(own * std, alike * std, np.zeros(10))
+    return trend_of(np.linspace(0.0, days, 10), share, deviations, start_std=0.05, days=days)
+
+
+def test_ten_days_do_not_cost_a_car_43_percent_of_its_capacity():
+    short, long = fade(10.0), fade(3650.0)
+    lost = 1.0 - short.share[-1] / short.share[0]
+    assert abs(lost) <= 2.0 * short.std[-1]
+    assert lost < 3.0 * FADE.std * 10.0 / FADE.worn_days  # as the hardest use wears a cell
+    assert 1.0 - long.share[-1] / long.share[0] > 0.2  # of ten years the same logs say it
+
+
+@pytest.mark.parametrize(
+    ("shown", "said"), [(True, "90.0 +- 2.0 % of the stated capacity"), (False, "not determined")]
+)
+def test_a_state_of_health_is_no_echo_of_the_capacity_that_was_typed_in(shown, said):
+    capacity = {"value": 2.7, "std": 0.03, "shown": shown}
+    text = state_of_health({"capacity_Ah": capacity, "soh_capacity": 0.9, "soh_resistance": 1.1})
+    assert text.startswith(said)
+    assert ("%" in text) == shown
+
+
+@pytest.mark.parametrize(("invalid", "refused"), [(10, True), (9, False)])
+def test_a_stream_of_a_pack_read_as_one_cell_is_refused(invalid, refused):
+    counts = Counts(
+        samples=10, invalid=invalid, last=SimpleNamespace(sample=cw.Sample(9.0, 1.0, 22.2))
+    )
+    source = SimpleNamespace(name="flight.jsonl")
+    if not refused:
+        check_any(source, counts)
+        return
+    with pytest.raises(InputError, match=r"the last is 22.2 V.*State `series=N`"):
+        check_any(source, counts)
+
+
+def test_the_stream_counts_what_no_cell_gives():
+    live = cw.LiveFilter(MODEL, soc0=0.5)
+    updates = [live.take(cw.Sample(float(k), 1.0, v)) for k, v in enumerate((22.2, 3.7))]
+    assert [bool(u.info.status & Status.VOLTAGE_INVALID) for u in updates] == [True, False]
+
+
+def test_a_test_is_asked_for_at_the_temperature_at_which_the_log_began():
+    warming = SimpleNamespace(temperature_C=np.linspace(0.0, 30.0, 100))  # by its own heat
+    open_ = SimpleNamespace(open_between=(), accepted=(), first=())
+    assert "HPPC at 0 degC" in next_test(open_, MODEL, SimpleNamespace(logs=(warming,)))

@@ -1,0 +1,183 @@
+"""What people pass by mistake to the public face ends in one clear error, never in Python's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import cellwise as cw
+from cellwise.errors import InputError
+from example_cells import curved_cell
+
+MODEL = curved_cell()
+LOG = cw.load_dataset("nmc_drive_b").part(0, 60)
+T_S, I_A, V_V = LOG.time_s, LOG.current_A, LOG.voltage_V
+OCV = np.linspace(3.0, 4.2, 11)
+
+
+def identified(**settings):
+    return cw.identify_cell(cw.CellTests(hppc=LOG), cw.IdentifySettings(**settings))
+
+
+CALLS = {
+    "model": {
+        "simulate": lambda: cw.simulate(None, LOG),
+        "replay": lambda: cw.replay("m.json", LOG),
+        "diagnose": lambda: cw.diagnose(None, LOG),
+        "tune_noise": lambda: cw.tune_noise(None, [LOG]),
+        "forecast": lambda: cw.forecast(None, None),
+        "Ekf": lambda: cw.Ekf(LOG),
+        "LiveFilter": lambda: cw.LiveFilter(LOG),
+        "Noise.of_model": lambda: cw.Noise.of_model(None),
+        "export": lambda: cw.export_firmware(LOG, "firmware", 1.0),
+        "write_model": lambda: cw.write_model("m.json", MODEL),
+    },
+    "log": {
+        "simulate": lambda: cw.simulate(MODEL, "a.csv"),
+        "a list": lambda: cw.simulate(MODEL, [LOG]),
+        "tune_noise": lambda: cw.tune_noise(MODEL, ["a.csv"]),
+        "resample": lambda: cw.resample(None, 1.0),
+        "inspect_log": lambda: cw.inspect_log(MODEL),
+        "write_log": lambda: cw.write_log(MODEL, "a.csv"),
+        "write_log, inverted": lambda: cw.write_log("a.csv", LOG),
+    },
+    "replay": {"forecast": lambda: cw.forecast(MODEL, LOG)},
+    "estimator": {
+        "its start": lambda: cw.replay(MODEL, LOG, 0.9),
+        "its class": lambda: cw.replay(MODEL, LOG, cw.Ekf),
+        "none": lambda: cw.replay(MODEL, LOG, None),
+        "another": lambda: cw.replay(MODEL, LOG, "particle"),
+        "of a stream": lambda: cw.LiveFilter(MODEL, "adaptive"),
+    },
+    "soc0": {
+        "simulate": lambda: cw.simulate(MODEL, LOG, "full"),
+        "replay": lambda: cw.replay(MODEL, LOG, "coulomb", "full"),
+        "diagnose": lambda: cw.diagnose(MODEL, LOG, soc0="auto"),
+        "tune_noise": lambda: cw.tune_noise(MODEL, LOG, "full"),
+        "LiveFilter": lambda: cw.LiveFilter(MODEL, soc0="full"),
+        "CellLog": lambda: cw.CellLog(T_S, I_A, V_V, soc0="full"),
+    },
+    "an initial SOC of 80": {
+        "replay": lambda: cw.replay(MODEL, LOG, soc0=80),
+        "reference": lambda: cw.replay(MODEL, LOG, reference_soc0=80, reference_capacity_Ah=3.0),
+    },
+    "reference_capacity_Ah": {
+        "replay": lambda: cw.replay(MODEL, LOG, soc0=0.9, reference_capacity_Ah="3 Ah"),
+    },
+    "h0": {"simulate": lambda: cw.simulate(MODEL, LOG, 0.9, "full")},
+    "cutoff_V": {
+        "forecast": lambda: cw.forecast(MODEL, cw.replay(MODEL, LOG, "coulomb"), cutoff_V="3 V"),
+    },
+    "hold": {"forecast": lambda: cw.forecast(MODEL, cw.replay(MODEL, LOG, "coulomb"), hold=3)},
+    "voltage_V": {
+        "none": lambda: cw.CellLog(T_S, I_A, None),
+        "text": lambda: cw.CellLog(T_S, I_A, "voltage"),
+        "words": lambda: cw.CellLog(T_S, I_A, ["high"] * len(T_S)),
+    },
+    "current_A": {"none": lambda: cw.CellLog(T_S, None, V_V)},
+    "time_s": {"none": lambda: cw.CellLog(None, I_A, V_V)},
+    "table": {"from_table": lambda: cw.CellLog.from_table(None)},
+    "rows": {"part": lambda: LOG.part(0.0, 20.0)},
+    "path": {
+        "read_model": lambda: cw.read_model(None),
+        "write_model": lambda: cw.write_model(MODEL, None),
+        "write_log": lambda: cw.write_log(LOG, 3),
+    },
+    "folder": {"export": lambda: cw.export_firmware(MODEL, None, 1.0)},
+    "dt_s": {
+        "export": lambda: cw.export_firmware(MODEL, "firmware", None),
+        "resample": lambda: cw.resample(LOG, "1 s"),
+    },
+    "tests": {
+        "a log": lambda: cw.identify_cell(LOG),
+        "a list": lambda: cw.identify_cell([LOG]),
+        "none": lambda: cw.identify_cell(None),
+    },
+    "settings": {"identify": lambda: cw.identify_cell(cw.CellTests(hppc=LOG), 5.0)},
+    "nominal_Ah": {"text": lambda: identified(nominal_Ah="5 Ah")},
+    "method": {"another": lambda: identified(method="least squares")},
+    "branches": {"seven": lambda: identified(branches=7)},
+    "prior": {"a name": lambda: identified(prior="nmc-18650")},
+    "noise": {
+        "replay": lambda: cw.replay(MODEL, LOG, noise=3),
+        "Noise": lambda: cw.Noise(voltage_V="5 mV"),
+    },
+    "voltage_min_V": {
+        "limits": lambda: cw.OperatingLimits(voltage_min_V="3 V"),
+        "model": lambda: replace(MODEL, voltage_min_V="3 V"),
+    },
+    "a validity of soc": {"pair": lambda: cw.Validity(soc=(0.0, 0.5, 1.0))},
+    "effect": {
+        "number": lambda: cw.CellModel(3.0, OCV, 0.03, effects=3),
+        "text": lambda: cw.CellModel(3.0, OCV, 0.03, effects=("hysteresis",)),
+        "with_effect": lambda: MODEL.with_effect(None),
+    },
+    "error": {"number": lambda: cw.CellModel(3.0, OCV, 0.03, error=0.01)},
+    "factor": {"text": lambda: MODEL.with_resistances("twice")},
+    "provenance": {"text": lambda: cw.CellModel(3.0, OCV, 0.03, provenance="mine")},
+}
+
+
+@pytest.mark.parametrize(
+    ("named", "case"), [(named, case) for named, cases in CALLS.items() for case in cases]
+)
+def test_a_wrong_argument_is_named_with_what_to_write(named, case):
+    with pytest.raises(InputError) as caught:
+        CALLS[named][case]()
+    error = caught.value
+    assert named in error.found
+    assert len(error.expected) > 3
+    assert error.action.endswith(".")
+
+
+def test_a_start_where_the_estimator_stands_says_where_it_goes():
+    with pytest.raises(InputError, match=r"replay\(model, log, 'ekf', soc0=0.9\)"):
+        cw.replay(MODEL, LOG, 0.9)
+    with pytest.raises(InputError, match=r"make the filter: Ukf\(model\)"):
+        cw.replay(MODEL, LOG, cw.Ukf)
+
+
+@pytest.mark.parametrize("name", ["EKF", "Ekf", "ekf"])
+def test_names_of_estimators_are_taken_in_any_case(name):
+    assert cw.replay(MODEL, LOG, name, 0.9).estimator == "ekf"
+    assert cw.LiveFilter(MODEL, name).filter.name == "ekf"
+
+
+def test_a_start_is_given_by_position_or_by_name_and_none_is_not_known():
+    by_position = cw.simulate(MODEL, LOG, 0.8), cw.replay(MODEL, LOG, "coulomb", 0.8)
+    by_name = cw.simulate(MODEL, LOG, soc0=0.8), cw.replay(MODEL, LOG, "coulomb", soc0=0.8)
+    for one, other in zip(by_position, by_name, strict=True):
+        np.testing.assert_array_equal(one.soc, other.soc)
+    np.testing.assert_array_equal(cw.simulate(MODEL, LOG, None).soc, cw.simulate(MODEL, LOG).soc)
+    known = replace(LOG, soc0=0.6)
+    assert cw.replay(MODEL, known, "coulomb", None).start.soc == 0.6
+    assert cw.LiveFilter(MODEL, "ekf", 0.8).start.soc == 0.8
+    assert cw.LiveFilter(MODEL, soc0=None).start is None
+
+
+class Counter:
+    """The least that an estimator of one's own is."""
+
+    def start(self, soc0, soc0_std):
+        self.soc = soc0
+
+    def step(self, current_A, voltage_V, temperature_C, dt_s):
+        self.soc -= current_A * dt_s / (3600.0 * MODEL.capacity_Ah)
+        return self.soc
+
+
+def test_an_estimator_of_ones_own_that_counts_is_the_coulomb_counter():
+    mine = cw.replay(MODEL, LOG, Counter(), 0.8)
+    np.testing.assert_allclose(mine.soc, cw.replay(MODEL, LOG, "coulomb", 0.8).soc, atol=1e-12)
+    assert mine.estimator == "Counter"
+
+
+def test_an_estimator_that_answers_with_something_else_is_refused():
+    class Silent(Counter):
+        def step(self, *sample):
+            return None
+
+    with pytest.raises(InputError, match=r"what Silent.step gives = None; expected the SOC"):
+        cw.replay(MODEL, LOG, Silent(), 0.8)
