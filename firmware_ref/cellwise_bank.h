@@ -45,7 +45,7 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
         if (ratio > c->gate_square) {
             status = status | CELLWISE_INNOVATION_REJECTED;
         }
-        b->mismatch = lately_shown(b->mismatch, ratio, c->mismatch_cap, c->lately);
+        b->mismatch = lately_shown(b->mismatch, at_most(ratio, c->mismatch_cap), c->lately);
     }
     return status;
 }

@@ -117,8 +117,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         use_in_bank(c, x, p, w, s, i, innovation);
     } else {
         if (s->news == INTERVAL) {
-            const float ratio = square / i->variance_V2;
-            x->mismatch = lately_shown(x->mismatch, ratio, c->mismatch_cap, c->lately);
+            const float ratio = at_most(square / i->variance_V2, c->mismatch_cap);
+            x->mismatch = lately_shown(x->mismatch, ratio, c->lately);
         }
         if (POSITIVE_ABOVE(square, most)) {
             status = reject(c, x, p, s->seen);

@@ -67,12 +67,11 @@ static float as_shown(float variance, float mismatch)
     return shown;
 }
 
-/* Running mean of the squared innovation, in units of its variance or of `most` of them. A model of another
- * temperature, age or cell is wrong all the time: evidence weighs less by what the innovations have lately shown
- * beyond their variance. One counts for `most`. */
-static float lately_shown(float mean, float square, float most, float lately)
+/* Running mean of the squared innovation, in units of its variance. A model of another temperature, age or cell is
+ * wrong all the time: evidence weighs less by what the innovations have lately shown beyond their variance. */
+static float lately_shown(float mean, float square, float lately)
 {
-    return mean + (lately * (at_most(square, most) - mean));
+    return mean + (lately * (square - mean));
 }
 
 /* How many samples share one model error: `above / below`, never divided. */

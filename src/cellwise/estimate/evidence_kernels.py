@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.equations.scalar import at_most
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.equations.constants import (
     CONTRADICTED_S,
@@ -92,7 +93,8 @@ def mismatch_step(
     if noise.mismatch_cap <= 0.0 or noise.slow_s <= 0.0:
         return mismatch * variance
     lately = min(dt_s * noise.per_slow_s, 1.0)
-    return lately_shown(mismatch * variance, square, noise.mismatch_cap * variance, lately)
+    counted = at_most(square, noise.mismatch_cap * variance)  # one counts for so much at most
+    return lately_shown(mismatch * variance, counted, lately)
 
 
 @inline

@@ -99,13 +99,13 @@ def as_shown(variance: float, mismatch: float) -> float:
 
 
 @inline
-def lately_shown(mean: float, square: float, most: float, lately: float) -> float:
-    """Running mean of the squared innovation, in units of its variance or of ``most`` of them.
+def lately_shown(mean: float, square: float, lately: float) -> float:
+    """Running mean of the squared innovation, in units of its variance.
 
     A model of another temperature, age or cell is wrong all the time: evidence weighs less by what
-    the innovations have lately shown beyond their variance. One counts for ``most``.
+    the innovations have lately shown beyond their variance.
     """
-    return mean + (lately * (at_most(square, most) - mean))
+    return mean + (lately * (square - mean))
 
 
 class Shared(NamedTuple):

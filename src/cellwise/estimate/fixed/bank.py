@@ -263,7 +263,7 @@ def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, o
         ratio = (out.innovation_V * out.innovation_V) / out.innovation_variance_V2
         if ratio > c.gate_square:
             status = U(status | INNOVATION_REJECTED)
-        b.mismatch = lately_shown(b.mismatch, ratio, c.mismatch_cap, c.lately)
+        b.mismatch = lately_shown(b.mismatch, at_most(ratio, c.mismatch_cap), c.lately)
     return status
 
 

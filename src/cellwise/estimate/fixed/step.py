@@ -161,8 +161,8 @@ def weigh(
         use_in_bank(c, x, p, w, s, i, innovation)
     else:
         if s.news == INTERVAL:
-            ratio = square / i.variance_V2
-            x.mismatch = lately_shown(x.mismatch, ratio, c.mismatch_cap, c.lately)
+            ratio = at_most(square / i.variance_V2, c.mismatch_cap)
+            x.mismatch = lately_shown(x.mismatch, ratio, c.lately)
         if positive_above(square, most):
             status = reject(c, x, p, s.seen)
         else:
