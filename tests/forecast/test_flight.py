@@ -211,7 +211,7 @@ def test_beyond_the_data_s_soc_the_band_is_wider_and_the_forecast_says_so():
     left_s = end_s - seen.time_s[-1]
     assert bands[0][0] < left_s < bands[0][1]
     assert not bands[1][0] < left_s < bands[1][1]
-    assert "the model's data end at SOC 0.60" in notices[0][0]
+    assert "the model's data end at SOC 0.60" in notices[0][0].text
     assert notices[1] == ()
 
 

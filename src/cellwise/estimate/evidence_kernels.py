@@ -73,12 +73,14 @@ def variance_about(
 @inline
 def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> Shared:
     """How many samples share one model error ``evidence_s`` after the first one."""
-    shared_s = max(2.0 * noise.slow_s, dt_s)
-    early_s2 = max(shared_s * noise.early_s, noise.half_s * dt_s)
     alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and resting)
     since_s, period_s = max(evidence_s, 0.0), dt_s
     if alone:  # the first row of a log has no interval
         period_s = 1.0
+    shared_s = 2.0 * noise.slow_s
+    # A sample shares its error with itself at least: where intervals are long that rules.
+    one_s2 = (since_s + noise.half_s) * dt_s - shared_s * since_s
+    early_s2 = max(shared_s * noise.early_s, one_s2)
     return shared_evidence(shared_s, early_s2, noise.half_s, since_s, period_s, alone)
 
 

@@ -106,7 +106,7 @@ def look_at(
     Parameters
     ----------
     sign : str          as of `read_log`; where ``auto`` contradicts all files alike, the other one
-    nominal_Ah : float or None    of the cell, by which tests are told apart
+    nominal_Ah : float or None    of the cell, by which tests are distinguished
     follow : callable   what is read, how many are, of how many
 
     Raises

@@ -76,7 +76,7 @@ def test_rows_every_second_or_less_are_no_single_point(rows):
 def test_incomplete_charge_is_kept_but_not_averaged_in():
     curve = ocv_from_low_rate([down(), up(0.0, 0.85)])
     assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
-    assert any("incomplete" in note for note in curve.notes)
+    assert any("incomplete" in note.text for note in curve.notes)
     assert np.isfinite(curve.charge_V[curve.soc < 0.84]).all()
     assert np.isnan(curve.charge_V[curve.soc > 0.86]).all()
     assert curve.source.startswith("discharge branch")
@@ -101,7 +101,7 @@ def test_branches_at_different_rates_are_not_averaged():
     fast = segment(np.linspace(0.0, 1.0, 1001), -8 * CURRENT_A, 0.3)
     curve = ocv_from_low_rate([down(), fast])
     assert curve.source.startswith("discharge branch")
-    assert any("another rate" in note for note in curve.notes)
+    assert any("another rate" in note.text for note in curve.notes)
 
 
 def test_fast_logs_and_rests_are_refused():
@@ -117,7 +117,7 @@ def test_panasonic_charge_is_recognised_as_incomplete(real_data):
     curve = ocv_from_low_rate(read_log(real_data / "panasonic_18650pf/ocv_c20_p25.csv.gz"))
     assert curve.capacity_Ah == pytest.approx(2.997, abs=1e-3)
     assert curve.source.startswith("discharge branch")
-    assert any("2.61" in note and "Not averaged" in note for note in curve.notes)
+    assert any("2.61" in note.text and "Not averaged" in note.text for note in curve.notes)
     assert np.std(curve.points_V - curve.function.evaluate(curve.points_soc)) < 5e-4
 
 

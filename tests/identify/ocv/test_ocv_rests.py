@@ -64,7 +64,7 @@ def test_start_soc_places_a_log_that_is_never_full():
 def test_rests_beyond_a_capacity_that_is_too_small_are_left_out_and_named():
     curve = ocv_from_rests(cell_log(hppc(), 1.0), capacity_Ah=4.0)
     assert curve.points_soc.min() >= -0.02
-    assert any("left out" in note for note in curve.notes)
+    assert any("left out" in note.text for note in curve.notes)
 
 
 def test_voltage_is_the_mean_of_the_last_ten_seconds():

@@ -75,7 +75,13 @@ class Validity:
             if given is None:
                 continue
             pair = numbers(name, given)
-            low, high = pair.tolist() if pair.shape == (2,) else (np.nan, np.nan)
+            if pair.shape != (2,):
+                raise InputError(
+                    f"a wrong entry: {pair.size} number(s) for a validity of {name}",
+                    "two finite numbers, the lower one first",
+                    "Correct them, or leave the quantity out where it is not known.",
+                )
+            low, high = pair.tolist()
             if not (np.isfinite(low) and np.isfinite(high) and low <= high):
                 raise InputError(
                     f"a validity of {name} from {low:g} to {high:g}",
