@@ -37,7 +37,7 @@ def main() -> int:
         print(f"no measured cells: {HOW}", file=sys.stderr)
         return 1
     model = model_of_all(data)
-    cut = next(cuts(next(drives_left_out(data, WARM_C)), WARM_C))
+    _, cut = cuts(next(drives_left_out(data, WARM_C)), WARM_C)  # of the two the harder one
     hours = (cut.log.time_s - cut.log.time_s[0]) / 3600.0
     figure, ax = plt.subplots(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
     for name, called, colour in LINES:

@@ -16,7 +16,6 @@ from cellwise.diagnose.limits import next_test
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import long_innovation, soc_step
-from cellwise.history.trend import FADE, Deviations, trend_of
 from cellwise.live.run import Counts, check_any
 from cellwise.notices import Code
 from example_cells import curved_cell, random_log
@@ -100,23 +99,6 @@ def test_what_flowed_is_no_step_and_neither_is_the_first_minute():
     assert soc_step(MODEL, large, settled) is None
     moved = SimpleNamespace(soc=found.soc + np.where(np.arange(200) < 50, 0.03, 0.0))
     assert soc_step(MODEL, large, moved) == 50
-
-
-def fade(days):
-    """The trend where windows, each +- 24 % in much the same way, say that 43 % were lost."""
-    share, std = np.linspace(1.0, 0.57, 10), np.full(10, 0.12)
-    alike = np.sqrt(FADE.windows_alike)
-    own = np.sqrt(1.0 - FADE.windows_alike)
-    deviations = Deviations(own * std, alike * std, np.zeros(10))
-    return trend_of(np.linspace(0.0, days, 10), share, deviations, start_std=0.05, days=days)
-
-
-def test_ten_days_do_not_cost_a_car_43_percent_of_its_capacity():
-    short, long = fade(10.0), fade(3650.0)
-    lost = 1.0 - short.share[-1] / short.share[0]
-    assert abs(lost) <= 2.0 * short.std[-1]
-    assert lost < 3.0 * FADE.std * 10.0 / FADE.worn_days  # as the hardest use wears a cell
-    assert 1.0 - long.share[-1] / long.share[0] > 0.2  # of ten years the same logs say it
 
 
 @pytest.mark.parametrize(

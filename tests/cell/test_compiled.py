@@ -64,10 +64,10 @@ import sys
 sys.path.insert(0, {folder!r})
 from equations import equation
 from kernels import whole
-from cellwise.cell.kernel_compiler import Part
+from cellwise.cell.kernel_compiler import KernelPart
 assert whole(3.0) == 7.0
 for compiled in equation.overloads.values():
-    assert isinstance(compiled.library, Part)
+    assert isinstance(compiled.library, KernelPart)
     assert not compiled.library._codegen._engine.is_symbol_defined(compiled.fndesc.llvm_func_name)
 print(*(sum(f.stats.cache_hits.values()) for f in (equation, whole)), len(equation.overloads))
 """

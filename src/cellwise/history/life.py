@@ -348,7 +348,6 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         np.array([one.share for one in found]),
         Deviations(*np.array([one.deviations for one in found]).T),
         FADE.start_std if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
-        float(way[-1]) if over == "days" else np.inf,
     )
     return Life(model, tuple(found), over, way, trend, tuple(far_off))
 

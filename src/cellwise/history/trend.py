@@ -14,17 +14,15 @@ from cellwise.typing import FloatArray
 class Fade(NamedTuple):
     """What is known of a fade before any log.
 
-    ``std`` over the logs: cells are used to four fifths; over fewer than ``worn_days`` in
-    proportion less: a laboratory that cycles day and night wears a cell out in that time. Half of
-    its variance goes with time, half with its root, as films grow (10.1149/1.1393224). ``bends``:
-    how much it may bend (of an integrated Wiener process); ``scatters`` from log to log beyond the
-    stated deviations (interrupted charges, temperature, rest before). ``windows_alike``: share of
-    the variance of windows of one kind that is alike for ``alike_over`` of the life, since what
-    they cannot see ages in its own way. ``start_std``: of a first log that is counted itself.
+    ``std`` over the logs: cells are used to four fifths. Half of its variance goes with time, half
+    with its root, as films grow (10.1149/1.1393224). ``bends``: how much it may bend (of an
+    integrated Wiener process); ``scatters`` from log to log beyond the stated deviations
+    (interrupted charges, temperature, rest before). ``windows_alike``: share of the variance of
+    windows of one kind that is alike for ``alike_over`` of the life, since what they cannot see
+    ages in its own way. ``start_std``: of a first log that is counted itself.
     """
 
     std: float = 0.2
-    worn_days: float = 60.0
     bends: tuple[float, ...] = (0.0, 0.01, 0.03, 0.1, 0.3)
     scatters: tuple[float, ...] = (0.0, 0.003, 0.006, 0.012)
     windows_alike: float = 0.95
@@ -77,7 +75,6 @@ def trend_of(
     share: FloatArray,
     std: Deviations,
     start_std: float = FADE.start_std,
-    days: float = np.inf,
 ) -> Trend:
     """The trend of measured shares.
 
@@ -87,7 +84,6 @@ def trend_of(
     share : (n,) float        measured shares of the new cell's capacity
     std : Deviations
     start_std : float         how far from one the life may have begun
-    days : float              from the first log to the last; infinite: nobody knows
 
     Notes
     -----
@@ -102,10 +98,9 @@ def trend_of(
     stated = np.diag(std.own**2 + 1e-8) + common * near
     stated += np.outer(std.level, std.level)
     eye = np.eye(u.size)
-    lived = min(days / FADE.worn_days, 1.0)
     likely, means, variances = [], [], []
     for bend, scatter in product(FADE.bends, FADE.scatters):
-        kernel, noise = start_std**2 + lived**2 * _kernel(u, bend), stated + scatter**2 * eye
+        kernel, noise = start_std**2 + _kernel(u, bend), stated + scatter**2 * eye
         likely.append(_likelihood(kernel + noise, share - 1.0))
         gain = np.linalg.solve(kernel + noise, kernel).T
         means.append(1.0 + gain @ (share - 1.0))
