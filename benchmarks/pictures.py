@@ -15,12 +15,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from benchmarks.accuracy.cold import PLAIN, START_STD, cuts, drives_left_out, model_of_all
+from benchmarks.ablation.panel import of_all_temperatures
+from benchmarks.accuracy.cold import PLAIN, cases_at
 from benchmarks.measured_data import HOW, REPOSITORY, data_folder
 from cellwise.estimate.estimators import make_estimator
 
 PICTURE = REPOSITORY / "docs" / "pictures" / "hero.png"
-WARM_C = -10.0
+TAG = "n10"  # -10 degC
 WIDTH_IN, HEIGHT_IN, DPI = 9.0, 3.4, 120
 LINES = ((PLAIN, "a plain EKF (filterpy)", "tab:orange"), ("ekf", "cellwise, EKF", "tab:blue"))
 
@@ -36,17 +37,17 @@ def main() -> int:
     if data is None:
         print(f"no measured cells: {HOW}", file=sys.stderr)
         return 1
-    model = model_of_all(data)
-    _, cut = cuts(next(drives_left_out(data, WARM_C)), WARM_C)  # of the two the harder one
-    hours = (cut.log.time_s - cut.log.time_s[0]) / 3600.0
+    model = of_all_temperatures(data)
+    _, case, *_ = cases_at(data, model, TAG)  # of the two cuts of NN the harder one
+    hours = (case.log.time_s - case.log.time_s[0]) / 3600.0
     figure, ax = plt.subplots(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
     for name, called, colour in LINES:
-        trace = make_estimator(name, model).run(cut.log, cut.start, START_STD)
-        at_h = (trace.time_s - cut.log.time_s[0]) / 3600.0
+        trace = make_estimator(name, model).run(case.log, case.soc0, case.std)
+        at_h = (trace.time_s - case.log.time_s[0]) / 3600.0
         soc, band = 100.0 * trace.soc, 200.0 * trace.soc_std
         ax.fill_between(at_h, soc - band, soc + band, color=colour, alpha=0.2, linewidth=0)
         ax.plot(at_h, soc, color=colour, label=called)
-    ax.plot(hours, 100.0 * cut.truths[1], color="black", linestyle="--", label="tester's counter")
+    ax.plot(hours, 100.0 * case.truths[1], color="black", linestyle="--", label="tester's counter")
     ax.set(xlabel="time [h]", ylabel="SOC [%]", xlim=(0.0, hours[-1]), ylim=(0.0, 100.0))
     ax.legend(loc="upper right", frameon=False)
     figure.savefig(PICTURE, dpi=DPI)

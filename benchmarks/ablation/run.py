@@ -22,6 +22,7 @@ from benchmarks.measured_data import HOW, data_folder
 from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.noise import Noise
+from cellwise.estimate.trace import Trace
 
 ESTIMATORS = ("ekf", "ukf", "adaptive")
 
@@ -48,8 +49,13 @@ def estimator_of(switch: Switch, name: str, case: Case) -> Estimator:
 
 
 def judged(switch: Switch, name: str, case: Case) -> Result:
-    """One filter over one case, by the capacity that it agrees with best."""
+    """One filter over one case."""
     trace = estimator_of(switch, name, case).run(case.log, case.soc0, case.std)
+    return result_of(case, name, trace)
+
+
+def result_of(case: Case, name: str, trace: Trace) -> Result:
+    """What a filter's replay of a case is worth, by the capacity that it agrees with best."""
     late = slice(len(case.log) // 4, None)
     errors = [trace.soc - truth for truth in case.truths]
     error = min(errors, key=lambda e: float(np.mean(e[late] ** 2)))

@@ -8,121 +8,72 @@ EKF as filterpy's users write it, with the same model and noise.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy.judging import POINTS_OFF, voltage_rmse_mV
-from benchmarks.accuracy.panasonic import CELL, NOMINAL_AH, REFERENCE_AH, TAGS, panasonic_tests
+from benchmarks.ablation.panel import (
+    COLD_AH,
+    PANASONIC,
+    PANASONIC_AH,
+    WARM_C,
+    Case,
+    from_middle,
+    named,
+    of_all_temperatures,
+)
+from benchmarks.ablation.run import Result, result_of
+from benchmarks.accuracy.judging import voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
-from benchmarks.measured_data import measured_log
-from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
-from cellwise.logs import CellLog
-from cellwise.typing import FloatArray
 
-FITTED = ("cycle_2", "cycle_4", "us06")
-LEFT_OUT = {25.0: ("nn", "hwfta"), 10.0: ("nn", "la92")}  # colder as at 10 degC
-CUTS = ((0.65, -POINTS_OFF), (0.50, POINTS_OFF))
-LOADED_A = 1.0
-START_STD = 0.15
-FORGOTTEN = 0.25  # of a log, by when the start must be forgotten
-COLD_C = 0.0
-COLD_AH = (2.8, 2.9, REFERENCE_AH)  # the cell had aged by an unknown part when it was driven cold
+WARM_DRIVES, DRIVES = ("nn", "hwfta"), ("nn", "la92")  # at 25 degC; colder
+COLD = ("n10", "n20")  # the cell had aged by an unknown part when it was driven there
 VOLTAGE_MV = {25.0: 10.0, 10.0: 12.0, 0.0: 18.0, -10.0: 22.0, -20.0: 35.0}
 SOC_PERCENT = {25.0: 0.5, 10.0: 1.0, 0.0: 1.8, -10.0: 3.5, -20.0: 5.0}
 OURS, PLAIN = {"ekf": "EKF", "fixed-step": "fixed step and its C"}, "filterpy-ekf"
 
 
-@dataclass(frozen=True)
-class Cut:
-    """A log that begins under load, its true SOC by each capacity, and a wrong start."""
-
-    log: CellLog
-    truths: tuple[FloatArray, ...]
-    start: float
-
-
-@dataclass(frozen=True)
-class Judged:
-    """RMSE after the first quarter and mean stated deviation [%], rows inside two of them [%]."""
-
-    rmse: float
-    stated: float
-    inside: float
+def cases_at(data: Path, model: CellModel, tag: str) -> Iterator[Case]:
+    """Two drives of one temperature that are not in the fit, from two places each."""
+    capacities = COLD_AH if tag in COLD else (PANASONIC_AH,)
+    for name in WARM_DRIVES if tag == "p25" else DRIVES:
+        log = named(data, PANASONIC, f"drive_{tag}_{name}")
+        yield from from_middle(f"Panasonic {tag}", model, log, capacities)
 
 
-def model_of_all(data: Path) -> CellModel:
-    """Pulses and three drives of each temperature, C/20 at 25 degC; the drives began full."""
-    hppc = tuple((measured_log(data, f"{CELL}/hppc_{tag}"), warm) for warm, tag in TAGS.items())
-    drives = tuple(
-        (replace(measured_log(data, f"{CELL}/drive_{tag}_{name}"), soc0=1.0), warm)
-        for warm, tag in TAGS.items()
-        for name in FITTED
-    )
-    tests = CellTests(hppc=hppc, ocv=panasonic_tests(data).ocv, drive=drives)
-    return identify_cell(tests, IdentifySettings(nominal_Ah=NOMINAL_AH, name=CELL)).model
-
-
-def drives_left_out(data: Path, warm: float) -> Iterator[CellLog]:
-    """Of one temperature."""
-    for name in LEFT_OUT.get(warm, LEFT_OUT[10.0]):
-        yield measured_log(data, f"{CELL}/drive_{TAGS[warm]}_{name}")
-
-
-def cuts(log: CellLog, warm: float) -> Iterator[Cut]:
-    """A log from two places on, each with a start that is wrong."""
-    if log.charge_Ah is None:
-        raise ValueError(f"no counter in log '{log.name}'")
-    moved_Ah = log.charge_Ah - log.charge_Ah[0]
-    for at_soc, wrong in CUTS:
-        row = int(np.argmax(1.0 - moved_Ah / REFERENCE_AH < at_soc))
-        row += int(np.argmax(log.current_A[row:] > LOADED_A))
-        start = float(1.0 - moved_Ah[row] / REFERENCE_AH) + wrong
-        capacities = COLD_AH if warm < COLD_C else (REFERENCE_AH,)
-        truths = tuple(1.0 - moved_Ah[row:] / capacity for capacity in capacities)
-        yield Cut(log.part(row, len(log)), truths, start)
-
-
-def judged(model: CellModel, cut: Cut, name: str) -> Judged:
-    """One estimator, by the truth that is the nearest."""
-    trace = make_estimator(name, model).run(cut.log, cut.start, START_STD)
-    late = slice(int(FORGOTTEN * len(trace.soc)), None)
-    errors = [trace.soc - np.interp(trace.time_s, cut.log.time_s, true) for true in cut.truths]
-    error = min(errors, key=lambda e: float(np.mean(e[late] ** 2)))
-    return Judged(
-        100.0 * float(np.sqrt(np.mean(error[late] ** 2))),
-        100.0 * float(np.mean(trace.soc_std[late])),
-        100.0 * float(np.mean(np.abs(error) < 2.0 * trace.soc_std)),
+def judged(case: Case, name: str) -> Result:
+    """One estimator over one case."""
+    return result_of(
+        case, name, make_estimator(name, case.model).run(case.log, case.soc0, case.std)
     )
 
 
 def cold_figures(data: Path, say: Progress) -> list[Figure]:
     """Voltage of drives left out, and the SOC from the middle, by temperature."""
     say("Panasonic, five temperatures: one model")
-    model = model_of_all(data)
+    model = of_all_temperatures(data)
     figures: list[Figure] = []
-    for warm in TAGS:
+    for tag, warm in WARM_C.items():
         say(f"Panasonic, {warm:.0f} degC from the middle")
-        logs = list(drives_left_out(data, warm))
+        nn = named(data, PANASONIC, f"drive_{tag}_nn")
         group = f"Panasonic {warm:.0f} degC, one model of five temperatures, drives left out"
-        voltage = voltage_rmse_mV(model, logs[0], 1.0)
+        voltage = voltage_rmse_mV(model, nn, 1.0)
         figures.append(
             Figure(group, "voltage RMSE above 10 % SOC, NN", voltage, "mV",
                    target=VOLTAGE_MV[warm], headline=True)
         )  # fmt: skip
-        starts = [cut for log in logs for cut in cuts(log, warm)]
+        cases = list(cases_at(data, model, tag))
         for name, called in OURS.items():
-            runs = [judged(model, cut, name) for cut in starts]
+            runs = [judged(case, name) for case in cases]
             figures += _ours(group, called, runs, SOC_PERCENT[warm])
-        plain = [judged(model, cut, PLAIN) for cut in starts]
+        plain = [judged(case, PLAIN) for case in cases]
         figures.append(_rmse(group, "plain EKF (filterpy)", plain, None))
     return figures
 
 
-def _ours(group: str, called: str, runs: list[Judged], most: float) -> list[Figure]:
+def _ours(group: str, called: str, runs: list[Result], most: float) -> list[Figure]:
     inside = float(np.mean([run.inside for run in runs]))
     return [
         _rmse(group, called, runs, most),
@@ -131,10 +82,10 @@ def _ours(group: str, called: str, runs: list[Judged], most: float) -> list[Figu
     ]  # fmt: skip
 
 
-def _rmse(group: str, called: str, runs: list[Judged], most: float | None) -> Figure:
+def _rmse(group: str, called: str, runs: list[Result], most: float | None) -> Figure:
     mean = {
         name: float(np.mean([getattr(run, name) for run in runs]))
-        for name in ("rmse", "stated", "inside")
+        for name in ("rmse", "sigma", "inside")
     }
     return Figure(
         group,
@@ -143,6 +94,6 @@ def _rmse(group: str, called: str, runs: list[Judged], most: float | None) -> Fi
         "%",
         target=most,
         note=f"{mean['inside']:.0f} % of the rows inside two deviations, "
-        f"{mean['stated']:.1f} % stated",
+        f"{mean['sigma']:.1f} % stated",
         headline=True,
     )
