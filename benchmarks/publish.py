@@ -43,7 +43,9 @@ ABOUT = """# Accuracy
 On measured cells and logs that took no part in the fit. `python -m benchmarks.publish` measures
 all of it on one commit and prints this page from `benchmarks/results/accuracy.json`; the measured
 cells are in the folder that `$CELLWISE_DATA` names (`datasets/registry.toml`). The reference of a
-SOC is the tester's own counter. What falls short, and where to be careful: [limits](limits.md).
+SOC is the tester's own counter over the laboratory's capacity; of the Panasonic below 0 degC,
+which had aged by an unknown part, the nearest of 2.8, 2.9 and 2.997 Ah, for every estimator alike.
+What falls short, and where to be careful: [limits](limits.md).
 What `diagnose` finds: [criticism](criticism.md).
 """
 
