@@ -26,17 +26,21 @@ GROUPS = {
     "Estimators": "cellwise.estimate",
     "Forecast": "cellwise.forecast",
     "Diagnosis": "cellwise.diagnose",
+    "Life": "cellwise.history",
+    "Packs": "cellwise.pack",
+    "Streams": "cellwise.live",
+    "Export": "cellwise.export",
+    "Pages": "cellwise.report",
+    "Workflows": "cellwise.workflows",
     "Data": "cellwise.data",
     "Progress": "cellwise.progress",
     "Errors": "cellwise.errors",
 }
 MORE = {
-    "Streams": ("cellwise.live.LiveFilter", "cellwise.live.Sample", "cellwise.live.run_live"),
+    "Streams of samples": ("cellwise.live.run_live",),
     "Fleets": ("cellwise.fleet.run_fleet", "cellwise.fleet.ReplayTask",
                "cellwise.fleet.DiagnoseTask", "cellwise.fleet.PackTask",
                "cellwise.fleet.HistoryTask"),
-    "Pages": ("cellwise.report.identify_page", "cellwise.report.replay_page",
-              "cellwise.report.diagnose_page"),
     "Public data sets": ("cellwise.datasets.fetch_dataset", "cellwise.datasets.import_dataset"),
 }  # fmt: skip
 
@@ -78,14 +82,14 @@ def homes() -> dict[str, str]:
 
 
 def api_page() -> str:
-    """Every public name under its group."""
+    """Every public name under its group; what has none under the last."""
     lines = ["# API", "", "`import cellwise as cw` has the names of the first groups; the others "
              "are imported from where they stand.", ""]  # fmt: skip
-    for group, package in GROUPS.items():
+    left = dict(sorted(homes().items()))
+    for group, package in (*GROUPS.items(), ("Others", "cellwise")):
         lines += [f"## {group}", ""]
-        for name, home in sorted(homes().items()):
-            if home == package or home.startswith(package + "."):
-                lines += [f"::: {home}.{name}", ""]
+        for name in [n for n, home in left.items() if f"{home}.".startswith(f"{package}.")]:
+            lines += [f"::: {left.pop(name)}.{name}", ""]
     for group, names in MORE.items():
         lines += [f"## {group}", "", *(f"::: {name}\n" for name in names)]
     return "\n".join(lines)
