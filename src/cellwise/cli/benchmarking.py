@@ -20,12 +20,18 @@ cellwise benchmark: estimators x logs x start errors x sensor faults, yours amon
     --list  suites that come with cellwise
 <figures>
 
-cellwise certify: an exported filter over a virtual fleet: how wrong it will be, and where
-    requires a folder that `cellwise export` wrote, and a C compiler
+cellwise certify: an exported filter, or any gauge in C, over a virtual fleet: how wrong, and where
+    requires a folder that `cellwise export` wrote, or a gauge's source; and a C compiler
     $ certify firmware -o certificate
+    $ certify --gauge gauge.c --model nmc-18650 -o certificate
     $ certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9
-    EXPORT  folder that `cellwise export` wrote
-    --model MODEL  that was exported [the one in the folder]
+    [EXPORT]  folder that `cellwise export` wrote
+    --gauge SOURCE.c  a gauge behind gauge_init and gauge_step instead of an export
+    --gauge-dir FOLDER  of the gauge's own sources: compiled with it, its headers found
+    --gauge-header OUT.h  write the declarations of the two functions, and no more
+    --dt S=1  time step of the gauge [s]
+    --model MODEL  that was exported [the one in the folder]; of a gauge: the cells, a stock model
+        too
     --cells N=200  cells
     --hours H=100  hours of each
     --sensor F.toml  what the target's sensors are off by, as TOML [as exported, else a car's]
@@ -56,12 +62,23 @@ from typing import Any
 
 from cellwise.benchmark.certify import (
     Certificate,
+    Exported,
+    Gauge,
     Limits,
     certify,
     measured_log,
     read_export,
 )
-from cellwise.benchmark.certify.certificate import GROUP_COLUMNS, certificate_page, groups_of
+from cellwise.benchmark.certify.certificate import (
+    CAUSE_COLUMNS,
+    CORRECTION,
+    GROUP_COLUMNS,
+    SHOWN,
+    advice,
+    certificate_page,
+    groups_of,
+)
+from cellwise.benchmark.certify.gauge import gauge_header
 from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
 from cellwise.benchmark.page import division_table, divisions, standings_page
 from cellwise.benchmark.run_suite import BenchmarkResult, run_suite
@@ -191,8 +208,11 @@ def run_certify(arguments: argparse.Namespace) -> None:
         arguments.most_rmse, arguments.most_p95, arguments.most_worst, arguments.least_coverage
     )
     sensor = options.sensor_of(arguments)
-    model = None if arguments.model is None else read_model(arguments.model)
-    exported = read_export(arguments.export, model)
+    if arguments.gauge_header is not None:
+        write_atomically(arguments.gauge_header, gauge_header())
+        printing.say(f"written: {arguments.gauge_header}")
+        return
+    exported = judged_of(arguments)
     measured = [
         measured_log(exported.model, log, log.soc0, arguments.reference_capacity_ah)
         for log in log_options.read_all(arguments.log, arguments)
@@ -227,6 +247,33 @@ def run_certify(arguments: argparse.Namespace) -> None:
         raise SystemExit(BEYOND)
 
 
+def judged_of(arguments: argparse.Namespace) -> Exported | Gauge:
+    """The export or the gauge that the arguments name.
+
+    Raises
+    ------
+    InputError        neither, both, or a gauge without the model of its cells
+    """
+    folder, source = arguments.export, arguments.gauge
+    if (folder is None) == (source is None):
+        raise InputError(
+            "neither an export nor a gauge" if source is None else "an export and a gauge",
+            "one of them",
+            "Name a folder that `cellwise export` wrote, or --gauge SOURCE.c.",
+        )
+    if source is None:
+        model = None if arguments.model is None else read_model(arguments.model)
+        return read_export(folder, model)
+    if arguments.model is None:
+        raise InputError(
+            "--gauge without --model", "the model of its cells", "Add --model nmc-18650, say."
+        )
+    beside = None if arguments.gauge_dir is None else Path(arguments.gauge_dir)
+    gauge = Gauge(Path(source), beside, options.read_model(arguments), arguments.dt)
+    _ = gauge.program  # refused before cells are drawn
+    return gauge
+
+
 def print_certificate(found: Certificate, data: dict[str, Any], folder: str | None) -> None:
     """The certificate for people: whole, by what, verdict."""
     printing.say(repr(found))
@@ -236,6 +283,13 @@ def print_certificate(found: Certificate, data: dict[str, Any], folder: str | No
     )
     for name, own in groups_of(data).items():
         printing.record_table(f"by {name}", own.items(), (name, lambda g: g[0]), *GROUP_COLUMNS)
+    if "causes" in data:
+        columns = (*CAUSE_COLUMNS, CORRECTION)
+        printing.record_table("its own causes", data["causes"], *columns)
+        printing.record_table("the fleet's causes", data["fleet_causes"], *CAUSE_COLUMNS)
+        printing.say(advice(data))
+        for failure in data["failures"][:SHOWN]:
+            printing.say(f"  ! {failure['name']} ({failure['fault']}): {failure['problem']}")
     if data["sensor"]["by_default"]:
         printing.say(assumed_text(data["sensor"]))
     if data["verdict"]["limits"]:

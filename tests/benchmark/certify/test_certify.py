@@ -87,7 +87,9 @@ def test_a_run_goes_on_where_it_stopped(folder, tmp_path, capsys, monkeypatch):
     done = []
     real = certify_run.run_life
     monkeypatch.setattr(
-        certify_run, "run_life", lambda e, life: done.append(life.about["cell"]) or real(e, life)
+        certify_run,
+        "run_life",
+        lambda e, life, seed: done.append(life.about["cell"]) or real(e, life, seed),
     )
     _, rest, _ = run(capsys, folder, *SHORT, "-o", place)
     assert sorted(done) == [2, 3]

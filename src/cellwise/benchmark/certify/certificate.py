@@ -74,12 +74,14 @@ class Certificate:
     settings : dict               what it was made with
     description : dict            of the export
     limits : Limits
+    split : dict or None          of a gauge: its error by causes, its failures; None: of an export
     """
 
     rows: list[dict[str, Any]]
     settings: dict[str, Any]
     description: dict[str, Any]
     limits: Limits
+    split: dict[str, Any] | None = None
 
     @property
     def worst(self) -> list[dict[str, Any]]:
@@ -89,11 +91,13 @@ class Certificate:
     @property
     def beyond(self) -> list[str]:
         """Limits that are not kept, in words; each source of cells has to keep them."""
-        said = []
+        stated = {name: limit for name, limit in asdict(self.limits).items() if limit is not None}
+        failures = len(self.split["failures"]) if self.split else 0
+        said = [f"no answer to the end in {failures} lives"] * bool(stated and failures)
         for source, found in self.sources.items():
-            for name, limit in asdict(self.limits).items():
-                value = found[name]
-                if limit is not None and (value < limit if name == "coverage" else value > limit):
+            for name, limit in stated.items():
+                value = found[name]  # none is kept where there is no number
+                if not (value >= limit if name == "coverage" else value <= limit):
                     where = f" ({SOURCES[source]})" if len(self.sources) > 1 else ""
                     said.append(f"{name} {100.0 * value:.2f} %{where}, limit {100.0 * limit:g} %")
         return said
@@ -131,6 +135,7 @@ class Certificate:
             },
             "sensor": self.settings["sensor"],
             "settings": self.settings,
+            **(self.split or {}),
         }
 
     def __repr__(self) -> str:
@@ -138,7 +143,8 @@ class Certificate:
         return (
             f"Certificate({fleet_text(self.sources, self.settings)}: SOC error "
             f"{100 * whole['rmse']:.2f} % RMS, {100 * whole['p95']:.2f} % in 95 % of the time, "
-            f"{100 * whole['coverage']:.0f} % within two deviations)"
+            + (f"{100 * whole['coverage']:.0f} %" if whole["coverage"] >= 0.0 else "no deviation")
+            + " within two deviations)" * (whole["coverage"] >= 0.0)
         )
 
 
@@ -268,8 +274,9 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
     return write_page(
         path,
         finding(data),
-        f"Certificate of the exported filter of {model or 'an unnamed cell'}, by cellwise",
+        f"Certificate of {whose(data)} {model or 'an unnamed cell'}, by cellwise",
         [
+            Section("causes", "What makes it wrong", cause_blocks(data)),
             Section("sources", "By what made the cells", (group_table("source", sources),)),
             Section("groups", "Where the error is", where),
             Section("worst", "The worst cells", (_worst(data),)),
@@ -278,6 +285,57 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
         data,
         lead=lead_of(alerts, facts, worst),
     )
+
+
+OWN = (
+    "On cells that are the model's, with a true start and, unless they are stated, perfect "
+    "sensors: what each cause adds to the error, of which the first hour weighs as much as all "
+    "that follows, and by how much the world had to be moved to make it right for the gauge."
+)
+OF_FLEET = "On the certificate's fleet: how much smaller the error is with each cause made perfect."
+CAUSE_COLUMNS = (
+    ("cause", lambda c: str(c["name"]).replace("_", " ")),
+    ("points of SOC", lambda c: f"{100.0 * c['points']:.2f}"),
+)
+CORRECTION = (
+    "right for the gauge",
+    lambda c: f"{c['correction']:+.3g} {c['unit']}" if c["unit"] else "-",
+)
+
+
+def cause_blocks(data: Mapping[str, Any]) -> Blocks:
+    """A gauge's error by causes; nothing of an export."""
+    if "causes" not in data:
+        return ()
+    rest = (
+        f"Its own error is {percent(data['own_error'])}, {percent(data['tuning'])} with every "
+        "cause made right at once: tuning, and what its model has not. Over a restart the error "
+        f"grew by {percent(data['restart_loss'])} at most beyond what flowed."
+    )
+    failed = [f"{f['name']} ({f['fault']}): {f['problem']}" for f in data["failures"][:SHOWN]]
+    return (
+        paragraph(advice(data)),
+        record_table(data["causes"], *CAUSE_COLUMNS, CORRECTION, caption=OWN),
+        paragraph(rest),
+        record_table(data["fleet_causes"], *CAUSE_COLUMNS, caption=OF_FLEET),
+        *([bullets(failed)] if failed else []),
+    )
+
+
+def advice(data: Mapping[str, Any]) -> str:
+    """What would bring most: of the gauge, and of what it lives in."""
+    said = []
+    for whose, causes in (("itself", data["causes"]), ("its fleet", data["fleet_causes"])):
+        if causes and causes[0]["points"] > 0.0:
+            name = str(causes[0]["name"]).replace("_", " ")
+            said.append(f"of {whose}: {name}, {100.0 * causes[0]['points']:.1f} points")
+    return f"What would bring most, {'; '.join(said)}." if said else "No cause stands out."
+
+
+def whose(data: Mapping[str, Any]) -> str:
+    """What was certified, up to the cell's name."""
+    name = data["settings"].get("gauge")
+    return f"the gauge {name} on" if name else "the exported filter of"
 
 
 def finding(data: Mapping[str, Any]) -> str:

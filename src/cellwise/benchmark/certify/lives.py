@@ -31,6 +31,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
 MODEL, PHYSICS, MEASURED = "model", "physics", "measured"
+AS_CELLS = CellSpread()
 PHYSICS_SEED = 1_000_000  # its cells are other draws than the model's
 PHYSICS_HOURS = 20.0  # of one cell: porous electrodes take a thousand times longer
 KNOWN_STD = 0.02  # of a start that serves as a reference
@@ -49,12 +50,14 @@ class CertifiedLife:
     log : CellLog             what an ideal instrument has logged
     soc : (n,) float          true SOC
     seen : CellLog            what the filter sees
+    truth : CellModel         the cell, as far as it is known
     """
 
     about: dict[str, Any]
     log: CellLog
     soc: FloatArray
     seen: CellLog
+    truth: CellModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,7 @@ class Fleet:
     physics : int             of porous electrodes
     measured : sequence of JudgedLog     each is lived once as it is and once with each fault
     hours, seed, sensor : float, int, Sensor
+    spread : CellSpread       of the model's cells
     """
 
     cells: int
@@ -75,6 +79,7 @@ class Fleet:
     hours: float
     seed: int
     sensor: Sensor
+    spread: CellSpread = AS_CELLS
 
     @property
     def names(self) -> list[tuple[str, int]]:
@@ -86,11 +91,11 @@ class Fleet:
     def life(self, model: CellModel, source: str, number: int, dt_s: float) -> CertifiedLife:
         """The life of a number: the same for the same seed, whatever is drawn beside it."""
         if source == MEASURED:
-            return self._measured(number)
+            return self._measured(model, number)
         physics = source == PHYSICS
         index = number + PHYSICS_SEED * physics
         hours = min(self.hours, PHYSICS_HOURS) if physics else self.hours
-        spread = CellSpread(model_error=0.0) if physics else CellSpread()
+        spread = replace(self.spread, model_error=0.0) if physics else self.spread
         cell = draw_cell(model, index, self.seed, hours, dt_s, self.sensor, spread)
         if physics:
             porous = physics_cell(cell.truth, cell.temperature_C)
@@ -112,9 +117,10 @@ class Fleet:
             "fault": cell.fault.name,
             "started_at": cell.given_soc0,
         }
-        return CertifiedLife(about, log, soc, faulty_log(cell.fault, log, capacity_Ah, rng))
+        seen = faulty_log(cell.fault, log, capacity_Ah, rng)
+        return CertifiedLife(about, log, soc, seen, cell.truth)
 
-    def _measured(self, number: int) -> CertifiedLife:
+    def _measured(self, model: CellModel, number: int) -> CertifiedLife:
         which, what = divmod(number, 1 + len(FAULTS))
         one = self.measured[which]
         rng = np.random.default_rng([self.seed, which, what, 2])
@@ -133,9 +139,9 @@ class Fleet:
             "fault": plain.name,
             "started_at": start,
         }
-        return CertifiedLife(
-            about, one.log, one.truth, faulty_log(fault, one.log, capacity_Ah, rng)
-        )
+        seen = faulty_log(fault, one.log, capacity_Ah, rng)
+        truth = replace(model, capacity_Ah=capacity_Ah)
+        return CertifiedLife(about, one.log, one.truth, seen, truth)
 
 
 def measured_log(

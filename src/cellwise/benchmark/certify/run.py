@@ -11,8 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.benchmark.certify.causes import own_causes
 from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits
 from cellwise.benchmark.certify.exported import Exported
+from cellwise.benchmark.certify.gauge import Gauge
+from cellwise.benchmark.certify.gauge_lives import (
+    Lived,
+    fleet_causes,
+    live,
+    scored_rows,
+    without_each,
+)
 from cellwise.benchmark.certify.lives import (
     PHYSICS_HOURS,
     SETTLED_S,
@@ -39,7 +48,7 @@ PHYSICS_PART = 20  # a cell of porous electrodes beside so many of the model
 
 
 def certify(
-    exported: Exported,
+    exported: Exported | Gauge,
     cells: int = 200,
     hours: float = 100.0,
     *,
@@ -57,7 +66,7 @@ def certify(
 
     Parameters
     ----------
-    exported : Exported
+    exported : Exported or Gauge     a gauge restarts too, and its error is split by causes
     cells, hours : int, float     cells of the exported model, and hours of each
     sensor : Sensor or None       what the target's sensors are off by; None: what the export was
                                   made for, a car's unless it says so
@@ -91,6 +100,7 @@ def certify(
     fleet = Fleet(cells, _physics(physics, cells), tuple(measured), hours, seed, used)
     settings = {
         "model_sha256": exported.description["model_sha256"],
+        **{k: v for k, v in exported.description.items() if k.startswith("gauge")},
         "dt_s": exported.dt_s,
         "options": exported.description["options"],
         "noise": exported.description["noise"],
@@ -114,7 +124,10 @@ def certify(
                 if follow is not None:
                     follow(sum(key in kept.rows for key in keys.values()), len(keys))
     rows = sorted((kept.rows[k] for k in keys.values()), key=lambda r: (r["source"], r["cell"]))
-    certificate = Certificate(rows, settings, exported.description, limits or Limits())
+    split = None
+    if isinstance(exported, Gauge):
+        split = split_error(exported, sensor, seed, rows)
+    certificate = Certificate(rows, settings, exported.description, limits or Limits(), split)
     if keep_logs and place is not None:
         place = made_folder(place / WORST_FOLDER, "the worst lives' logs")
         for row in certificate.worst[:keep_logs]:
@@ -128,7 +141,7 @@ def certify(
 class LifeTask:
     """Lives of a fleet by name, as the fleet's engine wants it."""
 
-    exported: Exported
+    exported: Exported | Gauge
     fleet: Fleet
 
     def rows(self, folder: str, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -140,7 +153,10 @@ class LifeTask:
         exported = self.exported
         try:
             life = self.fleet.life(exported.model, source, int(number), exported.dt_s)
-            return run_life(exported, life)
+            found = run_life(exported, life, self.fleet.seed)
+            if isinstance(exported, Gauge):
+                found["without"] = without_each(exported, self.fleet, life)
+            return found
         except Exception as error:  # whatever a solver does: said with the life's name
             return self.failed_row(exported.folder, name, f"{type(error).__name__}: {error}")
 
@@ -149,29 +165,60 @@ class LifeTask:
         return {"name": name, "problem": reason}
 
 
-def run_life(exported: Exported, life: CertifiedLife) -> dict[str, Any]:
-    """One life through the C: what it was, and how wrong the filter was."""
+def run_life(exported: Exported | Gauge, life: CertifiedLife, seed: int) -> dict[str, Any]:
+    """One life through the C: what it was, and how wrong the filter was.
+
+    A row of which a gauge says nothing, or no number, counts as wrong by all there is.
+    """
     log = life.log
-    samples = samples_of(exported.model, life.seen, exported.dt_s)
-    outputs = exported.run(samples.records, life.about["started_at"], START_STD)
-    error = np.asarray(outputs["soc"], dtype=np.float64)[samples.row_sample] - life.soc
-    std = np.sqrt(np.asarray(outputs["soc_variance"], dtype=np.float64))[samples.row_sample]
-    scored = (log.time_s - log.time_s[0] >= SETTLED_S) & np.isfinite(life.soc)
+    is_gauge = isinstance(exported, Gauge)
+    said = live(exported, life, seed) if isinstance(exported, Gauge) else lived(exported, life)
+    error = np.where(np.isfinite(said.soc), said.soc - life.soc, 1.0)
+    scored = scored_rows(life) & said.on
     ends = ends_of_discharges(log) & scored
     size = np.abs(error[scored])
+    std = np.where(np.isfinite(said.soc), said.std, 0.0)[scored]
     worst = int(np.argmax(np.where(scored, np.abs(error), -1.0)))
-    return {
+    row = {
         **life.about,
         "soc0": float(life.soc[0]),
         "hours": float(log.duration_s / 3600.0),
         "rows": int(scored.sum()),
         "squares": float(np.sum(size**2)),
-        "inside": float(np.mean(size <= 2.0 * std[scored])),
+        "inside": float(np.mean(size <= 2.0 * std)) if np.any(np.isfinite(said.std)) else math.nan,
         "worst": float(size.max()),
         "worst_h": float((log.time_s[worst] - log.time_s[0]) / 3600.0),
         "ends": int(ends.sum()),
         "ends_near": int(np.sum(np.abs(error[ends]) <= NEAR)),
-        "counts": np.histogram(size, BINS)[0].tolist(),
+        "counts": np.histogram(np.minimum(size, BINS[-1]), BINS)[0].tolist(),
+    }
+    return {**row, "restart_loss": said.restart_loss, "failure": said.problem} if is_gauge else row
+
+
+def lived(exported: Exported, life: CertifiedLife) -> Lived:
+    """What the exported C says at each row of a life."""
+    samples = samples_of(exported.model, life.seen, exported.dt_s)
+    outputs = exported.run(samples.records, life.about["started_at"], START_STD)[samples.row_sample]
+    std = np.sqrt(outputs["soc_variance"].astype(np.float64))
+    return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), 0.0, "")
+
+
+def split_error(
+    gauge: Gauge, sensor: Sensor | None, seed: int, rows: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
+    """A gauge's error by causes: its own on the model's cells, then those of the fleet."""
+    own, error, left = own_causes(gauge, sensor, seed)
+    return {
+        "causes": [cause.to_dict() for cause in own],
+        "own_error": error,
+        "tuning": left,
+        "fleet_causes": fleet_causes(rows),
+        "restart_loss": max(row["restart_loss"] for row in rows),
+        "failures": [
+            {"name": row["name"], "fault": row["fault"], "problem": row["failure"]}
+            for row in rows
+            if row["failure"]
+        ],
     }
 
 

@@ -1,0 +1,1 @@
+#include "cellwise_gauge.h"
