@@ -12,6 +12,7 @@ cellwise export: model to C sources and other programs' formats
     --fmu OUT.fmu  FMI 3.0 co-simulation, with a binary for this machine
     --page OUT.html  a page that estimates in the browser [--dt 1]
     --pybamm OUT.py  parameters of PyBaMM's Thevenin model, or its JSON of them: OUT.json
+    --submission OUT.py  Model(X, z) -> (soc, z) for benches, in NumPy alone
     --can OUT.dbc  SOC, band, power, remaining time: a DBC, and C that packs
     --what estimator|cell  of --fmu: the estimator, or the cell alone [estimator]
     --points N  SOC points [the model's]
@@ -57,7 +58,11 @@ from cellwise.workflows.exporting import (
 )
 
 OF_FOLDER = ("layout", "report", "figures", "log")  # options that the others ignore
-STEPPED = ("output", "fmu")  # outputs that hold for one time step, which must be stated
+STEPPED = (
+    "output",
+    "fmu",
+    "submission",
+)  # outputs that hold for one time step, which must be stated
 
 
 def run_export(arguments: argparse.Namespace) -> None:

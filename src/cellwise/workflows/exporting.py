@@ -19,7 +19,9 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.workflows.starts import start_of
 
 # What is written beside the folder of C, each by the module of its name.
-FORMATS = {name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can")}
+FORMATS = {
+    name: f"cellwise.export.{name}" for name in ("fmu", "page", "pybamm", "can", "submission")
+}
 
 
 @dataclass(frozen=True)
