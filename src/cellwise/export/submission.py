@@ -154,7 +154,7 @@ class _Single(ast.NodeTransformer):
         done = isinstance(node.func, ast.Name) and node.func.id == "F" and not node.keywords
         if done and isinstance(node.args[0], ast.Name | ast.Constant):
             return node
-        return ast.copy_location(self.generic_visit(node), node)  # type: ignore[type-var,return-value]
+        return ast.copy_location(self.generic_visit(node), node)  # type: ignore[return-value]
 
 
 def _printed(node: ast.stmt) -> str:
