@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.benchmark.certify import Gauge, causes
-from cellwise.benchmark.certify.gauge import RESTART, SAMPLE, SAVE, TORN, UPDATED, told_of
+from cellwise.benchmark.certify.gauge import RESTART, SAMPLE, SAVE, TORN, UPDATED, config_of
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
@@ -80,7 +80,7 @@ def samples(rows, **events):
 )
 def test_what_a_gauge_does_wrong_is_a_result(own, step, problem):
     gauge = own(step)
-    said = gauge.run(told_of(gauge.model, 0.25), samples(500))
+    said = gauge.run(config_of(gauge.model, 0.25), samples(500))
     assert said.problem.startswith(problem)
     assert np.all(said.soc[:300] == 0.25)
     assert np.all(np.isnan(said.soc[300:]))
@@ -89,7 +89,7 @@ def test_what_a_gauge_does_wrong_is_a_result(own, step, problem):
 def test_a_restart_is_a_new_process_that_is_told_the_last_whole_write(own):
     """A counter of samples begins anew; what was said at the write before comes back."""
     gauge = own("told -= 0.001f; *std = (float)n;")
-    told = told_of(gauge.model, 0.9)
+    told = config_of(gauge.model, 0.9)
     said = gauge.run(told, samples(400, r100=SAVE, r150=TORN, r200=SAVE, r300=RESTART))
     assert said.std[149] == 150
     assert said.std[150] == 1
@@ -108,13 +108,13 @@ def test_a_record_that_was_cut_is_for_the_gauge_to_refuse(own):
         "{ const float *x = from; (void)size; if (x[1] <= 0.0f || x[0] != 42.0f) return 0;"
         " told = x[1]; return 1; }\n",
     )
-    said = gauge.run(told_of(gauge.model, 0.9), samples(200, r100=SAVE, r150=TORN))
+    said = gauge.run(config_of(gauge.model, 0.9), samples(200, r100=SAVE, r150=TORN))
     assert said.soc[150] == pytest.approx(said.soc[99] - 0.001)
 
 
 def test_updated_tables_are_told_after_the_restart(own):
     gauge = own("*std = told;")
-    told = told_of(gauge.model, 0.9)
+    told = config_of(gauge.model, 0.9)
     said = gauge.run(told, samples(20, r10=UPDATED), told._replace(soc0=0.4))
     assert (said.soc[9], said.soc[10]) == pytest.approx((0.9, 0.4))
 
@@ -211,7 +211,7 @@ def test_the_gauge_on_the_page_compiles_and_counts(tmp_path):
     source = tmp_path / "counter.c"
     source.write_text("#include" + page.partition("```text\n#include")[2].partition("```")[0])
     gauge = Gauge(source, None, stock_model(MODEL), 1.0)
-    told = told_of(gauge.model, 0.5)
+    told = config_of(gauge.model, 0.5)
     one_hour = samples(3600)
     one_hour["current_A"] = 0.1 * told.capacity_Ah
     assert gauge.run(told, one_hour).soc[-1] == pytest.approx(0.4, abs=1e-3)

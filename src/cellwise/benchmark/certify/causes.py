@@ -2,7 +2,7 @@
 
 A gauge's own numbers cannot be seen. So the world is made to fit them: the current is scaled until
 the gauge's capacity is right, the voltage moved until its table is, and what that takes off the
-error is the cause's. A gauge that keeps its table in its source is judged as one that is told it.
+error is the cause's. A gauge that keeps its table in its source is judged like any other.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from cellwise.benchmark.certify.gauge import SAMPLE, Gauge, Told, told_of
+from cellwise.benchmark.certify.gauge import SAMPLE, Gauge, GaugeConfig, config_of
 from cellwise.benchmark.certify.lives import SETTLED_S
 from cellwise.benchmark.certify.virtual_cells import NO_FAULT, CellSpread, draw_cell, with_sensor
 from cellwise.benchmark.faults import faulty_log
@@ -42,14 +42,14 @@ class World:
 
     Parameters
     ----------
-    told : Told
+    config : GaugeConfig
     current_A, voltage_V, temperature_C : (n,) float     what its sensors say
     true_A, true_V : (n,) float                          what is there
     usual_V : (n,) float      the voltage at the temperature that the gauge's numbers are of
     soc : (n,) float          true
     """
 
-    told: Told
+    config: GaugeConfig
     current_A: FloatArray
     voltage_V: FloatArray
     temperature_C: FloatArray
@@ -59,7 +59,7 @@ class World:
     soc: FloatArray
 
 
-class Cause(NamedTuple):
+class GaugeCause(NamedTuple):
     """What a cause costs in points of SOC error (RMS), and what was corrected for it."""
 
     name: str
@@ -75,7 +75,7 @@ class Cause(NamedTuple):
 Correct = Callable[[World, float], World]
 
 
-class Correction(NamedTuple):
+class WorldCorrection(NamedTuple):
     """How the world is made to fit a gauge: by a number from ``low`` to ``high``, of a unit."""
 
     name: str
@@ -85,8 +85,10 @@ class Correction(NamedTuple):
     corrected: Correct
 
 
-def own_causes(gauge: Gauge, sensor: Sensor | None, seed: int) -> tuple[list[Cause], float, float]:
-    """Causes of a gauge's own, the largest first; its error as it is; what is left without them.
+def own_causes(
+    gauge: Gauge, sensor: Sensor | None, seed: int
+) -> tuple[list[GaugeCause], float, float]:
+    """Causes of a gauge's own, the largest first; its error as it is, and without them.
 
     Parameters
     ----------
@@ -95,14 +97,14 @@ def own_causes(gauge: Gauge, sensor: Sensor | None, seed: int) -> tuple[list[Cau
 
     Returns
     -------
-    (list of Cause, float, float)     the errors as of `score`
+    (list of GaugeCause, float, float)     the errors as of `score`
     """
     worlds = [world_of(gauge, sensor, seed, k) for k in range(LIVES)]
     base = score(gauge, worlds)
     found, fitted = [], []
-    for one in corrections(gauge, worlds[0].told):
+    for one in corrections(gauge, worlds[0].config):
         value, error = _search(gauge, worlds, one)
-        found.append(Cause(one.name, base - error, value, one.unit))
+        found.append(GaugeCause(one.name, base - error, value, one.unit))
         fitted.append((base - error, one, value))
     left = base
     for gain, one, value in sorted(fitted, key=lambda f: -f[0]):
@@ -128,7 +130,7 @@ def world_of(gauge: Gauge, sensor: Sensor | None, seed: int, number: int) -> Wor
     sensed_C = np.asarray(seen.temperature_C)
     usual_V = log.voltage_V + usual.voltage_V - truth.voltage_V
     return World(
-        told_of(cell.truth, cell.soc0), seen.current_A, seen.voltage_V, sensed_C, log.current_A,
+        config_of(cell.truth, cell.soc0), seen.current_A, seen.voltage_V, sensed_C, log.current_A,
         log.voltage_V, usual_V, truth.soc,
     )  # fmt: skip
 
@@ -141,7 +143,7 @@ def score(gauge: Gauge, worlds: Sequence[World]) -> float:
     first = int(SETTLED_S / gauge.dt_s) + 1
 
     def squares(world: World) -> tuple[float, float]:
-        error = gauge.run(world.told, samples(world, gauge.dt_s)).soc - world.soc
+        error = gauge.run(world.config, samples(world, gauge.dt_s)).soc - world.soc
         each = np.where(np.isfinite(error), error**2, 1.0)
         return float(each[:first].mean()), float(each[first:].mean())
 
@@ -158,10 +160,10 @@ def samples(world: World, dt_s: float) -> np.ndarray:
     return found
 
 
-def corrections(gauge: Gauge, told: Told) -> list[Correction]:
+def corrections(gauge: Gauge, config: GaugeConfig) -> list[WorldCorrection]:
     """What can be made perfect, with the range that its number is searched in."""
-    size_Ah, r0_ohm = told.capacity_Ah, told.r0_ohm
-    table = _table(gauge, told)
+    size_Ah, r0_ohm = config.capacity_Ah, config.r0_ohm
+    table = _table(gauge, config)
 
     def capacity(world: World, factor: float) -> World:
         kept_V = world.voltage_V - (factor - 1.0) * r0_ohm * world.current_A
@@ -171,7 +173,7 @@ def corrections(gauge: Gauge, told: Told) -> list[Correction]:
         return replace(world, voltage_V=world.voltage_V + share * r0_ohm * world.current_A)
 
     def start(world: World, soc: float) -> World:
-        return replace(world, told=world.told._replace(soc0=world.told.soc0 + soc))
+        return replace(world, config=world.config._replace(soc0=world.config.soc0 + soc))
 
     def offset(world: World, current_A: float) -> World:
         return replace(world, current_A=world.true_A + current_A)
@@ -188,17 +190,17 @@ def corrections(gauge: Gauge, told: Told) -> list[Correction]:
         return replace(world, voltage_V=world.voltage_V + share * table(world.soc))
 
     return [
-        Correction("capacity", "of the capacity", 0.7, 1.4, capacity),
-        Correction("resistance", "of R0", -1.0, 2.0, resistance),
-        Correction("start", "SOC", -0.35, 0.35, start),
-        Correction("current_sensor", "A", -0.04 * size_Ah, 0.04 * size_Ah, offset),
-        Correction("voltage_sensor", "V", -0.06, 0.06, voltage),
-        Correction("temperature", "", 0.0, 0.0, warm),
-        Correction("table", "of what the gauge's table is off by", 0.0, 1.0, fitting),
+        WorldCorrection("capacity", "of the capacity", 0.7, 1.4, capacity),
+        WorldCorrection("resistance", "of R0", -1.0, 2.0, resistance),
+        WorldCorrection("start", "SOC", -0.35, 0.35, start),
+        WorldCorrection("current_sensor", "A", -0.04 * size_Ah, 0.04 * size_Ah, offset),
+        WorldCorrection("voltage_sensor", "V", -0.06, 0.06, voltage),
+        WorldCorrection("temperature", "", 0.0, 0.0, warm),
+        WorldCorrection("table", "of what the gauge's table is off by", 0.0, 1.0, fitting),
     ]
 
 
-def _search(gauge: Gauge, worlds: Sequence[World], one: Correction) -> tuple[float, float]:
+def _search(gauge: Gauge, worlds: Sequence[World], one: WorldCorrection) -> tuple[float, float]:
     """The number that a correction does most with, and the error then."""
 
     def error(value: float) -> float:
@@ -214,15 +216,15 @@ def _search(gauge: Gauge, worlds: Sequence[World], one: Correction) -> tuple[flo
     return min((errors[best], tried[best]), (float(finer.fun), float(finer.x)))[::-1]
 
 
-def _table(gauge: Gauge, told: Told) -> Callable[[FloatArray], FloatArray]:
+def _table(gauge: Gauge, config: GaugeConfig) -> Callable[[FloatArray], FloatArray]:
     """By SOC, what must be added to a voltage for the gauge to read it rightly; 0: no table seen.
 
     It is looked at in rests of a day: where a gauge comes to from two starts is its table's SOC,
     and one that stays where it was has none.
     """
     soc = np.linspace(0.05, 0.95, PROBED)
-    rests = np.interp(soc, told.soc, told.ocv_V)
-    low, high = (_rested(gauge, told, rests, soc + far) for far in (-FAR_SOC, FAR_SOC))
+    rests = np.interp(soc, config.soc, config.ocv_V)
+    low, high = (_rested(gauge, config, rests, soc + far) for far in (-FAR_SOC, FAR_SOC))
     reads = 0.5 * (low + high)
     if not np.all(np.isfinite(reads)) or np.mean(np.abs(high - low)) > FAR_SOC:
         return np.zeros_like
@@ -231,7 +233,9 @@ def _table(gauge: Gauge, told: Told) -> Callable[[FloatArray], FloatArray]:
     return lambda at: np.asarray(np.interp(at, soc, off_V))
 
 
-def _rested(gauge: Gauge, told: Told, rests_V: FloatArray, starts: FloatArray) -> FloatArray:
+def _rested(
+    gauge: Gauge, config: GaugeConfig, rests_V: FloatArray, starts: FloatArray
+) -> FloatArray:
     """Where a gauge comes to in rests at voltages, each from its start."""
     rows = max(int(3600.0 * PROBE_H / gauge.dt_s), 2)
 
@@ -239,8 +243,8 @@ def _rested(gauge: Gauge, told: Told, rests_V: FloatArray, starts: FloatArray) -
         found = np.zeros(rows, dtype=SAMPLE)
         found["voltage_V"], found["dt_s"] = one[0], gauge.dt_s
         found["temperature_C"] = gauge.model.usual_temperature_C
-        told_start = told._replace(soc0=float(np.clip(one[1], 0.0, 1.0)))
-        return float(gauge.run(told_start, found).soc[-1])
+        started = config._replace(soc0=float(np.clip(one[1], 0.0, 1.0)))
+        return float(gauge.run(started, found).soc[-1])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return np.array(list(pool.map(rest, zip(rests_V, starts, strict=True))))

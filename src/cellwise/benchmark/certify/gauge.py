@@ -37,11 +37,11 @@ MEMORY_BYTES = 256 << 20  # of a gauge, beside what it is handed
 SECONDS, SAMPLES_PER_S = 5, 20_000  # of processor time: to begin with, and one more for so many
 SLOW = ("SIGXCPU", "SIGALRM", "SIGKILL")  # beyond its processor time, or waiting for ever
 CRASHED, ENDED = 64, 122  # codes of gauge_main.c: a signal beyond the first; it left by itself
-TOP_SOC = 0.5  # at which a gauge is told R0
+TOP_SOC = 0.5  # of the R0 in a configuration
 
 
-class Told(NamedTuple):
-    """What a gauge is told of a cell: ``gauge_config`` without the time step."""
+class GaugeConfig(NamedTuple):
+    """What a gauge begins with: ``gauge_config`` without the time step."""
 
     capacity_Ah: float
     r0_ohm: float
@@ -63,13 +63,13 @@ def gauge_header() -> str:
     return (firmware_folder() / "gauge" / HEADER).read_text(encoding="utf-8")
 
 
-def told_of(cell: CellModel, soc0: float) -> Told:
-    """A cell as a gauge is told it: at 25 degC or what is nearest to it."""
+def config_of(cell: CellModel, soc0: float) -> GaugeConfig:
+    """A cell as a gauge's configuration: at 25 degC or what is nearest to it."""
     usual_C = cell.usual_temperature_C
     r0 = np.array([np.interp(TOP_SOC, cell.soc, row) for row in cell.r0_ohm])
     r0_ohm = np.interp(usual_C, cell.temperature_C, r0)
     ocv_V = np.maximum.accumulate(cell.ocv_at(usual_C))
-    return Told(cell.capacity_Ah, float(r0_ohm), soc0, np.asarray(cell.soc), ocv_V)
+    return GaugeConfig(cell.capacity_Ah, float(r0_ohm), soc0, np.asarray(cell.soc), ocv_V)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Gauge:
     ----------
     source : Path
     folder_of : Path or None     whose C is compiled with it, and whose headers it may include
-    model : CellModel            that it is told of, and that virtual cells are made of
+    model : CellModel            of its configuration, and that virtual cells are made of
     dt_s : float                 of its step [s]
 
     Raises
@@ -146,14 +146,16 @@ class Gauge:
         compile_c([*host_compiler(), "-w", *folders, "-o", str(made), *sources, "-lm"])
         return made
 
-    def run(self, told: Told, samples: NDArray[Any], updated: Told | None = None) -> Answers:
+    def run(
+        self, config: GaugeConfig, samples: NDArray[Any], updated: GaugeConfig | None = None
+    ) -> Answers:
         """Step the gauge through samples.
 
         Parameters
         ----------
-        told : Told              what it begins with
+        config : GaugeConfig              what it begins with
         samples : (n,) of SAMPLE
-        updated : Told or None   what it is told from an event UPDATED on
+        updated : GaugeConfig or None   its configuration from an event UPDATED on
 
         Returns
         -------
@@ -162,11 +164,11 @@ class Gauge:
         samples = np.ascontiguousarray(samples, dtype=SAMPLE)
         most_s = SECONDS + samples.size // SAMPLES_PER_S
         shared = samples.nbytes + 8 * samples.size
-        points = told.soc.size
+        points = config.soc.size
         head = np.array([samples.size, points, most_s, MEMORY_BYTES + shared], dtype="<u4")
         with tempfile.TemporaryDirectory(prefix="life-") as name:
             life, answers = Path(name) / "life", Path(name) / "answers"
-            both = [self._config(one, told) for one in (told, updated or told)]
+            both = [self._config(one, config) for one in (config, updated or config)]
             life.write_bytes(b"".join((head.tobytes(), *both, samples.tobytes())))
             answers.write_bytes(np.full(2 * samples.size, np.nan, dtype="<f4").data)
             command = [str(self.program), str(life), str(answers)]
@@ -177,7 +179,7 @@ class Gauge:
             found = np.fromfile(answers, dtype="<f4").reshape(-1, 2).astype(np.float64)
         return Answers(found[:, 0], found[:, 1], _problem(code, found[:, 0]))
 
-    def _config(self, one: Told, first: Told) -> bytes:
+    def _config(self, one: GaugeConfig, first: GaugeConfig) -> bytes:
         ocv_V = np.interp(first.soc, one.soc, one.ocv_V)
         numbers = [one.capacity_Ah, one.r0_ohm, one.soc0, self.dt_s, *first.soc, *ocv_V]
         return np.array(numbers, dtype="<f4").tobytes()

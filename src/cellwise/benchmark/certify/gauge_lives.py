@@ -17,8 +17,8 @@ from cellwise.benchmark.certify.gauge import (
     TORN,
     UPDATED,
     Gauge,
-    Told,
-    told_of,
+    GaugeConfig,
+    config_of,
 )
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.estimate.fixed.fixed_step import samples_of
@@ -50,12 +50,12 @@ def live(
     gauge: Gauge,
     life: CertifiedLife,
     seed: int,
-    told: Told | None = None,
+    config: GaugeConfig | None = None,
     restarts: bool = True,
 ) -> Lived:
     """Run a gauge through a life; a sample of which a part is missing is not handed to it.
 
-    It is told the model with the life's start, unless ``told`` says something else of the cell.
+    Its configuration is the model's with the life's start, unless ``config`` is another.
     """
     rows = samples_of(gauge.model, life.seen, gauge.dt_s)
     records, row_sample = rows.records, rows.row_sample
@@ -65,8 +65,8 @@ def live(
     event, on = _events(life, gauge.dt_s * (number - number[0]), load_A, seed, restarts)
     handed &= on
     samples = _handed(records[handed], number[handed], event, handed, gauge.dt_s)
-    told = told or told_of(gauge.model, life.about["started_at"])
-    found = gauge.run(told, samples, told_of(life.truth, told.soc0))
+    config = config or config_of(gauge.model, life.about["started_at"])
+    found = gauge.run(config, samples, config_of(life.truth, config.soc0))
     last = np.maximum(np.cumsum(handed) - 1, 0)[row_sample]  # a lost sample: the answer before it
     truth = _at_samples(life.soc, row_sample, records.size)[handed]
     lost = _restart_loss(samples["event"], found.soc - truth, truth)
@@ -145,7 +145,7 @@ def without_each(gauge: Gauge, fleet: Fleet, life: CertifiedLife) -> dict[str, l
         worlds["age"] = replace(fleet, spread=new).life(
             gauge.model, MODEL, about["cell"], gauge.dt_s
         )
-    model, truth = (told_of(cell, about["started_at"]) for cell in (gauge.model, life.truth))
+    model, truth = (config_of(cell, about["started_at"]) for cell in (gauge.model, life.truth))
     cells = {
         "table": model._replace(ocv_V=truth.ocv_V, soc=truth.soc),
         "capacity": model._replace(capacity_Ah=truth.capacity_Ah),
