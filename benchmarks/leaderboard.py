@@ -22,7 +22,7 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from cellwise.benchmark.known_logs import known_log
-from cellwise.benchmark.leaderboard import read_entries, standings_text
+from cellwise.benchmark.leaderboard import markdown, parts_of, read_entries
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 
@@ -62,7 +62,10 @@ def tables(kept: Path) -> Iterator[str]:
         entries = [e for path in sorted(folder.glob("*.json")) for e in read_entries(path)]
         suite = read_suite(folder.name)
         yield f"### {folder.name}\n\nSuite's file: SHA-256 `{suite.sha256[:16]}`.\n"
-        yield standings_text(entries)
+        for k, part in enumerate(parts_of(entries)):
+            yield f"#### {part.title}\n"
+            for table in part.tables[: 2 if k == 0 else 1]:  # bands and cost once
+                yield "\n".join(markdown(table))
         about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
         said = [f"- **{name}**: {what}." for name, what in about.items()]
         said += [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]
