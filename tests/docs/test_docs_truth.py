@@ -81,7 +81,7 @@ def test_names_and_units_of_the_nomenclature_agree():
 
 
 def test_status_bits_are_those_of_the_code():
-    text = (DOCS / "nomenclature.md").read_text(encoding="utf-8")
+    text = (DOCS / "firmware.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", text, flags=re.M)
     assert [(int(bit), name) for bit, name in rows] == [(int(s), s.name) for s in cellwise.Status]
 
@@ -181,6 +181,15 @@ def test_every_page_is_in_the_index():
         index = (folder / "README.md").read_text(encoding="utf-8")
         for page in folder.glob("*.md"):
             assert page.name == "README.md" or f"({page.name})" in index, page.name
+
+
+MOST_WORDS = 30_000  # what one person reads in a few hours
+
+
+def test_the_docs_stay_short():
+    """A word has a letter or a digit: of a table's rules and an equation's signs nobody reads."""
+    words = {p.name: re.findall(r"\S*\w\S*", p.read_text("utf-8")) for p in DOCS.rglob("*.md")}
+    assert sum(len(found) for found in words.values()) <= MOST_WORDS
 
 
 def test_pages_tell_nothing_of_this_machine():
