@@ -26,6 +26,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
 SAVE_S = 600.0  # between two writes of what is kept over a restart
+FEW_CELLS, EVERY = 50, 11  # odd: every second life has a fault
 GAP_S = 60.0  # of samples, beyond which the power was off
 OFF_H, REST_C = (1.0, 4.0), 0.01  # how long the power is lost, and the load that a rest has at most
 # When, as shares of a life: in the middle of a write; for hours; and tables are updated.
@@ -130,6 +131,11 @@ def _restart_loss(event: NDArray[Any], error: FloatArray, truth: FloatArray) -> 
     return float(np.max(np.where(np.isfinite(grown), grown, 1.0), initial=0.0))
 
 
+def is_split(fleet: Fleet, number: int) -> bool:
+    """Whether a life is run again without each cause: of many some, with and without faults."""
+    return fleet.cells <= FEW_CELLS or number % EVERY == 0
+
+
 def without_each(gauge: Gauge, fleet: Fleet, life: CertifiedLife) -> dict[str, list[float]]:
     """Squares of the error and rows of a life with one cause of the fleet made perfect in turn."""
     about, seed = life.about, fleet.seed
@@ -175,6 +181,7 @@ def scored_rows(life: CertifiedLife) -> BoolArray:
 
 def fleet_causes(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """What each cause of the fleet costs, in points of SOC error (RMS), the largest first."""
+    rows = [row for row in rows if "without" in row]
     names = dict.fromkeys(name for row in rows for name in row["without"])
     found = []
     for name in names:

@@ -18,6 +18,7 @@ from cellwise.benchmark.certify.gauge import Gauge
 from cellwise.benchmark.certify.gauge_lives import (
     Lived,
     fleet_causes,
+    is_split,
     live,
     scored_rows,
     without_each,
@@ -154,7 +155,7 @@ class LifeTask:
         try:
             life = self.fleet.life(exported.model, source, int(number), exported.dt_s)
             found = run_life(exported, life, self.fleet.seed)
-            if isinstance(exported, Gauge):
+            if isinstance(exported, Gauge) and is_split(self.fleet, int(number)):
                 found["without"] = without_each(exported, self.fleet, life)
             return found
         except Exception as error:  # whatever a solver does: said with the life's name
