@@ -171,6 +171,6 @@ def _beside_float64(export: Export, log: CellLog, soc0: float | None) -> list[Fi
         export.dt_s,
         soc0=start_of(log.soc0, soc0),
         lean=not export.asked.wide,
-        points=export.asked.points,
+        points=export.tables.options.points,
         noise=export.seen.noise,
     )
