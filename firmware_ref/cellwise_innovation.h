@@ -40,8 +40,8 @@ static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, fl
     repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, seen, r0_ohm, innovation, c->frozen_V, &now);
     x->voltage_V = now.voltage_V;
     x->frozen_A = now.since_A;
-    x->repeats = now.count;
-    return (now.count >= FOUND_FROZEN) ? CELLWISE_VOLTAGE_FROZEN : 0u;
+    x->repeats = now.repeats;
+    return (now.repeats >= FOUND_FROZEN) ? CELLWISE_VOLTAGE_FROZEN : 0u;
 }
 
 /* Steps since the first voltage, or since a recovery. */

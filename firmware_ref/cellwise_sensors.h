@@ -28,7 +28,7 @@ static bool is_dead(float swings)
 typedef struct {
     float voltage_V;
     float since_A;
-    float count;
+    float repeats;
 } cellwise_heldvoltage;
 
 /* After a voltage: FOUND_FROZEN of them where it is frozen, and so until it changes. It repeats itself, but for its
@@ -39,15 +39,15 @@ static void repeats_after(float last_V, float since_A, float repeats, float volt
 {
     heldvoltage->voltage_V = voltage_V;
     heldvoltage->since_A = current_A;
-    heldvoltage->count = 0.0f;
+    heldvoltage->repeats = 0.0f;
     if (magnitude(voltage_V - last_V) <= DITHER_V) {
         heldvoltage->voltage_V = last_V;
         heldvoltage->since_A = since_A;
-        heldvoltage->count = at_most(repeats + 1.0f, FROZEN_READINGS);
+        heldvoltage->repeats = at_most(repeats + 1.0f, FROZEN_READINGS);
         const float moved_V = magnitude(r0_ohm * (current_A - since_A));
         const bool frozen = (moved_V > frozen_V) && (magnitude(innovation_V) > (0.5f * moved_V));
-        if ((repeats >= FOUND_FROZEN) || ((heldvoltage->count >= FROZEN_READINGS) && frozen)) {
-            heldvoltage->count = FOUND_FROZEN;
+        if ((repeats >= FOUND_FROZEN) || ((heldvoltage->repeats >= FROZEN_READINGS) && frozen)) {
+            heldvoltage->repeats = FOUND_FROZEN;
         }
     }
 }

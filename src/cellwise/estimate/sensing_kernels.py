@@ -173,7 +173,7 @@ def watch_voltage(
             watch.voltage_V, watch.frozen_A, watch.repeats,
             s.voltage_V, s.seen_A, r0_ohm, innovation_V, noise.frozen_V,
         )  # fmt: skip
-        if last.count >= FOUND_FROZEN:
+        if last.repeats >= FOUND_FROZEN:
             status = VOLTAGE_FROZEN
     return last, watch_current(noise, watch, s), status
 
@@ -194,6 +194,6 @@ def watch_on(
         away = no_voltage_s + (0.0 if s.gap else s.dt_s)
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
-        last.voltage_V, last.since_A, last.count, s.no_warm_s, swings,
+        last.voltage_V, last.since_A, last.repeats, s.no_warm_s, swings,
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

@@ -41,7 +41,7 @@ class HeldVoltage(NamedTuple):
 
     voltage_V: float
     since_A: float
-    count: float
+    repeats: float
 
 
 @inline

@@ -62,8 +62,8 @@ def watch_voltage(
     )
     x.voltage_V = now.voltage_V
     x.frozen_A = now.since_A
-    x.repeats = now.count
-    return U(VOLTAGE_FROZEN) if now.count >= FOUND_FROZEN else U(0)
+    x.repeats = now.repeats
+    return U(VOLTAGE_FROZEN) if now.repeats >= FOUND_FROZEN else U(0)
 
 
 def steps_of_evidence(x: State) -> float:
