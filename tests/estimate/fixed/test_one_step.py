@@ -99,7 +99,7 @@ def test_no_number_stands_in_both_rooms():
     assert not of_fixed & of_kernels
 
 
-# Numbers of an equation that a room reads as well: what marks a state, what sizes a loop or a table,
+# Numbers of an equation that a room reads as well: what marks a state, what sizes a loop,
 # what a lean step does without the equation.
 MARKS = {"FOUND_FROZEN", "GIVEN_UP", "PAST_PART"}
 READ_IN_C = {"SQUARE_MOST", "START_LOAD_SHARE", "SWINGS_MOST"}
