@@ -72,7 +72,7 @@ class SocGrid(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The number, and why, in a sentence without its stop."""
+        """The number, and why, as a statement without its stop."""
         if not self.by_default:
             why = "as asked for"
         elif self.points == self.model_points:
