@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,8 @@ from cellwise.diagnose.limits import next_test
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import long_innovation, soc_step
+from cellwise.identify.identification import Start
+from cellwise.identify.own_logs import simulate_back, updates_for_worse
 from cellwise.live.run import Counts, check_any
 from cellwise.notices import Code
 from example_cells import curved_cell, random_log
@@ -134,3 +137,28 @@ def test_a_test_is_asked_for_at_the_temperature_at_which_the_log_began():
     warming = SimpleNamespace(temperature_C=np.linspace(0.0, 30.0, 100))  # by its own heat
     open_ = SimpleNamespace(open_between=(), accepted=(), first=())
     assert "HPPC at 0 degC" in next_test(open_, MODEL, SimpleNamespace(logs=(warming,)))
+
+
+@pytest.mark.parametrize(("updated", "worse"), [(1.4, True), (1.0, False)])
+def test_an_update_that_follows_its_own_flight_worse_than_before_is_said(updated, worse):
+    flight = replace(random_log(np.random.default_rng(5), rows=600), name="flight")
+    truth = simulate(MODEL, flight, 0.9)
+    flight = replace(flight, voltage_V=truth.voltage_V, soc0=0.9)
+    model, before = MODEL.with_resistances(updated), MODEL.with_resistances(1.2)
+    fitted = SimpleNamespace(starts=(Start(flight, 0.9),))
+    (own,) = simulate_back(model, cw.CellTests(drive=flight), fitted, before)
+    assert own.to_dict()["prior_rmse_V"] == pytest.approx(
+        simulate(before, flight, 0.9).rmse_V, rel=1e-9
+    )
+    said = updates_for_worse([own])
+    assert [n.code for n in said] == [Code.UPDATE_WORSE] * worse
+    if worse:
+        assert f"{1e3 * own.prior_rmse_V:.1f} mV" in said[0].text
+
+
+def test_without_a_model_to_update_nothing_is_compared():
+    flight = replace(random_log(np.random.default_rng(5), rows=600), soc0=0.9)
+    fitted = SimpleNamespace(starts=(Start(flight, 0.9),))
+    (own,) = simulate_back(MODEL, cw.CellTests(drive=flight), fitted)
+    assert own.prior_rmse_V is None
+    assert not updates_for_worse([own])

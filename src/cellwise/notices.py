@@ -130,6 +130,7 @@ class Code(Enum):
     STEP_NOT_DONE = "step-not-done", WARNING, "a step of a protocol did not go as asked"
     # ---- an identification
     PLAIN_MODEL = "plain-model", WARNING, "a plain model is better than the fit and is handed out"
+    UPDATE_WORSE = "update-worse", WARNING, "a log of an update was followed better before it"
     DOES_NOT_FIT = "does-not-fit", WARNING, "the finished model is far from a log of its fit"
     TEMPERATURES_EXCHANGED = "temperatures-exchanged", WARNING, "a cold log resists less"
     TWO_CELLS = "two-cells", WARNING, "OCV test and pulse test are not of one cell"
