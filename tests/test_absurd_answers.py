@@ -12,7 +12,7 @@ import pytest
 import cellwise as cw
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
-from cellwise.cli.replay_output import state_of_health
+from cellwise.cli.replay_output import print_runs, state_of_health
 from cellwise.diagnose.limits import next_test
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
@@ -21,6 +21,8 @@ from cellwise.identify.identification import Start
 from cellwise.identify.own_logs import simulate_back, updates_for_worse
 from cellwise.live.run import Counts, check_any
 from cellwise.notices import Code
+from cellwise.report.page.numerals import significant
+from cellwise.report.replay.page import beyond_its_statement, flight_content, flight_finding
 from example_cells import curved_cell, random_log
 
 MODEL = curved_cell()
@@ -162,3 +164,35 @@ def test_without_a_model_to_update_nothing_is_compared():
     (own,) = simulate_back(MODEL, cw.CellTests(drive=flight), fitted)
     assert own.prior_rmse_V is None
     assert not updates_for_worse([own])
+
+
+def test_a_wrong_start_is_no_large_nis_and_a_wrong_model_is_said_on_the_page():
+    log = random_log(np.random.default_rng(7), rows=1200)
+    log = replace(log, voltage_V=simulate(MODEL, log, 0.8).voltage_V)
+    right, wrong = (cw.replay(MODEL, log, "ekf", soc0) for soc0 in (0.8, 0.5))
+    assert max(wrong.nis) < max(4.0, 2.0 * max(right.nis))
+    assert beyond_its_statement(wrong) is None
+    minutes = 0.1 * np.sin(log.time_s / 100.0)
+    off = cw.replay(MODEL, replace(log, voltage_V=log.voltage_V + minutes), "ekf", 0.8)
+    assert max(off.nis) > 4.0
+    assert f"(NIS {significant(max(off.nis), 2)})" in beyond_its_statement(off)
+
+
+def test_pilots_read_the_energy_of_their_pack(tmp_path, capsys):
+    flight = random_log(np.random.default_rng(9), rows=600)
+    flight = replace(flight, voltage_V=4.0 * simulate(MODEL, flight, 0.8).voltage_V)
+    place = cw.write_log(replace(flight, current_A=2.0 * flight.current_A), tmp_path / "flight.csv")
+    log = cw.read_log(place, series=4, parallel=2)
+    assert (log.series, log.parallel) == (4, 2)
+    run = cw.replay_and_forecast(MODEL, log)
+    of_cell = run.flight.last.remaining_Wh
+    assert run.cells == run.to_dict()["forecast"]["cells"] == 8
+    assert run.to_dict()["forecast"]["remaining_pack_Wh"] == pytest.approx(8.0 * of_cell)
+    print_runs([run], sure=True)
+    shown = (run.flight.typical or run.flight).last
+    said = f"the pack of 8 cells: {8.0 * shown.remaining_Wh:.1f} ("
+    assert said in capsys.readouterr().out
+    assert "Wh (" in flight_finding(run.flight)
+    assert "in the pack" in flight_finding(run.flight)
+    assert "of the pack of 8" in flight_content(run.flight, several=False)
+    assert "of the pack" not in flight_content(replace(run.flight, cells=1), several=False)

@@ -99,6 +99,7 @@ def measured(tmp_path_factory):
     model = cw.named_model("nmc-18650")
     cw.write_model(model, folder / "cell.json")
     drive = driven(model, rows=1200, rest=60)
+    drive = replace(drive, charge_Ah=columns(drive)["ampere_hours"])
     for name in ("drive", "odd", "other", "healthy", "logs/one", "logs/two"):
         cw.write_log(drive, folder / f"{name}.csv")
     for k, year in enumerate((2023, 2024, 2025)):
@@ -157,5 +158,6 @@ def test_every_example_runs_after_the_one_before(name, measured, tmp_path, monke
     for example in run_here(name):
         words, _, source = example.partition(" < ")
         if source:
-            monkeypatch.setattr("sys.stdin", io.TextIOWrapper(Path(source).open("rb")))
+            content = io.BytesIO(Path(source).read_bytes())
+            monkeypatch.setattr("sys.stdin", io.TextIOWrapper(content))
         assert main(typed(words)) == 0, f"{example}\n{capsys.readouterr().err}"

@@ -86,6 +86,7 @@ class Flight(Plottable, Tabular):
     band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
     what :func:`forecast_at` was asked for beside them. On a charger the load is negative: time and
     energy to full, ``cutoff_V`` the voltage that it holds, ``taper_A`` the current at its end.
+    All are of one cell; ``cells`` is how many the pack has, as the log was read.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Flight(Plottable, Tabular):
     given: Forecast | None = None
     taper_A: float = 0.0
     validity: Validity = UNKNOWN
+    cells: int = 1
 
     def __len__(self) -> int:
         return self.time_s.size
@@ -174,6 +176,8 @@ class Flight(Plottable, Tabular):
             "hold": self.hold,
             "window_s": WINDOW_S,
             "moments": len(self),
+            "cells": self.cells,
+            "remaining_pack_Wh": self.cells * self.last.remaining_Wh,
             **now,
             "typical": None if self.typical is None else self.typical.last._asdict(),
         }
@@ -345,6 +349,7 @@ def flight_of(model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatAr
         by_voltage=found("usual.reason") == BY_VOLTAGE,
         taper_A=load.taper_A,
         validity=model.validity,
+        cells=log.series * log.parallel,
     )
 
 

@@ -149,6 +149,11 @@ class ReplayAndForecast:
         return self.notices[: self.replay.notices.index(self.far) + 1]
 
     @property
+    def cells(self) -> int:
+        """Cells of the pack that the log was read from; 1 of a cell's log."""
+        return self.replay.log.series * self.replay.log.parallel
+
+    @property
     def power(self) -> PowerTrace | None:
         """The state of power, unless the log is far off."""
         return None if self.far else self.replay.power
