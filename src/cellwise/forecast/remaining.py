@@ -286,6 +286,8 @@ def forecast_at(
     ------
     InputError                a load that is not above zero; what :func:`forecast` raises
     """
+    check_is_model(model)
+    check_kind("replay", replay, Replay, "Write forecast_at(model, replay(model, log), 5.0).")
     cutoff = cutoff_of(model, cutoff_V)
     check_load(load, hold)
     rows = len(replay.log)
@@ -304,6 +306,7 @@ def check_load(load: float, hold: str) -> None:
     ------
     InputError        not a finite number above zero
     """
+    load = number("load", load, "one number above zero")
     if not (np.isfinite(load) and load > 0.0):
         unit = "W" if hold == "power" else "A"
         raise InputError(

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import several
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
@@ -324,7 +325,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     Parameters
     ----------
     model : CellModel          of the cell when it was new
-    logs : sequence of CellLog      in the order of time
+    logs : CellLog or sequence of CellLog      in the order of time
     anyway : bool              logs that are far off the model take part, too; else they are left
                                out, and nothing is said of health where all of them are
 
@@ -332,6 +333,8 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     ------
     InputError        no log; none that says anything; days that run backwards
     """
+    check_is_model(model)
+    logs = several("logs", logs, CellLog, "Write life_of(model, [read_log('a.csv')]).")
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.history.life import Life
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
@@ -26,6 +27,7 @@ def history_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
+    check_kind("found", found, Life, "Pass what life_of(model, logs) gives.")
     data = found.to_dict()
     use = data["trend"]["use"]
     now, now_std = found.resistance_scale, found.resistance_std
