@@ -31,7 +31,7 @@ check: $(STAMP)
 # What most tests need is compiled on one core while types are checked on the other. Tests of one
 # module stay together: what they share is made once.
 test: $(STAMP)
-	CELLWISE_QUIET=1 $(BIN)/python -m cellwise.first_use & $(MAKE) check && wait
+	CELLWISE_QUIET=1 $(BIN)/python tests/support/compile_kernels.py & $(MAKE) check && wait
 	$(BIN)/pytest -n 2 --dist worksteal -m "not slow" --hypothesis-profile quick
 
 # What `make firmware` and `make pages` run is left to them.
