@@ -109,13 +109,13 @@ def asked_of(model: CellModel, arguments: argparse.Namespace) -> FollowRequest:
 def _takers(
     stream: FollowedStream, arguments: argparse.Namespace, stack: ExitStack, *, viewed: bool
 ) -> tuple[list[Taker], Callable[[Counts], None] | None]:
-    """Who is told of every update, and what shows the counts; ``stack`` ends them."""
+    """Who gets every update, and what shows the counts; ``stack`` ends them."""
     takers: list[Taker] = []
     look, followed = None, stream.followed
     if arguments.send:
-        told, close = stream.sender(arguments.send, arguments.send_every)
+        taker, close = stream.sender(arguments.send, arguments.send_every)
         stack.callback(close)
-        takers.append(told)
+        takers.append(taker)
     if arguments.output:
         file = stack.enter_context(_appended(Path(arguments.output)))
         takers.append(LineWriter(file, followed, arguments.every))

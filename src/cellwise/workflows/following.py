@@ -1,4 +1,4 @@
-"""A stream followed as it comes: the filter, what is foreseen after every sample, who is told."""
+"""A stream followed as it comes: the filter, what is foreseen after every sample, who gets it."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class FollowedStream:
     reading: ReadOptions = field(default_factory=ReadOptions)
 
     def sender(self, to: str, every_s: float | None = None) -> tuple[Taker, Callable[[], object]]:
-        """What tells others of every update, and what ends that.
+        """What reports every update to others, and what ends that.
 
         Parameters
         ----------
