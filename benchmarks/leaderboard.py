@@ -22,12 +22,18 @@ if not __package__:  # run as a file
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from cellwise.benchmark.known_logs import known_log
-from cellwise.benchmark.leaderboard import read_entries, standings_text
+from cellwise.benchmark.leaderboard import Standings, parts_of, read_entries
+from cellwise.benchmark.standings import Table, markdown
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 
 WIDTH = 120  # of the docs' lines
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+# Of everything that a run writes, what a reader compares by.
+COLUMNS = (
+    "rank [95 %]", "estimator", "hard runs", "worst", "ended within 3 points",
+    "against ekf [95 %]", "inside 2σ", "interval score", "per row", "by",
+)  # fmt: skip
 BEGIN, END = (
     "<!-- printed: python -m benchmarks.leaderboard print -->",
     "<!-- printed until here -->",
@@ -62,7 +68,9 @@ def tables(kept: Path) -> Iterator[str]:
         entries = [e for path in sorted(folder.glob("*.json")) for e in read_entries(path)]
         suite = read_suite(folder.name)
         yield f"### {folder.name}\n\nSuite's file: SHA-256 `{suite.sha256[:16]}`.\n"
-        yield standings_text(entries)
+        for part in parts_of(entries):
+            yield f"#### {part.title}\n"
+            yield "\n".join(markdown(page_table(part)))
         about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
         said = [f"- **{name}**: {what}." for name, what in about.items()]
         said += [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]
@@ -70,6 +78,14 @@ def tables(kept: Path) -> Iterator[str]:
             fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said
         )
         yield ""
+
+
+def page_table(part: Standings) -> Table:
+    """What the page shows of a part: columns of its tables of errors and of bands."""
+    heads = [name for table in part.tables for name in table.head]
+    chosen = [heads.index(name) for name in COLUMNS]
+    rows = ([*errors, *bands] for errors, bands in zip(*(t.rows for t in part.tables), strict=True))
+    return Table([heads[k] for k in chosen], [[row[k] for k in chosen] for row in rows], (1, 9))
 
 
 def printed(page: str, kept: Path) -> str:

@@ -13,9 +13,12 @@ from typing import Any
 import latex2mathml.converter
 from mkdocs.structure.files import File, Files
 
+from cellwise.notices import Code
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 FACE = REPOSITORY / "src" / "cellwise" / "__init__.py"
 INSERTED = re.compile(r"^<!-- code: (\S+) -->$", re.M)
+NOTICES = "<!-- notices -->"
 CODE = re.compile(r"(^```.*?^```\s*?$|`[^`\n]*`)", re.S | re.M)
 DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.S)
 INLINE = re.compile(r"(?<![\\$])\$(?!\s)([^$\n]+?)(?<!\s)\$(?!\d)")
@@ -52,8 +55,8 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Scripts that a page names in place of their mark; equations to MathML, outside of code."""
-    markdown = INSERTED.sub(inserted, markdown)
+    """Scripts and the table of notices in place of their marks; equations to MathML."""
+    markdown = INSERTED.sub(inserted, markdown).replace(NOTICES, notices_table())
     parts = CODE.split(markdown)
     for k in range(0, len(parts), 2):  # the odd ones are code
         parts[k] = DISPLAY.sub(lambda m: "\n" + mathml(m[1], "block") + "\n", parts[k])
@@ -64,6 +67,12 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 def inserted(mark: re.Match[str]) -> str:
     """A script as a block of code."""
     return f"```python\n{(REPOSITORY / mark[1]).read_text(encoding='utf-8')}```"
+
+
+def notices_table() -> str:
+    """Every kind of notice: code, severity, what it says."""
+    rows = (f"| `{code.word}` | {code.severity} | {code.meaning} |" for code in Code)
+    return "\n".join(("| code | severity | it says |", "|---|---|---|", *rows))
 
 
 def mathml(tex: str, display: str) -> str:

@@ -6,6 +6,7 @@ import ast
 import json
 import pickle
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from cellwise.notices import (
 )
 
 SOURCE = Path(__file__).parents[1] / "src" / "cellwise"
-DOCS = Path(__file__).parents[1] / "docs" / "errors.md"
+DOCS = Path(__file__).parents[1] / "docs"
 WRONG = Notice(Code.CURRENT_ZERO, "the current LOOKS WRONG: it is 0 throughout")
 SIGN = Notice(Code.SIGN_ASSUMED, ("else ", Option("sign", "charge-positive")), log="a")
 LONG = Notice(
@@ -103,8 +104,12 @@ def test_codes_are_short_words_each_once():
     assert all(re.fullmatch(r"[a-z]+(-[a-z]+){0,3}", word) for word in words)
 
 
-def test_the_docs_list_every_code():
-    rows = re.findall(r"^\| `([a-z-]+)` \| (\w+) \| (.+) \|$", DOCS.read_text("utf-8"), re.M)
+def test_the_site_lists_every_code():
+    for library in ("mkdocs", "latex2mathml"):
+        pytest.importorskip(library)
+    hooks = runpy.run_path(str(DOCS / "site_hooks.py"))
+    page = hooks["on_page_markdown"]((DOCS / "errors.md").read_text("utf-8"))
+    rows = re.findall(r"^\| `([a-z-]+)` \| (\w+) \| (.+) \|$", page, re.M)
     assert rows == [(code.word, str(code.severity), code.meaning) for code in Code]
 
 

@@ -1,4 +1,4 @@
-"""What README and the accuracy page show is what the results file holds."""
+"""What README, the accuracy and the firmware page show is what the results files hold."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 
 import pytest
+from benchmarks.firmware import table
 from benchmarks.publish import (
     MOST_ROWS,
     PAGE,
@@ -16,6 +17,17 @@ from benchmarks.publish import (
     readme_table,
     with_table,
 )
+from doc_blocks import DOCS, PAGES, page_name
+
+MEASURED = {
+    "criticism.md": (
+        "How often",
+        "Effects hidden in measured logs",
+        "Measured cells with nothing hidden",
+    ),
+    "firmware.md": ("What a step costs",),
+    "leaderboard.md": ("How rows of other packages are run",),
+}
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +59,37 @@ def test_more_rows_than_a_page_has_room_for_are_refused(results):
 def test_a_missed_bound_is_bold(results):
     missed = {**headlines(results)[0], "value": 2.0, "target": 1.0, "passed": False}
     assert f"**2** {missed['unit']}" in page_of({**results, "figures": [missed]})
+
+
+@pytest.fixture(scope="module")
+def costs():
+    return json.loads(table.RESULTS.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("page", "text_of"), [(table.PAGE, table.cost_table), (README, table.readme_line)]
+)
+def test_what_a_step_costs_is_printed_from_the_results(page, text_of, costs):
+    text = page.read_text(encoding="utf-8")
+    assert text == table.between_marks(text, text_of(costs))
+    assert text_of(costs) in text
+    assert re.fullmatch(r"[0-9a-f]{8}", costs["commit"]), "measured beside changes of no commit"
+    assert set(table.CALLED) <= set(costs["costs"])
+
+
+COMMIT = re.compile(r"[Cc]ommit\s+`[0-9a-f]{8}`,\s+(\d{4}-\d\d-\d\d|\d+\s+\w+\s+\d{4})")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_a_commit_that_figures_are_of_has_its_date(page):
+    text = page.read_text(encoding="utf-8")
+    assert len(re.findall(r"[Cc]ommit\s+`[0-9a-f]", text)) == len(COMMIT.findall(text))
+
+
+def test_pages_of_measured_figures_say_of_which_commit_they_are():
+    """Every section with a table of what was measured; settings and methods have none."""
+    for page, sections in MEASURED.items():
+        text = (DOCS / page).read_text(encoding="utf-8")
+        for heading in sections:
+            section = text.partition(f"## {heading}\n")[2].partition("\n## ")[0]
+            assert COMMIT.search(section), f"{page}: {heading}"

@@ -18,7 +18,7 @@ from cellwise.cli import main
 RUN = ("python", "console")
 # Pages whose blocks run a whole command on whole logs; the tests of the commands run without them.
 SLOW = ("README.md", "docs/benchmark.md", "docs/firmware.md", "docs/fleet.md", "docs/howto.md")
-SLOW += ("docs/certificate.md", "docs/live.md", "docs/tutorial.md")
+SLOW += ("docs/certificate.md", "docs/gallery.md", "docs/live.md", "docs/tutorial.md")
 OTHER = ("", "text", "math", "toml", "json", "yaml")
 
 RUNNING = [

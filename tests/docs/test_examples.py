@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 
 import pytest
-from doc_blocks import DOCS, REPOSITORY
+from doc_blocks import DOCS, REPOSITORY, page_blocks
 
 EXAMPLES = sorted((REPOSITORY / "examples").glob("*.py"))
 CASES = {
@@ -37,3 +38,12 @@ def test_every_example_is_on_the_page():
     for path in EXAMPLES:
         assert f"<!-- code: examples/{path.name} -->" in text
         assert f"(../examples/{path.name})" in text
+
+
+def test_the_code_below_each_picture_of_the_gallery_draws_it():
+    page = DOCS / "gallery.md"
+    shown = re.findall(r"!\[.+\]\(pictures/(gallery_\w+\.png)\)", page.read_text(encoding="utf-8"))
+    drawn = [re.findall(r'savefig\("(.+)"\)', block.text) for block in page_blocks(page)]
+    assert drawn == [[name] for name in shown]
+    assert len(shown) == 6
+    assert {path.name for path in (DOCS / "pictures").glob("gallery_*")} == set(shown)

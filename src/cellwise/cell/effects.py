@@ -68,9 +68,10 @@ class Hysteresis(Effect):
 class TemperatureDependence(Effect):
     """Arrhenius factors exp(E (1/T - 1/T_ref)). Neutral: every E = 0 K.
 
-    ``activation_K`` [K] is the activation energy over the gas constant that every resistance has
-    in common, ``r0_K`` ... ``r3_K`` what one resistance has beside it, ``tau1_K`` ... ``tau3_K``
-    those of the time constants; ``reference_C`` [degC] is where the tables hold.
+    ``activation_K`` [K] is the activation energy over the gas constant that every resistance has in
+    common, ``r0_K``, ``r1_K``, ``r2_K``, ``r3_K`` what one resistance has beside it, ``tau1_K``,
+    ``tau2_K``, ``tau3_K`` those of the time constants; ``reference_C`` [degC] is where the tables
+    hold.
     """
 
     activation_K: float = field(default=0.0, metadata=between(-2000.0, 15000.0, off=True))
@@ -86,7 +87,7 @@ class TemperatureDependence(Effect):
 
 @dataclass(frozen=True, eq=False)
 class TimeSkew(Effect):
-    """The sampling delay [s]: the logged voltage lags the logged current by it. Neutral: 0.
+    """The sampling delay: the logged voltage lags the logged current by ``skew_s``. Neutral: 0 s.
 
     It belongs to the logger, not to the cell; it is kept with the model because a filter that
     runs on the same logger needs it.

@@ -17,8 +17,10 @@ BANDS = tuple((k / 10, (k + 1) / 10) for k in range(10))
 class ErrorMetrics:
     """Measured minus model, over the rows that have a measurement.
 
-    ``ci95_V`` is mean +- 1.96 standard deviations, the interval that holds 95 % of a normal
-    error (first seed paper, residual table), not the interval of the mean.
+    ``samples`` are these rows; ``rmse_V``, ``mae_V`` and ``max_error_V`` are root mean square, mean
+    and largest magnitude of the error [V], ``mean_error_V`` and ``std_error_V`` its mean and
+    standard deviation. ``ci95_V`` is mean +- 1.96 standard deviations, the interval that holds 95 %
+    of a normal error (first seed paper, residual table), not the interval of the mean.
     """
 
     samples: int

@@ -77,7 +77,7 @@ class Simulation(Plottable, Tabular):
     """A log and what the model makes of it.
 
     ``voltage_V`` and ``soc`` are the model's, shape (n,); ``residual_V`` is measured minus model,
-    NaN where nothing was measured; ``validity`` is the model's.
+    NaN where nothing was measured; ``soc0`` is the SOC at the first row, ``validity`` the model's.
     """
 
     log: CellLog

@@ -127,7 +127,10 @@ class Diagnosis(Plottable, Summarised, Tabular):
     ``inseparable`` groups of causes that they do not separate, ``competing`` explanations left;
     ``runs`` are all logs simulated before and after, which every figure is taken from;
     ``no_soc_gain`` says why there is no ``soc_gain``; ``faults`` what sensors did
-    wrong.
+    wrong; ``candidates`` are all causes that were tried first, ``noise`` is what no cause explains,
+    ``anatomy`` where the residual of the first log lies, ``next_test`` the experiment that would
+    decide; ``extended_model`` has the causes of the cell, ``corrected`` are the logs without those
+    of the measurement; ``soc0`` and ``holdout`` are as given.
     """
 
     verdict: str

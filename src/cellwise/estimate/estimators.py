@@ -34,7 +34,8 @@ ESTIMATORS = tuple(HOMES)
 class FilterOutput(NamedTuple):
     """What a filter gives after a sample; what it does not know is NaN.
 
-    ``voltage_V`` is predicted before the sample's own voltage was used, ``voltage_std_V`` how well.
+    ``soc`` is a fraction, ``soc_std`` its standard deviation; ``voltage_V`` is predicted before the
+    sample's own voltage was used, ``voltage_std_V`` how well.
     """
 
     soc: float

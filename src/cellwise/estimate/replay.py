@@ -45,7 +45,7 @@ SUSTAINED_S = 600.0
 
 @dataclass(frozen=True)
 class SocErrors:
-    """Estimate minus reference, as fractions of SOC."""
+    """Estimate minus reference, as fractions of SOC: ``rmse``, ``mae`` and ``max`` (magnitude)."""
 
     rmse: float
     mae: float
@@ -59,7 +59,8 @@ class Replay(Plottable, Tabular):
     ``reference_soc`` is the tester's counter over the reference capacity, None without either; it
     never uses the current that the filter sees, nor the model's capacity. ``validity`` is the
     model's; ``power`` the state of power of every row where it was asked for; ``sensor`` what was
-    stated of the sensors, in ``model`` as well.
+    stated of the sensors, in ``model`` as well; ``start`` the initial SOC and how it was found,
+    ``trace`` every row of the estimate, ``ns_per_step`` the time of one [ns].
     """
 
     log: CellLog

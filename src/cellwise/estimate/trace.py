@@ -34,6 +34,7 @@ TRACE_COLUMNS = (
 class Trace(Tabular):
     """Every array has shape (rows,).
 
+    ``soc`` and ``soc_std`` are the estimate and its standard deviation at ``time_s``.
     ``voltage_V`` is the voltage predicted before the row's own voltage was used; ``innovation_V``
     is measured minus predicted, ``innovation_variance_V2`` its variance, ``test_ratio`` its square
     over gate squared times variance; ``status`` are the bits of

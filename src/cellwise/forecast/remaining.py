@@ -55,7 +55,10 @@ class Forecast(NamedTuple):
 
     A band holds what is not known of the SOC, how far the model's voltage may come to lie off what
     it is off by now, how the cell may warm, and that it has the model's capacity to its share.
-    It takes the load to stay.
+    It takes the load to stay. ``time_s``, ``soc`` and ``soc_std`` are those of the moment,
+    ``load_A`` and ``load_W`` the load that goes on, positive on discharge; ``remaining_s`` [s] and
+    ``remaining_Wh`` lead to empty, on a charger to full, infinite where that never comes;
+    ``remaining_s_band``, ``remaining_Wh_band`` and ``end_voltage_V_band`` are the bands' two ends.
 
     ``end_voltage_V`` and ``end_soc`` are those of the moment at which the cell is empty, ``by``
     says why it is: its charge ends, or its voltage reaches the cutoff.
@@ -87,6 +90,12 @@ class Flight(Plottable, Tabular):
     what :func:`forecast_at` was asked for beside them. On a charger the load is negative: time and
     energy to full, ``cutoff_V`` the voltage that it holds, ``taper_A`` the current at its end.
     All are of one cell; ``cells`` is how many the pack has, as the log was read.
+
+    ``time_s``, ``soc`` and ``soc_std`` are those of the moments; ``load_W``, ``remaining_s``,
+    ``remaining_Wh``, ``end_voltage_V``, each with its ``..._band`` (``remaining_s_band``,
+    ``remaining_Wh_band``, ``end_voltage_V_band``), and ``end_soc`` as in :class:`Forecast`, one for
+    each; ``by_voltage`` says which of them end at the cutoff. ``hold`` is what of the load stays,
+    ``name`` the log's, ``validity`` the model's.
     """
 
     name: str

@@ -111,8 +111,8 @@ class LogOfLife:
 class Life(Plottable, Tabular):
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
-    ``far_off`` names the logs that were left out for it. ``withheld``: all are, and capacity and
-    resistance are NaN.
+    ``model`` is that of the new cell. ``far_off`` names the logs that were left out for it.
+    ``withheld``: all are, and capacity and resistance are NaN.
     """
 
     model: CellModel

@@ -46,6 +46,7 @@ class IdentifySettings:
     prior : CellModel or None          a model of such a cell to start from, of any capacity; None:
                                        a stock model where the logs see too little of the SOC range
     name, chemistry : str              written into the model
+    without_lineage : tuple of str     stock models left out of the prior, with all of their cells
 
     Raises
     ------
@@ -335,7 +336,10 @@ class Identification(Plottable, Summarised, Tabular):
 
     ``contradictions`` are those of ``notices`` that say which logs do not go together, by numbers:
     what a person must read before the figures, after why the plain model is handed out, if it is.
-    ``plain`` is how it compares with the fit; None of pulses alone.
+    ``plain`` is how it compares with the fit; None of pulses alone. ``capacities`` are all choices
+    [Ah], ``capacity_choice`` the one that was taken, ``capacity_tests`` what they are made of;
+    ``ocv`` is the curve of the tests, ``temperatures`` hold the pulses of each; ``own_logs`` are
+    all logs simulated back, ``decided`` the effects that were tried, ``seconds`` what it took.
     """
 
     model: CellModel

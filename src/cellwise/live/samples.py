@@ -30,7 +30,8 @@ FAILURES = 25  # in a row, of a bus or a device, and it is given up
 class Sample(NamedTuple):
     """One sample of one cell, positive current = discharge; NaN where nothing was measured.
 
-    The current is that of the interval that ends at ``time_s``. ``arrived_s`` is the clock of the
+    ``current_A`` is that of the interval that ends at ``time_s``; ``voltage_V`` and
+    ``temperature_C`` are read there. ``arrived_s`` is the clock of the
     day (seconds since 1970) at which the sample reached this machine; ``cell_V`` are the voltages
     of a pack's cells, where they are asked for.
     """

@@ -37,8 +37,9 @@ GAP = GapRule()
 class Gap:
     """A pause in the log, never bridged in silence.
 
-    ``row`` is the row that ends the pause. ``charge_Ah`` is what the tester's own counter says
-    flowed meanwhile (positive = discharge), None without a counter.
+    It begins at ``start_s`` and lasts ``duration_s``; ``row`` is the row that ends it.
+    ``charge_Ah`` is what the tester's own counter says flowed meanwhile (positive = discharge),
+    None without a counter.
     """
 
     row: int

@@ -85,7 +85,9 @@ class PackEstimate(Plottable, Tabular):
     """A pack after its logs.
 
     ``days`` are the logs with their mean cells, ``evidence`` the last period's, ``state`` what a
-    later call continues from, ``suspicions`` those of all periods.
+    later call continues from, ``suspicions`` those of all periods, ``exchanged`` cells that have
+    changed places; ``usable`` is charge and energy between the first full and the first empty
+    cell on ``model``, ``withheld`` what is not said since the logs are far off it.
     """
 
     model: CellModel

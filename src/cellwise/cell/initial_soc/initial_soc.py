@@ -66,8 +66,9 @@ LOOKED = Looked()
 class InitialSoc:
     """SOC at the first row, its standard deviation, and how it was found.
 
-    ``beginning`` is what the first rows alone say, where all of the log was asked; else None. A fit
-    of the whole log takes the model for right, the beginning's rest or minute hardly does.
+    ``soc`` is a fraction, ``std`` the deviation of it. ``beginning`` is what the first rows alone
+    say, where all of the log was asked; else None. A fit of the whole log takes the model for
+    right, the beginning's rest or minute hardly does.
     """
 
     soc: float

@@ -37,8 +37,8 @@ SMALLEST_STD = 1e-3
 class CoulombState(NamedTuple):
     """What must be carried: SOC, its variance, the last valid current, how long it has rested.
 
-    ``rest_s`` is infinite before the first sample of a gauge that reads the OCV: a cell that is
-    switched on at rest has rested.
+    ``soc`` has the ``variance``; ``previous_A`` is that current. ``rest_s`` is infinite before the
+    first sample of a gauge that reads the OCV: a cell that is switched on at rest has rested.
     """
 
     soc: float
@@ -48,7 +48,10 @@ class CoulombState(NamedTuple):
 
 
 class CoulombInfo(NamedTuple):
-    """What may be looked at after a step; ``rested`` says that the voltage was used."""
+    """What may be looked at after a step: ``soc`` with ``soc_std``, the bits of ``status``.
+
+    ``rested`` says that the voltage was used.
+    """
 
     soc: float
     soc_std: float

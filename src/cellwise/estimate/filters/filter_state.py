@@ -27,11 +27,12 @@ class EkfStart(NamedTuple):
 class EkfState(NamedTuple):
     """What must be carried: the cell, P, how the model has done, the sensors' past.
 
-    ``rejections`` counts voltages rejected in a row, those under load less; ``mismatch`` is the
-    running mean of the squared innovations over the variance that the model alone explains;
-    ``persistent`` is what a persistent error of the model may have brought into the SOC, one
-    standard deviation; ``contradicted`` the SOC that the voltages have lately said is missing;
-    ``drift`` what a current that is off would have moved, and how far that is believed.
+    ``p`` is the upper triangle of the covariance, ``watch`` the sensors' last readings and how long
+    each has been missing. ``rejections`` counts voltages rejected in a row, those under load less;
+    ``mismatch`` is the running mean of the squared innovations over the variance that the model
+    alone explains; ``persistent`` is what a persistent error of the model may have brought into the
+    SOC, one standard deviation; ``contradicted`` the SOC that the voltages have lately said is
+    missing; ``drift`` what a current that is off would have moved, and how far that is believed.
     """
 
     cell: CellState
@@ -91,9 +92,10 @@ WATCH_AT = DRIFT_AT + len(Drift._fields)
 class EkfInfo(NamedTuple):
     """What may be looked at after a step.
 
-    ``voltage_V`` is predicted before the sample's own voltage is used; ``test_ratio`` above 1
-    means that the gate rejected it; ``status`` are the bits of
-    :class:`cellwise.estimate.status.Status`.
+    ``soc`` and ``soc_std`` are the estimate and its deviation. ``voltage_V`` is predicted before
+    the sample's own voltage is used; ``innovation_V`` is measured minus predicted,
+    ``innovation_variance_V2`` its variance for one sample; ``test_ratio`` above 1 means that the
+    gate rejected it; ``status`` are the bits of :class:`cellwise.estimate.status.Status`.
     """
 
     soc: float

@@ -35,7 +35,11 @@ NEAR = _Near()
 
 @dataclass(frozen=True)
 class CapacityRow:
-    """What the tests at one rate say: means over ``n`` tests, and the spread of their totals."""
+    """What the tests at one rate say: means over ``n`` tests, and the spread of their totals.
+
+    ``cc_Ah`` flowed until the limit was met, ``cv_Ah`` while it was held, ``total_Ah`` is both;
+    ``spread_Ah`` is largest less smallest total; ``coulombic_efficiency`` discharged over charged.
+    """
 
     rate: str
     cc_Ah: float

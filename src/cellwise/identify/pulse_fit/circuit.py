@@ -35,7 +35,8 @@ FEWEST_ROWS = 10  # that count, for six unknowns
 class PulseParameters(NamedTuple):
     """Six numbers, one per parameter of a pulse; values, errors or flags alike.
 
-    Resistances [ohm], time constants [s], OCV at the pulse's mean SOC [V].
+    ``r0_ohm``, ``r1_ohm``, ``r2_ohm`` [ohm], ``tau1_s``, ``tau2_s`` [s], ``ocv_V`` at the pulse's
+    mean SOC [V].
     """
 
     r0_ohm: float
