@@ -85,8 +85,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     if arguments.output:
         print_export(arguments.output, report)
         page_options.say_pages(arguments)
-    for notice in report["notices"]:
-        printing.say(f"note: {notice}")
+    printing.say_notices(found.notices)
     for place in report["sockets"].values():
         printing.say(f"written: {place}")
 
