@@ -7,7 +7,8 @@
 
 #define COLDEST_C (-60.0f)
 #define HOTTEST_C 120.0f
-#define FROZEN_READINGS 3u /* repeats of a voltage, before which nobody calls it frozen */
+#define FROZEN_READINGS 3.0f /* repeats of a voltage, before which nobody calls it frozen; */
+#define FOUND_FROZEN 4.0f /* a count that says it was */
 #define DITHER_V 0x1.47ae14p-9f /* 0.0025: a reading that moves by less repeats itself: the last digits of a converter */
 #define DEAD_SWINGS 8.0f /* of the voltage, up and down, under a current that repeats itself bit by bit */
 #define SWINGS_MOST 100.0f /* counting on says nothing more */
@@ -25,7 +26,8 @@
 #define DENSE 3.0f /* deviations of a start within which the components lie close */
 #define LEAST_WIDTH 0x1.0624dep-10f /* 0.001: of a component in SOC */
 #define TAIL 4.0f /* degrees of freedom of a stated start: how sure it is, is itself not sure */
-#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up */
+#define COST_MOST 20.0f /* a component less likely than exp(-20) is given up: */
+#define GIVEN_UP 0x1p+20f /* its cost, and nobody steps it any more */
 #define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
 #define LOOK_FACTOR 4u /* and each time so much longer */
 #define LOOKS 3u /* times */
@@ -83,7 +85,6 @@
 #define LEAST_SCALE 0x1.99999ap-4f /* 0.1: of the resistances */
 #define MOST_SCALE 20.0f /* of the resistances */
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
-#define FROZEN 0xFFFFFFFFu /* repeats of a voltage that was found frozen */
 #define COUNT_MOST 2000000000u
 
 /* Whether two numbers are the same. */

@@ -21,7 +21,7 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
         if (turn > 0u) {
             k = (turn <= (b->likeliest - 1u)) ? turn : (turn + 1u);
         }
-        if (of[k].cost < LARGE) {
+        if (of[k].cost < GIVEN_UP) {
             of[k].error_V2 = error_V2;
             of[k].mismatch = b->mismatch;
             const uint32_t said = cellwise_step(m, &of[k], sample, out);
@@ -37,7 +37,7 @@ static uint32_t step_components(const cellwise_model *m, cellwise_bank *b, cellw
         }
     }
     out->voltage_V = first_V + mean_V;
-    out->innovation_variance_V2 = variance_V2 + at_least(square_V2 - (mean_V * mean_V), 0.0f);
+    out->innovation_variance_V2 = mixture_variance(variance_V2, mean_V, square_V2);
     out->innovation_V = 0.0f;
     if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
         out->innovation_V = sample->voltage_V - out->voltage_V;
@@ -84,10 +84,10 @@ static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t c
         good = false;
     }
     for (uint32_t k = 0u; k < count; k++) {
-        if (!NOT_NEGATIVE(of[k + 1u].cost, LARGE) || !NOT_NEGATIVE(of[k + 1u].weight, 2.0f)) {
+        if (!NOT_NEGATIVE(of[k + 1u].cost, GIVEN_UP) || !NOT_NEGATIVE(of[k + 1u].weight, 2.0f)) {
             good = false;
         }
-        if ((of[k + 1u].cost < LARGE) && (of[k + 1u].in_bank != COMPONENT)) {
+        if ((of[k + 1u].cost < GIVEN_UP) && (of[k + 1u].in_bank != COMPONENT)) {
             good = false;
         }
     }

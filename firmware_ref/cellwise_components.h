@@ -5,20 +5,19 @@
 
 #include "cellwise_step.h"
 
-/* A component between two edges, else as the estimate `first` is. */
-static void component_start(cellwise_state *a, cellwise_state *first, float low, float high)
+/* A component from `t` on about the estimate, whose copy `a` is. */
+static void component_start(cellwise_state *a, float t, float apart, float std)
 {
-    const float width = at_least(high - low, LEAST_WIDTH);
-    const float soc = 0.5f * (low + high);
-    const float away = soc - first->soc;
-    a->cost = start_cost(away, first->ss, width);
-    a->soc = soc;
+    cellwise_component begins;
+    component_from(t, apart, a->soc, a->ss, std, &begins);
+    a->cost = begins.cost;
+    a->soc = begins.soc;
     a->soc_carry = 0.0f;
-    a->ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width);
+    a->ss = begins.variance;
     a->ss_carry = 0.0f;
     forget_correlations(a);
     if (a->evidence == NOT_BEGUN) {
-        a->h = (soc > 0.5f) ? 1.0f : -1.0f;
+        a->h = (a->soc > 0.5f) ? 1.0f : -1.0f;
     }
     a->in_bank = COMPONENT;
 }
@@ -28,12 +27,8 @@ static void weigh_components(cellwise_state *of, uint32_t count, float least)
 {
     float total = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
-        of[k + 1u].cost = of[k + 1u].cost - least;
+        of[k + 1u].cost = kept_cost(of[k + 1u].cost - least);
         of[k + 1u].weight = vanishing(of[k + 1u].cost);
-        if (of[k + 1u].cost > COST_MOST) {
-            of[k + 1u].cost = LARGE;
-            of[k + 1u].weight = 0.0f;
-        }
         total = total + of[k + 1u].weight;
     }
     for (uint32_t k = 0u; k < count; k++) {
@@ -46,12 +41,10 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
     const float std = root(of[0u].ss);
     const float apart = 2.0f / (float)count;
-    float least = LARGE;
+    float least = GIVEN_UP;
     for (uint32_t k = 0u; k < count; k++) {
         of[k + 1u] = of[0u];
-        const float low = edge((apart * (float)k) - 1.0f, of[0u].soc, std);
-        const float high = edge((apart * (float)(k + 1u)) - 1.0f, of[0u].soc, std);
-        component_start(&of[k + 1u], &of[0u], low, high);
+        component_start(&of[k + 1u], (apart * (float)k) - 1.0f, apart, std);
         if (of[k + 1u].cost < least) {
             least = of[k + 1u].cost;
             b->likeliest = k + 1u;
@@ -81,7 +74,7 @@ static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *c
     column->v3 = 0.0f;
     column->h = 0.0f;
     for (uint32_t k = 0u; k < count; k++) {
-        if (of[k + 1u].cost < LARGE) { /* else dropped: nobody looks after its memory */
+        if (of[k + 1u].cost < GIVEN_UP) { /* else dropped: nobody looks after its memory */
             column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
             column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
             column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
@@ -157,7 +150,7 @@ static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
     take_mean(&of[0u], &mean);
     hold_within(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
-        if (of[k + 1u].cost < LARGE) {
+        if (of[k + 1u].cost < GIVEN_UP) {
             collect(&of[0u], &of[k + 1u]);
         }
     }

@@ -89,16 +89,14 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
     shared_by(c, x, s->seen, &shared);
     const float weight = as_shown(x->error_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        cellwise_passed passed;
-        let_pass(innovation, i->variance_V2, c->gate_square, &passed);
-        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
         const float share = evidence_share(c->fades, c->stays, c->shared, steps_of_evidence(x));
-        const float explained = i->explained_V2 * shared.below;
-        const float cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight);
-        x->cost = x->cost + cost;
-        move(x, &i->column, inverse, passed.off_V);
-        narrow(x, &i->column, inverse);
-        persist(c, x, p, w->slope_V, i->column.s * inverse);
+        cellwise_componentupdate used;
+        component_update(innovation, i->variance_V2, c->gate_square, i->explained_V2, weight, shared.below, share,
+                         &used);
+        x->cost = x->cost + used.cost;
+        move(x, &i->column, used.inverse, used.off_V);
+        narrow(x, &i->column, used.inverse);
+        persist(c, x, p, w->slope_V, i->column.s * used.inverse);
     }
     if (x->evidence < FIRST_VOLTAGE) {
         x->evidence = FIRST_VOLTAGE;

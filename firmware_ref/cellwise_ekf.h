@@ -61,7 +61,7 @@ typedef struct {
     float persistent; /* SOC error by a persistent error of the model */
     float voltage_V; /* last valid one, */
     float frozen_A; /* the current when it came, */
-    uint32_t repeats; /* and how often it has come since */
+    float repeats; /* and how often it has come since; 4: frozen */
     float swings; /* of the voltage while the current repeats itself; last one's sign */
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */

@@ -32,28 +32,16 @@ static void watch_current(const cellwise_constants *c, cellwise_state *x, float 
     }
 }
 
-/* CW-009. Whether the voltage is frozen. It stays so until it changes. */
+/* CW-009. Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0. */
 static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float seen, float r0_ohm,
                               float innovation)
 {
-    uint32_t status = 0u;
-    if (!SIZE_WITHIN(voltage - x->voltage_V, DITHER_V)) {
-        x->voltage_V = voltage;
-        x->frozen_A = seen;
-        x->repeats = 0u;
-    } else if (x->repeats == FROZEN) {
-        status = CELLWISE_VOLTAGE_FROZEN;
-    } else {
-        const bool frozen = is_frozen(seen - x->frozen_A, r0_ohm, innovation, c->frozen_V);
-        if (x->repeats < COUNT_MOST) {
-            x->repeats = x->repeats + 1u;
-        }
-        if ((x->repeats >= FROZEN_READINGS) && frozen) {
-            x->repeats = FROZEN;
-            status = CELLWISE_VOLTAGE_FROZEN;
-        }
-    }
-    return status;
+    cellwise_heldvoltage now;
+    repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, seen, r0_ohm, innovation, c->frozen_V, &now);
+    x->voltage_V = now.voltage_V;
+    x->frozen_A = now.since_A;
+    x->repeats = now.repeats;
+    return (now.repeats >= FOUND_FROZEN) ? CELLWISE_VOLTAGE_FROZEN : 0u;
 }
 
 /* Steps since the first voltage, or since a recovery. */

@@ -22,12 +22,38 @@ static float edge(float t, float soc, float std)
     return at;
 }
 
-/* What speaks against a component `away` from a stated start, and of a `width` in SOC. How sure a stated start is,
- * is itself not sure: Student's t of TAIL degrees of freedom. */
-static float start_cost(float away, float variance, float width)
+/* Where a component begins: its SOC, the variance of that, and what speaks against it. */
+typedef struct {
+    float soc;
+    float variance;
+    float cost;
+} cellwise_component;
+
+/* The component from `t` to `t + apart` in -1..1, about a start known to `std`. How sure a stated start is, is
+ * itself not sure: Student's t of TAIL degrees of freedom. */
+static void component_from(float t, float apart, float soc, float variance, float std, cellwise_component *component)
 {
+    const float low = edge(t, soc, std);
+    const float high = edge(t + apart, soc, std);
+    const float width = at_least(high - low, LEAST_WIDTH);
+    const float wide = COMPONENT_WIDTH * width;
+    component->soc = 0.5f * (low + high);
+    const float away = component->soc - soc;
     const float off = (away * away) / (TAIL * variance);
-    return ((0.5f * (TAIL + 1.0f)) * log_of_more(off)) + log_of_more((1.0f / width) - 1.0f);
+    component->cost = ((0.5f * (TAIL + 1.0f)) * log_of_more(off)) + log_of_more((1.0f / width) - 1.0f);
+    component->variance = wide * wide;
+}
+
+/* Of a component beside the likeliest's; once it is given up, it stays so. */
+static float kept_cost(float cost)
+{
+    return (cost > COST_MOST) ? GIVEN_UP : cost;
+}
+
+/* Of components' predictions: their own, and how far they lie apart. */
+static float mixture_variance(float own_V2, float mean_V, float square_V2)
+{
+    return own_V2 + at_least(square_V2 - (mean_V * mean_V), 0.0f);
 }
 
 /* How much of a voltage's evidence is new, where a part p of the model's error stays for good. Of a mean over t the
@@ -39,33 +65,52 @@ static float evidence_share(float fades, float stays, float shared, float since)
     return at_most((fades * shared) / (left * left), 1.0f);
 }
 
-/* What the gate lets pass of an innovation, and how the rest `grows` what it says. */
+/* The innovation that a component takes, one over its variance, minus the log likelihood. */
 typedef struct {
     float off_V;
-    float grows;
-} cellwise_passed;
+    float inverse;
+    float cost;
+} cellwise_componentupdate;
 
-/* An innovation as a component takes it: as far as the gate. Beyond that it speaks against a component in proportion
- * to how far it is off (Huber): below empty the lowest of them is the nearest. */
-static void let_pass(float innovation_V, float variance_V2, float gate_square, cellwise_passed *passed)
+/* None is rejected: it moves a component as far as the gate. Beyond that it speaks against it in proportion to how
+ * far it is off (Huber): below empty the lowest of them is the nearest. It counts as often as it moves the state:
+ * samples that share one error of the model are one, of which `share` is new. */
+static void component_update(float innovation_V, float variance_V2, float gate_square, float explained_V2,
+                             float weight_V2, float below, float share, cellwise_componentupdate *componentupdate)
 {
     const float most = gate_square * variance_V2;
     const float square = innovation_V * innovation_V;
-    passed->off_V = innovation_V;
-    passed->grows = 1.0f;
+    componentupdate->off_V = innovation_V;
+    float grows = 1.0f;
     if (square > most) {
-        const float share = at_least(root(most / square), LEAST_PASSED);
-        passed->off_V = innovation_V * share;
-        passed->grows = (2.0f / share) - 1.0f;
+        const float passed = at_least(root(most / square), LEAST_PASSED);
+        componentupdate->off_V = innovation_V * passed;
+        grows = (2.0f / passed) - 1.0f;
     }
+    componentupdate->inverse = inverse_weight(explained_V2, weight_V2, below);
+    const float unlikely = log_of_more((explained_V2 * below) / weight_V2);
+    componentupdate->cost = share *
+        (0.5f * ((grows * ((componentupdate->off_V * componentupdate->off_V) * componentupdate->inverse)) + unlikely));
 }
 
-/* What a voltage says against a component: minus the logarithm of its likelihood. It counts as often as it moves the
- * state: samples that share one error of the model are one. */
-static float cost_of_voltage(float share, float off_V, float grows, float inverse, float explained_V2, float weight_V2)
+/* Of a load's way from full to a SOC, a charge's from empty, PAST_PART each; to be cut off. */
+static float parts_before(float soc, float mean_A)
 {
-    const float against = (grows * ((off_V * off_V) * inverse)) + log_of_more(explained_V2 / weight_V2);
-    return share * (0.5f * against);
+    float way = soc;
+    if (mean_A >= 0.0f) {
+        way = 1.0f - soc;
+    }
+    return (way / PAST_PART) + 0.5f;
+}
+
+/* SOC after so many parts. */
+static float soc_on_way(float parts, float mean_A)
+{
+    float soc = parts * PAST_PART;
+    if (mean_A >= 0.0f) {
+        soc = 1.0f - soc;
+    }
+    return soc;
 }
 
 /* What the slow branch holds of a load before the start: mean, and variance of it. */

@@ -11,19 +11,10 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
     float before = 0.0f;
     const float size = at_least(magnitude(mean_A), m->constant.least_use_A);
     const float steps = PAST_PART / (m->constant.soc_per_A * size);
-    float way = soc;
-    if (mean_A >= 0.0f) {
-        way = 1.0f - soc;
-    }
-    const uint32_t points = (uint32_t)((way / PAST_PART) + 0.5f);
-    for (uint32_t k = 0u; k < points; k++) {
-        const float moved = (float)(k + 1u) * PAST_PART;
-        float at = moved;
-        if (mean_A >= 0.0f) {
-            at = 1.0f - moved;
-        }
+    const uint32_t parts = (uint32_t)parts_before(soc, mean_A);
+    for (uint32_t k = 0u; k < parts; k++) {
         cellwise_point p;
-        look_up(m, place, at, mean_A, &p);
+        look_up(m, place, soc_on_way((float)(k + 1u), mean_A), mean_A, &p);
         const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
         before = before + (risen(steps * p.gain3) * (end - before));
     }
@@ -85,7 +76,7 @@ static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state 
         b->mean_A = b->mean_A + ((of[b->likeliest].current_A - b->mean_A) / (float)b->since);
         if (b->since >= b->next_look) {
             for (uint32_t k = 0u; k < count; k++) {
-                if (of[k + 1u].cost < LARGE) {
+                if (of[k + 1u].cost < GIVEN_UP) {
                     if (b->looks == 0u) {
                         know_past(m, &of[k + 1u], (float)b->since, b->mean_A);
                     } else {

@@ -24,13 +24,32 @@ static bool is_dead(float swings)
     return magnitude(swings) >= DEAD_SWINGS;
 }
 
-/* Whether a voltage that repeats itself, but for its last digits, must have moved. R0 times the change of current
- * says so, and the prediction is off by half of that: a held voltage (the end of a charge) repeats itself, too, but
- * the model expects it there. */
-static bool is_frozen(float change_A, float r0_ohm, float innovation_V, float frozen_V)
+/* The last reading of a voltage, the current when it came, and how often it has come since. */
+typedef struct {
+    float voltage_V;
+    float since_A;
+    float repeats;
+} cellwise_heldvoltage;
+
+/* After a voltage: FOUND_FROZEN of them where it is frozen, and so until it changes. It repeats itself, but for its
+ * last digits, where R0 times the change of current says that it must have moved, and the prediction is off by half
+ * of that: a held voltage (the end of a charge) repeats itself, too, but the model expects it there. */
+static void repeats_after(float last_V, float since_A, float repeats, float voltage_V, float current_A, float r0_ohm,
+                          float innovation_V, float frozen_V, cellwise_heldvoltage *heldvoltage)
 {
-    const float moved_V = magnitude(r0_ohm * change_A);
-    return (moved_V > frozen_V) && (magnitude(innovation_V) > (0.5f * moved_V));
+    heldvoltage->voltage_V = voltage_V;
+    heldvoltage->since_A = current_A;
+    heldvoltage->repeats = 0.0f;
+    if (magnitude(voltage_V - last_V) <= DITHER_V) {
+        heldvoltage->voltage_V = last_V;
+        heldvoltage->since_A = since_A;
+        heldvoltage->repeats = at_most(repeats + 1.0f, FROZEN_READINGS);
+        const float moved_V = magnitude(r0_ohm * (current_A - since_A));
+        const bool frozen = (moved_V > frozen_V) && (magnitude(innovation_V) > (0.5f * moved_V));
+        if ((repeats >= FOUND_FROZEN) || ((heldvoltage->repeats >= FROZEN_READINGS) && frozen)) {
+            heldvoltage->repeats = FOUND_FROZEN;
+        }
+    }
 }
 
 /* SOC's variance of what may have flowed unseen over a gap. The currents on either side, or half a rate, for as long

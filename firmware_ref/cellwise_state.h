@@ -23,7 +23,7 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!WITHIN(x->temperature_C, COLDEST_C, HOTTEST_C)) { return false; }
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
-    if (!SIZE_WITHIN(x->swings, SWINGS_MOST)) { return false; }
+    if (!(SIZE_WITHIN(x->swings, SWINGS_MOST) && NOT_NEGATIVE(x->repeats, FOUND_FROZEN))) { return false; }
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) { return false; }
     if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) { return false; }
     if (!SIZE_WITHIN(x->mean_V, LARGE)) { return false; }
@@ -65,7 +65,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->persistent = 0.0f;
     x->voltage_V = 0.0f;
     x->frozen_A = 0.0f;
-    x->repeats = 0u;
+    x->repeats = 0.0f;
     x->swings = 0.0f;
     x->no_current = 0u;
     x->no_voltage = 0u;

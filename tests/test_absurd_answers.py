@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,13 +12,17 @@ import pytest
 import cellwise as cw
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
-from cellwise.cli.replay_output import state_of_health
+from cellwise.cli.replay_output import print_runs, state_of_health
 from cellwise.diagnose.limits import next_test
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.estimate.trace import long_innovation, soc_step
+from cellwise.identify.identification import Start
+from cellwise.identify.own_logs import simulate_back, updates_for_worse
 from cellwise.live.run import Counts, check_any
 from cellwise.notices import Code
+from cellwise.report.page.numerals import significant
+from cellwise.report.replay.page import beyond_its_statement, flight_content, flight_finding
 from example_cells import curved_cell, random_log
 
 MODEL = curved_cell()
@@ -134,3 +139,60 @@ def test_a_test_is_asked_for_at_the_temperature_at_which_the_log_began():
     warming = SimpleNamespace(temperature_C=np.linspace(0.0, 30.0, 100))  # by its own heat
     open_ = SimpleNamespace(open_between=(), accepted=(), first=())
     assert "HPPC at 0 degC" in next_test(open_, MODEL, SimpleNamespace(logs=(warming,)))
+
+
+@pytest.mark.parametrize(("updated", "worse"), [(1.4, True), (1.0, False)])
+def test_an_update_that_follows_its_own_flight_worse_than_before_is_said(updated, worse):
+    flight = replace(random_log(np.random.default_rng(5), rows=600), name="flight")
+    truth = simulate(MODEL, flight, 0.9)
+    flight = replace(flight, voltage_V=truth.voltage_V, soc0=0.9)
+    model, before = MODEL.with_resistances(updated), MODEL.with_resistances(1.2)
+    fitted = SimpleNamespace(starts=(Start(flight, 0.9),))
+    (own,) = simulate_back(model, cw.CellTests(drive=flight), fitted, before)
+    assert own.to_dict()["prior_rmse_V"] == pytest.approx(
+        simulate(before, flight, 0.9).rmse_V, rel=1e-9
+    )
+    said = updates_for_worse([own])
+    assert [n.code for n in said] == [Code.UPDATE_WORSE] * worse
+    if worse:
+        assert f"{1e3 * own.prior_rmse_V:.1f} mV" in said[0].text
+
+
+def test_without_a_model_to_update_nothing_is_compared():
+    flight = replace(random_log(np.random.default_rng(5), rows=600), soc0=0.9)
+    fitted = SimpleNamespace(starts=(Start(flight, 0.9),))
+    (own,) = simulate_back(MODEL, cw.CellTests(drive=flight), fitted)
+    assert own.prior_rmse_V is None
+    assert not updates_for_worse([own])
+
+
+def test_a_wrong_start_is_no_large_nis_and_a_wrong_model_is_said_on_the_page():
+    log = random_log(np.random.default_rng(7), rows=1200)
+    log = replace(log, voltage_V=simulate(MODEL, log, 0.8).voltage_V)
+    right, wrong = (cw.replay(MODEL, log, "ekf", soc0) for soc0 in (0.8, 0.5))
+    assert max(wrong.nis) < max(4.0, 2.0 * max(right.nis))
+    assert beyond_its_statement(wrong) is None
+    minutes = 0.1 * np.sin(log.time_s / 100.0)
+    off = cw.replay(MODEL, replace(log, voltage_V=log.voltage_V + minutes), "ekf", 0.8)
+    assert max(off.nis) > 4.0
+    assert f"(NIS {significant(max(off.nis), 2)})" in beyond_its_statement(off)
+
+
+def test_pilots_read_the_energy_of_their_pack(tmp_path, capsys):
+    flight = random_log(np.random.default_rng(9), rows=600)
+    flight = replace(flight, voltage_V=4.0 * simulate(MODEL, flight, 0.8).voltage_V)
+    place = cw.write_log(replace(flight, current_A=2.0 * flight.current_A), tmp_path / "flight.csv")
+    log = cw.read_log(place, series=4, parallel=2)
+    assert (log.series, log.parallel) == (4, 2)
+    run = cw.replay_and_forecast(MODEL, log)
+    of_cell = run.flight.last.remaining_Wh
+    assert run.cells == run.to_dict()["forecast"]["cells"] == 8
+    assert run.to_dict()["forecast"]["remaining_pack_Wh"] == pytest.approx(8.0 * of_cell)
+    print_runs([run], sure=True)
+    shown = (run.flight.typical or run.flight).last
+    said = f"the pack of 8 cells: {8.0 * shown.remaining_Wh:.1f} ("
+    assert said in capsys.readouterr().out
+    assert "Wh (" in flight_finding(run.flight)
+    assert "in the pack" in flight_finding(run.flight)
+    assert "of the pack of 8" in flight_content(run.flight, several=False)
+    assert "of the pack" not in flight_content(replace(run.flight, cells=1), several=False)

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     )
     from cellwise.logs.cell_log import resample as resample
     from cellwise.logs.reading import read_pack as read_pack
+    from cellwise.notices import Code as Code, Notice as Notice, Severity as Severity
     from cellwise.pack.pack_estimate import (
         PackEstimate as PackEstimate,
         estimate_pack as estimate_pack,
@@ -104,6 +105,7 @@ _NAMES = {
     "cellwise.logs": "CellLog Stated inspect_log read_log write_log",
     "cellwise.logs.cell_log": "resample",
     "cellwise.logs.reading": "read_pack",
+    "cellwise.notices": "Code Notice Severity",
     "cellwise.pack.pack_estimate": "PackEstimate estimate_pack",
     "cellwise.progress": "progress_bar",
     "cellwise.report.diagnosis.page": "diagnose_page",

@@ -25,6 +25,22 @@ def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> None
         raise InputError(f"{name} = {shown(value)}", with_article(kind.__name__), way_out)
 
 
+def several(name: str, values: object, kind: type[Kind], way_out: str) -> tuple[Kind, ...]:
+    """Things of one type, or one of them alone.
+
+    Raises
+    ------
+    InputError        names the argument, and what is of another type
+    """
+    if isinstance(values, kind):
+        return (values,)
+    if not isinstance(values, Sequence) or isinstance(values, (str, bytes)):
+        raise InputError(f"{name} = {shown(values)}", f"{kind.__name__}, one or several", way_out)
+    for one in values:
+        check_kind(f"one of {name}", one, kind, way_out)
+    return tuple(values)
+
+
 def choice(name: str, value: object, names: Sequence[str]) -> str:
     """One of some names, in whatever case it was written, as it stands among them.
 

@@ -127,9 +127,11 @@ class Code(Enum):
     POWER_LIMIT_ASSUMED = "power-limit-assumed", WARNING, "limits of the power that nobody stated"
     FORECAST_OUTSIDE_DATA = "forecast-outside-data", WARNING, "the forecast leaves the model's data"
     SENSOR_FAULT = "sensor-fault", WARNING, "rows of a channel that were wrong and left out"
+    STATE_EMPTY = "state-empty", WARNING, "a file of a filter's state holds none: started again"
     STEP_NOT_DONE = "step-not-done", WARNING, "a step of a protocol did not go as asked"
     # ---- an identification
     PLAIN_MODEL = "plain-model", WARNING, "a plain model is better than the fit and is handed out"
+    UPDATE_WORSE = "update-worse", WARNING, "a log of an update was followed better before it"
     DOES_NOT_FIT = "does-not-fit", WARNING, "the finished model is far from a log of its fit"
     TEMPERATURES_EXCHANGED = "temperatures-exchanged", WARNING, "a cold log resists less"
     TWO_CELLS = "two-cells", WARNING, "OCV test and pulse test are not of one cell"
@@ -151,6 +153,9 @@ class Code(Enum):
     START_FOUND = "start-found", NOTE, "where a log begins, by its voltages"
     OWN_LOG = "own-log", NOTE, "how a log of the fit was simulated back"
     OCV_OF_PRIOR = "ocv-of-prior", WARNING, "parts of the OCV that the logs do not show"
+    # ---- an export
+    OCV_OF_ONE_TEMPERATURE = "ocv-of-one-temperature", NOTE, "a format has no OCV over temperature"
+    EFFICIENCY_LEFT_OUT = "efficiency-left-out", NOTE, "a format has no charge efficiency"
     # ---- packs and lives
     NO_STRETCH = "no-stretch", WARNING, "no stretch between pauses is long enough"
     CELLS_EXCHANGED = "cells-exchanged", WARNING, "cells have changed places"

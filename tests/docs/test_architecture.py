@@ -258,12 +258,12 @@ def test_kernels_take_records_not_long_lists_of_arguments():
     assert too_many == {}
 
 
-COMPUTING = {"cell", "estimate", "export", "fit", "forecast", "printing"}
-# Functions of these that a command calls by itself: files, names, settings and words.
+COMPUTING = {"cell", "estimate", "export", "fit", "forecast", "live", "printing"}
+# Functions of these that a command calls by itself: files, names, settings, lines and words.
 OF_A_COMMAND = {
-    "assumed", "assumed_text", "check_cells_in_series", "check_soc0", "cutoff_of", "is_plan",
-    "list_stock", "make_estimator", "named_model", "plan_of_log", "power_settings", "read_model",
-    "read_plan", "read_sensor", "seen_by", "write_model",
+    "assumed_text", "check_cells_in_series", "check_soc0", "is_plan", "list_stock",
+    "make_estimator", "named_model", "plan_of_log", "power_settings", "read_model", "read_plan",
+    "read_sensor", "seen_by", "state_row", "write_model",
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import subprocess
 
@@ -64,6 +65,18 @@ def test_what_is_written_is_described(export, tmp_path):
     assert digest in (tmp_path / "out" / "cell_table.h").read_text()
     tables = fixed_step_tables(curved_cell(), 1.0, wide=False)
     assert told["model_bytes"] == len(tables.to_bytes())
+
+
+@pytest.mark.parametrize(("more", "points"), [((), 101), (("--points", 21), 21)])
+def test_the_number_of_soc_points_and_why_are_said(export, tmp_path, more, points):
+    told = export("--dt", 1, "--lean", *more, "-o", tmp_path / "out")["soc_grid"]
+    assert told["points"] == points
+    assert told["model_points"] == curved_cell().points
+    assert told["by_default"] == (not more)
+    assert (told["missed"] <= told["most_missed"]) == (not more)
+    assert told["text"] in (tmp_path / "out" / "README.md").read_text()
+    header = (tmp_path / "out" / "cell_table.h").read_text()
+    assert re.search(rf"CELLWISE_POINTS \(?{points}u?\b", header)
 
 
 @needs_gcc

@@ -12,10 +12,11 @@ from cellwise.cell.model_file import read_model
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
+from cellwise.cli.health import print_life
 from cellwise.errors import InputError
 from cellwise.history.life import life_of
 from cellwise.history.log_health import changed_model, log_health
-from cellwise.history.trend import Deviations, trend_of
+from cellwise.history.trend import FADE, Deviations, change_of, trend_of
 from cellwise.logs import CellLog, write_log
 from cellwise.notices import texts
 
@@ -149,6 +150,48 @@ def test_windows_wrong_together_leave_a_wider_band_than_counted_charges():
     counted = trend_of(way, share, of_own(std)).std[-1]
     windows = trend_of(way, share, Deviations(0.22 * std, 0.97 * std, 0.0 * std)).std[-1]
     assert windows > 1.3 * counted
+
+
+def drawn(rng, std, alike, fade=0.0, before=0.15):
+    """Ten days of windows that err together by ``alike`` and each by ``std``; what they say."""
+    way = np.arange(10.0)
+    truth = 1.0 - before - fade * way / 9.0
+    near = np.exp(-np.abs(way[:, None] - way[None, :]) / (9.0 * FADE.alike_over))
+    together = np.linalg.cholesky(near + 1e-9 * np.eye(10)) @ rng.normal(0.0, alike, 10)
+    share = truth + together + rng.normal(0.0, std, 10)
+    deviations = Deviations(np.full(10, std), np.full(10, alike), np.zeros(10))
+    return change_of(way, share, deviations, 0.05), trend_of(way, share, deviations, 0.05)
+
+
+def test_a_change_is_claimed_of_an_aged_car_that_did_not_change_in_one_case_of_twenty():
+    """The trend begins at the new cell, so ten days of an aged car are a steep fade to it."""
+    rng = np.random.default_rng(11)
+    found = [drawn(rng, 0.02, 0.06) for _ in range(200)]
+    assert np.mean([change.shown for change, _ in found]) < 0.08
+    by_trend = [abs(t.share[0] - t.share[-1]) > 2.0 * t.std[-1] for _, t in found]
+    assert np.mean(by_trend) > 0.2
+    off = np.array([change.level - 0.85 for change, _ in found])
+    assert np.mean(np.abs(off) < 2.0 * np.array([c.level_std for c, _ in found])) > 0.9
+
+
+def test_a_change_that_the_logs_show_is_claimed():
+    rng = np.random.default_rng(12)
+    found = [drawn(rng, 0.005, 0.0, fade=0.1)[0] for _ in range(50)]
+    assert np.mean([change.shown for change in found]) > 0.95
+    assert np.mean([change.share for change in found]) == pytest.approx(-0.1, abs=0.003)
+
+
+def test_what_to_use_is_of_all_logs_where_they_show_no_change(capsys):
+    life = life_of(FRESH, [drive(0.9, seed=k) for k in range(3)])
+    assert not life.change.shown
+    assert life.share == (life.change.level, life.change.level_std)
+    assert life.to_dict()["trend"]["use"]["capacity_Ah"] == life.capacity_Ah
+    assert abs(life.capacity_Ah - 0.9 * FRESH.capacity_Ah) < 2.0 * life.capacity_std_Ah
+    print_life(life)
+    assert "no change of the capacity shown" in capsys.readouterr().out
+    aged = life_of(FRESH, [discharge(share, seed=k) for k, share in enumerate(SHARES)])
+    assert aged.change.shown
+    assert aged.share == (aged.trend.share[-1], aged.trend.std[-1])
 
 
 @pytest.mark.parametrize(("bends", "expected"), [(False, None), (True, 12)])

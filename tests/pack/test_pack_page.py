@@ -61,4 +61,4 @@ def test_a_life_is_drawn_from_its_logs(tmp_path):
     assert text.count("<figure") == 2
     assert "complete discharge" in text
     # Three drives of a model's own noise: a loss within its deviation cannot be determined.
-    assert "<h1>No change of the capacity can be determined" in text
+    assert re.search(r"<h1>Capacity .* by all 3 logs; no change shown", text)

@@ -20,6 +20,7 @@ from cellwise.workflows.exporting import (
     firmware_of,
     without_effects,
 )
+from cellwise.workflows.following import FollowRequest, follow_stream
 from cellwise.workflows.found_files import look_at
 from cellwise.workflows.replaying import (
     ForecastRequest,
@@ -178,3 +179,16 @@ def test_a_folder_is_read_with_the_sign_that_the_voltages_show(log, tmp_path):
     assert sign == "charge-positive"
     contradicted = coded(read_log(tmp_path / "swapped.parquet").notices, Code.SIGN_CONTRADICTED)
     assert [one.value for one in contradicted] == ["charge-positive"]
+
+
+def test_a_stream_followed_in_a_notebook_ends_as_the_command_does(model, log, tmp_path, printed):
+    source = f"csv:{write_log(log.part(0, 300), tmp_path / 'samples.csv')}"
+    told = []
+    stream = follow_stream(model, source, FollowRequest(soc0=0.9), ForecastRequest(load=5.0))
+    mine = {k: v for k, v in stream.run([told.append]).items() if k != "latency"}
+    stream.source.close()
+    assert len(told) == stream.counts.samples == 300
+    asked = ("--source", source, "--soc0", "0.9", "--load", "5")
+    theirs = printed("live", *asked, of_log=False)
+    del theirs["latency"]
+    same(mine, theirs)

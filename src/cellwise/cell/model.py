@@ -349,7 +349,13 @@ class CellModel(Plottable, Summarised, Tabular):
         return CellTables(table, np.ascontiguousarray(self.temperature_C), CellScalars(**scalars))
 
     def at_temperature(self, temperature_C: float) -> CellModel:
-        """The model's tables at one temperature, linear between its own."""
+        """The model's tables at one temperature, linear between its own.
+
+        Raises
+        ------
+        InputError        no temperature, or one in kelvin
+        """
+        temperature_C = _celsius(temperature_C)
         if self.temperature_C.size == 1:
             return self
         grid = self.temperature_C
@@ -373,6 +379,7 @@ class CellModel(Plottable, Summarised, Tabular):
 
     def ocv_at(self, temperature_C: float) -> FloatArray:
         """OCV over the model's SOC at one temperature [V], as of :meth:`at_temperature`."""
+        temperature_C = _celsius(temperature_C)
         if self.temperature_C.size == 1:
             return np.asarray(self.ocv_V[0])
         return _interpolate(self.temperature_C, self.ocv_V, temperature_C)
@@ -389,6 +396,18 @@ class CellModel(Plottable, Summarised, Tabular):
             if np.ndim(value) == 2
         }
         return replace(effect, **tables)
+
+
+HOTTEST_C = 200.0  # no cell is a cell there: above, it is a temperature in kelvin
+
+
+def _celsius(temperature_C: float) -> float:
+    warm = number("temperature_C", temperature_C, "one temperature [degC]")
+    if warm > HOTTEST_C:
+        raise InputError(
+            f"temperature_C = {warm:g}", "degrees Celsius", "Subtract 273.15 from kelvin."
+        )
+    return warm
 
 
 @cache

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import number
 from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
@@ -76,7 +77,9 @@ def named_model(text: str | Path, capacity_Ah: float | None = None) -> CellModel
             f"a file written by `cellwise identify`, or one of {', '.join(stock_names())}",
             "Check the path or the name.",
         )
-    return model if capacity_Ah is None else scaled_model(model, capacity_Ah)
+    if capacity_Ah is None:
+        return model
+    return scaled_model(model, number("capacity_Ah", capacity_Ah, "a capacity above zero [Ah]"))
 
 
 def list_stock() -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ cellwise inspect: say what is in a log
 cellwise convert: write a log in the tidy form
     requires a log, and where to write it (.csv, .csv.gz or .parquet)
     $ convert cycler.mpt -o test.csv
-    $ convert drive.csv --channel current_mA=I_pack -o drive.parquet
+    $ convert bms.csv --channel current_mA=I_pack -o drive.parquet
 <log>
     -o, --output OUT!  the file
 <log options>

@@ -15,7 +15,7 @@ cellwise export: model to C sources and other programs' formats
     --submission OUT.py  Model(X, z) -> (soc, z) for benches, in NumPy alone
     --can OUT.dbc  SOC, band, power, remaining time: a DBC, and C that packs
     --what estimator|cell  of --fmu: the estimator, or the cell alone [estimator]
-    --points N  SOC points [the model's]
+    --points N  SOC points [as few of 51, 101, 201 as the model's stated error allows]
     --lean  smaller code, slower from a start far off, no watch for frozen or lost sensors
     --without EFFECT...  leave out an effect of the model, e.g. the laboratory's time_skew; several
     --sensor F.toml  what the target's sensors are off by, as TOML [a car's]
@@ -90,8 +90,7 @@ def run_export(arguments: argparse.Namespace) -> None:
     if arguments.output:
         print_export(arguments.output, report)
         page_options.say_pages(arguments)
-    for notice in report["notices"]:
-        printing.say(f"note: {notice}")
+    printing.say_notices(found.notices)
     for place in report["sockets"].values():
         printing.say(f"written: {place}")
 
@@ -205,6 +204,7 @@ def print_export(folder: str, report: dict[str, Any]) -> None:
         rows["state of a pack"] = f"{report['pack_bytes']:,} bytes for {cells} cells"
     title = f"{folder}: {len(report['files'])} files for a step of {report['dt_s']:g} s"
     printing.table(title, ("what", "value"), list(rows.items()))
+    printing.say(report["soc_grid"]["text"])
     if report["sensor"]["by_default"]:
         printing.say(assumed_text(report["sensor"]))
     if report["targets"]:

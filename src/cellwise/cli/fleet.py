@@ -5,7 +5,7 @@ cellwise fleet: thousands of logs: one row for each
 cellwise fleet replay: SOC over every log of a folder
     requires a model, a folder of logs and a place for the table
     $ fleet replay --model cell.json logs -o soc.parquet
-    $ fleet replay --model cell.json logs -o soc.parquet --estimator adaptive --workers 8
+    $ fleet replay --model cell.json logs -o adaptive.parquet --estimator adaptive --workers 8
     --estimator E=ekf  as in cellwise replay
 <start std>
 <reference>

@@ -135,6 +135,15 @@ def data_of_life(found: Life) -> dict[str, Any]:
     return {**data, "notices": printing.rendered(found.notices)}
 
 
+def said_of_change(found: Life) -> str:
+    """Whether the logs show that the capacity changed."""
+    change = found.change
+    size = f"{100.0 * change.share:+.1f} +- {200.0 * change.std:.1f} % of the new cell's capacity"
+    if change.shown:
+        return f"changed since the first log: {size}"
+    return f"no change of the capacity shown ({size}): what to use is of all logs together"
+
+
 def print_life(found: Life) -> None:
     """A life for people."""
     data = found.to_dict()
@@ -150,6 +159,7 @@ def print_life(found: Life) -> None:
     )
     trend, use = data["trend"], data["trend"]["use"]
     if not found.withheld:
+        printing.say(said_of_change(found))
         printing.say(
             f"use now: {use['capacity_Ah']:.3f} +- {2 * use['capacity_std_Ah']:.3f} Ah, resistance "
             f"{use['resistance_scale']:.2f} +- {2 * use['resistance_std']:.2f} of the model's"

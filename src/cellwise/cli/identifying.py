@@ -3,7 +3,7 @@
 cellwise identify: laboratory tests to a model
     requires -o, and one test at least: pulses with an OCV test, or drives with --prior
     $ identify --hppc hppc.csv --ocv c20.csv --nominal-ah 2.9 -o cell.json
-    $ identify --drive flight.bin --series 4 --prior lipo-pouch -o cell.json
+    $ identify --drive flight.bin --series 4 --prior lipo-pouch --nominal-ah 5.2 -o cell.json
 <tests>
     --nominal-ah X  rated capacity
     --capacity-choice C  nominal, cc-average, cc-cv-average, hppc-total or rate:C/20 [the slowest

@@ -50,23 +50,13 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 
-from cellwise.cell.initial_soc.initial_soc import STATED_STD
-from cellwise.cell.plausibility.notice import FarOffStream
+from cellwise.cell.model import CellModel
 from cellwise.cli.common import forecast_options, log_options, options, printing
 from cellwise.errors import InputError
-from cellwise.estimate.power.along import PowerFollower
-from cellwise.estimate.power.limits import LEAST_LOAD_C
-from cellwise.estimate.sensor import SensorReadings, assumed, assumed_text, seen_by
-from cellwise.forecast.display import Displayed
-from cellwise.forecast.outlook import Outlook
-from cellwise.forecast.remaining import cutoff_of
-from cellwise.live import Counts, LiveFilter, Update, open_source
-from cellwise.live import run_live as follow_source
+from cellwise.estimate.sensor import assumed_text, seen_by
+from cellwise.live import Counts, Update
 from cellwise.live.followed import FORECAST_EVERY_S, FollowedFilter, state_row
-from cellwise.live.run import LatencyMeter, check_any
-from cellwise.live.source import sender_to
-from cellwise.logs import Stated
-from cellwise.workflows.starts import start_of
+from cellwise.workflows.following import FollowedStream, FollowRequest, Taker, follow_stream
 
 REFRESH_S = 0.25  # of the panel
 SILENT_S = 2.0  # after which the panel says that nothing comes
@@ -75,57 +65,69 @@ SILENT_S = 2.0  # after which the panel says that nothing comes
 def run_live(arguments: argparse.Namespace) -> None:
     """Follow a stream: JSON lines, a view for people, or one object at the end."""
     _check(arguments)
-    sensor = options.sensor_of(arguments)
-    seen = seen_by(options.read_model(arguments), sensor)
-    model = seen.model
-    name, stated = _stated(arguments.source)
-    followed = _followed(seen, stated, arguments)
-    reading = log_options.read_options(arguments)
-    source = open_source(
-        name, reading, arguments.sign, follow=arguments.follow, cells=arguments.cells
-    )
-    deadline = arguments.deadline_ms
-    counts = Counts(latency=LatencyMeter(None if deadline is None else 1e-3 * deadline))
+    ahead = forecast_options.ahead_of(arguments)
+    reading, model = log_options.read_options(arguments), options.read_model(arguments)
+    stream = follow_stream(model, arguments.source, asked_of(model, arguments), ahead, reading)
+    for notice in stream.notices:
+        printing.warn(f"cellwise live: {notice.rendered(printing.in_command)}")
     viewed = arguments.view or (sys.stdout.isatty() and not arguments.json)
-    takers: list[Callable[[Update], None]] = [followed.take]
-
-    def take(update: Update) -> None:
-        for taker in takers:
-            taker(update)
-
     with ExitStack() as stack:
-        stack.callback(source.close)
-        if arguments.send:
-            least_A = LEAST_LOAD_C * model.capacity_Ah
-            to = sender_to(arguments.send, arguments.send_every, source, reading, least_A)
-            stack.callback(to.close)
-            takers.append(lambda update: to.take(update, followed.row))
-        look = None
-        if arguments.output:
-            file = stack.enter_context(Path(arguments.output).open("a", encoding="utf-8"))
-            takers.append(LineWriter(file, followed, arguments.every))
-        if viewed:
-            look = stack.enter_context(live_panel(source.name, followed))
-        elif not (arguments.output or arguments.json):
-            takers.append(LineWriter(sys.stdout, followed, arguments.every))
-        takers.append(warned_once(lambda _: getattr(source, "note", None)))
-        if not viewed:  # the panel shows both
-            takers.append(warned_once(followed.outside))
-            takers.append(warned_once(lambda _: far_off_of(followed)))
+        stack.callback(stream.source.close)
+        takers, look = _takers(stream, arguments, stack, viewed=viewed)
         stack.enter_context(_stopped_by_signal())
-        follow_source(
-            source,
-            followed.live,
-            take,
-            counts=counts,
+        end = stream.run(
+            takers,
             look=look,
-            state=arguments.state,
             save_every_s=arguments.save_every,
             most_samples=arguments.samples,
             idle_s=arguments.idle,
         )
-    check_any(source, counts)
-    _report_end(arguments, followed, counts, viewed, assumed(sensor, model.capacity_Ah))
+    if arguments.json:
+        printing.print_json({**end, "far_off": far_off_of(stream.followed)})
+    elif viewed or arguments.output:
+        _print_end(stream, end)
+
+
+def asked_of(model: CellModel, arguments: argparse.Namespace) -> FollowRequest:
+    """How the arguments ask for a stream to be followed."""
+    sensor, deadline = options.sensor_of(arguments), arguments.deadline_ms
+    return FollowRequest(
+        arguments.estimator,
+        soc0=options.soc0_of(arguments),
+        soc0_std=arguments.soc0_std,
+        cells=arguments.cells,
+        sensor=sensor,
+        power=forecast_options.power_of(arguments, seen_by(model, sensor).model),
+        sign=arguments.sign,
+        state=arguments.state,
+        fresh=arguments.fresh,
+        waits=arguments.follow,
+        deadline_s=None if deadline is None else 1e-3 * deadline,
+    )
+
+
+def _takers(
+    stream: FollowedStream, arguments: argparse.Namespace, stack: ExitStack, *, viewed: bool
+) -> tuple[list[Taker], Callable[[Counts], None] | None]:
+    """Who gets every update, and what shows the counts; ``stack`` ends them."""
+    takers: list[Taker] = []
+    look, followed = None, stream.followed
+    if arguments.send:
+        taker, close = stream.sender(arguments.send, arguments.send_every)
+        stack.callback(close)
+        takers.append(taker)
+    if arguments.output:
+        file = stack.enter_context(_appended(Path(arguments.output)))
+        takers.append(LineWriter(file, followed, arguments.every))
+    if viewed:
+        look = stack.enter_context(live_panel(stream.source.name, followed))
+    elif not (arguments.output or arguments.json):
+        takers.append(LineWriter(sys.stdout, followed, arguments.every))
+    takers.append(warned_once(lambda _: getattr(stream.source, "note", None)))
+    if not viewed:  # the panel shows both
+        takers.append(warned_once(followed.outside))
+        takers.append(warned_once(lambda _: far_off_of(followed)))
+    return takers, look
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -135,51 +137,6 @@ def _check(arguments: argparse.Namespace) -> None:
         if value is not None and not 0.0 <= value < 1e9:
             name = "--" + option.replace("_", "-")
             raise InputError(f"{name} {value:g}", "a number of at least 0", "Correct it.")
-
-
-def _stated(source: str) -> tuple[str, Stated]:
-    """A source's name, and what is stated of its stream behind it."""
-    kind, colon, rest = source.partition(":")
-    stated = Stated.parse(rest if colon else kind)
-    return f"{kind}:{stated.path}" if colon else stated.path, stated
-
-
-def _followed(
-    seen: SensorReadings, stated: Stated, arguments: argparse.Namespace
-) -> FollowedFilter:
-    """The filter, and what else is asked of the stream."""
-    model = seen.model
-    charger = (arguments.charge_limit_v, arguments.charge_end_a)
-    outlook = Outlook(model, cutoff_of(model, arguments.cutoff_v), arguments.load, *charger)
-    power = forecast_options.power_of(arguments, model)
-    for notice in () if power is None else power.known.notices:  # limits that nobody stated
-        printing.warn(f"cellwise live: {notice.rendered(printing.in_command)}")
-    how = forecast_options.ahead_of(arguments).shown(model)
-    return FollowedFilter(
-        _filter(seen, stated, arguments),
-        outlook,
-        None if power is None else PowerFollower(power),
-        None if how is None else Displayed(how),
-        None if arguments.anyway else FarOffStream(model, arguments.sign),
-    )
-
-
-def _filter(seen: SensorReadings, stated: Stated, arguments: argparse.Namespace) -> LiveFilter:
-    asked = start_of(stated.soc0, options.soc0_of(arguments))
-    std = arguments.soc0_std
-    live = LiveFilter(
-        seen.model,
-        arguments.estimator,
-        noise=seen.noise,
-        soc0=asked if stated.soc0 is None else stated.soc0,
-        soc0_std=STATED_STD if std is None and stated.soc0 is not None else std,
-        temperature_C=math.nan if stated.temperature_C is None else stated.temperature_C,
-        cells=arguments.cells,
-    )
-    kept = None if arguments.fresh else arguments.state
-    if kept and not live.resume(kept, time.time()) and Path(kept).exists():
-        printing.warn(f"cellwise live: '{kept}' is empty: started again")
-    return live
 
 
 @contextmanager
@@ -197,40 +154,28 @@ def _stopped_by_signal() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _report_end(
-    arguments: argparse.Namespace,
-    followed: FollowedFilter,
-    counts: Counts,
-    viewed: bool,
-    sensor: dict[str, Any],
-) -> None:
-    """The end of a stream: one object, or a few lines for people."""
-    last, start = counts.last, followed.live.start
-    if last is None or start is None:
+@contextmanager
+def _appended(place: Path) -> Iterator[IO[str]]:
+    with place.open("a", encoding="utf-8") as file:
+        yield file
+
+
+def _print_end(stream: FollowedStream, end: dict[str, Any]) -> None:
+    """The end of a stream for people."""
+    counts, followed = stream.counts, stream.followed
+    if not end:
         return
-    data = {
-        **state_row(last),
-        **followed.columns(last),
-        "far_off": far_off_of(followed),
-        "estimator": followed.live.filter.name,
-        "soc0": start.to_dict(),
-        "sensor": sensor,
-        **counts.to_dict(),
-    }
-    if arguments.json:
-        printing.print_json(data)
-    elif viewed or arguments.output:
-        slow = data["latency"]
-        printing.say_notices(filter(None, [followed.far_off]))
-        printing.say(
-            f"{counts.samples:,} samples, SOC {last.info.soc:.4f} +- {2 * last.info.soc_std:.4f} "
-            f"(start {start.soc:.4f} +- {2 * start.std:.4f}, {start.how}); {counts.gaps} gap(s), "
-            f"{counts.late} late, {sum(counts.stray.values())} not readable, {counts.outside} "
-            f"outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
-            f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
-        )
-        if sensor["by_default"]:
-            printing.say(assumed_text(sensor))
+    slow, start = end["latency"], end["soc0"]
+    printing.say_notices(filter(None, [followed.far_off]))
+    printing.say(
+        f"{counts.samples:,} samples, SOC {end['soc']:.4f} +- {2 * end['soc_std']:.4f} "
+        f"(start {start['value']:.4f} +- {2 * start['std']:.4f}, {start['how']}); "
+        f"{counts.gaps} gap(s), {counts.late} late, {sum(counts.stray.values())} not readable, "
+        f"{counts.outside} outside the model's data; latency {slow['p50_ms']:.3f} ms, 99 % "
+        f"{slow['p99_ms']:.3f} ms, {slow['missed_deadlines']} too late"
+    )
+    if end["sensor"]["by_default"]:
+        printing.say(assumed_text(end["sensor"]))
 
 
 def far_off_of(followed: FollowedFilter) -> str | None:

@@ -10,6 +10,7 @@ from cellwise.cli.common.printing import band
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.sensor import assumed_text
+from cellwise.forecast.remaining import Forecast
 from cellwise.workflows.replaying import ReplayAndForecast
 
 UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
@@ -48,7 +49,7 @@ def print_runs(runs: Sequence[ReplayAndForecast], *, sure: bool) -> None:
     print_forecasts(last)
     print_ahead(last.to_dict())
     if last.power is not None:
-        print_power(last.power)
+        print_power(last.power, last.cells)
     printing.say_notices(n for run in runs for n in run.notices if n not in first)
 
 
@@ -135,14 +136,25 @@ def print_forecasts(run: ReplayAndForecast) -> None:
         ("end SOC %", lambda one: f"{100 * one[1].end_soc:.1f}"),
         ("ends by", lambda one: one[1].by),
     )
+    if run.cells > 1:
+        energy = span(run.cells * now.remaining_Wh, pack_band(run.cells, now), 1.0, 1)
+        load = f"{run.cells * now.load_W:.0f} W"
+        printing.say(f"the pack of {run.cells} cells: {energy} Wh remaining at {load}")
 
 
-def print_power(power: PowerTrace) -> None:
+def pack_band(cells: int, now: Forecast) -> tuple[float, float]:
+    """The band of a pack's energy: its cells are alike, and err together [Wh]."""
+    low, high = now.remaining_Wh_band
+    return cells * low, cells * high
+
+
+def print_power(power: PowerTrace, cells: int = 1) -> None:
     """The state of power at the log's end, for people."""
     known = power.known.limits
     ways = [(f"{s.horizon_s:g} s, {name}", way)
             for s in power.last
             for name, way in (("discharge", s.discharge), ("charge", s.charge))]  # fmt: skip
+    of_pack = f"W of all {cells} cells", lambda one: f"{cells * one[1].power_W:.0f}"
     printing.record_table(
         f"power of each cell at the end, {power.hold} held, {known.voltage_min_V:g} to "
         f"{known.voltage_max_V:g} V",
@@ -152,6 +164,7 @@ def print_power(power: PowerTrace) -> None:
         ("at least W (95 %)", lambda one: f"{one[1].power_low_W:.1f}"),
         ("A", lambda one: f"{one[1].current_A:.1f}"),
         ("limited by", lambda one: one[1].by),
+        *(of_pack,) * (cells > 1),
     )
 
 

@@ -185,8 +185,8 @@ def gate(
     square = innovation_V * innovation_V
     ratio = square / variance * noise.per_gate2
     own = i.state_variance + i.one
-    reading = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
-    status |= reading[4]
+    last, swings, frozen = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
+    status |= frozen
     used = False
     accepted = False
     inverse = 0.0
@@ -218,7 +218,7 @@ def gate(
             evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, reading)
+    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, last, swings)
     status |= away
     # fmt: off
     return Verdict(

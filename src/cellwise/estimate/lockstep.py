@@ -35,7 +35,7 @@ from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import WIDE_VARIANCE
 from cellwise.estimate.evidence_kernels import gate
-from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread, state_in
+from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
 from cellwise.estimate.filters.drift_kernels import counted_on
 from cellwise.estimate.filters.filter_state import (
@@ -198,8 +198,8 @@ def full_lane(
     """The EKF's own step for one lane; ``bank`` is its memory while its components are stepped."""
     if not is_spread(bank):
         put_record(bank[0], 0, 1, get_state(block, lane), True)
-    info = bank_or_alone(tables, noise, None, start, bank, reading)
-    put_record(block, lane, LANES, state_in(bank, 0), True)
+    state, _, info = bank_or_alone(tables, noise, None, None, start, bank, None, reading)
+    put_record(block, lane, LANES, state, True)
     put_info(work, lane, info)
 
 

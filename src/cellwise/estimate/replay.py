@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.arguments import number
+from cellwise.arguments import check_kind, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import (
@@ -363,6 +363,7 @@ def replay(
     check_is_model(model)
     check_is_log(log)
     if sensor is not None:
+        check_kind("sensor", sensor, Sensor, "Write Sensor(current_offset_A=0.05), say.")
         if not isinstance(estimator, str):
             raise InputError(
                 f"a sensor for {type(estimator).__name__}, which is made already",
@@ -372,6 +373,8 @@ def replay(
         model, of_sensor = seen_by(model, sensor)
         noise = of_sensor if noise is None else noise
     asked = power_settings(model, noise=noise) if power is True else power
+    if asked:
+        check_kind("power", asked, PowerSettings, "Write power=True, or power_settings(model).")
     filter_ = estimator_of(estimator, model, noise)
     start = initial_soc(model, log, soc0)
     if soc0_std is not None:

@@ -19,8 +19,6 @@ from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
 SCHEMA_VERSION = 5
-INFINITE = {"inf": math.inf, "-inf": -math.inf}
-MAY_BE_INFINITE = {"repeats", "rest_s"}
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 
@@ -124,8 +122,6 @@ def _record(name: str, kind: Any, values: Any) -> Any:
 def _number(name: str, value: Any) -> float:
     if value is None and name in MAY_BE_MISSING:
         return math.nan
-    if isinstance(value, str) and value in INFINITE and name in MAY_BE_INFINITE:
-        return INFINITE[value]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{name} = {value} in a saved state", "a finite number", "Start again.")
     return float(value)

@@ -12,12 +12,11 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellTables, needs_temperature, seen_current
 from cellwise.estimate.equations.constants import (
     COLDEST_C,
-    DITHER_V,
-    FROZEN_READINGS,
+    FOUND_FROZEN,
     HOTTEST_C,
     LOST_RATE,
 )
-from cellwise.estimate.equations.sensors import is_dead, is_frozen, swings_after
+from cellwise.estimate.equations.sensors import HeldVoltage, is_dead, repeats_after, swings_after
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.status import (
     CURRENT_INVALID,
@@ -166,21 +165,17 @@ def watch_current(noise: NoiseScalars, watch: Watch, s: CheckedReading) -> float
 @inline
 def watch_voltage(
     noise: NoiseScalars, watch: Watch, s: CheckedReading, innovation_V: float, r0_ohm: float
-) -> tuple[float, float, float, float, int]:
-    """Is the voltage frozen? Last reading, its current, its repeats, swings, status bits.
-
-    It stays frozen until it changes.
-    """
-    swings = watch_current(noise, watch, s)
-    if not math.isfinite(s.voltage_V):
-        return watch.voltage_V, watch.frozen_A, watch.repeats, swings, 0
-    if not abs(s.voltage_V - watch.voltage_V) <= DITHER_V:
-        return s.voltage_V, s.seen_A, 0.0, swings, 0
-    repeats = watch.repeats + 1.0
-    frozen = is_frozen(s.seen_A - watch.frozen_A, r0_ohm, innovation_V, noise.frozen_V)
-    if repeats >= FROZEN_READINGS and (math.isinf(repeats) or frozen):
-        return watch.voltage_V, watch.frozen_A, math.inf, swings, VOLTAGE_FROZEN
-    return watch.voltage_V, watch.frozen_A, repeats, swings, 0
+) -> tuple[HeldVoltage, float, int]:
+    """Is the voltage frozen? Its last reading, swings, status bits."""
+    last, status = HeldVoltage(watch.voltage_V, watch.frozen_A, watch.repeats), 0
+    if math.isfinite(s.voltage_V):
+        last = repeats_after(
+            watch.voltage_V, watch.frozen_A, watch.repeats,
+            s.voltage_V, s.seen_A, r0_ohm, innovation_V, noise.frozen_V,
+        )  # fmt: skip
+        if last.repeats >= FOUND_FROZEN:
+            status = VOLTAGE_FROZEN
+    return last, watch_current(noise, watch, s), status
 
 
 @inline
@@ -190,7 +185,8 @@ def watch_on(
     used: bool,
     evidence_s: float,
     no_voltage_s: float,
-    reading: tuple[float, float, float, float, int],
+    last: HeldVoltage,
+    swings: float,
 ) -> tuple[Watch, int]:
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
@@ -198,6 +194,6 @@ def watch_on(
         away = no_voltage_s + (0.0 if s.gap else s.dt_s)
     watch = Watch(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
-        reading[0], reading[1], reading[2], s.no_warm_s, reading[3],
+        last.voltage_V, last.since_A, last.repeats, s.no_warm_s, swings,
     )  # fmt: skip
     return watch, VOLTAGE_LOST if away > noise.hold_s else 0

@@ -22,6 +22,7 @@ LEAST_ROWS = 20
 MINUTE_S = 60.0
 LONG_S = 600.0  # as long as an error must stay small to have converged
 BEYOND = 3.0  # deviations, as where a log is far off its model
+STARTING = 2.0  # times the log's usual deviation: most of the variance is the start's
 STEP_SOC = 0.02  # two points, within which an error has converged
 TRACE_COLUMNS = (
     *("time_s", "soc", "soc_std", "voltage_V", "innovation_V", "innovation_variance_V2"),
@@ -139,15 +140,26 @@ def soc_step(model: CellModel, log: CellLog, trace: Trace) -> int | None:
     return row if abs(moved[row]) > STEP_SOC else None
 
 
+def _starting(trace: Trace) -> BoolArray:
+    """The first rows, as long as the start is what makes the innovation's deviation, (n,)."""
+    variance = np.asarray(trace.innovation_variance_V2, dtype=np.float64)
+    if not trace.used.any():
+        return np.zeros(len(trace), dtype=np.bool_)
+    wide = variance > STARTING**2 * float(np.nanmedian(variance[trace.used]))
+    return np.asarray(np.logical_and.accumulate(wide))
+
+
 def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, ...] | None:
     """Mean square innovation over the stated one in each band of time scale, shape (scales,).
 
     The SOC follows the slowest part of an error: of a variance e^2 an estimate whose own is
     (slope x std)^2 has taken that share of both, and e^2 / (1 + (slope x std)^2 / e^2) is left.
-    None where too few voltages were used.
+    The first rows, whose voltage shows where the log begins rather than how good the model is, do
+    not count. None where too few voltages were used.
     """
     error = model.error
     innovation, used = np.asarray(trace.innovation_V, dtype=np.float64), trace.used
+    used = used & ~_starting(trace)
     if used.sum() < LEAST_ROWS:
         return None
     bands = in_bands(log.time_s[used], innovation[used], error.scales_s)

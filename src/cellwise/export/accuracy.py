@@ -217,19 +217,19 @@ def fixed_and_float(
     *,
     soc0: float | None = None,
     lean: bool = False,
-    points: int | None = None,
+    points: int,
     noise: Noise | None = None,
 ) -> list[FixedAndFloat]:
     """Run what is exported (in Python, the same bits) by every grid, and the float64 EKF.
 
     Both take the log resampled to ``dt_s``, and the same start; soc0 None: as found at the log's
-    start. ``points`` are those of the export, None: the model's. noise None: the model's.
+    start. ``points`` are those of the export. noise None: the model's.
     """
     even = resample(log, dt_s)
     start = initial_soc(model, even, soc0)
     reference = Ekf(model, noise).run(even, start.soc, start.std)
     found = []
-    for count in sorted({*GRIDS, points or model.points}):
+    for count in sorted({*GRIDS, points}):
         step = FixedStep(model, noise, dt_s=dt_s, points=count, wide=not lean)
         soc = step.run(even, start.soc, start.std).soc
         flash_bytes = step.stepper(dt_s).tables.flash_bytes

@@ -13,6 +13,7 @@ from cellwise.export.c_tables import comment
 from cellwise.export.firmware import need_package
 from cellwise.export.package import Export
 from cellwise.files import write_atomically
+from cellwise.notices import Notice
 
 if TYPE_CHECKING:
     from cantools.database.can import Database
@@ -75,7 +76,7 @@ def check(_: str) -> None:
     need_package("cantools", "importers")
 
 
-def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
     """Write the DBC and, beside it, the C that packs its signals: OUT.dbc, OUT.h, OUT.c.
 
     Raises

@@ -135,6 +135,7 @@ def readme(description: Mapping[str, Any]) -> str:
         sha256=description["model_sha256"],
         dt_s=f"{description['dt_s']:g}",
         options=", ".join(options),
+        soc_grid=description["soc_grid"]["text"],
         model_bytes=f"{description['model_bytes']:,}",
         state_bytes=description["state_bytes"],
         build=BUILD,

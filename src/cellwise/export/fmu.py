@@ -32,6 +32,7 @@ from cellwise.export.c_tables import (
 from cellwise.export.firmware import compile_c, host_compiler, need_package
 from cellwise.export.package import Export
 from cellwise.files import write_atomically
+from cellwise.notices import Notice
 
 SUFFIXES = (".fmu",)
 STATUS, FIRST_SET, FIRST_PARAMETER = 12, 20, 23  # value references, as in cellwise_fmu.c
@@ -105,7 +106,7 @@ def check(_: str) -> None:
     need_package("fmpy", "fmu")
 
 
-def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
     """Write the FMU: description, C sources, a binary for this machine; where, and what to know.
 
     Of the ``estimator`` current, voltage and temperature go in and SOC comes out, of the ``cell``

@@ -23,7 +23,12 @@ from cellwise.cell.model_file import model_to_dict
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.options import MOST_CELLS, Asked, CellSettings
-from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables, shortest_step_s
+from cellwise.estimate.fixed.tables import (
+    FixedStepTables,
+    fixed_step_tables,
+    shortest_step_s,
+    soc_grid,
+)
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.sensor import Sensor, SensorReadings, assumed, seen_by
 from cellwise.export.c_tables import (
@@ -128,6 +133,7 @@ class Export:
             "noise": asdict(self.seen.noise),
             "sensor": assumed(self.sensor, self.model.capacity_Ah),
             "options": asdict(options),
+            "soc_grid": soc_grid(self.seen.model, self.asked.points).to_dict(),
             "states": options.states,
             "model_bytes": self.tables.flash_bytes,
             "state_bytes": state_bytes,

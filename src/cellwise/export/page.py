@@ -34,6 +34,7 @@ from cellwise.export.package import Export
 from cellwise.files import write_atomically
 from cellwise.forecast.remaining import cutoff_of
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice
 
 SUFFIXES = (".html", ".htm")
 STEP_S = 1.0  # where none is stated
@@ -58,7 +59,7 @@ class Example(NamedTuple):
 EXAMPLE = Example()
 
 
-def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
     """Write the page, with the remaining time, and the C package for who opens it.
 
     Raises

@@ -26,6 +26,7 @@ from cellwise.export.c_tables import comment, filled, firmware_folder
 from cellwise.export.firmware import need_package
 from cellwise.export.package import Export
 from cellwise.files import write_atomically
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
 
 KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating)
@@ -40,7 +41,7 @@ def check(path: str) -> None:
         need_package("pybamm", "generate")
 
 
-def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
+def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
     """Write the parameters, a ``.json`` by PyBaMM; the place, and what they omit.
 
     Raises
@@ -64,7 +65,7 @@ def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
     return [write_atomically(path, json.dumps(values, indent=1) + "\n")], notices
 
 
-def parameter_file(model: CellModel) -> tuple[str, list[str]]:
+def parameter_file(model: CellModel) -> tuple[str, list[Notice]]:
     """The Python file, and what of the model it leaves out."""
     usual_C = model.usual_temperature_C
     slow, heating = model.effect(SlowDiffusion), model.effect(SelfHeating)
@@ -78,9 +79,13 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
     # Linear in temperature: two rows beside the model's own hold an entropy term exactly.
     rows = np.union1d(model.temperature_C, ROWS_C[[0, -1]])
     ocv_V = over_temperature(model, rows).ocv_V
-    notices = [f"OCV as it is at {usual_C:g} degC."] if np.ptp(ocv_V, axis=0).any() else []
+    notices = []
+    if np.ptp(ocv_V, axis=0).any():
+        text = f"OCV as it is at {usual_C:g} degC."
+        notices.append(Notice(Code.OCV_OF_ONE_TEMPERATURE, text))
     if model.charge_efficiency != 1.0:
-        notices.append(f"charge_efficiency {model.charge_efficiency:g} is left out.")
+        text = f"charge_efficiency {model.charge_efficiency:g} is left out."
+        notices.append(Notice(Code.EFFICIENCY_LEFT_OUT, text))
     low, high = float(model.ocv_V.min()), float(model.ocv_V.max())
     per_K = 1.0 / heating.rth_K_per_W if heating.rth_K_per_W > 0.0 else 1.0
     warming_J_per_K = heating.thermal_s * per_K if heating.rth_K_per_W > 0.0 else HELD_J_PER_K
@@ -99,7 +104,7 @@ def parameter_file(model: CellModel) -> tuple[str, list[str]]:
     }
     marks = {
         "@NAME@": comment(model.name).replace('"', "'") or "unnamed",
-        "@NOTICES@": " ".join(notices),
+        "@NOTICES@": " ".join(texts(notices)),
         "@BRANCHES@": str(branches),
         "@SCALARS@": json.dumps(scalars, indent=4),
         "@RATE@": repr(model.effect(RateDependence).rate_h / model.capacity_Ah),

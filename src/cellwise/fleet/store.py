@@ -81,7 +81,8 @@ HISTORY: Mapping[str, type] = {
     **typed(numbers="resistance_scale resistance_std"),
 }
 
-VERSION = 7  # of a log that is kept
+VERSION = 8  # of a log that is kept
+KEPT = ("name", "format", "current_meaning", "series", "parallel")
 
 
 def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog:
@@ -132,7 +133,7 @@ def _key(path: Path, options: dict[str, Any]) -> str:
 def _keep(log: CellLog, target: Path) -> None:
     """The channels as one array, and what is known beside them below it."""
     names = [field for field in CHANNELS if getattr(log, field) is not None]
-    said = {name: getattr(log, name) for name in ("name", "format", "current_meaning")}
+    said = {name: getattr(log, name) for name in KEPT}
     said["notices"] = list(map(to_json, log.notices))
     with target.open("wb") as file:
         np.save(file, np.stack([getattr(log, name) for name in names]))

@@ -89,6 +89,7 @@ class Flight(Plottable, Tabular):
     band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
     what :func:`forecast_at` was asked for beside them. On a charger the load is negative: time and
     energy to full, ``cutoff_V`` the voltage that it holds, ``taper_A`` the current at its end.
+    All are of one cell; ``cells`` is how many the pack has, as the log was read.
 
     ``time_s``, ``soc`` and ``soc_std`` are those of the moments; ``load_W``, ``remaining_s``,
     ``remaining_Wh``, ``end_voltage_V``, each with its ``..._band`` (``remaining_s_band``,
@@ -117,6 +118,7 @@ class Flight(Plottable, Tabular):
     given: Forecast | None = None
     taper_A: float = 0.0
     validity: Validity = UNKNOWN
+    cells: int = 1
 
     def __len__(self) -> int:
         return self.time_s.size
@@ -183,6 +185,8 @@ class Flight(Plottable, Tabular):
             "hold": self.hold,
             "window_s": WINDOW_S,
             "moments": len(self),
+            "cells": self.cells,
+            "remaining_pack_Wh": self.cells * self.last.remaining_Wh,
             **now,
             "typical": None if self.typical is None else self.typical.last._asdict(),
         }
@@ -291,6 +295,8 @@ def forecast_at(
     ------
     InputError                a load that is not above zero; what :func:`forecast` raises
     """
+    check_is_model(model)
+    check_kind("replay", replay, Replay, "Write forecast_at(model, replay(model, log), 5.0).")
     cutoff = cutoff_of(model, cutoff_V)
     check_load(load, hold)
     rows = len(replay.log)
@@ -309,6 +315,7 @@ def check_load(load: float, hold: str) -> None:
     ------
     InputError        not a finite number above zero
     """
+    load = number("load", load, "one number above zero")
     if not (np.isfinite(load) and load > 0.0):
         unit = "W" if hold == "power" else "A"
         raise InputError(
@@ -354,6 +361,7 @@ def flight_of(model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatAr
         by_voltage=found("usual.reason") == BY_VOLTAGE,
         taper_A=load.taper_A,
         validity=model.validity,
+        cells=log.series * log.parallel,
     )
 
 

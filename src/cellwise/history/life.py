@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import several
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import withheld
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
@@ -21,7 +22,7 @@ from cellwise.history.stretches import (
     cut_at_cycles,
     longest_stretch,
 )
-from cellwise.history.trend import FADE, Deviations, Trend, trend_of
+from cellwise.history.trend import FADE, Change, Deviations, Trend, change_of, trend_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.stated import check_order, day_of_name
 from cellwise.notices import Code, Notice, texts
@@ -126,23 +127,41 @@ class Life(Plottable, Tabular):
         if self.withheld:
             return f"Life({len(self.logs)} logs, FAR OFF this model)"
         scale, std = self.resistance_scale, self.resistance_std
+        share, share_std = self.share
         return (
-            f"Life({len(self.logs)} logs: {100 * float(self.trend.share[-1]):.1f} "
-            f"+- {200 * float(self.trend.std[-1]):.1f} % of the capacity, "
+            f"Life({len(self.logs)} logs: {100 * share:.1f} +- {200 * share_std:.1f} % of the "
+            f"capacity, {'' if self.change.shown else 'no change shown, '}"
             f"resistance {scale:.2f} +- {2 * std:.2f} of the model's)"
         )
+
+    @cached_property
+    def change(self) -> Change:
+        """How much of the new cell's capacity was lost over these logs, by them alone."""
+        deviations = Deviations(*np.array([one.deviations for one in self.logs]).T)
+        share = np.array([one.share for one in self.logs])
+        return change_of(self.way, share, deviations, _start_std(self.model, self.logs))
+
+    @property
+    def share(self) -> tuple[float, float]:
+        """Of the new cell's capacity at the last log, and its deviation.
+
+        The trend's where the logs show a change; else what all of them say together.
+        """
+        if self.change.shown:
+            return float(self.trend.share[-1]), float(self.trend.std[-1])
+        return self.change.level, self.change.level_std
 
     @property
     def capacity_std_Ah(self) -> float:
         """How well the capacity is known after the last log, the new cell's among it [Ah]."""
-        share, std = float(self.trend.share[-1]), float(self.trend.std[-1])
+        share, std = self.share
         new_Ah = self.model.capacity_std_Ah if self.logs[0].counted else 0.0  # else in the trend
         return float(np.hypot(std * self.model.capacity_Ah, share * new_Ah))
 
     @property
     def capacity_Ah(self) -> float:
         """Capacity after the last log [Ah]."""
-        return self.model.capacity_Ah * float(self.trend.share[-1])
+        return self.model.capacity_Ah * self.share[0]
 
     @property
     def aged_model(self) -> CellModel:
@@ -162,7 +181,7 @@ class Life(Plottable, Tabular):
         capacity = float(np.log(self.capacity_Ah / self.model.capacity_Ah))
         aged = changed_model(self.model, capacity, float(np.log(scale)))
         about = {
-            "capacity_share": float(self.trend.share[-1]),
+            "capacity_share": self.share[0],
             "capacity_std_Ah": self.capacity_std_Ah,
             "resistance_scale": scale,
             "resistance_std": self.resistance_std,
@@ -199,7 +218,7 @@ class Life(Plottable, Tabular):
         """The test that would make the trend known, where it is not."""
         if self.withheld:
             return "none before the model and how the logs are read have been checked"
-        std = float(self.trend.std[-1])
+        std = self.share[1]
         if std <= TESTED.unsure and any(one.counted for one in self.logs):
             return f"none: the share of the new cell's capacity is known to +- {200 * std:.1f} %"
         load = next((one for one in self.logs if one.counted), None)
@@ -246,6 +265,7 @@ class Life(Plottable, Tabular):
                 "capacity_share_std": self.trend.std.tolist(),
                 "knee": None if self.trend.knee is None else self.logs[self.trend.knee].log.name,
                 "next_reference": self.next_reference,
+                "change_shown": self.change.shown,
                 "use": {
                     "capacity_Ah": self.capacity_Ah,
                     "capacity_std_Ah": self.capacity_std_Ah,
@@ -305,7 +325,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     Parameters
     ----------
     model : CellModel          of the cell when it was new
-    logs : sequence of CellLog      in the order of time
+    logs : CellLog or sequence of CellLog      in the order of time
     anyway : bool              logs that are far off the model take part, too; else they are left
                                out, and nothing is said of health where all of them are
 
@@ -313,6 +333,8 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     ------
     InputError        no log; none that says anything; days that run backwards
     """
+    check_is_model(model)
+    logs = several("logs", logs, CellLog, "Write life_of(model, [read_log('a.csv')]).")
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[LogOfLife] = []
@@ -347,9 +369,14 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         way,
         np.array([one.share for one in found]),
         Deviations(*np.array([one.deviations for one in found]).T),
-        FADE.start_std if found[0].counted else model.capacity_std_Ah / model.capacity_Ah,
+        _start_std(model, found),
     )
     return Life(model, tuple(found), over, way, trend, tuple(far_off))
+
+
+def _start_std(model: CellModel, logs: Sequence[LogOfLife]) -> float:
+    """How far from one the share of a life may have begun."""
+    return FADE.start_std if logs[0].counted else model.capacity_std_Ah / model.capacity_Ah
 
 
 def _by_stretch(

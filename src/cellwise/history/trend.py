@@ -91,12 +91,8 @@ def trend_of(
     bend's size and the scatter from log to log are averaged over by their marginal likelihood; the
     deviations as stated.
     """
-    u = way - way[0]
-    u = u / max(float(u[-1]), 1e-12)
-    near = np.exp(-np.abs(u[:, None] - u[None, :]) / FADE.alike_over)
-    common = np.minimum(std.alike[:, None], std.alike[None, :]) ** 2
-    stated = np.diag(std.own**2 + 1e-8) + common * near
-    stated += np.outer(std.level, std.level)
+    u = _part_of_life(way)
+    stated = _stated(u, std)
     eye = np.eye(u.size)
     likely, means, variances = [], [], []
     for bend, scatter in product(FADE.bends, FADE.scatters):
@@ -112,6 +108,64 @@ def trend_of(
     off = np.array(means) - mean
     deviation = np.sqrt(weight @ (np.array(variances) + off**2))
     return Trend(mean, deviation, _knee(u, share, std.whole))
+
+
+class Change(NamedTuple):
+    """How much a share changes from the first log to the last by the logs alone, and its deviation.
+
+    ``level``, ``level_std``: of the share, if it did not change.
+    """
+
+    share: float
+    std: float
+    level: float
+    level_std: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether the change is beyond two deviations: less is no evidence of one."""
+        return abs(self.share) > 2.0 * self.std
+
+
+def change_of(way: FloatArray, share: FloatArray, std: Deviations, start_std: float) -> Change:
+    """What logs say of a change when nothing is taken for granted about the fade between them.
+
+    A line by generalised least squares, its deviation widened where the logs scatter by more than
+    they state; the level of a cell that may have faded before its first log, with what a change
+    that the logs cannot show would move it by until the last.
+
+    Parameters
+    ----------
+    As of `trend_of`.
+    """
+    u = _part_of_life(way)
+    line = np.stack([np.ones_like(u), u], axis=1)
+    change, change_std = 0.0, FADE.std
+    if u[-1] > 0.0:
+        fit = np.linalg.inv(line.T @ np.linalg.solve(covariance := _stated(u, std), line))
+        x = fit @ line.T @ np.linalg.solve(covariance, share)
+        left = share - line @ x
+        size = float(left @ np.linalg.solve(covariance, left)) / max(u.size - 2, 1)
+        change, change_std = float(x[1]), float(np.sqrt(max(size, 1.0) * fit[1, 1]))
+    alike = np.linalg.inv(_stated(np.zeros_like(u), std)).sum(axis=1)
+    before = 1.0 / (start_std**2 + FADE.std**2)
+    known = before + float(alike.sum())
+    level = (before + float(alike @ share)) / known
+    unseen = 0.5 / np.hypot(1.0 / change_std, 1.0 / FADE.std)
+    return Change(change, change_std, level, float(np.hypot(known**-0.5, unseen)))
+
+
+def _part_of_life(way: FloatArray) -> FloatArray:
+    u = way - way[0]
+    return np.asarray(u / max(float(u[-1]), 1e-12))
+
+
+def _stated(u: FloatArray, std: Deviations) -> FloatArray:
+    """Covariance of the shares as their logs state it, (n, n)."""
+    near = np.exp(-np.abs(u[:, None] - u[None, :]) / FADE.alike_over)
+    common = np.minimum(std.alike[:, None], std.alike[None, :]) ** 2
+    own = np.diag(std.own**2 + 1e-8)
+    return np.asarray(own + common * near + np.outer(std.level, std.level))
 
 
 def _kernel(u: FloatArray, bend: float) -> FloatArray:

@@ -293,7 +293,8 @@ class OwnLog:
 
     ``used`` says whether it took part in the fit; ``compared`` are the rows that did (None: all);
     ``sides_V`` the RMSE of discharge and charge of a low-rate or capacity test; ``reason`` why it
-    did not take part, or what remains and where that comes from.
+    did not take part, or what remains and where that comes from; ``prior_rmse_V`` what the model
+    that was updated leaves of the rows compared (None: no prior, or no part in the fit) [V].
     """
 
     role: Role
@@ -303,6 +304,7 @@ class OwnLog:
     compared: BoolArray | None
     sides_V: Mapping[str, float]
     reason: str
+    prior_rmse_V: float | None = None
 
     @property
     def compared_V(self) -> FloatArray:
@@ -322,6 +324,7 @@ class OwnLog:
             "soc0_how": self.start.how,
             "rmse_V": s.rmse_V,
             "rmse_above_10pct_V": s.rmse_above_10pct_V,
+            "prior_rmse_V": self.prior_rmse_V,
             **{f"{name}_rmse_V": value for name, value in self.sides_V.items()},
             "reason": self.reason,
         }

@@ -32,17 +32,21 @@ from cellwise.typing import BoolArray, FloatArray
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 FEWEST_ROWS = 5
 WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
+CLEARLY_WORSE = 1.1  # a likelihood weighs rows otherwise than an RMSE does: a tenth is no loss
 SAME_CAPACITY = 0.005  # counters of one tester differ by so much
 BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
 # Left out at each end: a pulse of a few rows in hours of rest counts, a sensor's spike does not.
 TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
 
-def simulate_back(model: CellModel, tests: CellTests, fitted: Fitted) -> tuple[OwnLog, ...]:
+def simulate_back(
+    model: CellModel, tests: CellTests, fitted: Fitted, prior: CellModel | None = None
+) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
     The start is what every other command finds with this model; the fit's own, which knows what a
-    test begins with, where the found one errs twice as much on the rows compared.
+    test begins with, where the found one errs twice as much on the rows compared. Beside it what
+    ``prior``, the model that was updated, leaves of the same rows from the start that it finds.
     """
     starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = [
@@ -51,7 +55,17 @@ def simulate_back(model: CellModel, tests: CellTests, fitted: Fitted) -> tuple[O
         *(("capacity", log) for log in tests.capacity),
         *(("drive", log) for log, _ in tests.drive),
     ]
-    return tuple(_simulated_back(model, role, log, starts[id(log)]) for role, log in roles)
+    own = (_simulated_back(model, role, log, starts[id(log)]) for role, log in roles)
+    return tuple(one if prior is None else _beside_prior(one, prior) for one in own)
+
+
+def _beside_prior(own: OwnLog, prior: CellModel) -> OwnLog:
+    """With the error of the model that was updated, where the log took part in the update."""
+    if not own.used:
+        return own
+    log = own.simulation.log
+    before = simulate(prior, log, initial_soc(prior, log, whole_log=True).soc)
+    return replace(own, prior_rmse_V=_rmse_V(before, own.compared))
 
 
 def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) -> OwnLog:
@@ -113,6 +127,22 @@ def own_log_notices(own: Sequence[OwnLog]) -> list[Notice]:
     found = []
     for s in (o.simulation for o in own if o.used):
         found += soc_notices(s.log, s.soc) + error_notices(s.model, s.log, s.residual_V, s.soc)
+    return found
+
+
+def updates_for_worse(own: Sequence[OwnLog]) -> list[Notice]:
+    """Logs of an update that the model followed better before it."""
+    found = []
+    for one in own:
+        before_V, after_V = one.prior_rmse_V, _rmse_V(one.simulation, one.compared)
+        if before_V is not None and after_V > CLEARLY_WORSE * before_V:
+            text = (
+                f": the updated model is WORSE on it than the one that was updated, "
+                f"{1e3 * after_V:.1f} mV instead of {1e3 * before_V:.1f} mV. Keep the old one for "
+                "such loads, or update it with a log that begins at a rest"
+            )
+            name = one.simulation.log.name
+            found.append(Notice(Code.UPDATE_WORSE, text, log=name, size_V=after_V - before_V))
     return found
 
 

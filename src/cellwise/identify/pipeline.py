@@ -48,6 +48,7 @@ from cellwise.identify.own_logs import (
     other_capacities,
     own_log_notices,
     simulate_back,
+    updates_for_worse,
 )
 from cellwise.identify.plain_model_check import check_against_plain
 from cellwise.identify.stated_error import leave_out, stated_error
@@ -94,10 +95,10 @@ def identify_cell(
     wrong = [*checked.contradictions, *capacity.contradictions, *fitted.contradictions]
     check_possible(model, wrong)
     say("validation on its own logs")
-    own = simulate_back(model, tests, fitted)
+    own = simulate_back(model, tests, fitted, settings.prior)
     used = [o for o in own if o.used]
     error = error_metrics(np.concatenate([o.compared_V for o in used]))
-    found = own_log_notices(own)
+    found = [*updates_for_worse(own), *own_log_notices(own)]
     wrong = wrong or poor_fit(own)  # what contradicts what says more
     check_serves(error.rmse_V, wrong)
     first = fitted.plain.notice if fitted.plain is not None else None

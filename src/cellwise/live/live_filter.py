@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.arguments import choice
+from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.model_file import model_mark
@@ -290,7 +290,13 @@ class LiveFilter:
         self._warm_up()
 
     def take(self, sample: Sample) -> Update | None:
-        """One step; None for a sample that comes late or that nothing can be begun with."""
+        """One step; None for a sample that comes late or that nothing can be begun with.
+
+        Raises
+        ------
+        InputError        no `Sample`, or one of something else than numbers
+        """
+        sample = _checked(sample)
         begun = self.state
         if begun is None:
             begun = self._begin(sample)
@@ -384,3 +390,14 @@ class LiveFilter:
 def _moment(current_A: float, voltage_V: float) -> CellLog:
     """A log of one moment, repeated: a log has two rows."""
     return CellLog(np.zeros(2), np.full(2, current_A), np.full(2, voltage_V))
+
+
+def _checked(sample: Sample) -> Sample:
+    """A sample of numbers."""
+    check_kind("sample", sample, Sample, "Write Sample(time_s, current_A, voltage_V).")
+    for name, value in zip(MEASURED, sample[: len(MEASURED)], strict=True):
+        number(name, value, "a number, nan where it is missing")
+    return sample
+
+
+MEASURED = Sample._fields[:4]

@@ -47,6 +47,7 @@ class CellLog(Plottable, Tabular):
     notices : tuple of Notice   what a person should know of how the log was read
     soc0 : float or None        true SOC at the first row where somebody knows it, 0..1: it is
                                 believed
+    series, parallel : int      cells of the pack whose mean cell this is
 
     Raises
     ------
@@ -66,6 +67,8 @@ class CellLog(Plottable, Tabular):
     format: str = ""
     notices: tuple[Notice, ...] = ()
     soc0: float | None = None
+    series: int = 1
+    parallel: int = 1
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)

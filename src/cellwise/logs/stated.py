@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from cellwise.arguments import beyond, held_soc
+from cellwise.arguments import beyond, check_kind, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
@@ -67,6 +67,7 @@ class Stated:
         ------
         InputError        an unknown or repeated key, what is no number or out of range
         """
+        check_kind("log", text, str, "Write where the file is: 'a.csv'.")
         path, at, tail = text.rpartition("@")
         if not at or "/" in tail or "\\" in tail or _is(Path(text).exists):
             return cls(text)

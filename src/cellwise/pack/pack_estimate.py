@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.cell.model import CellModel
+from cellwise.arguments import several
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import far_off, in_order, outside_notices, withheld
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.notices import Code, Notice, Option, texts
@@ -284,6 +285,8 @@ def estimate_pack(
     ------
     InputError        other cells in one log than in another, days that run backwards
     """
+    check_is_model(model)
+    logs = several("logs", logs, PackLog, "Write estimate_pack(model, [read_pack('a.csv')]).")
     days = pack_days(model, logs, None if state is None else state.names)
     names, parts = days[0].log.names, periods(days)
     known = state is not None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.history.life import Life
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
@@ -26,6 +27,7 @@ def history_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
+    check_kind("found", found, Life, "Pass what life_of(model, logs) gives.")
     data = found.to_dict()
     use = data["trend"]["use"]
     now, now_std = found.resistance_scale, found.resistance_std
@@ -78,23 +80,25 @@ def _now(found: Life) -> str:
     """The share of the new cell's capacity at the last log, the same everywhere."""
     if found.withheld:
         return "unknown"
-    share, std = float(found.trend.share[-1]), float(found.trend.std[-1])
+    share, std = found.share
     return f"{100.0 * share:.1f} ± {200.0 * std:.1f}{SPACE}%"
 
 
 def _first_line(found: Life) -> str:
-    """What was lost, where that is more than two standard deviations of the trend."""
+    """What was lost, where the logs show it: beyond two standard deviations; else the capacity."""
     if found.withheld:
         return "Far off this model: neither capacity nor resistance can be said"
-    first, last = float(found.trend.share[0]), float(found.trend.share[-1])
-    lost, known = 1.0 - last / first, 2.0 * float(found.trend.std[-1]) / first
-    if abs(lost) > known:
-        what = "lost" if lost > 0.0 else "gained"
-        size = f"{100.0 * abs(lost):.1f} ± {100.0 * known:.1f}{SPACE}%"
-        return f"{size} of the capacity {what} since the first log"
+    change = found.change
+    if change.shown:
+        what = "lost" if change.share < 0.0 else "gained"
+        size = f"{100.0 * abs(change.share):.1f} ± {200.0 * change.std:.1f}{SPACE}%"
+        return f"{size} of the new cell's capacity {what} since the first log"
+    capacity = f"{found.capacity_Ah:.3g} ± {2.0 * found.capacity_std_Ah:.2g} Ah"
+    if len(found.logs) == 1:
+        return f"Capacity {capacity} by one log"
     return (
-        f"No change of the capacity can be determined: {percent(-lost, 1)} since the first log, "
-        f"± {percent(known, 1)}"
+        f"Capacity {capacity} by all {len(found.logs)} logs; no change shown: "
+        f"{percent(change.share, 1)} ± {percent(2.0 * change.std, 1)} of the new cell's"
     )
 
 

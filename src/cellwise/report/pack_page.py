@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
@@ -38,6 +39,7 @@ def pack_page(
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
+    check_kind("found", found, PackEstimate, "Pass what estimate_pack(model, logs) gives.")
     data = found.to_dict()
     causes = [
         f"{cause['name']}: {'; '.join(cause['evidence'])}"

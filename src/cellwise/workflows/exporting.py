@@ -16,6 +16,7 @@ from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_cost
 from cellwise.export.package import Export, check_folder, write_package
 from cellwise.files import file_place
 from cellwise.logs.cell_log import CellLog
+from cellwise.notices import Notice, texts
 from cellwise.workflows.starts import start_of
 
 # What is written beside the folder of C, each by the module of its name.
@@ -26,11 +27,12 @@ FORMATS = {
 
 @dataclass(frozen=True)
 class ExportedFirmware:
-    """What was written, its description as JSON, and the runs on the log that was given."""
+    """What was written, its description as JSON, runs on the log that was given, and notices."""
 
     export: Export
     report: dict[str, Any]
     runs: tuple[FixedAndFloat, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
     @property
     def own_run(self) -> FixedAndFloat | None:
@@ -141,21 +143,23 @@ def export_firmware(
     check_export(folder, formats or {})
     report = export.description
     written, said = _write_formats(export, formats or {})
-    report |= {"sockets": written, "notices": said}
+    report |= {"sockets": written, "notices": texts(said)}
     if not folder:
-        return ExportedFirmware(export, report)
+        return ExportedFirmware(export, report, notices=tuple(said))
     follow("counting instructions")
     report["targets"] = target_costs(export, log, follow)
     runs = () if log is None else tuple(_beside_float64(export, log, soc0))
     report["accuracy"] = [run.to_dict() for run in runs]
     report["files"] = write_package(export, Path(folder), report)
-    return ExportedFirmware(export, report, runs)
+    return ExportedFirmware(export, report, runs, tuple(said))
 
 
-def _write_formats(export: Export, formats: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+def _write_formats(
+    export: Export, formats: Mapping[str, str]
+) -> tuple[dict[str, str], list[Notice]]:
     """The places that were written, by format, and what to know of them."""
     written: dict[str, str] = {}
-    said: list[str] = []
+    said: list[Notice] = []
     for name, place in formats.items():
         places, notices = import_module(FORMATS[name]).write(export, place)
         written[name] = ", ".join(map(str, places))
@@ -173,6 +177,6 @@ def _beside_float64(export: Export, log: CellLog, soc0: float | None) -> list[Fi
         export.dt_s,
         soc0=start_of(log.soc0, soc0),
         lean=not export.asked.wide,
-        points=export.asked.points,
+        points=export.tables.options.points,
         noise=export.seen.noise,
     )

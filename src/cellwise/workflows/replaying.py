@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel
+from cellwise.cell.model import CellModel, check_is_model
 from cellwise.cell.plausibility.notice import ends_forecasts, withheld
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import make_estimator
@@ -30,7 +31,7 @@ from cellwise.forecast.remaining import (
     forecast,
     forecast_at,
 )
-from cellwise.logs.cell_log import CellLog, resample
+from cellwise.logs.cell_log import CellLog, check_is_log, resample
 from cellwise.logs.files.source import ReadOptions, open_source
 from cellwise.logs.formats.ros_bag import start_of as start_of_bag
 from cellwise.logs.gaps import cut_at_pauses
@@ -149,6 +150,11 @@ class ReplayAndForecast:
         return self.notices[: self.replay.notices.index(self.far) + 1]
 
     @property
+    def cells(self) -> int:
+        """Cells of the pack that the log was read from; 1 of a cell's log."""
+        return self.replay.log.series * self.replay.log.parallel
+
+    @property
     def power(self) -> PowerTrace | None:
         """The state of power, unless the log is far off."""
         return None if self.far else self.replay.power
@@ -228,7 +234,11 @@ def replay_and_forecast(
     ------
     InputError            as `replay` and `forecast`; a start other than the log's stated one
     """
+    check_is_model(model)
+    check_is_log(log)
     asked, ahead = asked or ReplayRequest(), ahead or ForecastRequest()
+    check_kind("asked", asked, ReplayRequest, "Write ReplayRequest('ekf', soc0=0.9), say.")
+    check_kind("ahead", ahead, ForecastRequest, "Write ForecastRequest(load=10.0), say.")
     log = log if asked.dt_s is None else resample(log, asked.dt_s)
     found = replay(
         model,

@@ -99,6 +99,26 @@ def test_no_number_stands_in_both_rooms():
     assert not of_fixed & of_kernels
 
 
+# Numbers of an equation that a room reads as well: what marks a state, what sizes a loop,
+# what a lean step does without the equation.
+MARKS = {"FOUND_FROZEN", "GIVEN_UP", "PAST_PART"}
+READ_IN_C = {"SQUARE_MOST", "START_LOAD_SHARE", "SWINGS_MOST"}
+
+
+def read_in(paths: list[Path]) -> set[str]:
+    """Names that the modules read or give."""
+    return {n.id for p in paths for n in ast.walk(tree_of(p)) if isinstance(n, ast.Name)}
+
+
+def test_what_an_equation_decides_by_a_number_no_room_decides_again():
+    """A voltage that is frozen, where a component begins, when it is given up: by their limits."""
+    numbers = numbers_of(ESTIMATE / "equations" / "constants.py").keys()
+    decide = numbers & read_in([p for p in ONCE if p.stem != "constants"])
+    assert {"DITHER_V", "COMPONENT_WIDTH", "COST_MOST", "LEAST_PASSED"} <= decide
+    assert decide & read_in(KERNELS) == MARKS
+    assert decide & read_in(FIXED) == MARKS | READ_IN_C
+
+
 def test_no_equation_is_written_a_second_time():
     shared = {shape: text for p in ONCE for shape, text in equations_in(tree_of(p)).items()}
     assert len(shared) > 20

@@ -8,12 +8,18 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.equations.double import log_of_more, magnitude, root
 from cellwise.cell.equations.scalar import at_least, at_most
 from cellwise.estimate.equations.constants import (
+    COMPONENT_WIDTH,
+    COST_MOST,
     DENSE,
+    GIVEN_UP,
     LEAST_PASSED,
     LEAST_PAST_V2,
+    LEAST_WIDTH,
+    PAST_PART,
     PAST_SPREAD,
     TAIL,
 )
+from cellwise.estimate.equations.evidence import inverse_weight
 
 
 @inline
@@ -31,14 +37,41 @@ def edge(t: float, soc: float, std: float) -> float:
     return at
 
 
+class Component(NamedTuple):
+    """Where a component begins: its SOC, the variance of that, and what speaks against it."""
+
+    soc: float
+    variance: float
+    cost: float
+
+
 @inline
-def start_cost(away: float, variance: float, width: float) -> float:
-    """What speaks against a component ``away`` from a stated start, and of a ``width`` in SOC.
+def component_from(t: float, apart: float, soc: float, variance: float, std: float) -> Component:
+    """The component from ``t`` to ``t + apart`` in -1..1, about a start known to ``std``.
 
     How sure a stated start is, is itself not sure: Student's t of TAIL degrees of freedom.
     """
+    low = edge(t, soc, std)
+    high = edge(t + apart, soc, std)
+    width = at_least(high - low, LEAST_WIDTH)
+    wide = COMPONENT_WIDTH * width
+    here = 0.5 * (low + high)
+    away = here - soc
     off = (away * away) / (TAIL * variance)
-    return ((0.5 * (TAIL + 1.0)) * log_of_more(off)) + log_of_more((1.0 / width) - 1.0)
+    cost = ((0.5 * (TAIL + 1.0)) * log_of_more(off)) + log_of_more((1.0 / width) - 1.0)
+    return Component(here, wide * wide, cost)
+
+
+@inline
+def kept_cost(cost: float) -> float:
+    """Of a component beside the likeliest's; once it is given up, it stays so."""
+    return GIVEN_UP if cost > COST_MOST else cost
+
+
+@inline
+def mixture_variance(own_V2: float, mean_V: float, square_V2: float) -> float:
+    """Of components' predictions: their own, and how far they lie apart."""
+    return own_V2 + at_least(square_V2 - (mean_V * mean_V), 0.0)
 
 
 @inline
@@ -53,46 +86,60 @@ def evidence_share(fades: float, stays: float, shared: float, since: float) -> f
     return at_most((fades * shared) / (left * left), 1.0)
 
 
-class Passed(NamedTuple):
-    """What the gate lets pass of an innovation, and how the rest ``grows`` what it says."""
+class ComponentUpdate(NamedTuple):
+    """The innovation that a component takes, one over its variance, minus the log likelihood."""
 
     off_V: float
-    grows: float
+    inverse: float
+    cost: float
 
 
 @inline
-def let_pass(innovation_V: float, variance_V2: float, gate_square: float) -> Passed:
-    """An innovation as a component takes it: as far as the gate.
+def component_update(
+    innovation_V: float,
+    variance_V2: float,
+    gate_square: float,
+    explained_V2: float,
+    weight_V2: float,
+    below: float,
+    share: float,
+) -> ComponentUpdate:
+    """None is rejected: it moves a component as far as the gate.
 
-    Beyond that it speaks against a component in proportion to how far it is off (Huber): below
-    empty the lowest of them is the nearest.
+    Beyond that it speaks against it in proportion to how far it is off (Huber): below empty the
+    lowest of them is the nearest. It counts as often as it moves the state: samples that share one
+    error of the model are one, of which ``share`` is new.
     """
     most = gate_square * variance_V2
     square = innovation_V * innovation_V
     off_V = innovation_V
     grows = 1.0
     if square > most:
-        share = at_least(root(most / square), LEAST_PASSED)
-        off_V = innovation_V * share
-        grows = (2.0 / share) - 1.0
-    return Passed(off_V, grows)
+        passed = at_least(root(most / square), LEAST_PASSED)
+        off_V = innovation_V * passed
+        grows = (2.0 / passed) - 1.0
+    inverse = inverse_weight(explained_V2, weight_V2, below)
+    unlikely = log_of_more((explained_V2 * below) / weight_V2)
+    cost = share * (0.5 * ((grows * ((off_V * off_V) * inverse)) + unlikely))
+    return ComponentUpdate(off_V, inverse, cost)
 
 
 @inline
-def cost_of_voltage(
-    share: float,
-    off_V: float,
-    grows: float,
-    inverse: float,
-    explained_V2: float,
-    weight_V2: float,
-) -> float:
-    """What a voltage says against a component: minus the logarithm of its likelihood.
+def parts_before(soc: float, mean_A: float) -> float:
+    """Of a load's way from full to a SOC, a charge's from empty, PAST_PART each; to be cut off."""
+    way = soc
+    if mean_A >= 0.0:
+        way = 1.0 - soc
+    return (way / PAST_PART) + 0.5
 
-    It counts as often as it moves the state: samples that share one error of the model are one.
-    """
-    against = (grows * ((off_V * off_V) * inverse)) + log_of_more(explained_V2 / weight_V2)
-    return share * (0.5 * against)
+
+@inline
+def soc_on_way(parts: float, mean_A: float) -> float:
+    """SOC after so many parts."""
+    soc = parts * PAST_PART
+    if mean_A >= 0.0:
+        soc = 1.0 - soc
+    return soc
 
 
 class Past(NamedTuple):

@@ -9,7 +9,8 @@ from __future__ import annotations
 COLDEST_C = -60.0
 HOTTEST_C = 120.0
 IMPOSSIBLE_RATE = 200.0  # no cell gives that; a sensor fault does
-FROZEN_READINGS = 3  # repeats of a voltage, before which nobody calls it frozen
+FROZEN_READINGS = 3.0  # repeats of a voltage, before which nobody calls it frozen;
+FOUND_FROZEN = 4.0  # a count that says it was
 DITHER_V = 0.0025  # a reading that moves by less repeats itself: the last digits of a converter
 DEAD_SWINGS = 8.0  # of the voltage, up and down, under a current that repeats itself bit by bit
 SWINGS_MOST = 100.0  # counting on says nothing more
@@ -46,7 +47,8 @@ COMPONENT_WIDTH = 0.6  # deviation of a component over the distance to the next
 DENSE = 3.0  # deviations of a start within which the components lie close
 LEAST_WIDTH = 1e-3  # of a component in SOC
 TAIL = 4.0  # degrees of freedom of a stated start: how sure it is, is itself not sure
-COST_MOST = 20.0  # a component less likely than exp(-20) is given up
+COST_MOST = 20.0  # a component less likely than exp(-20) is given up:
+GIVEN_UP = 1048576.0  # its cost, and nobody steps it any more
 LEAST_PASSED = 1e-4  # of an innovation that the gate lets pass
 BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
 

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations.double import magnitude, root
 from cellwise.cell.equations.scalar import at_least, at_most
-from cellwise.estimate.equations.constants import DEAD_SWINGS, SWINGS_MOST
+from cellwise.estimate.equations.constants import (
+    DEAD_SWINGS,
+    DITHER_V,
+    FOUND_FROZEN,
+    FROZEN_READINGS,
+    SWINGS_MOST,
+)
 
 
 @inline
@@ -28,15 +36,43 @@ def is_dead(swings: float) -> bool:
     return magnitude(swings) >= DEAD_SWINGS
 
 
-@inline
-def is_frozen(change_A: float, r0_ohm: float, innovation_V: float, frozen_V: float) -> bool:
-    """Whether a voltage that repeats itself, but for its last digits, must have moved.
+class HeldVoltage(NamedTuple):
+    """The last reading of a voltage, the current when it came, and how often it has come since."""
 
-    R0 times the change of current says so, and the prediction is off by half of that: a held
-    voltage (the end of a charge) repeats itself, too, but the model expects it there.
+    voltage_V: float
+    since_A: float
+    repeats: float
+
+
+@inline
+def repeats_after(
+    last_V: float,
+    since_A: float,
+    repeats: float,
+    voltage_V: float,
+    current_A: float,
+    r0_ohm: float,
+    innovation_V: float,
+    frozen_V: float,
+) -> HeldVoltage:
+    """After a voltage: FOUND_FROZEN of them where it is frozen, and so until it changes.
+
+    It repeats itself, but for its last digits, where R0 times the change of current says that it
+    must have moved, and the prediction is off by half of that: a held voltage (the end of a charge)
+    repeats itself, too, but the model expects it there.
     """
-    moved_V = magnitude(r0_ohm * change_A)
-    return moved_V > frozen_V and magnitude(innovation_V) > 0.5 * moved_V
+    held_V = voltage_V
+    held_A = current_A
+    count = 0.0
+    if magnitude(voltage_V - last_V) <= DITHER_V:
+        held_V = last_V
+        held_A = since_A
+        count = at_most(repeats + 1.0, FROZEN_READINGS)
+        moved_V = magnitude(r0_ohm * (current_A - since_A))
+        frozen = moved_V > frozen_V and magnitude(innovation_V) > 0.5 * moved_V
+        if repeats >= FOUND_FROZEN or (count >= FROZEN_READINGS and frozen):
+            count = FOUND_FROZEN
+    return HeldVoltage(held_V, held_A, count)
 
 
 @inline

@@ -26,20 +26,20 @@ from cellwise.cell.packed import changed, place_of, put_record, record_at, size_
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.equations.components import (
+    component_from,
+    component_update,
     cost_of_past,
-    cost_of_voltage,
-    edge,
     evidence_share,
-    let_pass,
+    kept_cost,
+    mixture_variance,
+    parts_before,
     past_of,
-    start_cost,
+    soc_on_way,
 )
 from cellwise.estimate.equations.constants import (
     BANK_RATE,
-    COMPONENT_WIDTH,
-    COST_MOST,
+    GIVEN_UP,
     LEAST_USE_RATE,
-    LEAST_WIDTH,
     LOAD_LIMIT_V,
     LOOK_FACTOR,
     LOOK_S,
@@ -53,7 +53,7 @@ from cellwise.estimate.equations.constants import (
     SPREAD_VARIANCE,
     WIDE_VARIANCE,
 )
-from cellwise.estimate.equations.evidence import as_shown, inverse_weight
+from cellwise.estimate.equations.evidence import as_shown
 from cellwise.estimate.equations.start import held_variance
 from cellwise.estimate.evidence_kernels import (
     InnovationSources,
@@ -90,13 +90,11 @@ from cellwise.estimate.status import (
     GATE_RECOVERY,
     INNOVATION_REJECTED,
     SEQUENCE_GAP,
-    VOLTAGE_FROZEN,
     VOLTAGE_INVALID,
 )
 from cellwise.typing import FloatArray
 
 COMPONENTS = 11  # with 7 to 31 of them errors differ by less than their scatter
-GIVEN_UP = 1e9  # the cost of a component that nobody steps any more
 
 
 class BankRecord(NamedTuple):
@@ -176,9 +174,7 @@ def weigh_components(bank: FloatArray, least: float) -> None:
     """Weights that add up to one; the likeliest component costs nothing."""
     total = 0.0
     for k in range(1, end_of(bank)):
-        bank[k, COST] -= least
-        if bank[k, COST] > COST_MOST:
-            bank[k, COST] = GIVEN_UP
+        bank[k, COST] = kept_cost(bank[k, COST] - least)
         bank[k, WEIGHT] = math.exp(-bank[k, COST])
         total += bank[k, WEIGHT]
     for k in range(1, end_of(bank)):
@@ -195,18 +191,14 @@ def spread_out(bank: FloatArray, state: EkfState) -> None:
     p, x, begun = state.p, state.cell, state.watch.evidence_s != NOT_BEGUN_S
     soc, std = min(max(x.soc, 0.0), 1.0), math.sqrt(p.ss)
     likeliest, least = 1, math.inf
-    step = 2.0 / (end_of(bank) - 1)
+    apart = 2.0 / (end_of(bank) - 1)
     for k in range(1, end_of(bank)):
-        low, high = edge((k - 1) * step - 1.0, soc, std), edge(k * step - 1.0, soc, std)
-        width = max(high - low, LEAST_WIDTH)
-        here = 0.5 * (low + high)
-        h = x.h if begun else (1.0 if here > 0.5 else -1.0)
-        one = changed(changed(x, "soc", here), "h", h)
-        wide = COMPONENT_WIDTH * width
-        narrow = uncorrelated(wide * wide, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
+        begins = component_from(apart * (k - 1) - 1.0, apart, soc, p.ss, std)
+        h = x.h if begun else (1.0 if begins.soc > 0.5 else -1.0)
+        one = changed(changed(x, "soc", begins.soc), "h", h)
+        narrow = uncorrelated(begins.variance, Branches(*(p[i, i] for i in BRANCHES)), p.phh)
         put_record(bank[k], 0, 1, changed(changed(state, "cell", one), "p", narrow), True)
-        away = here - soc
-        bank[k, COST] = start_cost(away, p.ss, width)
+        bank[k, COST] = begins.cost
         if bank[k, COST] < least:
             likeliest, least = k, bank[k, COST]
     weigh_components(bank, least)
@@ -305,11 +297,9 @@ def left_by_load(
     size = max(abs(mean_A), LEAST_USE_RATE * tables.cell.charge_As / 3600.0)
     flowed_A = size if mean_A >= 0.0 else -size
     step_s = PAST_PART * tables.cell.charge_As / size
-    way = 1.0 - soc if mean_A >= 0.0 else soc
     before = 0.0
-    for k in range(1, int(way / PAST_PART + 0.5) + 1):
-        s = 1.0 - k * PAST_PART if mean_A >= 0.0 else k * PAST_PART
-        at = loaded(tables, s, temperature_C, mean_A, slow_A)
+    for k in range(1, int(parts_before(soc, mean_A)) + 1):
+        at = loaded(tables, soc_on_way(float(k), mean_A), temperature_C, mean_A, slow_A)
         before = rc_step(before, flowed_A, at.r3_ohm, at.tau3_s, step_s)
     return before
 
@@ -454,24 +444,23 @@ def use_in_bank(
     """
     variance = i.state_variance + (i.one + i.free_variance)
     innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
-    reading = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
-    used = math.isfinite(innovation_V) and reading[4] & VOLTAGE_FROZEN == 0
+    last, swings, frozen = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
+    used = math.isfinite(innovation_V) and frozen == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
         ratio = square / variance * noise.per_gate2
-        passed = let_pass(innovation_V, variance, noise.gate * noise.gate)
-        innovation_V = passed.off_V
         resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
         shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
         weight = as_shown(error_V2 * shared.above, mismatch)
-        inverse = inverse_weight(i.state_variance, weight, shared.below)
-        share, explained = new_share(noise, evidence_s), i.state_variance * shared.below
-        cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight)
+        innovation_V, inverse, cost = component_update(
+            innovation_V, variance, noise.gate * noise.gate,
+            i.state_variance, weight, shared.below, new_share(noise, evidence_s),
+        )  # fmt: skip
         evidence_s = max(evidence_s, 0.0)
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, reading)
-    status = reading[4] | away
+    after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, last, swings)
+    status = frozen | away
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
     # fmt: off
@@ -542,7 +531,7 @@ def step_bank(
         mean_V += weight * away_V
         square_V2 += weight * away_V * away_V
         variance += weight * info.innovation_variance_V2
-    variance += max(square_V2 - mean_V * mean_V, 0.0)
+    variance = mixture_variance(variance, mean_V, square_V2)
     predicted_V = first_V + mean_V
     off = s.voltage_V - predicted_V
     if math.isfinite(off):

@@ -58,23 +58,24 @@ def bank_or_alone(
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
+    rules: FreeRules | None,
     start: EkfStart,
     bank: FloatArray,
+    free: Free | None,
     reading: MeasuredSample,
-) -> EkfInfo:
+) -> tuple[EkfState, Free | None, EkfInfo]:
     """One step of a bank in memory: of its components, or of the estimate alone."""
     state = state_in(bank, 0)
     if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
         begin_bank(bank, state)
     if is_spread(bank):
-        return step_bank(tables, noise, sigma, start, bank, reading)
-    # fmt: off
-    state, _, info = filter_step(
-        tables, noise, sigma, None, start, state, None, reading
-    )
-    # fmt: on
-    put_record(bank[0], 0, 1, begin_again(tables, start, bank, state, info.status), True)
-    return info
+        info = step_bank(tables, noise, sigma, start, bank, reading)
+        state = state_in(bank, 0)
+        return state, waiting(rules, free, state.drift), info
+    state, free, info = filter_step(tables, noise, sigma, rules, start, state, free, reading)
+    state = begin_again(tables, start, bank, state, info.status)
+    put_record(bank[0], 0, 1, state, True)
+    return state, free, info
 
 
 @kernel
@@ -101,7 +102,7 @@ def kalman_step_of_rows(
     noise = record_at(NoiseScalars, constants, NOISE_AT, 1)
     unknown = record_at(EkfStart, constants, UNKNOWN_AT, 1)
     reading = MeasuredSample(current_A, voltage_V, temperature_C, dt_s, gap)
-    info = bank_or_alone(tables, noise, sigma, unknown, bank, reading)
+    _, _, info = bank_or_alone(tables, noise, sigma, None, unknown, bank, None, reading)
     put_info(out.reshape((OUTPUTS, 1)), 0, info)
     return info.status
 
@@ -237,18 +238,7 @@ def adaptive_step(
     out: TraceArrays,
 ) -> Free:
     """One step for online use; ``bank`` goes on, ``out`` is its one row."""
-    state = state_in(bank, 0)
-    if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
-        begin_bank(bank, state)
-    after: Free | None = free
-    if is_spread(bank):
-        info = step_bank(tables, noise, None, start, bank, reading)
-        state = state_in(bank, 0)
-        after = waiting(rules, free, state.drift)
-    else:
-        state, after, info = filter_step(tables, noise, None, rules, start, state, free, reading)
-        state = begin_again(tables, start, bank, state, info.status)
-        put_record(bank[0], 0, 1, state, True)
+    state, after, info = bank_or_alone(tables, noise, None, rules, start, bank, free, reading)
     put_info(out.values, 0, info)
     put_free(rules, noise.offset_soc_per_s * tables.cell.charge_As, out.values, 0, state, after)
     out.status[0] = info.status

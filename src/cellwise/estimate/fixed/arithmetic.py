@@ -105,7 +105,6 @@ SCALE_MOST = F(19.0)  # and as many times its resistance be added
 LEAST_SHARE, MOST_SHARE = F(0.1), F(2.0)  # of the capacity that a history gives
 LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
-FROZEN = U(0xFFFFFFFF)  # repeats of a voltage that was found frozen
 COUNT_MOST = U(2_000_000_000)
 
 Step = TypeVar("Step", bound=Callable[..., Any])

@@ -12,7 +12,15 @@ from typing import Any
 
 from cellwise.cell.description import CARRIED, CELL, V3, triangle
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.equations.components import cost_of_past, edge, past_of, start_cost
+from cellwise.estimate.equations.components import (
+    component_from,
+    cost_of_past,
+    kept_cost,
+    mixture_variance,
+    parts_before,
+    past_of,
+    soc_on_way,
+)
 from cellwise.estimate.equations.evidence import lately_shown
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
@@ -30,19 +38,17 @@ from cellwise.estimate.fixed.step import begin_at, step
 from cellwise.estimate.status import INNOVATION_REJECTED, STATE_RESET
 
 
-def component_start(a: State, first: State, low: float, high: float) -> None:
-    """A component between two edges, else as the estimate ``first`` is."""
-    width = at_least(high - low, LEAST_WIDTH)
-    soc = 0.5 * (low + high)
-    away = soc - first.soc
-    a.cost = start_cost(away, first.ss, width)
-    a.soc = soc
+def component_start(a: State, t: float, apart: float, std: float) -> None:
+    """A component from ``t`` on about the estimate, whose copy ``a`` is."""
+    begins = component_from(t, apart, a.soc, a.ss, std)
+    a.cost = begins.cost
+    a.soc = begins.soc
     a.soc_carry = 0.0
-    a.ss = (COMPONENT_WIDTH * width) * (COMPONENT_WIDTH * width)
+    a.ss = begins.variance
     a.ss_carry = 0.0
     forget_correlations(a)
     if HYSTERESIS and a.evidence == NOT_BEGUN:
-        a.h = 1.0 if soc > 0.5 else -1.0
+        a.h = 1.0 if a.soc > 0.5 else -1.0
     a.in_bank = COMPONENT
 
 
@@ -50,11 +56,8 @@ def weigh_components(of: States, count: int, least: float) -> None:
     """Weights that add up to one; the likeliest component costs nothing."""
     total = 0.0
     for k in range(count):
-        of[k + 1].cost = of[k + 1].cost - least
+        of[k + 1].cost = kept_cost(of[k + 1].cost - least)
         of[k + 1].weight = vanishing(of[k + 1].cost)
-        if of[k + 1].cost > COST_MOST:
-            of[k + 1].cost = LARGE
-            of[k + 1].weight = 0.0
         total = total + of[k + 1].weight
     for k in range(count):
         of[k + 1].weight = of[k + 1].weight / total
@@ -64,12 +67,10 @@ def spread_out(b: Bank, of: States, count: int) -> None:
     """Components over all of the SOC, densely about the estimate."""
     std = root(of[0].ss)
     apart = 2.0 / F(count)
-    least = LARGE
+    least = GIVEN_UP
     for k in range(count):
         of[k + 1] = of[0]
-        low = edge((apart * F(k)) - 1.0, of[0].soc, std)
-        high = edge((apart * F(k + 1)) - 1.0, of[0].soc, std)
-        component_start(of[k + 1], of[0], low, high)
+        component_start(of[k + 1], (apart * F(k)) - 1.0, apart, std)
         if of[k + 1].cost < least:
             least = of[k + 1].cost
             b.likeliest = U(k + 1)
@@ -93,7 +94,7 @@ def mean_of(of: States, count: int) -> Column:
     for i in CELL:
         mean[i] = 0.0
     for k in range(count):
-        if of[k + 1].cost < LARGE:  # else dropped: nobody looks after its memory
+        if of[k + 1].cost < GIVEN_UP:  # else dropped: nobody looks after its memory
             for i in CELL:
                 mean[i] = mean[i] + (of[k + 1].weight * of[k + 1].state[i])
     return Column(0.0, *(mean[i] if THERE else 0.0 for i in CELL))
@@ -131,7 +132,7 @@ def gather(b: Bank, of: States, count: int) -> None:
     take_mean(of[0], mean)
     hold_within(of[0])  # weights add up to one but for rounding
     for k in range(count):
-        if of[k + 1].cost < LARGE:
+        if of[k + 1].cost < GIVEN_UP:
             collect(of[0], of[k + 1])
     of[0].mismatch = b.mismatch
     if of[0].ss <= WIDE_VARIANCE and b.looks == LOOKS:
@@ -145,16 +146,9 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
     before = 0.0
     size = at_least(magnitude(mean_A), m.constant.least_use_A)
     steps = PAST_PART / (m.constant.soc_per_A * size)
-    way = soc
-    if mean_A >= 0.0:
-        way = 1.0 - soc
-    points = U((way / PAST_PART) + 0.5)
-    for k in range(points):
-        moved = F(k + 1) * PAST_PART
-        at = moved
-        if mean_A >= 0.0:
-            at = 1.0 - moved
-        p = look_up(m, place, at, mean_A)
+    parts = U(parts_before(soc, mean_A))
+    for k in range(parts):
+        p = look_up(m, place, soc_on_way(F(k + 1), mean_A), mean_A)
         for i in (V3,):
             end = p.r[i] * (size if mean_A >= 0.0 else -size)
             before = before + (risen(steps * p.gain[i]) * (end - before))
@@ -213,7 +207,7 @@ def look_back(m: Model, b: Bank, of: States, count: int, sample: Sample) -> None
         b.mean_A = b.mean_A + ((of[b.likeliest].current_A - b.mean_A) / F(b.since))
         if b.since >= b.next_look:
             for k in range(count):
-                if of[k + 1].cost < LARGE:
+                if of[k + 1].cost < GIVEN_UP:
                     if b.looks == U(0):
                         know_past(m, of[k + 1], F(b.since), b.mean_A)
                     else:
@@ -243,7 +237,7 @@ def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, o
         k = b.likeliest
         if turn > 0:
             k = U(turn) if U(turn) <= b.likeliest - U(1) else U(turn + 1)
-        if of[k].cost < LARGE:
+        if of[k].cost < GIVEN_UP:
             of[k].error_V2 = error_V2
             of[k].mismatch = b.mismatch
             said = step(m, of[k], sample, out)
@@ -256,7 +250,7 @@ def step_components(m: Model, b: Bank, of: States, count: int, sample: Sample, o
             square_V2 = square_V2 + (of[k].weight * (away_V * away_V))
             variance_V2 = variance_V2 + (of[k].weight * out.innovation_variance_V2)
     out.voltage_V = first_V + mean_V
-    out.innovation_variance_V2 = variance_V2 + at_least(square_V2 - (mean_V * mean_V), 0.0)
+    out.innovation_variance_V2 = mixture_variance(variance_V2, mean_V, square_V2)
     out.innovation_V = 0.0
     if positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V):
         out.innovation_V = sample.voltage_V - out.voltage_V
@@ -293,9 +287,9 @@ def bank_is_sound(b: Bank, of: States, count: int) -> bool:
     if b.likeliest < U(1) or b.likeliest > count:
         good = False
     for k in range(count):
-        if not not_negative(of[k + 1].cost, LARGE) or not not_negative(of[k + 1].weight, 2.0):
+        if not not_negative(of[k + 1].cost, GIVEN_UP) or not not_negative(of[k + 1].weight, 2.0):
             good = False
-        if of[k + 1].cost < LARGE and of[k + 1].in_bank != COMPONENT:
+        if of[k + 1].cost < GIVEN_UP and of[k + 1].in_bank != COMPONENT:
             good = False
     return good
 

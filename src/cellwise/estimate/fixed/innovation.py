@@ -13,7 +13,7 @@ from cellwise.estimate.equations.evidence import (
     shared_evidence,
     voltage_variance,
 )
-from cellwise.estimate.equations.sensors import is_frozen, swings_after
+from cellwise.estimate.equations.sensors import repeats_after, swings_after
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import Column, column_of
 from cellwise.estimate.fixed.lookup import Point, Slopes
@@ -56,22 +56,14 @@ def watch_current(c: Constants, x: State, voltage: float) -> None:
 def watch_voltage(
     c: Constants, x: State, voltage: float, seen: float, r0_ohm: float, innovation: float
 ) -> int:
-    """Whether the voltage is frozen. It stays so until it changes."""
-    status = U(0)
-    if not size_within(voltage - x.voltage_V, DITHER_V):
-        x.voltage_V = voltage
-        x.frozen_A = seen
-        x.repeats = U(0)
-    elif x.repeats == FROZEN:
-        status = U(VOLTAGE_FROZEN)
-    else:
-        frozen = is_frozen(seen - x.frozen_A, r0_ohm, innovation, c.frozen_V)
-        if x.repeats < COUNT_MOST:
-            x.repeats = U(x.repeats + 1)
-        if x.repeats >= FROZEN_READINGS and frozen:
-            x.repeats = FROZEN
-            status = U(VOLTAGE_FROZEN)
-    return status
+    """Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0."""
+    now = repeats_after(
+        x.voltage_V, x.frozen_A, x.repeats, voltage, seen, r0_ohm, innovation, c.frozen_V
+    )
+    x.voltage_V = now.voltage_V
+    x.frozen_A = now.since_A
+    x.repeats = now.repeats
+    return U(VOLTAGE_FROZEN) if now.repeats >= FOUND_FROZEN else U(0)
 
 
 def steps_of_evidence(x: State) -> float:

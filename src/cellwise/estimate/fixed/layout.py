@@ -177,7 +177,7 @@ def _state() -> tuple[Field, ...]:
         Field("persistent", "SOC error by a persistent error of the model", "WIDE"),
         Field("voltage_V", "last valid one,", "WIDE"),
         Field("frozen_A", "the current when it came,", "WIDE"),
-        Field("repeats", "and how often it has come since", "WIDE", "u4"),
+        Field("repeats", "and how often it has come since; 4: frozen", "WIDE"),
         Field("swings", "of the voltage while the current repeats itself; last one's sign", "WIDE"),
         Field("no_current", "steps without a valid one", "WIDE", "u4"),
         Field("no_voltage", "steps without one that could be used", "WIDE", "u4"),

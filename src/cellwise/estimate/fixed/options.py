@@ -138,7 +138,8 @@ class Asked:
 
     Parameters
     ----------
-    points : int or None      SOC points of the tables; None: the model's own
+    points : int or None      SOC points of the tables; None: as few as the model's stated error
+                              allows, see :func:`~cellwise.estimate.fixed.tables.soc_grid`
     wide : bool               take care of slopes while SOC is badly known, watch for sensors that
                               freeze or fall silent; without it the code is smaller, and slower to
                               recover from a start that is far off

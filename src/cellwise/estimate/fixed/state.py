@@ -53,7 +53,7 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WIDE and not (size_within(x.voltage_V, LARGE) and size_within(x.frozen_A, LARGE)):
         return False
-    if WIDE and not size_within(x.swings, SWINGS_MOST):
+    if WIDE and not (size_within(x.swings, SWINGS_MOST) and not_negative(x.repeats, FOUND_FROZEN)):
         return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
@@ -108,7 +108,7 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
         x.persistent = 0.0
         x.voltage_V = 0.0
         x.frozen_A = 0.0
-        x.repeats = U(0)
+        x.repeats = 0.0
         x.swings = 0.0
         x.no_current = U(0)
         x.no_voltage = U(0)

@@ -5,7 +5,7 @@ The correction: gate, recovery, weight.
 
 from __future__ import annotations
 
-from cellwise.estimate.equations.components import cost_of_voltage, evidence_share, let_pass
+from cellwise.estimate.equations.components import component_update, evidence_share
 from cellwise.estimate.equations.evidence import (
     as_shown,
     contradicted_step,
@@ -137,15 +137,14 @@ def use_in_bank(
     shared = shared_by(c, x, s.seen)
     weight = as_shown(x.error_V2 * shared.above, x.mismatch)
     if s.news == INTERVAL or shared.above <= shared.below:
-        passed = let_pass(innovation, i.variance_V2, c.gate_square)
-        inverse = inverse_weight(i.explained_V2, weight, shared.below)
         share = evidence_share(c.fades, c.stays, c.shared, steps_of_evidence(x))
-        explained = i.explained_V2 * shared.below
-        cost = cost_of_voltage(share, passed.off_V, passed.grows, inverse, explained, weight)
-        x.cost = x.cost + cost
-        move(x, i.column, inverse, passed.off_V)
-        narrow(x, i.column, inverse)
-        persist(c, x, p, w.slope_V, i.column.s * inverse)
+        used = component_update(
+            innovation, i.variance_V2, c.gate_square, i.explained_V2, weight, shared.below, share
+        )
+        x.cost = x.cost + used.cost
+        move(x, i.column, used.inverse, used.off_V)
+        narrow(x, i.column, used.inverse)
+        persist(c, x, p, w.slope_V, i.column.s * used.inverse)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
 

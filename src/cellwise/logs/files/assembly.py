@@ -314,6 +314,8 @@ def assemble(
         source=str(path),
         current_meaning="interval_end" if known is None else known.current_meaning,
         format="table" if known is None else known.name,
+        series=raw.series,
+        parallel=raw.parallel,
     )
     log, noted = grave.without_impossible(log)
     notices += noted

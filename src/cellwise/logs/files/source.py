@@ -189,6 +189,8 @@ class RawLog:
     cells: int | None = None
     signed: bool = True
     form: str = ""
+    series: int = 1
+    parallel: int = 1
 
     def noted(self, notices: Iterable[Notice]) -> RawLog:
         """The same with more notices."""

@@ -368,4 +368,10 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
             f"a pack of {series} in series, {options.parallel} in parallel, read as its mean cell"
         )
         notices.append(Notice(Code.PACK_DIVIDED, text))
-    return replace(raw, channels=channels, notices=tuple(notices))
+    return replace(
+        raw,
+        channels=channels,
+        notices=tuple(notices),
+        series=series,
+        parallel=options.parallel,
+    )

@@ -136,7 +136,8 @@ class PackLog:
         pack = None if pack_V is None else np.asarray(pack_V, dtype=np.float64)
         volts, bypass, flags = checked_cells(volts, bypass, named, pack, where)
         channels = {"time_s": time_s, "current_A": current_A, "voltage_V": mean_voltage_V(volts)}
-        return cls(CellLog(**{**more, **channels}), volts, named, bypass, pack, flags)
+        mean = CellLog(**{**more, **channels, "series": count})
+        return cls(mean, volts, named, bypass, pack, flags)
 
     def rows(self, rows: Any) -> Self:
         """The chosen rows, time kept."""
@@ -246,7 +247,9 @@ def pack_of(
     of_cells = replace(raw, channels=mean, notices=tuple(notices), cells=None)
     one = to_cell(of_cells, replace(source.options, series=1), source.where)
     log = assemble(one, known, source.path, name, sign, check_sign=check_sign)
-    return PackLog(log, volts, names, balancing, pack_V, flags, source.options.parallel)
+    parallel = source.options.parallel
+    log = replace(log, series=len(names), parallel=parallel)
+    return PackLog(log, volts, names, balancing, pack_V, flags, parallel)
 
 
 def _names(source: LogSource, known: Format) -> list[str]:

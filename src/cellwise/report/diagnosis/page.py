@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.diagnose.causes.catalogue import CAUSES, known_cause
 from cellwise.diagnose.result import Diagnosis, FoundCause, LogRun, TriedCause
 from cellwise.logs.cell_log import CellLog
@@ -67,6 +68,7 @@ def diagnose_page(
     diagnosis : Diagnosis
     path, figures : as of `write_page`, whose errors it raises
     """
+    check_kind("diagnosis", diagnosis, Diagnosis, "Pass what diagnose(model, log) gives.")
     runs = sorted(diagnosis.runs, key=lambda r: r.used != "holdout")  # held-out logs first
     name = diagnosis.model.name or "the model"
     lines, more = lead_lines(diagnosis), alerts(diagnosis)

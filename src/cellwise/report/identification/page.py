@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
 from cellwise.identify.identification import Identification, OwnLog
@@ -243,6 +244,7 @@ def identify_page(
     identification : Identification
     path, figures : as of `write_page`, whose errors it raises
     """
+    check_kind("identification", identification, Identification, "Pass what identify_cell gives.")
     return write_page(
         path,
         identify_finding(identification),

@@ -36,6 +36,7 @@ from cellwise.report.page.numerals import (
     listed,
     millivolt,
     percent,
+    plural,
     points,
     significant,
     spanned,
@@ -57,14 +58,16 @@ from cellwise.report.replay.replay_section import (
 
 FORECAST_EXPLAINED = (
     "From the state at {time} the model goes on until the voltage reaches its cutoff or the charge "
-    "ends. Energies and powers are those of one cell."
+    "ends. Where no pack is named, energies and powers are those of one cell."
 )
 
 
 def flight_finding(flight: Flight) -> str:
     """The first line of a flight's page: remaining time at the usual load, with its band."""
     now = (flight.typical or flight).last
-    return f"{points(now.soc)} SOC at {duration(now.time_s)}: {_left(now)} left at {_load(flight)}."
+    energy = f", {_pack_energy(now, flight.cells)} in the pack" if flight.cells > 1 else ""
+    left = f"{_left(now)} left at {_load(flight)}{energy}"
+    return f"{points(now.soc)} SOC at {duration(now.time_s)}: {left}."
 
 
 def _left(now: Forecast) -> str:
@@ -91,6 +94,7 @@ def flight_section(flights: Sequence[Flight]) -> Section:
             ("load", lambda f: f"{significant((f.typical or f).last.load_A)} A"),
             ("remaining time", lambda f: _left((f.typical or f).last)),
             ("remaining energy", lambda f: _energy((f.typical or f).last)),
+            ("of the pack", lambda f: _pack_energy((f.typical or f).last, f.cells)),
             caption="What was left at the end of every log, at its own usual load.",
         )
         blocks = (*blocks, every)
@@ -104,12 +108,17 @@ def flight_content(flight: Flight, *, several: bool) -> Markup:
         "load of the last minute": flight.last,
         "given load": flight.given,
     }
-    columns = {name: _figures(now) for name, now in ways.items() if now is not None}
+    columns = {name: _figures(now, flight.cells) for name, now in ways.items() if now is not None}
     head = (
-        "load", "remaining time", "remaining energy", "voltage then", "SOC then", "ends by",
+        "load of a cell", "remaining time", "remaining energy of a cell",
+        f"of the pack of {plural(flight.cells, 'cell')}", "voltage then", "SOC then", "ends by",
     )  # fmt: skip
     text = FORECAST_EXPLAINED.format(time=duration(flight.last.time_s))
-    rows = zip(head, *columns.values(), strict=True)
+    rows = [
+        row
+        for row in zip(head, *columns.values(), strict=True)
+        if flight.cells > 1 or not row[0].startswith("of the pack")
+    ]
     return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
 
 
@@ -117,11 +126,18 @@ def _energy(now: Forecast) -> str:
     return f"{significant(now.remaining_Wh)} Wh ({spanned(*now.remaining_Wh_band)})"
 
 
-def _figures(now: Forecast) -> tuple[str, ...]:
+def _pack_energy(now: Forecast, cells: int) -> str:
+    """Energy of all cells, which are alike and err together."""
+    low, high = now.remaining_Wh_band
+    return f"{significant(cells * now.remaining_Wh)} Wh ({spanned(cells * low, cells * high)})"
+
+
+def _figures(now: Forecast, cells: int) -> tuple[str, ...]:
     return (
         f"{significant(now.load_A)} A, {significant(now.load_W)} W",
         _left(now),
         _energy(now),
+        _pack_energy(now, cells),
         f"{now.end_voltage_V:.3f} V",
         percent(now.end_soc, 1),
         now.by,
@@ -318,9 +334,12 @@ def beyond_its_statement(replay: Replay) -> str | None:
     if replay.nis is None or replay.model is None or not max(replay.nis) > 4.0:
         return None
     worst = int(np.argmax(replay.nis))
-    times = significant(math.sqrt(replay.nis[worst]), 2)
-    scale = duration(replay.model.error.scales_s[worst])
-    return f"The voltage over {scale} is missed by {times} times what the model states."
+    nis = replay.nis[worst]
+    times, scale = significant(math.sqrt(nis), 2), duration(replay.model.error.scales_s[worst])
+    return (
+        f"The voltage over {scale} is missed by {times} times what the model states (NIS "
+        f"{significant(nis, 2)}): the model is further off here than on the logs it was made of."
+    )
 
 
 def noticed(
