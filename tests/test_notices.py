@@ -11,8 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from cellwise.cli.common.printing import in_command, rendered
+from cellwise.errors import not_installed
 from cellwise.notices import (
     Code,
     Notice,
@@ -218,3 +220,12 @@ def test_nothing_parses_the_text_of_a_notice():
         if (lines := parses(path.read_text("utf-8")))
     }
     assert found == {}
+
+
+def test_a_missing_library_is_proposed_with_the_versions_that_work():
+    message = str(not_installed("orangebox", "a log of Betaflight"))
+    proposed = message.split("pip install ")[1].strip("'")
+    asked = Requirement(proposed)
+    assert asked.name == "orangebox"
+    assert "0.5.0" not in asked.specifier
+    assert str(not_installed("nobodys", "a log")).endswith("pip install nobodys")

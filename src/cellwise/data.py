@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, not_installed
 from cellwise.files import EMBEDDED_MARK as CATALOGUE
 from cellwise.files import embedded_folder as datasets_folder
 from cellwise.files import made_folder
@@ -78,11 +78,7 @@ def generate_datasets(
     try:
         import_module("pybamm")
     except ImportError as error:
-        raise InputError(
-            "no PyBaMM in this environment",
-            "the extra that generates data",
-            "Install it with: pip install 'cellwise[generate]'.",
-        ) from error
+        raise not_installed("pybamm", "data of physics", "PyBaMM") from error
     made_folder(out_dir)
     folder = str(datasets_folder())
     if folder not in sys.path:

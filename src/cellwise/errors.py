@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from importlib.metadata import PackageNotFoundError, requires
 from typing import Any
 
 
@@ -36,3 +38,30 @@ class MachineError(InputError):
     The same parts as :class:`InputError`, and the same exit code; but the same input may do
     another time, so a fleet tries it again.
     """
+
+
+def not_installed(package: str, purpose: str, wanted: str = "") -> InputError:
+    """The refusal of what needs a library that is missing.
+
+    Parameters
+    ----------
+    package : str     its name in the registry
+    purpose : str     what needs it
+    wanted : str      its name in the message, where that says more
+    """
+    return InputError(
+        f"{purpose}, for which {wanted or package} is not installed",
+        f"the library {package}",
+        f"Install it: pip install {_requirement(package)}",
+    )
+
+
+def _requirement(package: str) -> str:
+    """As pip takes it, with the versions that cellwise works with."""
+    try:
+        known = requires("cellwise") or []
+    except PackageNotFoundError:
+        known = []
+    texts = [text.partition(";")[0].strip() for text in known]
+    own = [text for text in texts if re.split(r"[^\w.-]", text)[0].lower() == package.lower()]
+    return f"'{own[0]}'" if own else package

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.arguments import shown
-from cellwise.errors import InputError
+from cellwise.errors import InputError, not_installed
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ class Tabular:
         ------
         InputError      pandas is not installed
         """
-        frames = _need("pandas", "")
+        frames = _need("pandas")
         frame: pandas.DataFrame = frames.DataFrame(self.table())
         return frame
 
@@ -236,7 +236,7 @@ class Tabular:
         ------
         InputError      polars is not installed
         """
-        frames = _need("polars", "")
+        frames = _need("polars")
         frame: polars.DataFrame = frames.DataFrame(self.table())
         return frame
 
@@ -248,7 +248,7 @@ def _cell(value: Any) -> str:
 
 def _new_figure(panels: int) -> Figure:
     """As wide as rcParams say, as high as the panels need."""
-    rc = _need("matplotlib", "report").rcParams
+    rc = _need("matplotlib").rcParams
     wide, high = rc["figure.figsize"]
     return _figure((wide, max(high, PANEL_IN * panels + AXIS_IN)))
 
@@ -260,11 +260,11 @@ def _figure(size: tuple[float, float]) -> Figure:
     picture twice.
     """
     if "ipykernel" in sys.modules:
-        figures = _need("matplotlib.figure", "report")
-        _need("matplotlib.backends.backend_agg", "report")
+        figures = _need("matplotlib.figure")
+        _need("matplotlib.backends.backend_agg")
         alone: Figure = _notebook_figure(figures.Figure)(figsize=size, layout="constrained")
         return alone
-    pyplot = _need("matplotlib.pyplot", "report")
+    pyplot = _need("matplotlib.pyplot")
     shown: Figure = pyplot.figure(figsize=size, layout="constrained")
     return shown
 
@@ -302,12 +302,8 @@ def _extreme_rows(y: FloatArray) -> Any:
     return np.unique(rows)
 
 
-def _need(module: str, extra: str) -> Any:
+def _need(module: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError:
-        name = module.partition(".")[0]
-        way = f"pip install 'cellwise[{extra}]'" if extra else f"pip install {name}"
-        raise InputError(
-            f"no {name} in this environment", f"the library {name}", f"Install it: {way}."
-        ) from None
+        raise not_installed(module.partition(".")[0], "a plot or table") from None

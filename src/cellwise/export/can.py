@@ -73,7 +73,7 @@ def messages_of(model: CellModel, cells: int = 1) -> dict[str, tuple[Value, ...]
 
 def check(_: str) -> None:
     """Refuse to write without cantools."""
-    need_package("cantools", "importers")
+    need_package("cantools")
 
 
 def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:

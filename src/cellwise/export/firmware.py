@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, not_installed
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.stepper import Stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
@@ -146,7 +146,7 @@ def compile_c(command: Sequence[str]) -> None:
         )
 
 
-def need_package(name: str, extra: str) -> list[str]:
+def need_package(name: str) -> list[str]:
     """Folders of a package that is not imported here.
 
     Raises
@@ -155,11 +155,7 @@ def need_package(name: str, extra: str) -> list[str]:
     """
     found = find_spec(name)
     if found is None:
-        raise InputError(
-            f"no {name} in this Python",
-            f"the extra '{extra}'",
-            f"Install it: pip install 'cellwise[{extra}]'.",
-        )
+        raise not_installed(name, "a compiled export")
     return list(found.submodule_search_locations or ())
 
 
@@ -173,11 +169,7 @@ def load_library(path: Path, prefix: str = "cellwise") -> tuple[Any, Any]:
     try:
         from cffi import FFI
     except ImportError as error:
-        raise InputError(
-            "no cffi in this Python",
-            "the extra 'firmware'",
-            "Install it: pip install 'cellwise[firmware]'.",
-        ) from error
+        raise not_installed("cffi", "the exported C in Python") from error
     ffi = FFI()
     ffi.cdef(DECLARATIONS.replace("cellwise_", f"{prefix}_"))
     return ffi, ffi.dlopen(str(path))

@@ -103,7 +103,7 @@ def check(_: str) -> None:
     InputError        no C compiler, no FMI headers (package fmpy)
     """
     host_compiler()
-    need_package("fmpy", "fmu")
+    need_package("fmpy")
 
 
 def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
@@ -191,7 +191,7 @@ def built(sources: Mapping[str, str], folder: Path) -> bytes:
     ------
     InputError        no compiler, no headers, or C that does not compile
     """
-    headers = f"-I{need_package('fmpy', 'fmu')[0]}/c-code"
+    headers = f"-I{need_package('fmpy')[0]}/c-code"
     put(sources, folder)
     library = folder / "fmu.so"
     c_files = [str(folder / f) for f in sources if f.endswith(".c")]

@@ -38,7 +38,7 @@ TEMPLATE = "pybamm/parameters.py.in"
 def check(path: str) -> None:
     """Refuse a ``.json`` without PyBaMM, which writes it."""
     if path.lower().endswith(".json"):
-        need_package("pybamm", "generate")
+        need_package("pybamm")
 
 
 def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from cellwise.cell.model_file import model_mark
-from cellwise.errors import InputError, MachineError
+from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.fleet.store import BY_LOG, BY_MACHINE, ResultFolder
 from cellwise.fleet.tasks import LogTask
 from cellwise.threads import usable_cores
@@ -65,11 +65,7 @@ def _distributed() -> Any:
     try:
         return import_module("distributed")
     except ModuleNotFoundError:
-        raise InputError(
-            "a fleet, for which dask.distributed is not installed",
-            "the extra fleet",
-            "Install it: pip install 'cellwise[fleet]'.",
-        ) from None
+        raise not_installed("distributed", "a fleet", "dask.distributed") from None
 
 
 class Cluster(NamedTuple):

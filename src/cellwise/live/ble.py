@@ -40,8 +40,8 @@ class BleStream:
         self.name = f"BLE {place}"
         sign = "charge-positive" if sign == "auto" else sign
         self._readings = Readings(options, sign, cells)
-        known = need("aiobmsble.utils", "a BLE source", "aiobmsble (Python 3.12)", extra="live")
-        self._bleak = need("bleak", "a BLE source", extra="live")
+        known = need("aiobmsble.utils", "a BLE source", "aiobmsble")
+        self._bleak = need("bleak", "a BLE source")
         self._loop = asyncio.new_event_loop()
         try:
             self._bms = self._loop.run_until_complete(self._found(place, known))

@@ -47,7 +47,7 @@ def connect(place: str, source_system: int = 1) -> Any:
     InputError            the library is missing, or the place cannot be opened
     """
     os.environ.setdefault("MAVLINK20", "1")  # the library's own switch: faults need version 2
-    mavutil = need("pymavlink.mavutil", "MAVLink", extra="live")
+    mavutil = need("pymavlink.mavutil", "MAVLink")
     device, _, baud = place.partition(",")
     try:
         if Path(place).is_file():  # a tlog; what `mavlink_connection` opens stumbles over damage
@@ -72,7 +72,7 @@ def connect(place: str, source_system: int = 1) -> Any:
 def battery_info(frame: bytes) -> tuple[int, int] | None:
     """Battery and cells in series of a BATTERY_INFO frame of version 2; None for a damaged one."""
     ends = 10 + frame[1]
-    check = need("pymavlink.generator.mavcrc", "MAVLink", extra="live").x25crc(frame[1:ends])
+    check = need("pymavlink.generator.mavcrc", "MAVLink").x25crc(frame[1:ends])
     check.accumulate(bytes([INFO_EXTRA]))
     if check.crc != int.from_bytes(frame[ends : ends + 2], "little"):
         return None

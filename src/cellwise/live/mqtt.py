@@ -89,7 +89,7 @@ class _Link:
     """A connection of paho-mqtt that comes up again by itself."""
 
     def __init__(self, broker: Broker, purpose: str) -> None:
-        self._paho = need("paho.mqtt.client", purpose, "paho-mqtt", extra="live")
+        self._paho = need("paho.mqtt.client", purpose, "paho-mqtt")
         self.broker = broker
         self.client = self._paho.Client(self._paho.CallbackAPIVersion.VERSION2)
         if broker.user:

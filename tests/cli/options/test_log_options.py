@@ -115,7 +115,7 @@ def test_a_library_that_is_missing_is_named(flight, refused, monkeypatch, tmp_pa
     monkeypatch.setattr(isolated, "_idle", [])
     message = refused("inspect", flight)
     assert "pyulog is not installed" in message
-    assert "pip install 'cellwise[importers]'" in message
+    assert "pip install 'pyulog>=" in message
 
 
 def test_an_embedded_data_set_is_read_by_its_name_and_a_file_of_that_name_first(

@@ -33,7 +33,7 @@ from cellwise.benchmark.certify.physics_cells import has_pybamm
 from cellwise.benchmark.certify.virtual_cells import START_STD
 from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
-from cellwise.errors import InputError, MachineError
+from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.sensor import CAR, Sensor, assumed
 from cellwise.files import made_folder
@@ -228,11 +228,7 @@ def _physics(asked: int | None, cells: int) -> int:
     if has_pybamm():
         return cells // PHYSICS_PART if asked is None else asked
     if asked:
-        raise InputError(
-            f"{asked} cells of porous electrodes, for which PyBaMM is not installed",
-            "the extra generate",
-            "Install it: pip install 'cellwise[generate]'.",
-        )
+        raise not_installed("pybamm", f"{asked} cells of porous electrodes", "PyBaMM")
     return 0
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellwise.errors import InputError
+from cellwise.errors import InputError, not_installed
 from cellwise.logs.cell_log import CurrentMeaning
 from cellwise.logs.files.columns import MOST_LISTED, Channel, folded
 from cellwise.logs.files.source import LogSource, RawLog
@@ -300,15 +300,14 @@ def cut_off(source: LogSource, kind: str) -> InputError:
     )
 
 
-def need(module: str, purpose: str, package: str = "", extra: str = "importers") -> Any:
-    """Import a library of an extra.
+def need(module: str, purpose: str, package: str = "") -> Any:
+    """Import a library that not everybody needs.
 
     Parameters
     ----------
     module : str      what to import
     purpose : str     what is to be read, for the message
     package : str     its name in the registry, where that is another one
-    extra : str       the extra that it belongs to
 
     Raises
     ------
@@ -320,8 +319,4 @@ def need(module: str, purpose: str, package: str = "", extra: str = "importers")
         wanted = package or module.partition(".")[0]
         if error.name is not None and error.name.partition(".")[0] != module.partition(".")[0]:
             wanted += f" ({error.name} is missing)"
-        raise InputError(
-            f"{purpose}, for which {wanted} is not installed",
-            f"the library {package or module.partition('.')[0]}",
-            f"Install it: pip install 'cellwise[{extra}]'.",
-        ) from None
+        raise not_installed(package or module.partition(".")[0], purpose, wanted) from None

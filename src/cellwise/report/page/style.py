@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING, Any, cast
 
-from cellwise.errors import InputError
+from cellwise.errors import not_installed
 from cellwise.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -52,11 +52,7 @@ def drawing() -> Iterator[None]:
     try:
         import matplotlib
     except ImportError as error:
-        raise InputError(
-            "no matplotlib, which draws the pictures",
-            "the extra 'report'",
-            "Install it: pip install 'cellwise[report]'",
-        ) from error
+        raise not_installed("matplotlib", "a picture") from error
     with matplotlib.rc_context(_rc()):
         yield
 
