@@ -22,9 +22,8 @@ cellwise benchmark: estimators x logs x start errors x sensor faults, yours amon
 
 cellwise certify: an exported filter, or any gauge in C, over a virtual fleet: how wrong, and where
     requires a folder that `cellwise export` wrote, or a gauge's source; and a C compiler
-    $ certify firmware -o certificate
+    $ certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9 -o certificate
     $ certify --gauge gauge.c --model nmc-18650 -o certificate
-    $ certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9
     [EXPORT]  folder that `cellwise export` wrote
     --gauge SOURCE.c  a gauge behind gauge_init and gauge_step instead of an export
     --gauge-dir FOLDER  of the gauge's own sources: compiled with it, its headers found

@@ -143,7 +143,7 @@ def soc_step(model: CellModel, log: CellLog, trace: Trace) -> int | None:
 def _starting(trace: Trace) -> BoolArray:
     """The first rows, as long as the start is what makes the innovation's deviation, (n,)."""
     variance = np.asarray(trace.innovation_variance_V2, dtype=np.float64)
-    if not trace.used.any():
+    if not np.isfinite(variance[trace.used]).any():
         return np.zeros(len(trace), dtype=np.bool_)
     wide = variance > STARTING**2 * float(np.nanmedian(variance[trace.used]))
     return np.asarray(np.logical_and.accumulate(wide))

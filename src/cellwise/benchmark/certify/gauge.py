@@ -138,7 +138,7 @@ class Gauge:
             raise InputError(
                 f"no gauge at '{self.source}' with '{self.folder_of or self.folder}'",
                 "a C source with gauge_init and gauge_step, and the folder of what it includes",
-                "`cellwise certify --gauge-header OUT.h` writes their declarations.",
+                "Their declarations are in cellwise_gauge.h, which `cellwise certify` writes.",
             )
         shipped, made = firmware_folder() / "gauge", Path(self._built.name) / "gauge"
         folders = [f"-I{path}" for path in (shipped, self.folder, self.folder_of) if path]
