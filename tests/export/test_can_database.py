@@ -9,7 +9,7 @@ import pytest
 
 from example_cells import curved_cell
 
-cantools = pytest.importorskip("cantools", reason="no cantools: pip install 'cellwise[importers]'")
+cantools = pytest.importorskip("cantools", reason="no cantools: pip install cantools")
 
 PROGRAM = """
 #include <stdio.h>

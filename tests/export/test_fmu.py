@@ -18,7 +18,7 @@ from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 from firmware_cases import full_model, noisy_samples
 
-fmpy = pytest.importorskip("fmpy", reason="no fmpy: pip install 'cellwise[fmu]'")
+fmpy = pytest.importorskip("fmpy", reason="no fmpy: pip install fmpy")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 STEPS = 100_000
 

@@ -17,9 +17,9 @@ CLANG = "apt-get install clang lld"
 @pytest.mark.parametrize(
     ("format_", "name", "extra"),
     [
-        ("fmu", "out.fmu", "cellwise[fmu]"),
-        ("can", "gauge.dbc", "cellwise[importers]"),
-        ("pybamm", "cell.json", "cellwise[generate]"),
+        ("fmu", "out.fmu", "pip install 'fmpy>="),
+        ("can", "gauge.dbc", "pip install 'cantools>="),
+        ("pybamm", "cell.json", "pip install 'pybamm>="),
         ("page", "page.html", CLANG),
     ],
 )

@@ -72,7 +72,7 @@ def drive(capacity_Ah, warm_C, rows=250):
     ],
 )
 def test_pybamm_is_within_a_millivolt_of_simulate(export, tmp_path, which, suffix, warm_C):
-    pybamm = pytest.importorskip("pybamm", reason="no PyBaMM: pip install 'cellwise[generate]'")
+    pybamm = pytest.importorskip("pybamm", reason="no PyBaMM: pip install pybamm")
     if which.endswith("18650"):
         model = named_model(which)
         kept = tuple(e for e in model.effects if not isinstance(e, Hysteresis))

@@ -83,12 +83,15 @@ def test_a_source_that_is_none_is_refused(told):
 
 
 @pytest.mark.parametrize(
-    ("source", "module"),
-    [("mavlink:udpin:127.0.0.1:0", "pymavlink.mavutil"), ("mqtt://h/t", "paho.mqtt.client")],
+    ("source", "module", "package"),
+    [
+        ("mavlink:udpin:127.0.0.1:0", "pymavlink.mavutil", "pymavlink"),
+        ("mqtt://h/t", "paho.mqtt.client", "paho-mqtt"),
+    ],
 )
-def test_a_library_that_is_not_there_is_named(source, module, monkeypatch):
+def test_a_library_that_is_not_there_is_named(source, module, package, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(InputError, match=r"cellwise\[live\]"):
+    with pytest.raises(InputError, match=f"pip install '{package}>="):
         open_source(source)
 
 
