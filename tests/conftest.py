@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import shutil
+import tempfile
 from itertools import chain
 from pathlib import Path
 
@@ -18,6 +20,7 @@ settings.load_profile("compiled")
 settings.register_profile("quick", settings.get_profile("compiled"), max_examples=25)
 REPOSITORY = Path(__file__).resolve().parents[1]
 FUZZ_SEED = "CELLWISE_FUZZ_SEED"
+KEPT = "CELLWISE_TESTS_KEPT"  # a folder of what all workers of a run need
 KERNEL = re.compile(r"^ *@(?:inline|kernel|rows|cached)\b|^from numba\b", re.MULTILINE)
 IMPORTED = re.compile(r"^ *from (cellwise[.\w]*) import", re.MULTILINE)
 
@@ -29,6 +32,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault(FUZZ_SEED, str(secrets.randbelow(2**32)))
     if hasattr(config, "workerinput"):
         return
+    os.environ[KEPT] = tempfile.mkdtemp(prefix="cellwise_tests_")
+    config.add_cleanup(lambda: shutil.rmtree(os.environ[KEPT], ignore_errors=True))
     package = REPOSITORY / "src" / "cellwise"
     sources = [path.stat().st_mtime for path in compiled_sources(package)]
     caches = [*chain(package.rglob("*.nbi"), package.rglob("*.nbc"))]

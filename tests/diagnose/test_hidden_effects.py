@@ -21,10 +21,11 @@ from cellwise.cell.model_error import ModelError
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.rows import gather
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import CellLog, read_log
 from cellwise.logs.cell_log import resample
 from example_cells import curved_cell, within_its_error
+from measured_models import identify_once
 from random_loads import random_load
 
 SOC0 = 0.9
@@ -95,7 +96,7 @@ def measured(folder):
                      "drive_p25_cycle_3", "drive_p25_nn", "drive_p25_us06", "drive_p25_hwfta")
     )  # fmt: skip
     tests = CellTests(hppc=hppc, ocv=ocv, capacity=one_C, drive=(two, three))
-    model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    model = identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, [resample(log, STEP_S).part(0, ROWS) for log in (nn, us06, clean)]
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cellwise.estimate.replay import replay
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
+from measured_models import identify_once
 
 REFERENCE_AH = 2.997
 JUDGED = ("us06", "hwfta", "hwftb", "nn", "cycle_3", "cycle_4")
@@ -30,7 +31,7 @@ def panasonic(real_data):
         capacity=(log("cap_1c_p25_start_1"), log("cap_1c_p25_start_2")),
         drive=((log("drive_p25_cycle_2"), None),),
     )
-    model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    model = identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, [log(f"drive_p25_{name}") for name in JUDGED]
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from cellwise.estimate.replay import replay
 from cellwise.forecast.remaining import forecast
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
-from measured_models import identified_samsung, samsung_log
+from measured_models import identified_samsung, identify_once, samsung_log
 
 CUTOFF_V = 3.0
 
@@ -22,7 +22,7 @@ def leaf(real_data):
         hppc=((read_log(folder / "hppc_p25.csv.gz"), None),),
         capacity=(read_log(folder / "cap_1c_p23.csv.gz"),),
     )
-    return identify_cell(tests, IdentifySettings()).model
+    return identify_once(tests, IdentifySettings()).model
 
 
 @pytest.mark.slow

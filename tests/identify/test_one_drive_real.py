@@ -12,9 +12,9 @@ from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import named_model
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.replay import replay
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
-from measured_models import identified_leaf, leaf_drives, missed
+from measured_models import identified_leaf, identify_once, leaf_drives, missed
 
 PANASONIC_AH = 2.9
 STRANGER = IdentifySettings(nominal_Ah=PANASONIC_AH, without_lineage=("nca-18650",))
@@ -35,7 +35,7 @@ def panasonic(real_data):
 def driven(panasonic, request):
     """A NCA cell of which the population knows nothing, from one drive that began full."""
     tests = CellTests(drive=((panasonic("drive_p25_us06", request.param), None),))
-    return identify_cell(tests, STRANGER).model
+    return identify_once(tests, STRANGER).model
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -70,7 +70,7 @@ def test_a_drive_cut_out_of_its_middle_is_placed_within_its_deviation(panasonic,
     soc = 1.0 - whole.counted_charge_Ah() / 2.997
     rows = np.flatnonzero((soc < start) & (soc > end))
     part = whole.part(int(rows[0]), int(rows[-1]))
-    trace = replay(identify_cell(CellTests(drive=((part, None),)), STRANGER).model, part).trace
+    trace = replay(identify_once(CellTests(drive=((part, None),)), STRANGER).model, part).trace
     away = np.abs(trace.soc - soc[rows[0] : rows[-1]]) / trace.soc_std
     assert np.median(away) < 2.0
 
@@ -86,7 +86,7 @@ def test_two_drives_state_how_large_the_cell_is(panasonic, at):
     """Another drive, entered in its middle and 30 points wrong: the capacity is in the band."""
     *driven, judged = TWO[at]
     tests = CellTests(drive=tuple((panasonic(name), float(at[1:])) for name in driven))
-    model = identify_cell(tests, STRANGER).model
+    model = identify_once(tests, STRANGER).model
     log = panasonic(judged)
     soc = 1.0 - log.counted_charge_Ah() / 2.997
     middle = int(np.argmax(soc < 0.65))

@@ -19,7 +19,7 @@ from cellwise.estimate.replay import replay
 from cellwise.identify import CellTests, Identification, IdentifySettings, identify_cell
 from cellwise.logs import CellLog, read_log
 from cellwise.notices import texts
-from measured_models import missed
+from measured_models import identify_once, missed
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +46,7 @@ def panasonic(read, *drives) -> Identification:
         capacity=tuple(read(f"{folder}cap_1c_p25_start_{k}") for k in (1, 2)),
         drive=tuple((read(f"{folder}drive_p25_{name}"), None) for name in drives),
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.9))
+    return identify_once(tests, IdentifySettings(nominal_Ah=2.9))
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_the_leaf_simulates_its_2c_discharge(read):
     tests = CellTests(
         hppc=((read("nissan_leaf/hppc_p25"), None),), capacity=(read("nissan_leaf/cap_1c_p23"),)
     )
-    found = identify_cell(tests, IdentifySettings(nominal_Ah=33.1))
+    found = identify_once(tests, IdentifySettings(nominal_Ah=33.1))
     assert found.model.capacity_Ah == pytest.approx(30.3, rel=0.01)
     start = found.temperatures[0].pulse_sets[0].anchor
     assert start.soc == pytest.approx(0.0, abs=0.03), "the file begins empty"
@@ -157,7 +157,7 @@ def a123(read):
         ocv=tuple(read(f"plett_a123/ocv_p25_s{k}") for k in (1, 2, 3, 4)),
         drive=tuple((read(f"plett_a123/dyn_{t}_s1"), None) for t in ("p35", "p45")),
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.3))
+    return identify_once(tests, IdentifySettings(nominal_Ah=2.3))
 
 
 def test_a123_from_the_right_start_and_from_thirty_points_off(read, a123):
@@ -185,7 +185,7 @@ def test_a123_scripts_that_finish_a_charge_at_another_temperature_spoil_nothing(
         ocv=tuple(read(f"plett_a123/ocv_{tag}_s{k}") for k in (1, 2, 3, 4)),
         drive=tuple((read(f"plett_a123/dyn_{t}_s1"), warm) for t in others),
     )
-    found = identify_cell(tests, IdentifySettings(nominal_Ah=2.3, temperature_C=warm))
+    found = identify_once(tests, IdentifySettings(nominal_Ah=2.3, temperature_C=warm))
     judged = ekf(found.model, read(f"plett_a123/dyn_{tag}_s1"), A123_AH, 1.0)
     assert judged.errors.rmse < 0.02  # 16 % at 45 degC while they took part
     assert judged.coverage_2sigma > 0.93

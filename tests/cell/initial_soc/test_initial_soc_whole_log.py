@@ -10,11 +10,11 @@ import pytest
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.simulate import simulate
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell, lfp_cell
-from measured_models import AT_ITS_BOUND, missed
+from measured_models import AT_ITS_BOUND, identify_once, missed
 
 A123_AH = 2.0725
 CUTS = (0.95, 0.8, 0.6, 0.4)
@@ -100,7 +100,7 @@ def a123(real_data):
         ocv=tuple(log(f"ocv_p25_s{k}") for k in (1, 2, 3, 4)),
         drive=((log("dyn_p35_s1"), None),),
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.3, chemistry="LFP")).model
+    return identify_once(tests, IdentifySettings(nominal_Ah=2.3, chemistry="LFP")).model
 
 
 @pytest.mark.parametrize("row", [300, 307, 320])

@@ -15,9 +15,9 @@ import pytest
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.estimate.estimators import make_estimator
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
-from measured_models import identified_lg, identified_samsung, missed, samsung_log
+from measured_models import identified_lg, identified_samsung, identify_once, missed, samsung_log
 
 KNOWN_STD = 0.005
 MORE = 0.003  # of SOC RMSE, a filter may lose against counting
@@ -43,14 +43,14 @@ def leaf(real_data):
         hppc=((leaf_log(real_data, "hppc_p25"), None),),
         capacity=(leaf_log(real_data, "cap_1c_p23"),),
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=33.1)).model
+    return identify_once(tests, IdentifySettings(nominal_Ah=33.1)).model
 
 
 @cache
 def lipo(real_data):
     rates = (1, 2, 3, 4)
     drives = tuple((read(real_data, f"lipo_5450/c{r}_cycle01"), None) for r in rates)
-    return identify_cell(CellTests(drive=drives), IdentifySettings(nominal_Ah=5.45)).model
+    return identify_once(CellTests(drive=drives), IdentifySettings(nominal_Ah=5.45)).model
 
 
 def charge_of(log):

@@ -16,9 +16,9 @@ from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
 from cellwise.fit.model_error import polarisation_V
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
-from measured_models import AT_ITS_BOUND, missed, rmse
+from measured_models import AT_ITS_BOUND, identify_once, missed, rmse
 
 REFERENCE_AH = 2.9973  # C/20 at 25 degC
 # Below 0 degC the cell had aged by an unknown part.
@@ -54,7 +54,7 @@ def nca(real_data):
         ocv=(read_log(folder / "ocv_c20_p25.csv.gz"),),
         drive=tuple((log(t, name), c) for t, c in CHAMBER_C.items() for name in FITTED),
     )
-    model = identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    model = identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
     return model, {t: [log(t, name) for name in names] for t, names in JUDGED.items()}
 
 

@@ -12,9 +12,10 @@ from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware
-from cellwise.identify import CellTests, IdentifySettings, identify_cell
+from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
 from cellwise.logs.cell_log import resample
+from measured_models import identify_once
 
 pytest.importorskip("cffi")
 pytestmark = [
@@ -33,7 +34,7 @@ def cold_model(real_data):
     tests = CellTests(
         hppc=((log_of(real_data, "hppc_n20"), -20.0),), ocv=(log_of(real_data, "ocv_c20_p25"),)
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    return identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
 
 
 @pytest.mark.parametrize("dt_s", [0.1, 1.0])
@@ -55,7 +56,7 @@ def two_temperatures(real_data):
         hppc=tuple((log_of(real_data, f"hppc_{t}"), c) for t, c in (("p25", 25.0), ("n10", -10.0))),
         ocv=(log_of(real_data, "ocv_c20_p25"),),
     )
-    return identify_cell(tests, IdentifySettings(nominal_Ah=2.9)).model
+    return identify_once(tests, IdentifySettings(nominal_Ah=2.9)).model
 
 
 def cut_in_the_middle(log, at):
