@@ -239,3 +239,10 @@ def judged_run(
 def _say(what: str) -> None:
     """Say on standard error what is being measured."""
     print(f"  {what} ...", file=sys.stderr, flush=True)
+
+
+def between_marks(text: str, marks: tuple[str, str], new: str) -> str:
+    """A page with another text between its two marks."""
+    begin, end = marks
+    before, _, rest = text.partition(begin)
+    return f"{before}{begin}\n{new}\n{end}{rest.partition(end)[2]}"

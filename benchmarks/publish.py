@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy.__main__ import PARTS as ACCURACY
-from benchmarks.figures import describe_machine, measure, report_json
+from benchmarks.figures import between_marks, describe_machine, measure, report_json
 from benchmarks.firmware.__main__ import PARTS as FIRMWARE
 from benchmarks.measured_data import HOW, REPOSITORY, data_folder
 from cellwise.files import write_atomically
@@ -29,7 +29,7 @@ README = REPOSITORY / "README.md"
 # Not speed: it needs a machine that does nothing else (python -m benchmarks.speed).
 PARTS = {**ACCURACY, "target": FIRMWARE["target"]}
 MOST_ROWS = 40  # a page that is read to its end
-BEGIN, END = "<!-- figures: printed by benchmarks/publish.py -->", "<!-- end of figures -->"
+MARKS = "<!-- figures: printed by benchmarks/publish.py -->", "<!-- end of figures -->"
 MIDDLE = "under load in the middle, 30 points wrong: SOC RMSE"
 README_CELL = "Panasonic"
 README_ROWS = {
@@ -128,13 +128,6 @@ def readme_table(results: dict[str, Any]) -> str:
     return "\n".join((*lines, "", note))
 
 
-def with_table(readme: str, table: str) -> str:
-    """README.md with another table between its marks."""
-    before, _, rest = readme.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{table}\n{END}{after}"
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Measure, or read, and print the pages."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -148,7 +141,8 @@ def main(arguments: list[str] | None = None) -> int:
         results = measured()
         write_atomically(RESULTS, json.dumps(results, indent=1) + "\n")
     write_atomically(PAGE, page_of(results))
-    write_atomically(README, with_table(README.read_text(encoding="utf-8"), readme_table(results)))
+    readme = README.read_text(encoding="utf-8")
+    write_atomically(README, between_marks(readme, MARKS, readme_table(results)))
     print(f"{len(headlines(results))} figures of commit {results['commit']} in {PAGE.name}")
     return 0
 

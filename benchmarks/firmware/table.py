@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.example_cell import START_SOC, load_log, two_branches
+from benchmarks.figures import between_marks
 from benchmarks.firmware.cost import BANK_STEPS, DT_S, POINTS, START_STD, STEPS
 from benchmarks.measured_data import REPOSITORY
 from benchmarks.publish import commit_here
@@ -30,7 +31,7 @@ from cellwise.files import write_atomically
 RESULTS = REPOSITORY / "benchmarks" / "results" / "firmware.json"
 PAGE = REPOSITORY / "docs" / "firmware.md"
 README = REPOSITORY / "README.md"
-BEGIN, END = "<!-- cost: printed by benchmarks/firmware/table.py -->", "<!-- end of cost -->"
+MARKS = "<!-- cost: printed by benchmarks/firmware/table.py -->", "<!-- end of cost -->"
 EVERY = 50  # steps of the drive between two that are counted: 100 of them
 BANK_EVERY = 3
 WRONG_START, WRONG_STD = 0.3, 0.15
@@ -121,12 +122,6 @@ def readme_line(results: dict[str, Any]) -> str:
     )
 
 
-def between_marks(text: str, new: str) -> str:
-    """A page with another text between its marks."""
-    before, _, rest = text.partition(BEGIN)
-    return f"{before}{BEGIN}\n{new}\n{END}{rest.partition(END)[2]}"
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Measure, or read, and print page and README."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -140,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
         results = measured()
         write_atomically(RESULTS, json.dumps(results, indent=1) + "\n")
     for page, text in ((PAGE, cost_table(results)), (README, readme_line(results))):
-        write_atomically(page, between_marks(page.read_text(encoding="utf-8"), text))
+        write_atomically(page, between_marks(page.read_text(encoding="utf-8"), MARKS, text))
     return 0
 
 

@@ -6,8 +6,10 @@ import json
 import re
 
 import pytest
+from benchmarks.figures import between_marks
 from benchmarks.firmware import table
 from benchmarks.publish import (
+    MARKS,
     MOST_ROWS,
     PAGE,
     README,
@@ -15,7 +17,6 @@ from benchmarks.publish import (
     headlines,
     page_of,
     readme_table,
-    with_table,
 )
 from doc_blocks import DOCS, PAGES, page_name
 
@@ -41,7 +42,7 @@ def test_the_page_is_printed_from_the_results(results):
 
 def test_the_table_of_the_readme_is_printed_from_the_results(results):
     text = README.read_text(encoding="utf-8")
-    assert text == with_table(text, readme_table(results))
+    assert text == between_marks(text, MARKS, readme_table(results))
     assert readme_table(results) in text
 
 
@@ -71,7 +72,7 @@ def costs():
 )
 def test_what_a_step_costs_is_printed_from_the_results(page, text_of, costs):
     text = page.read_text(encoding="utf-8")
-    assert text == table.between_marks(text, text_of(costs))
+    assert text == between_marks(text, table.MARKS, text_of(costs))
     assert text_of(costs) in text
     assert re.fullmatch(r"[0-9a-f]{8}", costs["commit"]), "measured beside changes of no commit"
     assert set(table.CALLED) <= set(costs["costs"])
