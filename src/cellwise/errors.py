@@ -49,19 +49,23 @@ def not_installed(package: str, purpose: str, wanted: str = "") -> InputError:
     purpose : str     what needs it
     wanted : str      its name in the message, where that says more
     """
+    taken, python = _requirement(package)
     return InputError(
         f"{purpose}, for which {wanted or package} is not installed",
-        f"the library {package}",
-        f"Install it: pip install {_requirement(package)}",
+        f"the library {package}{python}",
+        f"Install it: pip install {taken}",
     )
 
 
-def _requirement(package: str) -> str:
-    """As pip takes it, with the versions that cellwise works with."""
+def _requirement(package: str) -> tuple[str, str]:
+    """As pip takes it, with the versions that cellwise works with; and the Python it asks for."""
     try:
         known = requires("cellwise") or []
     except PackageNotFoundError:
         known = []
-    texts = [text.partition(";")[0].strip() for text in known]
-    own = [text for text in texts if re.split(r"[^\w.-]", text)[0].lower() == package.lower()]
-    return f"'{own[0]}'" if own else package
+    own = [text for text in known if re.split(r"[^\w.-]", text)[0].lower() == package.lower()]
+    if not own:
+        return package, ""
+    versions, _, marker = own[0].partition(";")
+    python = re.search(r"python_version\s*>=\s*[\"']([\d.]+)", marker)
+    return f"'{versions.strip()}'", f", from Python {python[1]} on" if python else ""

@@ -81,5 +81,5 @@ def test_without_the_library_what_is_missing_is_named(monkeypatch):
         raise ModuleNotFoundError(f"No module named '{name}'", name="aiobmsble")
 
     monkeypatch.setattr("cellwise.logs.files.format.import_module", gone)
-    with pytest.raises(InputError, match=r"aiobmsble \(Python 3.12\)"):
+    with pytest.raises(InputError, match=r"library aiobmsble, from Python 3.12 on"):
         open_source("ble:dummy", PACK)

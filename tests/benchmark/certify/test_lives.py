@@ -91,7 +91,7 @@ def test_the_page_says_which_cells_are_physics(folder, tmp_path, capsys):
 def test_physics_without_pybamm_is_refused(folder, monkeypatch):
     monkeypatch.setattr("cellwise.benchmark.certify.run.has_pybamm", lambda: False)
     exported = read_export(folder)
-    with pytest.raises(InputError, match="generate"):
+    with pytest.raises(InputError, match="pip install 'pybamm>="):
         certify(exported, 1, 3.0, physics=1)
     assert list(certify(exported, 20, 1.5).sources) == ["model"]
 
