@@ -105,6 +105,11 @@ class Code(Enum):
     TEMPERATURE_CONTRADICTED = "temperature-contradicted", WARNING, "measured and stated differ"
     # ---- an inspection
     GAP = "gap", NOTE, "a time without rows"
+    DISCHARGE_CUT = (
+        "discharge-cut",
+        WARNING,
+        "one log is shorter than others; all are cut",
+    )
     MORE_GAPS = "more-gaps", NOTE, "gaps that are not listed"
     STAMPS_REPEAT = "stamps-repeat", NOTE, "rows with the time of the row before"
     ROWS_MISSING = "rows-missing", NOTE, "rows without a value of a channel"

@@ -14,7 +14,9 @@ cellwise export: model to C sources and other programs' formats
     --pybamm OUT.py  parameters of PyBaMM's Thevenin model, or its JSON of them: OUT.json
     --submission OUT.py  Model(X, z) -> (soc, z) for benches, in NumPy alone
     --can OUT.dbc  SOC, band, power, remaining time: a DBC, and C that packs
-    --what estimator|cell  of --fmu: the estimator, or the cell alone [estimator]
+    --what estimator|cell|table  of --fmu: the estimator, or the cell alone [estimator]; table: the
+        model is a table of `cellwise identify --voltage-only`, written in C, CSV, JSON and as
+        Zephyr, Meshtastic and ESPHome take it
     --points N  SOC points [as few of 51, 101, 201 as the model's stated error allows]
     --lean  smaller code, slower from a start far off, no watch for frozen or lost sensors
     --without EFFECT...  leave out an effect of the model, e.g. the laboratory's time_skew; several
@@ -53,6 +55,7 @@ from cellwise.workflows.exporting import (
     ExportedFirmware,
     check_export,
     export_firmware,
+    export_voltage_table,
     firmware_of,
     without_effects,
 )
@@ -67,6 +70,9 @@ STEPPED = (
 
 def run_export(arguments: argparse.Namespace) -> None:
     """Write the C of a model and say what it costs."""
+    if arguments.what == "table":
+        run_table(arguments)
+        return
     page_options.check_page_options(arguments)
     check(arguments)
     model = without_effects(options.read_model(arguments), arguments.without)
@@ -93,6 +99,21 @@ def run_export(arguments: argparse.Namespace) -> None:
     printing.say_notices(found.notices)
     for place in report["sockets"].values():
         printing.say(f"written: {place}")
+
+
+def run_table(arguments: argparse.Namespace) -> None:
+    """Write a table of remaining time in every form."""
+    said = vars(arguments)
+    others = [name for name in (*FORMATS, "dt", *OF_FOLDER) if said[name] is not None]
+    if others or not arguments.output:
+        found = f"--what table with --{others[0]}" if others else "--what table without -o"
+        raise InputError(found, "--model TABLE -o DIR, and no more", "Correct it.")
+    written = export_voltage_table(arguments.model, arguments.output)
+    if arguments.json:
+        printing.print_json({"files": list(written), "sources": written})
+        return
+    for name, place in written.items():
+        printing.say(f"written: {arguments.output}/{name}" + (f", as {place}" if place else ""))
 
 
 def export_of(model: CellModel, arguments: argparse.Namespace) -> Export:

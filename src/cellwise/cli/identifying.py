@@ -1,7 +1,8 @@
 """Laboratory tests to a model.
 
 cellwise identify: laboratory tests to a model
-    requires -o, and one test at least: pulses with an OCV test, or drives with --prior
+    requires -o, and one test at least: pulses with an OCV test, or drives with --prior; or
+        --voltage-only
     $ identify --hppc hppc.csv --ocv c20.csv --nominal-ah 2.9 -o cell.json
     $ identify --drive flight.bin --series 4 --prior lipo-pouch --nominal-ah 5.2 -o cell.json
 <tests>
@@ -19,9 +20,16 @@ cellwise identify: laboratory tests to a model
     --temperature-c X  of tests that measured none
     --name NAME  name of the cell, written into the model
     --chemistry NAME  written into the model
-    -o, --output MODEL!  model file (JSON)
+    -o, --output MODEL!  model file (JSON), or the table's
 <page>
 <log options>
+    voltage alone:
+    --voltage-only LOG+  discharges of one kind of device without a current sensor, from full to
+        empty: a table of the remaining time, for `cellwise export --what table`
+    --points N=11  of the table
+    --full-v V  voltage that counts as full [the highest of every log]
+    --empty-v V  voltage at which the device ends [the lowest of every log]
+    --average S=60  over how many seconds the device averages its voltage
 """
 
 from __future__ import annotations
@@ -31,15 +39,31 @@ import argparse
 from cellwise.cell.model_file import write_model
 from cellwise.cell.stock import named_model
 from cellwise.cli.common import log_options, options, page_options, printing
+from cellwise.errors import InputError
 from cellwise.identify import Identification, IdentifySettings, identify_cell
 from cellwise.identify.capacity.capacity_choice import capacity_table, format_capacity_table
 from cellwise.identify.fit_notices import start_notices
+from cellwise.identify.ocv.voltage_only import (
+    UNKNOWN,
+    identify_voltage_table,
+    read_voltage,
+    write_voltage_table,
+)
 from cellwise.logs.stated import check_temperature
+
+# What voltages alone have no use for.
+OF_TESTS = (
+    *("hppc", "ocv", "capacity", "drive", "nominal_ah", "capacity_choice", "prior"),
+    *("without_lineage", "temperature_c", "name", "chemistry", "report", "figures"),
+)
 
 
 def run_identify(arguments: argparse.Namespace) -> None:
     """Identify a cell, write the model and the page."""
     options.check_places(arguments.output)
+    if arguments.voltage_only:
+        run_voltage_only(arguments)
+        return
     page_options.check_page_options(arguments)
     check_temperature(arguments.temperature_c)
 
@@ -74,6 +98,46 @@ def run_identify(arguments: argparse.Namespace) -> None:
     print_identification(found)
     printing.say(f"model written to {arguments.output}")
     page_options.say_pages(arguments)
+
+
+def run_voltage_only(arguments: argparse.Namespace) -> None:
+    """A table of the remaining time from voltages alone, written and printed."""
+    others = [name for name in OF_TESTS if getattr(arguments, name)]
+    if others:
+        option = f"--{others[0].replace('_', '-')}"
+        raise InputError(
+            f"--voltage-only beside {option}",
+            "discharges by voltage alone, or tests with a current",
+            f"Leave {option} out.",
+        )
+    said = log_options.arguments_of_read(arguments)
+    taken = ("series", "channels", "partial", "decimal", "dbc")
+    read = log_options.read_each(
+        arguments.voltage_only, lambda one: read_voltage(one, **{k: said[k] for k in taken})
+    )
+    table = identify_voltage_table(
+        [log for log, _ in read],
+        points=arguments.points,
+        full_V=arguments.full_v,
+        empty_V=arguments.empty_v,
+        average_s=arguments.average,
+    )
+    write_voltage_table(table, arguments.output)
+    if arguments.json:
+        printing.print_json({**table.to_dict(), "model": arguments.output})
+        return
+    rows = zip(table.remaining, table.voltage_V, table.low, table.high, strict=True)
+    printing.table(
+        f"remaining time at the usual load, by {len(table.hours)} discharges of "
+        f"{min(table.hours):.3g} to {max(table.hours):.3g} h",
+        ("remaining", "voltage V", "band of 95 %"),
+        [(f"{r:.0%}", f"{v:.3f}", f"{low:.0%} to {high:.0%}") for r, v, low, high in rows],
+    )
+    printing.say_notices(table.notices)
+    printing.say("What voltages alone do not show:")
+    for text in UNKNOWN:
+        printing.say(f"- {text}")
+    printing.say(f"table written to {arguments.output}")
 
 
 def print_identification(found: Identification) -> None:

@@ -14,7 +14,9 @@ from cellwise.estimate.fixed.options import Asked
 from cellwise.estimate.sensor import Sensor, seen_by
 from cellwise.export.accuracy import FixedAndFloat, fixed_and_float, target_costs
 from cellwise.export.package import Export, check_folder, write_package
+from cellwise.export.voltage_table import SOURCES, write_voltage_forms
 from cellwise.files import file_place
+from cellwise.identify.ocv.voltage_only import read_voltage_table
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Notice, texts
 from cellwise.workflows.starts import start_of
@@ -152,6 +154,17 @@ def export_firmware(
     report["accuracy"] = [run.to_dict() for run in runs]
     report["files"] = write_package(export, Path(folder), report)
     return ExportedFirmware(export, report, runs, tuple(said))
+
+
+def export_voltage_table(table: str | Path, folder: str | Path) -> dict[str, str]:
+    """Write a table of remaining time in every form; each file with the page that describes it.
+
+    Raises
+    ------
+    InputError        no such table; a folder that is in use
+    """
+    files = write_voltage_forms(read_voltage_table(table), folder)
+    return {name: SOURCES.get(name, "") for name in files}
 
 
 def _write_formats(

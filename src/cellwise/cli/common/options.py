@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 OUTPUTS = ("output", "report")
-LOGS = ("log", "logs", "packlogs", "holdout", "baseline", "hppc", "ocv", "capacity", "drive")
+LOGS = (
+    *("log", "logs", "packlogs", "holdout", "baseline", "hppc", "ocv", "capacity", "drive"),
+    "voltage_only",
+)
 
 
 def check_places(*paths: str | None) -> None:
