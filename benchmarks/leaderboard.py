@@ -23,7 +23,7 @@ if not __package__:  # run as a file
 
 from cellwise.benchmark.known_logs import known_log
 from cellwise.benchmark.leaderboard import Standings, parts_of, read_entries
-from cellwise.benchmark.standings import Table, markdown
+from cellwise.benchmark.standings import Table, choice_of, markdown
 from cellwise.benchmark.suite import read_suite
 from cellwise.logs.stated import Stated
 
@@ -31,8 +31,8 @@ WIDTH = 120  # of the docs' lines
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 # Of everything that a run writes, what a reader compares by.
 COLUMNS = (
-    "rank [95 %]", "estimator", "hard runs", "worst", "ended within 3 points",
-    "against ekf [95 %]", "inside 2σ", "interval score", "per row", "by",
+    "rank [95 %]", "estimator", "interval score", "inside 2σ", "hard runs", "worst",
+    "ended within 3 points", "against ekf [95 %]", "per row", "by",
 )  # fmt: skip
 BEGIN, END = (
     "<!-- printed: python -m benchmarks.leaderboard print -->",
@@ -71,6 +71,7 @@ def tables(kept: Path) -> Iterator[str]:
         for part in parts_of(entries):
             yield f"#### {part.title}\n"
             yield "\n".join(markdown(page_table(part)))
+            yield fill(choice_of(part.found), WIDTH, break_on_hyphens=False) + "\n"
         about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
         said = [f"- **{name}**: {what}." for name, what in about.items()]
         said += [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]

@@ -200,7 +200,7 @@ def parts_of(entries: Sequence[Entry]) -> list[Standings]:
         found = standings(runs, quick=quick)
         if not found or (quick_alone and not quick):
             continue
-        bands = table_of(found, BAND_COLUMNS, (0, 7, 8))
+        bands = table_of(found, BAND_COLUMNS, (0, 5, 6))
         bands.head.extend(("made with", "by"))
         for one, row in zip(found, bands.rows, strict=True):
             entry = made[one.estimator]

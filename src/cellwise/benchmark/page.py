@@ -16,6 +16,7 @@ from cellwise.benchmark.standings import (
     Standing,
     Table,
     by_estimator,
+    choice_of,
     standings,
     suite_tables,
 )
@@ -43,14 +44,12 @@ STANDINGS = (
     "column of their own and no part in a rank. Settled: after the error has stayed within two "
     "points for ten minutes, over the second half of a log where it never did. In brackets what "
     "holds 95 % over resampled logs; an estimator that lacks runs has no rank. Ended within 3 "
-    "points: share of runs whose last error is. The truth is the tester's counter, never what the "
+    "points: share of runs whose last error is. Interval score: width of the band and 40 times "
+    "what lies outside, smaller is better. Inside 2σ: rows whose error the filter's own band "
+    "holds, 95 % if it is consistent. The truth is the tester's counter, never what the "
     "filter saw."
 )
-BANDS = (
-    "Inside 2σ: rows whose error the filter's own band holds, 95 % if it is consistent. Interval "
-    "score: width of the band and 40 times what lies outside, smaller is better. Mean NIS: squared "
-    "innovation over its variance, 1 if noise is as modelled."
-)
+BANDS = "Mean NIS: squared innovation over its variance, 1 if noise is as modelled."
 ROWS = (
     "Every run with all its figures stands in results.csv and results.parquet beside this page, "
     "and in the block for machines."
@@ -216,7 +215,9 @@ def standings_sections(parts: Sequence[Standings], not_run: Sequence[NotRun] = (
             for one, text in zip(part.tables, TABLES, strict=True)
         )
         key = f"standings-{k}"
-        blocks: Blocks = (*(p._replace(key=key) for p in pictures), *tables, EMPTY if k else left)
+        shown = (p._replace(key=key) for p in pictures)
+        why = paragraph(choice_of(part.found))
+        blocks: Blocks = (why, *shown, *tables, EMPTY if k else left)
         sections.append(Section(key, part.title, blocks))
     return sections
 

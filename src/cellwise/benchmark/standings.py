@@ -101,6 +101,8 @@ Columns = dict[str, Callable[[Standing], str]]
 COLUMNS: Columns = {
     "rank [95 %]": _rank,
     "estimator": lambda s: s.estimator,
+    "interval score": lambda s: _points(s.interval_score),
+    "inside 2σ": lambda s: _share(s.coverage),
     "hard runs": lambda s: _points(s.hard),
     "wrong start": lambda s: _points(s.wrong_start),
     "with a fault": lambda s: _points(s.with_a_fault),
@@ -113,9 +115,7 @@ COLUMNS: Columns = {
 }
 BAND_COLUMNS: Columns = {
     "estimator": lambda s: s.estimator,
-    "inside 2σ": lambda s: _share(s.coverage),
     "band ±": lambda s: _points(None if s.band is None else s.band / 2.0),
-    "interval score": lambda s: _points(s.interval_score),
     "per row": lambda s: step_time(s.ns_per_row),
     "state": lambda s: f"{s.state_bytes} B" if s.state_bytes else "-",
     "process": lambda s: "-" if s.process_MB is None else f"{s.process_MB:.0f} MB",
@@ -133,6 +133,35 @@ def table_of(found: Sequence[Standing], columns: Columns, text: tuple[int, ...] 
 def suite_tables(found: Sequence[Standing]) -> tuple[Table, Table]:
     """Of one's own run: how estimators stand, and their bands and costs."""
     return table_of(found, COLUMNS | RUNS, (1,)), table_of(found, BAND_COLUMNS | NIS)
+
+
+def choice_of(found: Sequence[Standing]) -> str:
+    """Which estimator to choose, and why: by its band first, then by its error.
+
+    The interval score is least for a band that is as wide as it has to be; an estimator without a
+    band leaves its user to guess how far it may be off.
+    """
+    ranked = [s for s in found if s.rank is not None]
+    scored = sorted((s.interval_score, s.estimator, s) for s in ranked if s.interval_score)
+    if not scored:
+        return "No estimator states a band: nothing to choose by."
+    best = scored[0][2]
+    error = best.easy if best.hard is None else best.hard
+    text = (
+        f"To choose by: {best.estimator} has the least interval score, "
+        f"{_points(best.interval_score)} points, with {_share(best.coverage)} of the rows inside "
+        f"its band and {_points(error)} points of error"
+    )
+    if len(scored) > 1:
+        text += f"; the next is {scored[1][1]}, {_points(scored[1][0])}"
+    judged = [(s.hard, s.estimator, s) for s in ranked if s.hard is not None]
+    least = min(judged)[2] if judged else best
+    if least is not best:
+        text += f"; the least error has {least.estimator}, {_points(least.hard)}, with " + (
+            f"{_share(least.coverage)} inside" if least.coverage is not None else "no band"
+        )
+    bare = [s.estimator for s in ranked if s.interval_score is None]
+    return text + (f". No band: {', '.join(bare)}." if bare else ".")
 
 
 def run_of(row: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -16,7 +16,8 @@ from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.logs.stated import Stated
 from cellwise.records import check_ranges, keyed, need, record, within
 
-BASELINES = ("coulomb", "rest-ocv", "filterpy-ekf", "filterpy-ukf")
+GAUGES = ("cellwise.benchmark.gauges:TableGauge", "cellwise.benchmark.gauges:OneStateEkf")
+BASELINES = ("coulomb", "rest-ocv", *GAUGES, "filterpy-ekf", "filterpy-ukf")
 SUITES = Path(__file__).with_name("suites")
 EMBEDDED = "embedded:"
 

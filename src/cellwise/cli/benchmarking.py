@@ -81,7 +81,7 @@ from cellwise.benchmark.certify.gauge import gauge_header
 from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
 from cellwise.benchmark.page import division_table, divisions, standings_page
 from cellwise.benchmark.run_suite import BenchmarkResult, run_suite
-from cellwise.benchmark.standings import by_estimator, standings, suite_tables
+from cellwise.benchmark.standings import by_estimator, choice_of, standings, suite_tables
 from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
 from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
@@ -188,8 +188,10 @@ def list_suites(as_json: bool) -> None:
 def print_benchmark(found: BenchmarkResult) -> None:
     """A benchmark for people: how estimators stand, faults, what could not be judged."""
     rows = found.rows
-    for one in suite_tables(standings(by_estimator(rows), fewer=True)):
+    stand = standings(by_estimator(rows), fewer=True)
+    for one in suite_tables(stand):
         printing.table(f"{found.suite.name}, points of SOC", one.head, one.rows)
+    printing.say(choice_of(stand))
     for division in divisions(rows):
         if division.key == "faults":
             printing.table("mean settled RMSE by fault", *division_table(division)[:2])
