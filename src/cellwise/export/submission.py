@@ -8,6 +8,7 @@ calls it: ``Model(X, z) -> (soc, z)``.
 from __future__ import annotations
 
 import ast
+import inspect
 from collections.abc import Iterator
 from numbers import Number
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from cellwise.cell.initial_soc import padding
 from cellwise.errors import InputError
 from cellwise.estimate import status
 from cellwise.estimate.filters.bank_kernels import COMPONENTS
@@ -29,6 +31,7 @@ from cellwise.printing.firmware import sources
 SUFFIXES = (".py",)
 TEMPLATE = "submission/model.py.in"
 BEGIN, STEP = "start_bank", "step_bank"
+STILL = "still_rows_step"
 BY_HAND = ("magnitude",)  # of the template: of Python's it would be a float64
 
 
@@ -59,7 +62,7 @@ def submission_text(export: Export) -> str:
         "@NAME@": comment(export.model.name).replace('"', "'") or "unnamed",
         "@DT_S@": repr(tables.dt_s),
         "@COMPONENTS@": str(COMPONENTS),
-        "@CAPACITY_AH@": repr(float(export.model.capacity_Ah)),
+        "@PADDING@": "\n\n\n".join(_padding()),
         "@TABLES@": "\n".join(_tables(tables)),
         "@STEP@": "\n\n".join(_functions(tables)),
     }
@@ -111,6 +114,17 @@ def _functions(tables: FixedStepTables) -> Iterator[str]:
             yield _printed(node)
 
 
+def _padding() -> Iterator[str]:
+    """The rule of rows that were put before a log, as the start of a log has it."""
+    for node in ast.parse(inspect.getsource(padding)).body:
+        if isinstance(node, ast.Assign):
+            yield ast.unparse(node)
+        elif isinstance(node, ast.ClassDef):
+            yield _printed(node)
+        elif isinstance(node, ast.FunctionDef) and node.name == STILL:
+            yield ast.unparse(ast.fix_missing_locations(_bare(node)))
+
+
 def _scalar(value: Any) -> str:
     return f"F({float(value)!r})" if isinstance(value, float | np.float32) else f"U({int(value)})"
 
@@ -132,13 +146,17 @@ def _needed(nodes: dict[str, ast.stmt]) -> set[str]:
 
 def _plain(node: ast.stmt) -> ast.stmt:
     """A function without types, marks and its text; its numbers in float32."""
-    if isinstance(node, ast.FunctionDef):
-        node.decorator_list, node.returns = [], None
-        for argument in node.args.args:
-            argument.annotation = None
-        if ast.get_docstring(node):
-            node.body = node.body[1:]
-    return _Single().visit(node)  # type: ignore[no-any-return]
+    bare = _bare(node) if isinstance(node, ast.FunctionDef) else node
+    return _Single().visit(bare)  # type: ignore[no-any-return]
+
+
+def _bare(node: ast.FunctionDef) -> ast.FunctionDef:
+    node.decorator_list, node.returns = [], None
+    for argument in node.args.args:
+        argument.annotation = None
+    if ast.get_docstring(node):
+        node.body = node.body[1:]
+    return node
 
 
 class _Single(ast.NodeTransformer):

@@ -22,6 +22,7 @@ from cellwise.cell.equations import (
     seen_current,
     voltage_of,
 )
+from cellwise.cell.initial_soc.padding import padded_rows
 from cellwise.cell.initial_soc.rest import (
     RELAXED_S,
     REST_RATE,
@@ -111,6 +112,9 @@ def initial_soc(
         return InitialSoc(check_soc0(given), given_std, "given")
     if log.soc0 is not None:
         return InitialSoc(log.soc0, STATED_STD, "stated")
+    if skipped := padded_rows(model, log):
+        behind = initial_soc(model, log.part(skipped, len(log)), whole_log=whole_log)
+        return _before(model, log, skipped, behind)
     current = log.known_current_A()
     resting = np.abs(current) < REST_RATE * model.capacity_Ah
     resting[: int(np.argmax(np.isfinite(log.interval_current_A)))] = False  # nobody knows
@@ -144,6 +148,14 @@ def initial_soc(
     how = f"fit of the first {head.duration_s:.0f} s under load"
     found = InitialSoc(soc, max(std, 0.01), how)
     return _from_whole_log(model, log, found, past_voltage(model, log)) if whole_log else found
+
+
+def _before(model: CellModel, log: CellLog, rows: int, behind: InitialSoc) -> InitialSoc:
+    """The SOC at the first row from which counting comes to a start behind some rows."""
+    moved = log.known_current_A()[1 : rows + 1] @ log.interval_s[1 : rows + 1]
+    soc = min(max(behind.soc + float(moved) / (3600.0 * model.capacity_Ah), 0.0), 1.0)
+    how = f"{behind.how}, behind {rows} rows that are no measurement"
+    return InitialSoc(soc, behind.std, how, behind.beginning)
 
 
 def _load_end(log: CellLog, first: int) -> int:
