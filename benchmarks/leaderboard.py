@@ -31,7 +31,7 @@ WIDTH = 120  # of the docs' lines
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 # Of everything that a run writes, what a reader compares by.
 COLUMNS = (
-    "rank [95 %]", "estimator", "interval score", "inside 2σ", "hard runs", "worst",
+    "rank [95 %]", "estimator", "interval score", "inside 2σ", "hard runs",
     "ended within 3 points", "against ekf [95 %]", "per row", "by",
 )  # fmt: skip
 BEGIN, END = (
@@ -86,7 +86,7 @@ def page_table(part: Standings) -> Table:
     heads = [name for table in part.tables for name in table.head]
     chosen = [heads.index(name) for name in COLUMNS]
     rows = ([*errors, *bands] for errors, bands in zip(*(t.rows for t in part.tables), strict=True))
-    return Table([heads[k] for k in chosen], [[row[k] for k in chosen] for row in rows], (1, 9))
+    return Table([heads[k] for k in chosen], [[row[k] for k in chosen] for row in rows], (1, 8))
 
 
 def printed(page: str, kept: Path) -> str:
