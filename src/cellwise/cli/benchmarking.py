@@ -5,8 +5,9 @@ cellwise benchmark: estimators x logs x start errors x sensor faults, yours amon
     $ benchmark --estimator ekf --estimator ukf -o results
     $ benchmark suite.toml --estimator mine.py:Mine -o results
     [SUITE=embedded]  a TOML file, or embedded, leo, flight, panasonic, a123, public-1; or submit,
-        for a row of another run
-    [ROW]  with submit: the row's JSON, drawn in beside the rows of the run in DIR
+        for a row of another run; or score, for a file of `export --submission`
+    [ROW]  with submit: the row's JSON, drawn in beside the rows of the run in DIR; with score: the
+        Model.py or Model.m
     -o, --output DIR=benchmark  the folder
 <data folder>
     --estimator E...  instead of the suite's: a name, or file.py:Name of your own; baselines
@@ -18,7 +19,10 @@ cellwise benchmark: estimators x logs x start errors x sensor faults, yours amon
     --own  no rows of other packages: cellwise's, and --estimator
     --rows DIR  of adapters of other packages [benchmarks/rows of the repository]
     --list  suites that come with cellwise
+    --log LOG...  of score: a drive or a charge, LOG@soc0=X its true start
+    --reference-capacity-ah X  of score: what the truth is counted over
 <figures>
+<log options>
 
 cellwise certify: an exported filter, or any gauge in C, over a virtual fleet: how wrong, and where
     requires a folder that `cellwise export` wrote, or a gauge's source; and a C compiler
@@ -82,6 +86,7 @@ from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_en
 from cellwise.benchmark.page import division_table, divisions, standings_page
 from cellwise.benchmark.run_suite import BenchmarkResult, run_suite
 from cellwise.benchmark.standings import by_estimator, choice_of, standings, suite_tables
+from cellwise.benchmark.submission_score import score_submission
 from cellwise.benchmark.suite import read_suite, shipped_suites, with_estimators
 from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
@@ -90,7 +95,7 @@ from cellwise.estimate.sensor import assumed_text
 from cellwise.files import write_atomically
 
 MOST_PROCESSES = 64
-SUBMIT = "submit"
+SUBMIT, SCORE = "submit", "score"
 JSON_FILE, PAGE_FILE = "certificate.json", "index.html"
 BEYOND = 1  # exit code where a limit of a certificate is not kept
 
@@ -103,10 +108,13 @@ def run_benchmark(arguments: argparse.Namespace) -> None:
     if arguments.suite == SUBMIT:
         run_submit(arguments)
         return
+    if arguments.suite == SCORE:
+        run_score(arguments)
+        return
     if arguments.row is not None:
         raise InputError(
             f"'{arguments.row}' behind suite '{arguments.suite}'",
-            f"a row only with {SUBMIT}",
+            f"a file only with {SUBMIT} or {SCORE}",
             f"Write cellwise benchmark {SUBMIT} ROW.json -o DIR.",
         )
     if not 1 <= arguments.processes <= MOST_PROCESSES:
@@ -170,6 +178,46 @@ def run_submit(arguments: argparse.Namespace) -> None:
     printing.say(f"{', '.join(names)}: checked, and drawn in: {folder / TABLE}")
     if page is not None:
         printing.say(f"page to open: {page}")
+
+
+def run_score(arguments: argparse.Namespace) -> None:
+    """Score a submission's file on one's own logs, by the published rules."""
+    capacity = arguments.reference_capacity_ah
+    if arguments.row is None or not arguments.log or capacity is None:
+        raise InputError(
+            f"{SCORE} without a file, --log or --reference-capacity-ah",
+            "all three",
+            f"Write cellwise benchmark {SCORE} Model.py --log drive.csv@soc0=1 "
+            "--reference-capacity-ah 2.9.",
+        )
+    logs = log_options.read_all(arguments.log, arguments)
+    for log in logs:
+        if log.soc0 is None:
+            raise InputError(
+                f"a log '{log.name}' whose start is not stated",
+                "its true SOC, which the error is counted from",
+                "State it behind the file, as LOG@soc0=1.",
+            )
+    with printing.working("scoring"):
+        found = score_submission(
+            arguments.row, [(log, log.soc0) for log in logs if log.soc0 is not None], capacity
+        )
+    if arguments.json:
+        printing.print_json(found.to_dict())
+        return
+    printing.record_table(
+        "RMSE of every run, points of SOC",
+        found.runs,
+        ("case", lambda r: r.case),
+        ("log", lambda r: r.log),
+        ("change", lambda r: r.change),
+        ("RMSE", lambda r: f"{r.rmse:.2f}"),
+    )
+    for name, error in found.cases.items():
+        printing.say(f"{name}: {error:.2f}")
+    missing = found.to_dict()["missing_cases"]
+    left = f", without {', '.join(missing)}" if missing else ""
+    printing.say(f"weighted error: {found.weighted:.2f} points{left}")
 
 
 def list_suites(as_json: bool) -> None:
