@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from scipy.io import loadmat, savemat
 
 from cellwise.cell.protocol import DriveProfile, run_protocol
 from cellwise.cell.stock import stock_model
@@ -16,8 +18,9 @@ from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import Asked
 from cellwise.export.firmware import Firmware
+from cellwise.export.matlab import Translation
 from cellwise.export.package import Export
-from cellwise.export.submission import submission_text, write
+from cellwise.export.submission import matlab_text, submission_text, write
 
 DT_S = 10.0
 needs_compiler = pytest.mark.skipif(
@@ -66,6 +69,57 @@ def test_it_says_what_replay_says(name, rows):
     soc, _ = submitted(export)["Model"](measured(log), None)
     np.testing.assert_allclose(soc, trace.soc, atol=1e-6)
     assert len(samples_of(export.model, log, DT_S).records) == rows
+
+
+def by_octave(export, rows, folder):
+    """SOC of rows by the MATLAB file, all but the last three together."""
+    (folder / "Model.m").write_text(matlab_text(export))
+    savemat(folder / "rows.mat", {"X": rows})
+    code = (
+        "load('rows.mat'); [a, z] = Model(X(1:end-3, :)); soc = a;"
+        "for k = size(X, 1) - 2:size(X, 1), [b, z] = Model(X(k, :), z); soc(end + 1) = b; end;"
+        "save('-v7', 'soc.mat', 'soc')"
+    )
+    command = ["octave-cli", "--no-init-file", "--eval", code]
+    subprocess.run(command, cwd=folder, capture_output=True, check=True)
+    return loadmat(folder / "soc.mat")["soc"].ravel()
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no GNU Octave")
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("nmc-18650", 60),
+        *(
+            pytest.param(name, 60, marks=pytest.mark.slow)
+            for name in ("nca-18650", "lmo-pouch", "lfp-26650", "lipo-pouch")
+        ),
+    ],
+)
+def test_matlab_says_what_numpy_says(name, rows, tmp_path):
+    """With noise, a reading that is missing, a jump of the voltage, and an hour put before it."""
+    export = Export(stock_model(name), DT_S)
+    log = drive(export.model, 0.8, rows * DT_S / 3600.0, rate=1.0)
+    seen = measured(log, np.random.default_rng(2))
+    seen[20, 1], seen[25, 0], seen[30, 2] = np.nan, np.nan, np.nan
+    seen[40:45, 1] += 0.4
+    padding = np.tile([0.0, seen[0, 1], 25.0], (20, 1))
+    whole = np.concatenate([padding, seen])
+    soc, _ = submitted(export)["Model"](whole)
+    np.testing.assert_allclose(by_octave(export, whole, tmp_path), soc, atol=1e-6)
+
+
+def test_what_matlab_has_no_word_for_is_refused():
+    """A call that changes something behind `and`, which may not come to it; another statement."""
+    sources = (
+        "def f(x):\n    x.a = F(1.0)\n    return True\n"
+        "def g(x):\n    b = x.a > F(0.0) and f(x)\n    return b\n",
+        "def g(x):\n    x.a += F(1.0)\n",
+    )
+    for source in sources:
+        functions = {node.name: node for node in ast.parse(source).body}
+        with pytest.raises(ValueError, match=r"no MATLAB|call that changes"):
+            list(Translation(functions, {}, {}).texts())
 
 
 def test_rows_together_are_rows_one_by_one():

@@ -12,7 +12,7 @@ cellwise export: model to C sources and other programs' formats
     --fmu OUT.fmu  FMI 3.0 co-simulation, with a binary for this machine
     --page OUT.html  a page that estimates in the browser [--dt 1]
     --pybamm OUT.py  parameters of PyBaMM's Thevenin model, or its JSON of them: OUT.json
-    --submission OUT.py  Model(X, z) -> (soc, z) for benches, in NumPy alone
+    --submission OUT.py  Model(X, z) -> (soc, z) for benches, in NumPy alone; OUT.m: in MATLAB
     --can OUT.dbc  SOC, band, power, remaining time: a DBC, and C that packs
     --what estimator|cell|table  of --fmu: the estimator, or the cell alone [estimator]; table: the
         model is a table of `cellwise identify --voltage-only`, written in C, CSV, JSON and as

@@ -1,4 +1,4 @@
-"""The fixed step as one Python file that needs NumPy alone, for benches that run others' filters.
+"""The fixed step as one file of NumPy, or of MATLAB, for benches that run others' filters.
 
 Printed from what numba compiles and the C is printed from, with what the options leave of it; every
 operation is of float32, so it says what the fixed step says. ``firmware_ref/submission`` holds what
@@ -23,13 +23,14 @@ from cellwise.estimate.filters.bank_kernels import COMPONENTS
 from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.export import matlab
 from cellwise.export.c_tables import comment, filled, firmware_folder
 from cellwise.export.package import Export
 from cellwise.files import write_atomically
 from cellwise.printing.firmware import sources
 
-SUFFIXES = (".py",)
-TEMPLATE = "submission/model.py.in"
+SUFFIXES = (".py", ".m")
+TEMPLATE, MATLAB_TEMPLATE = "submission/model.py.in", "submission/Model.m.in"
 BEGIN, STEP = "start_bank", "step_bank"
 STILL = "still_rows_step"
 BY_HAND = ("magnitude",)  # of the template: of Python's it would be a float64
@@ -52,7 +53,8 @@ def write(export: Export, path: str) -> tuple[list[Path], list[str]]:
             "the step with its bank: nobody says where such a log begins",
             "Leave `lean` out.",
         )
-    return [write_atomically(path, submission_text(export))], []
+    text = matlab_text(export) if path.lower().endswith(".m") else submission_text(export)
+    return [write_atomically(path, text)], []
 
 
 def submission_text(export: Export) -> str:
@@ -68,6 +70,71 @@ def submission_text(export: Export) -> str:
     }
     template = (firmware_folder() / TEMPLATE).read_text(encoding="utf-8")
     return filled(template, marks)
+
+
+def matlab_text(export: Export) -> str:
+    """The file in MATLAB's language."""
+    tables = export.tables
+    numbers, nodes = _chosen(tables)
+    still, rule = _rule()
+    functions = {
+        n: one for n, one in {**nodes, **still}.items() if isinstance(one, ast.FunctionDef)
+    }
+    tuples = {
+        name: _fields(one)
+        for name, one in {**nodes, **still}.items()
+        if isinstance(one, ast.ClassDef)
+    }
+    translated = matlab.Translation(functions, tuples, numbers | rule)
+    changed = [translated.changed[name] for name in (BEGIN, STEP)]
+    if changed != [["b", "of"], ["b", "of", "out"]]:  # as the template has it
+        raise ValueError(f"{BEGIN} and {STEP} change {changed}")
+    record = tables.constants[0]
+    constant = {name: _in_matlab(record[name]) for name in tables.constants.dtype.names or ()}
+    rows = np.asfortranarray(tables.table, dtype=np.float32)
+    whole = ", ".join(repr(float(v)) for v in rows.ravel(order="F"))
+    column = nodes_column(tables)
+    marks = {
+        "@NAME@": comment(export.model.name) or "unnamed",
+        "@DT_S@": repr(tables.dt_s),
+        "@COMPONENTS@": str(COMPONENTS),
+        "@LEAST_OHM@": repr(float(rows[..., column].min())),
+        "@TABLES@": f"m.constant = {matlab.struct(constant)};\n"
+        f"m.row = reshape(single([{whole}]), [{', '.join(map(str, rows.shape))}]);",
+        "@STEP@": "\n\n".join(translated.texts()),
+    }
+    for kind, mark in (("State", "@STATE@"), ("Bank", "@BANK@"), ("Output", "@OUTPUT@")):
+        fields = layout.fields_of(layout.RECORDS[kind], tables.options)
+        empty = {f.name: "single(0)" if f.type == "f4" else "0" for f in fields}
+        marks[mark] = matlab.struct(empty)
+    template = (firmware_folder() / MATLAB_TEMPLATE).read_text(encoding="utf-8")
+    return filled(template, marks)
+
+
+def nodes_column(tables: FixedStepTables) -> int:
+    """The table's column of the ohmic resistance."""
+    return layout.row_names(tables.options).index("r0_ohm")
+
+
+def _in_matlab(value: Any) -> str:
+    if np.ndim(value):
+        return f"single([{', '.join(repr(float(v)) for v in value)}])"
+    return matlab.number(value)
+
+
+def _fields(node: ast.ClassDef) -> list[str]:
+    return [ast.unparse(n.target) for n in node.body if isinstance(n, ast.AnnAssign)]
+
+
+def _rule() -> tuple[dict[str, ast.stmt], dict[str, Any]]:
+    """The rule of rows that were put before a log, as the start of a log has it; its numbers."""
+    nodes: dict[str, ast.stmt] = {}
+    for node in ast.parse(inspect.getsource(padding)).body:
+        if isinstance(node, ast.ClassDef):
+            nodes[node.name] = node
+        elif isinstance(node, ast.FunctionDef) and node.name == STILL:
+            nodes[node.name] = _bare(node)
+    return nodes, {n: v for n, v in vars(padding).items() if isinstance(v, float)}
 
 
 def _tables(tables: FixedStepTables) -> Iterator[str]:
@@ -96,6 +163,14 @@ def _number(value: Any) -> str:
 
 def _functions(tables: FixedStepTables) -> Iterator[str]:
     """Named tuples, numbers and functions that a step needs, in the order of their calls."""
+    numbers, nodes = _chosen(tables)
+    yield "\n".join(f"{name} = {_scalar(value)}" for name, value in numbers.items())
+    for node in nodes.values():
+        yield _printed(node)
+
+
+def _chosen(tables: FixedStepTables) -> tuple[dict[str, Any], dict[str, ast.stmt]]:
+    """Numbers, and named tuples and functions, that a step needs."""
     options = tables.options
     scope: dict[str, Any] = {bit.name: np.uint32(bit) for bit in status.Status if bit.name}
     nodes: dict[str, ast.stmt] = {}
@@ -107,22 +182,21 @@ def _functions(tables: FixedStepTables) -> Iterator[str]:
     scope |= SINGLE
     scope |= {n.upper(): np.uint32(k) for k, n in enumerate(layout.row_names(options))}
     needed = _needed(nodes)
-    numbers = sorted(name for name in needed - nodes.keys() if name in scope)
-    yield "\n".join(f"{name} = {_scalar(scope[name])}" for name in numbers)
-    for name, node in nodes.items():
-        if name in needed:
-            yield _printed(node)
+    named = sorted(name for name in needed - nodes.keys() if name in scope)
+    numbers = {name: _counted(scope[name]) for name in named}
+    return numbers, {name: node for name, node in nodes.items() if name in needed}
+
+
+def _counted(value: Any) -> np.generic:
+    return np.float32(value) if isinstance(value, float | np.float32) else np.uint32(value)
 
 
 def _padding() -> Iterator[str]:
-    """The rule of rows that were put before a log, as the start of a log has it."""
-    for node in ast.parse(inspect.getsource(padding)).body:
-        if isinstance(node, ast.Assign):
-            yield ast.unparse(node)
-        elif isinstance(node, ast.ClassDef):
-            yield _printed(node)
-        elif isinstance(node, ast.FunctionDef) and node.name == STILL:
-            yield ast.unparse(ast.fix_missing_locations(_bare(node)))
+    """That rule as Python."""
+    nodes, numbers = _rule()
+    yield "\n".join(f"{name} = {value!r}" for name, value in numbers.items())
+    for node in nodes.values():
+        yield _printed(node)
 
 
 def _scalar(value: Any) -> str:
@@ -177,6 +251,5 @@ class _Single(ast.NodeTransformer):
 
 def _printed(node: ast.stmt) -> str:
     if isinstance(node, ast.ClassDef):
-        fields = [ast.unparse(n.target) for n in node.body if isinstance(n, ast.AnnAssign)]
-        return f'{node.name} = namedtuple("{node.name}", "{" ".join(fields)}")'
+        return f'{node.name} = namedtuple("{node.name}", "{" ".join(_fields(node))}")'
     return ast.unparse(ast.fix_missing_locations(node))
