@@ -143,11 +143,15 @@ def test_an_hour_put_before_a_measured_drive_costs_at_most_two_points(real_data,
     model = stock_model("nca-18650")
     write(Export(model, 1.0), str(tmp_path / "Model.py"))
     log = read_log(real_data / "panasonic_18650pf" / "drive_p25_us06.csv.gz", check_sign=False)
-    found = score_submission(tmp_path / "Model.py", [(log, 1.0)], 2.9)
-    names = {"__name__": "submitted"}
-    exec((tmp_path / "Model.py").read_text(), names)
     log = resample(log, 1.0)
     soc = 1.0 - log.counted_charge_Ah() / 2.9
+    first, last = (int(np.argmax(soc < level)) for level in (0.62, 0.5))
+    log, begins = log.part(first, last), float(soc[first])  # an hour costs seconds
+    found = score_submission(tmp_path / "Model.py", [(log, begins)], 2.9)
+    names = {"__name__": "submitted"}
+    exec((tmp_path / "Model.py").read_text(), names)
+    soc = begins - log.counted_charge_Ah() / 2.9
+    assert [run.change for run in found.runs if run.case == "late starts"] == ["from 60%"]
     for run in found.runs:
         if run.case == "late starts":
             late = log.part(int(np.argmax(soc < float(run.change[5:-1]) / 100)), len(log))

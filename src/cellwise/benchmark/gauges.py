@@ -19,7 +19,7 @@ SHORTEST_S = 1e-3  # of a step: the first has none
 NEAR_K = 1.0  # a table is taken again where the temperature has moved by so much
 
 
-class Point(NamedTuple):
+class GaugePoint(NamedTuple):
     """The tables at a SOC: OCV and its slope over SOC [V], its stated error [V], resistances.
 
     ``ohm`` is R0 with the branches', ``slow_ohm`` theirs alone; ``tau_s`` is the slow one's.
@@ -56,13 +56,13 @@ class _OcvAndResistance:
         if abs(temperature_C - self.temperature_C) > NEAR_K:
             self._follow(temperature_C)
 
-    def at(self, soc: float) -> Point:
+    def at(self, soc: float) -> GaugePoint:
         """The tables at a SOC from 0 to 1, linear between points."""
         place = soc * (len(self.rows) - 1)
         k = min(int(place), len(self.rows) - 2)
         part = place - k
         pairs = zip(self.rows[k], self.rows[k + 1], strict=True)
-        return Point(*(low + part * (high - low) for low, high in pairs))
+        return GaugePoint(*(low + part * (high - low) for low, high in pairs))
 
     def soc_of(self, ocv_V: float) -> float:
         """The SOC from 0 to 1 of an OCV [V]."""
@@ -128,9 +128,9 @@ class OneStateEkf(_OcvAndResistance):
         soc = min(max(self.estimate - current * dt_s / self.charge_As, 0.0), 1.0)
         here = self.at(soc)
         expected = here.ocv_V - current * here.ohm
-        lasting = 2.0 * here.tau_s / max(dt_s, SHORTEST_S)
+        density = 2.0 * here.tau_s / max(dt_s, SHORTEST_S)
         unknown = here.error_V**2 + (current * here.slow_ohm) ** 2
-        white = self.noise.voltage_V**2 + lasting * unknown
+        white = self.noise.voltage_V**2 + density * unknown
         slope = here.slope_V
         innovation = slope**2 * self.variance + white
         if known and math.isfinite(voltage_V):

@@ -37,7 +37,7 @@ def still_rows_step(
     """One more row behind the first; ``r0_ohm`` is the least ohmic resistance.
 
     A voltage that is logged one row late answers in the next: of that row the drop by the first
-    current (a cell) and by the change of current since (rows before a log) are told apart.
+    current (a cell) and by the change of current since (rows before a log) are distinguished.
     """
     moved_A = current_A - x.current_A
     moved_V = voltage_V - x.voltage_V
