@@ -85,7 +85,7 @@ def write_out(node: Any, scope: dict[str, Any], by_option: bool = False) -> Any:
 
 
 def _copied(node: Any) -> Any:
-    """A tree of its own: every start of a command waits for it, and `copy.deepcopy` takes longer."""
+    """A tree of its own: each start of a command waits for it, and `copy.deepcopy` is slow."""
     if isinstance(node, list):
         return [_copied(one) for one in node]
     if not isinstance(node, ast.AST):
