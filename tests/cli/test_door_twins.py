@@ -60,10 +60,10 @@ def test_a_held_out_drive_and_its_soc(panasonic, real_data, run_json):
     assert found["settled"]["rmse"] < 0.006
 
 
-def test_the_target_s_step_is_the_ekf(panasonic, real_data, run_json, tmp_path):
+def test_the_fixed_step_is_the_ekf(panasonic, real_data, run_json, tmp_path):
     drive = str(real_data / PANASONIC / "drive_p25_us06.csv.gz")
     columns = []
-    for name in ("ekf", "firmware"):
+    for name in ("ekf", "fixed-step"):
         out = tmp_path / f"{name}.csv"
         given = ("--model", panasonic[1], drive, "--soc0", "1", "--dt", "1", "-o", str(out))
         run_json("replay", *given, "--estimator", name)
