@@ -63,7 +63,7 @@ firmware: $(STAMP)
 	.ci/debian arm-none-eabi-gcc qemu-system-arm frama-c cppcheck clang wasm-ld cmake -- $(FIRMWARE_PACKAGES)
 	.ci/debian riscv64-unknown-elf-gcc qemu-system-riscv32 -- $(RISCV_PACKAGES) || \
 	  echo "no RISC-V tools: its tests are skipped"
-	$(BIN)/pytest -n 2 tests/firmware tests/export tests/estimate/fixed/test_twin.py
+	$(BIN)/pytest -n 2 --dist worksteal tests/firmware tests/export tests/estimate/fixed/test_twin.py
 
 # Debian's Chromium, and every page opened in it.
 pages: $(STAMP)

@@ -95,10 +95,9 @@ def test_rows_over_temperature_are_the_effects_themselves():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("estimator", ["fixed-step", "firmware"])
-def test_a_target_has_them_as_rows_of_its_tables(estimator):
+def test_a_target_has_them_as_rows_of_its_tables():
     cell, log, simulated = warming(21)
-    soc = cw.replay(cell, log, estimator, soc0=0.7, soc0_std=0.05).trace.soc
+    soc = cw.replay(cell, log, "firmware", soc0=0.7, soc0_std=0.05).trace.soc
     float64 = cw.replay(cell, log, "ekf", soc0=0.7, soc0_std=0.05).trace.soc
     assert np.max(np.abs(soc - float64)) < 2e-3
     assert np.max(np.abs(soc - simulated.soc)) < 3e-3

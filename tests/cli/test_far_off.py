@@ -79,7 +79,7 @@ def test_a_swapped_sign_is_said_first_and_forecasts_are_withheld(model, drive, r
 
 
 def test_nothing_is_foreseen_of_a_stream_that_is_far_off(model, tmp_path, run_json, capsys):
-    log = load_dataset("nmc_drive_b").part(0, 1500)
+    log = load_dataset("nmc_drive_b").part(0, 800)
     log = replace(log, temperature_C=None)
     source = ("--source", json_lines(log, tmp_path / "stream.jsonl"))
     power = ("--power",)

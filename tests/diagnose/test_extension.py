@@ -63,7 +63,13 @@ def test_however_far_a_fit_goes_what_it_saw_is_a_model(effects, away):
         np.testing.assert_allclose(found, seen, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("effect", [ChargeTransfer(60.0), SurfaceSoc(0.06, 200.0, 1500.0)])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        ChargeTransfer(60.0),
+        pytest.param(SurfaceSoc(0.06, 200.0, 1500.0), marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize(
     "cause", [pytest.param("resistance_scale", marks=pytest.mark.slow), "current_offset"]
 )
@@ -94,7 +100,9 @@ def test_a_model_with_such_an_effect_is_diagnosed_and_keeps_it(cause, effect):
     assert vars(kept) == pytest.approx(vars(effect), rel=1e-3)
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["known", "not known"])
+@pytest.mark.parametrize(
+    "known", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["known", "not known"]
+)
 def test_the_logs_that_were_explained_widen_the_validity(known):
     """At its own temperature more resistance; the drive at 8 to 28 degC belongs to the data now.
 

@@ -73,6 +73,7 @@ def said_of(name: str):
     return diagnose(model, made[:2], holdout=made[2:3], baseline=made[3:], soc0=SOC0)
 
 
+@pytest.mark.slow
 def test_an_effect_is_named_first_and_where_nothing_is_hidden_nothing():
     assert said_of("voltage_offset").verdict == "voltage_offset"
     assert said_of("nothing").verdict == "none"

@@ -21,6 +21,13 @@ SLOW = ("README.md", "docs/benchmark.md", "docs/firmware.md", "docs/fleet.md", "
 SLOW += ("docs/certificate.md", "docs/gallery.md", "docs/live.md", "docs/tutorial.md")
 OTHER = ("", "text", "math", "toml", "json", "yaml")
 
+
+@pytest.fixture(autouse=True)
+def _nothing_is_counted(monkeypatch):
+    """Instructions of an export: `make firmware` counts them, for minutes, on every core."""
+    monkeypatch.setattr("cellwise.export.cross.cores_here", list)
+
+
 RUNNING = [
     (page, [b for b in page_blocks(page) if b.language in RUN and not b.needs_data])
     for page in PAGES

@@ -6,6 +6,7 @@ do and the model's data never showed.
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,11 @@ SOC0 = 0.9
 VALID = Validity(soc=(0.0, 1.0), temperature_C=(24.0, 29.0), current_A=(-6.0, 9.0))
 MODEL = curved_cell(validity=VALID)
 BEFORE = curved_cell()  # a model file of before: nothing is known of its data
-FILTERS = ("ekf", "ukf", "adaptive", "fixed-step", "filterpy-ekf")
+TARGET = pytest.param(
+    "firmware",
+    marks=pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc"),
+)
+FILTERS = ("ekf", "ukf", "adaptive", TARGET, "filterpy-ekf")
 ALL_STATES = ("ekf", "ukf", "adaptive")
 # What a cold cell does; typical is some 30 kJ/mol, and the OCV moves a little.
 COLD = (TemperatureDependence(3600.0, 25.0), ChargeTransfer(30.0))

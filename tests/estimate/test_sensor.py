@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -25,7 +26,9 @@ from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "sensor.toml"
-FILTERS = (Ekf, Ukf, Adaptive, FixedStep)
+COMPILED = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+# Firmware has the bits of the FixedStep: see below.
+FILTERS = (Ekf, Ukf, Adaptive, pytest.param(Firmware, marks=COMPILED))
 KNOWN = (0.95, 0.005)  # a start that is stated
 
 
@@ -151,14 +154,14 @@ def test_a_model_that_no_temperature_moves_ignores_its_sensor():
     assert seen_by(model, Sensor(temperature_K=10.0)).model is model
 
 
-def test_a_reading_at_the_end_of_the_range_is_none():
+@pytest.mark.parametrize("kind", FILTERS)
+def test_a_reading_at_the_end_of_the_range_is_none(kind):
     model, rows = curved_cell(), 200
     sensor = Sensor(current_range_A=6.0)
     current = np.full(rows, 6.0)
     log = CellLog(np.arange(float(rows)), current, np.full(rows, 3.7))
-    for kind in FILTERS:
-        assert np.all(kind(*seen_by(model, sensor)).run(log, 0.8).status[20:] != 0), kind
-        assert not np.any(kind(*seen_by(model, CAR)).run(log, 0.8).status[20:] & 1), kind
+    assert np.all(kind(*seen_by(model, sensor)).run(log, 0.8).status[20:] != 0)
+    assert not np.any(kind(*seen_by(model, CAR)).run(log, 0.8).status[20:] & 1)
 
 
 # What is held out: a fault of the stated size
@@ -221,6 +224,8 @@ def test_without_its_file_the_fault_is_beyond_the_band(fault):
 # One step in Python and in C
 
 
+@COMPILED
+@pytest.mark.slow
 def test_the_c_has_the_bits_of_python_with_a_sensor():
     model = warm_cell()
     log, _ = drive(model, hours=0.5)

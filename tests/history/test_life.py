@@ -103,6 +103,7 @@ def test_a_drive_shows_both_within_its_band(share, scale):
     assert abs(fit.resistance_scale - scale) < 3.0 * fit.resistance_std + 0.01
 
 
+@pytest.mark.slow
 def test_cells_beside_their_model_lie_within_the_band():
     """Another OCV in the middle, each resistance by itself: no fit of three numbers covers that."""
     rng = np.random.default_rng(3)

@@ -147,6 +147,7 @@ def test_a_drive_of_another_cell_is_said_first(hppc, low_rate, lfp_drive):
     assert "'other'" in first_said(tests, replace(QUICK, refine=True))
 
 
+@pytest.mark.slow
 def test_exchanged_temperatures_are_said_with_the_resistances(hppc):
     cold = load_dataset("nmc_hppc_p00")
     bare = [replace(log, temperature_C=None) for log in (hppc, cold)]

@@ -128,9 +128,18 @@ def test_capacity_choices_are_what_the_counter_says(nmc):
 
 
 @pytest.mark.parametrize(
-    "method", ["varpro", "segments", pytest.param("pso", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("tables", ["spline", "cubic"])
+    ("method", "tables"),
+    [
+        ("varpro", "spline"),
+        ("segments", "cubic"),
+        *(
+            pytest.param(*both, marks=pytest.mark.slow)
+            for both in (
+                ("varpro", "cubic"), ("segments", "spline"), ("pso", "spline"), ("pso", "cubic")
+            )
+        ),
+    ],
+)  # fmt: skip
 def test_every_method_and_table_gives_a_working_model(method, tables):
     found = identify_cell(nmc_tests(), replace(QUICK, method=method, tables=tables))
     assert_valid(found.model)

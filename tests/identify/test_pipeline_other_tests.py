@@ -77,7 +77,7 @@ def short(reason):
     return pytest.mark.xfail(strict=True, reason=reason)
 
 
-LONG = ("C/10, 10 %", "C/2, 10 %, 1 h")
+QUICK = ("C/2 by change of value", "pulses by change of value")
 
 
 MISSED = {
@@ -90,7 +90,7 @@ MISSED = {
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(c, marks=[*([pytest.mark.slow] if c in LONG else []),
+        pytest.param(c, marks=[*([] if c in QUICK else [pytest.mark.slow]),
                                *([short(MISSED[c])] if c in MISSED else [])])
         for c in CASES
     ],
@@ -143,6 +143,7 @@ def test_a_c100_discharge_serves_as_ocv(drives, of_pulses):
     assert missed_V(found, drives) < WORSE * of_pulses
 
 
+@pytest.mark.slow
 def test_ocv_of_another_sample_is_said_with_the_numbers():
     slow = run(CELL, low_rate(CELL), 1.0, Logger(10.0), seed=1, name="sample_a").log
     other = rich_nmc(2.8)

@@ -20,7 +20,6 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Callable, Iterator
-from copy import deepcopy
 from types import FunctionType
 from typing import Any, TypeAlias, TypeVar
 
@@ -80,9 +79,18 @@ def _made(function: Any, by_option: bool) -> Any:
 
 def write_out(node: Any, scope: dict[str, Any], by_option: bool = False) -> Any:
     """A function's tree with its loops over states written out; ``scope`` are its globals."""
-    made = deepcopy(node)
+    made = _copied(node)
     made.body = list(_block(made.body, _Bound(scope, {}, by_option)))
     return ast.fix_missing_locations(made)
+
+
+def _copied(node: Any) -> Any:
+    """A tree of its own: each start of a command waits for it, and `copy.deepcopy` is slow."""
+    if isinstance(node, list):
+        return [_copied(one) for one in node]
+    if not isinstance(node, ast.AST):
+        return node
+    return type(node)(**{name: _copied(value) for name, value in vars(node).items()})
 
 
 class _Bound(ast.NodeTransformer):
@@ -152,7 +160,7 @@ class _Bound(ast.NodeTransformer):
         if isinstance(node, ast.Starred) and isinstance(node.value, ast.GeneratorExp):
             (loop,) = node.value.generators
             for states in _turns(loop.target, self.value(loop.iter)):
-                yield self.with_states(states).visit(deepcopy(node.value.elt))
+                yield self.with_states(states).visit(_copied(node.value.elt))
         else:
             yield self.visit(node)
 
@@ -196,7 +204,7 @@ def _statement(node: Any, bound: _Bound) -> Iterator[ast.stmt]:
         over = bound.value(node.iter)
         if isinstance(over, tuple):
             for states in _turns(node.target, over):
-                yield from _block(deepcopy(node.body), bound.with_states(states))
+                yield from _block(_copied(node.body), bound.with_states(states))
             return
     if isinstance(node, ast.If) and bound._is_over_states(node.test):
         found = bound.value(node.test)

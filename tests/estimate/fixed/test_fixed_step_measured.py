@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cellwise.estimate.filters.kalman import Ekf
-from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware
 from cellwise.identify import CellTests, IdentifySettings
@@ -91,7 +90,7 @@ def test_the_c_finds_a_start_as_the_float64_ekf_does(tag, two_temperatures, real
 @pytest.mark.parametrize("tag", ["p25", "n10"])
 def test_the_grid_of_the_tables_costs_no_accuracy(tag, two_temperatures, real_data):
     """As few SOC points as the model's error allows, beside all of the model's 201: 0.05 points."""
-    chosen, all_points = (FixedStep(two_temperatures, dt_s=1.0, points=n) for n in (None, 201))
+    chosen, all_points = (Firmware(two_temperatures, dt_s=1.0, points=n) for n in (None, 201))
     assert chosen.stepper(1.0).tables.options.points < two_temperatures.points == 201
     for name in ("us06", "nn"):
         log, soc = cut_in_the_middle(log_of(real_data, f"drive_{tag}_{name}"), 0.65)

@@ -18,6 +18,7 @@ from cellwise.export.firmware import Firmware
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell
 
+COMPILED = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 VALID = Validity(soc=(0.6, 0.95), temperature_C=(10.0, 30.0), current_A=(-2.0, 4.0))
 MODEL = curved_cell(validity=VALID)
 ROWS = 6000
@@ -32,7 +33,8 @@ def drive(temperature_C) -> CellLog:
     return replace(log, voltage_V=simulate(MODEL, log, 0.85).voltage_V + noise)
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+@COMPILED
+@pytest.mark.slow
 def test_the_bit_is_the_same_in_python_c_and_the_float64_filter():
     log = drive(np.linspace(-10.0, 45.0, ROWS))
     ours, target, ekf = (
@@ -49,15 +51,15 @@ def test_the_bit_is_the_same_in_python_c_and_the_float64_filter():
 
 
 @pytest.mark.parametrize(
-    ("valid", "warm"),
+    ("target", "valid", "warm"),
     [
-        (replace(VALID, temperature_C=None), 25.0),
-        (Validity(temperature_C=(10.0, 30.0)), -10.0),
-        (Validity(current_A=(-0.2, 0.4)), 25.0),
+        pytest.param(FixedStep, replace(VALID, temperature_C=None), 25.0, marks=pytest.mark.slow),
+        pytest.param(Firmware, Validity(temperature_C=(10.0, 30.0)), -10.0, marks=COMPILED),
+        pytest.param(FixedStep, Validity(current_A=(-0.2, 0.4)), 25.0, marks=pytest.mark.slow),
     ],
     ids=["SOC", "temperature", "current"],
 )
-def test_every_quantity_widens_as_in_the_float64_filter(valid, warm):
+def test_every_quantity_widens_as_in_the_float64_filter(target, valid, warm):
     model, plain = replace(MODEL, validity=valid), replace(MODEL, validity=UNKNOWN)
     log = drive(warm)
 
@@ -65,9 +67,9 @@ def test_every_quantity_widens_as_in_the_float64_filter(valid, warm):
         """Of the innovations: a persistent error in the SOC is the float64 filters' own."""
         return kind(m).run(log, 0.85, 0.05).innovation_variance_V2[3 * ROWS // 4 :]
 
-    ours, ekf = (np.mean(spread(kind, model)) for kind in (FixedStep, Ekf))
+    ours, ekf = (np.mean(spread(kind, model)) for kind in (target, Ekf))
     assert ours == pytest.approx(ekf, rel=0.02)
-    assert ours > 1.1 * np.mean(spread(FixedStep, plain))
+    assert ours > 1.1 * np.mean(spread(target, plain))
 
 
 def test_temperature_is_read_only_where_the_data_s_is_known():

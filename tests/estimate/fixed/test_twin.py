@@ -201,7 +201,7 @@ def test_subnormals_survive():
     assert 0 < state["p12"][0] < 1e-40
 
 
-@pytest.mark.parametrize("case", ["plain", "full"])
+@pytest.mark.parametrize("case", ["plain", pytest.param("full", marks=pytest.mark.slow)])
 def test_a_bank_has_the_same_bits_and_whatever_stands_in_its_memory_is_finite(case):
     """Bytes at random in the record of the bank and in its states; 5 components."""
     tables = tables_of(case)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -117,14 +117,24 @@ def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:
             "Name the model that was exported, with what was left out left out.",
         )
     prefix = _prefix(place)
+    patterns = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c", "*.h")
+    files = [path for pattern in patterns for path in place.rglob(pattern)]
+    sources = tuple((path.name, path.read_bytes()) for path in files)
+    ffi, loaded = _compiled(sources, prefix, tuple(host_compiler()))
+    return Exported(place, description, model, ffi, loaded, prefix)
+
+
+@lru_cache(maxsize=8)
+def _compiled(
+    sources: tuple[tuple[str, bytes], ...], prefix: str, compiler: tuple[str, ...]
+) -> tuple[Any, Any]:
+    """What sources are compiled to, their vector compared: once in a process, for every fleet."""
     with tempfile.TemporaryDirectory(prefix="certify-") as name:
         built = Path(name)
-        sources = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c", "*.h")
-        for file in [path for pattern in sources for path in place.rglob(pattern)]:
-            shutil.copy(file, built)
+        for file, text in sources:
+            (built / file).write_bytes(text)
         _check_vector(built, prefix)
-        ffi, loaded = load_library(compile_rows(built, prefix, host_compiler()), prefix)
-    return Exported(place, description, model, ffi, loaded, prefix)
+        return load_library(compile_rows(built, prefix, compiler), prefix)
 
 
 def _description(place: Path) -> dict[str, Any]:

@@ -178,7 +178,10 @@ class FarOffStream:
         voltage_V: float,
         temperature_C: float,
     ) -> None:
-        """One sample: measured minus predicted, where the model is; ``notice`` is true after it."""
+        """One sample: measured minus predicted, where the model is; ``notice`` is true after it.
+
+        Of many looks a few more move no median: the more there are, the less often it is taken.
+        """
         self._since_s += dt_s
         self._passed_s += dt_s
         if self._since_s < 1.0 or not math.isfinite(error_V):
@@ -189,7 +192,8 @@ class FarOffStream:
         warm = temperature_C if math.isfinite(temperature_C) else None
         stated_V = max(float(_stated_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
-        if len(self._seen) >= FAR_OFF.fewest:
+        looks = len(self._seen)
+        if looks >= FAR_OFF.fewest and self._looks % (1 + looks // FAR_OFF.sign_looks) == 0:
             times, typical_V = np.median(self._seen, axis=0).tolist()
             said = _said("the stream", times, typical_V, self._causes)
             self.notice = contradiction(self._other) if self._contradicted else said

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cellwise.arguments import shown
-from cellwise.cell.compiled import cached
+from cellwise.cell.compiled import BY, cached
 from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
@@ -61,8 +61,8 @@ MADE_WITH = {
 
 
 STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
-# Called by compiled code alone: what would let Python call it takes a third of the time to compile.
-INNER = {**STRICT, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Called by compiled code alone: no machine code of its own, and nothing that lets Python call it.
+INNER = {**STRICT, **BY["part"], "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 # In the order of their calls; the C is printed in it, too.
 STEP_MODULES = (
     constants,

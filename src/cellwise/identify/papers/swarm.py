@@ -18,7 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.identify.pulse_fit.circuit import Circuit, PulseFit, PulseParameters
+from cellwise.cell.compiled import cached
+from cellwise.cell.equations.states import decay, relaxed
+from cellwise.identify.pulse_fit.circuit import (
+    SAME_INTERVAL,
+    Circuit,
+    PulseFit,
+    PulseParameters,
+)
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.typing import FloatArray
 
@@ -139,8 +146,32 @@ def costs_of(circuit: Circuit, position: FloatArray) -> FloatArray:
 
     Infinite where tau1 >= tau2.
     """
-    r0, r1, tau1, r2, tau2, ocv = position.T[..., None]
-    u1, u2 = (circuit.responses(tau[:, 0]) for tau in (tau1, tau2))
-    model = ocv - r0 * circuit.current_A - r1 * u1 - r2 * u2
-    costs = (circuit.known - model) ** 2 @ circuit.weight
+    costs = np.empty(len(position))
+    fit = circuit.dt_s, circuit.current_A, circuit.known, circuit.weight
+    sum_squares(*fit, position, costs)
     return np.where(position[:, 2] < position[:, 4], costs, np.inf)
+
+
+@cached()
+def sum_squares(
+    dt_s: FloatArray,
+    current_A: FloatArray,
+    known_V: FloatArray,
+    weight: FloatArray,
+    position: FloatArray,
+    out_V2: FloatArray,
+) -> None:
+    """Weighted sum of squared residuals of every particle, result of shape (m,): row by row."""
+    for j in range(position.shape[0]):
+        r0, r1, tau1, r2, tau2, ocv = position[j]
+        u1 = u2 = a1 = a2 = total = 0.0
+        last = -1.0
+        for k in range(dt_s.size):
+            if abs(dt_s[k] - last) > SAME_INTERVAL * dt_s[k]:
+                last = dt_s[k]
+                a1, a2 = decay(last, tau1), decay(last, tau2)
+            u1 = relaxed(u1, a1, 1.0 - a1, current_A[k])
+            u2 = relaxed(u2, a2, 1.0 - a2, current_A[k])
+            off = known_V[k] - (ocv - r0 * current_A[k] - r1 * u1 - r2 * u2)
+            total += weight[k] * off * off
+        out_V2[j] = total
