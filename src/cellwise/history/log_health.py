@@ -16,10 +16,11 @@ from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
 from cellwise.fit.beginnings import thinned
 from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
+from cellwise.fit.model_error import LEAST_LOG
 from cellwise.fit.population import ModelPrior, prior_of
 from cellwise.fit.posterior import whole_resistance
 from cellwise.fit.problem import Problem
-from cellwise.fit.rows import FitLog
+from cellwise.fit.rows import PAST_V, FitLog
 from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, layout_of
@@ -46,20 +47,16 @@ class FittedLog(NamedTuple):
 
     Parameters
     ----------
-    fewest_rows : int         with a voltage: fewer say nothing
     rows, iterations : int    compared rows at most, steps at most
     least_start_std : float   a start that its rest says is open by this at least: an error of the
                               model that is alike everywhere moves it, too [SOC]
-    past_V : float            what each slow branch holds where a log begins under load
     grid_K, narrow_K : float  tables of several temperatures are taken at most as far apart; within
                               so little one is enough
     """
 
-    fewest_rows: int = 20
     rows: int = 400
     iterations: int = 20
     least_start_std: float = 0.02
-    past_V: float = 0.036
     grid_K: float = 10.0
     narrow_K: float = 1.0
 
@@ -114,7 +111,7 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
     separate from the model's error widens the deviation. So does the range that it does not cover,
     which may have aged by itself.
     """
-    if int(np.count_nonzero(np.isfinite(log.voltage_V))) < FITTED.fewest_rows:
+    if int(np.count_nonzero(np.isfinite(log.voltage_V))) < LEAST_LOG:
         return None
     item = _fit_log(model, log)
     fitted = _fit(model, item)
@@ -163,7 +160,7 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
         h0=start_hysteresis(soc0),
         temperature_C=float(known_temperature_C(model, log)[0]),
         surface=model.effect(SurfaceSoc),
-        past_V=0.0 if rests else FITTED.past_V,
+        past_V=0.0 if rests else PAST_V,
     )
 
 

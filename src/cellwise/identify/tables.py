@@ -10,6 +10,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.fit.splines import (
+    SOC_GRID,
     TABLE_KNOTS,
     curvature_penalty,
     greville,
@@ -21,7 +22,6 @@ from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
-GRID_POINTS = 201
 
 
 class _TableSmoothing(NamedTuple):
@@ -63,7 +63,7 @@ def pulse_tables(fits: Sequence[PulseFit], kind: TableKind = "spline") -> PulseT
     ------
     InputError        no pulse that shows a time constant
     """
-    grid = np.linspace(0.0, 1.0, GRID_POINTS)
+    grid = SOC_GRID
     soc = np.array([f.soc for f in fits])
     values: dict[str, FloatArray] = {}
     cubic: dict[str, tuple[float, float, float, float]] = {}

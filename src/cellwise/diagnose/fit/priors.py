@@ -29,6 +29,7 @@ from cellwise.diagnose.causes.coordinates import (
 from cellwise.diagnose.fit.coordinate_fit import Fit, Tolerances
 from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import ScoredRows
+from cellwise.fit.population import SPREAD
 from cellwise.typing import FloatArray
 
 
@@ -58,13 +59,10 @@ class UsualCell(NamedTuple):
     """What a cell has of an effect that its model does not know.
 
     ``asinh_per_V``: one electron and a symmetric reaction, F / (2 R T) at 25 degC; two electrodes
-    share a drop. ``activation_K``: of a usual electrolyte, with its spread. ``ln_memory``: from
-    this factor on (its logarithm) a memory is another one.
+    share a drop. ``ln_memory``: from this factor on (its logarithm) a memory is another one.
     """
 
     asinh_per_V: float = 19.5
-    activation_K: float = 3000.0
-    activation_std_K: float = 1500.0
     ln_memory: float = 0.7
 
 
@@ -163,8 +161,8 @@ def widened_for(
         has = model.effect(ChargeTransfer).asinh_per_V
         mean["asinh_per_V"] = 0.0 if has else USUAL.asinh_per_V
     if cause.name == "self_heating" and needs_activation(coordinates):
-        std["activation_K"] = USUAL.activation_std_K
-        mean["activation_K"] = USUAL.activation_K
+        std["activation_K"] = SPREAD.activation_std_K
+        mean["activation_K"] = SPREAD.activation_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
     readings = start_readings(std, coordinates, evidence)
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):

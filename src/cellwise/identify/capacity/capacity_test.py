@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
 from cellwise.identify.capacity.half_cycles import (
     CapacityTrace,
@@ -40,7 +41,6 @@ class _CapacityTestLimits(NamedTuple):
     # in a window of 2.5 to 4.0 V); nor was a cell full that takes so much more to become so.
     full_rest: float = 0.5
     much_more: float = 1.15
-    cooling_C: float = 5.0  # a cell warms up under load: one that cools by more was moved
     # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
     efficiency: float = 1.02
     # The end of a discharge where the limit is not given: slope over the last 3 % over that of the
@@ -216,7 +216,8 @@ def _measure(
     temperature = trace.temperature_C[first:limit]
     tenth = max(1, temperature.size // 10)
     first_C, last_C = _median(temperature[:tenth]), _median(temperature[-tenth:])
-    cooled = first_C is not None and last_C is not None and last_C < first_C - LIMITS.cooling_C
+    # A cell warms up under load: one that cools was moved.
+    cooled = first_C is not None and last_C is not None and last_C < first_C - SAME_TEMPERATURE_K
     if cooled:
         text = f"the temperature fell from {first_C:.1f} to {last_C:.1f} degC during the test"
         notices.append(Notice(Code.CAPACITY_TEST_COOLED, text))

@@ -47,11 +47,8 @@ class _White(NamedTuple):
     rows: int = 32  # of a part whose noise can be known ...
     change: float = 4.0  # ... with noise that need not be white: so large a sum is a change
     scatter: float = 0.2  # of the level, at most: more is a drive
-    drift: float = 0.01  # of the level, between both sides of the change, is none
-    growth: float = 1.5  # of second differences at twice the distance: more is no noise
     few: float = 0.05  # of the level: the range of fewer rows whose sum is below half of that
-    alone: float = 0.3  # of the level: scatter of a whole load between rests ...
-    quiet: float = 1.25  # ... whose sum is below this
+    growth: float = 1.5  # of second differences at twice the distance: more is no noise
 
 
 LIMITS, WHITE = _PlateauLimits(), _White()
@@ -220,9 +217,6 @@ def _levels(
             bends, wide = bends / (n - 2), wide / max(n - 4, 1)
             sigma = bends / MEAN_BEND
             white = wide <= (WHITE.growth + 1.5 / math.sqrt(n)) * bends
-            before = (total[split] - total[a]) / (split - a)
-            after = (total[b] - total[split]) / (b - split)
-            same = abs(before - after) <= WHITE.drift * abs(mean)
             few = high - low <= WHITE.few * abs(mean)
             flat = few and largest <= 0.5 * WHITE.change * sigma * math.sqrt(n)
             spread = 0.0
@@ -230,9 +224,7 @@ def _levels(
                 spread += (x[k] - mean) ** 2
             spread = max(sigma, math.sqrt(spread / n)) / max(abs(mean), 1e-12)
             if n >= WHITE.rows and white and spread <= WHITE.scatter:
-                flat = flat or same or largest <= WHITE.change * sigma * math.sqrt(n)
-            if a == start and b == stop and n >= RISE_ROWS and white and spread <= WHITE.alone:
-                flat = flat or largest <= WHITE.quiet * sigma * math.sqrt(n)
+                flat = flat or largest <= WHITE.change * sigma * math.sqrt(n)
         if flat or n < 2:
             parts[count, 0], parts[count, 1] = a, b
             count += 1

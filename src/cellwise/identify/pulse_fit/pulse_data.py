@@ -21,10 +21,6 @@ class _PulseWindow(NamedTuple):
     rest_s: float = 60.0  # of rest before it that is compared, if there is as much
     rest_rows: int = 3  # at least
     before_s: float = 600.0  # shown before it: branches of minutes have forgotten what was earlier
-    # Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and
-    # R0 takes in all that is fast. What is slow is for the refinement on the whole log.
-    step_s: float = 300.0
-    step_rows: int = 25
     balance: tuple[float, float] = (0.02, 5.0)  # of a relaxation row over a pulse row
 
 
@@ -193,7 +189,7 @@ def pulse_data(
 def cut_pulse(
     log: CellLog, pulse: Pulse, soc: FloatArray, ocv: OcvTable | None = None
 ) -> PulseData:
-    """Cut a pulse that `find_pulses` found out of its log; of a move, its first minutes.
+    """Cut a pulse that `find_pulses` found out of its log.
 
     What is compared begins a minute before the pulse and ends before the next current or a gap. Ten
     minutes before the pulse are shown, too: what its branches hold comes from there.
@@ -203,12 +199,10 @@ def cut_pulse(
     soc : (n,) float          of every row of the log [0..1]
     ocv : callable            tabulated OCV: SOC array -> voltage array [V]; None: it stands still
     """
-    time, start, stop = log.time_s, pulse.start, fitted_stop(log, pulse)
-    end = stop
-    if stop == pulse.stop:
-        # The row before the next current may hold part of its switch.
-        switch = pulse.relax_stop < time.size and pulse.relax_stop > stop + 1
-        end = pulse.relax_stop - switch
+    time, start, stop = log.time_s, pulse.start, pulse.stop
+    # The row before the next current may hold part of its switch.
+    switch = pulse.relax_stop < time.size and pulse.relax_stop > stop + 1
+    end = pulse.relax_stop - switch
     gaps = np.flatnonzero(log.gap_rows)
     end = min([end, *gaps[(gaps > stop) & (gaps < end)]])
     began_s = time[max(start - 1, 0)]
@@ -228,12 +222,3 @@ def cut_pulse(
         ocv=ocv,
         name=f"{log.name} at {time[start]:.0f} s",
     )
-
-
-def fitted_stop(log: CellLog, pulse: Pulse) -> int:
-    """Row after the last one that a fit sees as the pulse: of a long move, some minutes."""
-    if pulse.role != "move":
-        return pulse.stop
-    begin_s = float(log.time_s[max(pulse.start - 1, 0)])
-    shown = int(np.searchsorted(log.time_s, begin_s + WINDOW.step_s, "right"))
-    return min(max(shown, pulse.start + WINDOW.step_rows), pulse.stop)
