@@ -78,20 +78,18 @@ class PopulationSpread(NamedTuple):
 class SameCell(NamedTuple):
     """How far a cell may be from a model of its kind, at least.
 
-    OCV over how much SOC alike; a table of logarithms, its shape over how much SOC alike; the
-    activation of its resistances.
+    OCV over how much SOC alike; a table of logarithms; the activation of its resistances.
     """
 
     ocv_V: float = 0.003
     soc: float = 1.0
     ln_r: float = 0.1
-    table_soc: float = 0.3
     activation_K: float = 1000.0
 
 
 SPREAD, SAME_CELL = PopulationSpread(), SameCell()
 MODEL_STEP_K = 9.0  # between rows of a model that is a prior
-NUGGET_LN, NUGGET_V = 0.01, 3e-4  # of a knot by itself: keeps covariances apart from singular
+NUGGET_LN, NUGGET_V = 0.01, 1e-4  # of a knot by itself: keeps covariances apart from singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +223,7 @@ class ModelPrior:
         rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
         share = max(self.error_scale * self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
-        shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))
+        shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SPREAD.soc) ** 2))
         x = inverse_K(grid_C, HOME_C)
         covariance = np.kron(np.ones((x.size, x.size)), shape)
         covariance += np.kron(SAME_CELL.activation_K**2 * np.outer(x, x), np.ones(apart.shape))

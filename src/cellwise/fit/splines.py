@@ -109,6 +109,14 @@ def spline_values(rows: SplineRows, coefficients: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,ij...->i...", rows.values, coefficients[index]))
 
 
+def spline_matrix(soc: FloatArray, breakpoints: FloatArray) -> FloatArray:
+    """Spline values as a matrix, shape (n, splines)."""
+    rows = spline_rows(soc, breakpoints)
+    found = np.zeros((soc.size, spline_count(breakpoints)))
+    found[np.arange(soc.size)[:, None], rows.first[:, None] + np.arange(DEGREE + 1)] = rows.values
+    return found
+
+
 def greville(breakpoints: FloatArray) -> FloatArray:
     """SOC at which each B-spline's coefficient acts, shape (splines,)."""
     knots = _knots(breakpoints)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.fit.model_error import LEAST_LOG, SAME_TEMPERATURE_K, SUSTAINED_S
+from cellwise.fit.model_error import LEAST_LOG, SUSTAINED_S
 from cellwise.history.log_health import AGED
+from cellwise.history.trend import FADE
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import runs_of
 from cellwise.notices import Code, Notice
@@ -28,10 +29,11 @@ class UsableSegment(NamedTuple):
 
 
 class SameLoad(NamedTuple):
-    """Within what a current is constant, and two stretches have one load (shares)."""
+    """Within what a current is constant, and two stretches have one load (shares, kelvin)."""
 
     constant: float = 0.05
     current: float = 0.10
+    temperature_K: float = 8.0
 
 
 class Complete(NamedTuple):
@@ -51,8 +53,7 @@ class Ageing(NamedTuple):
     ``added_V``: of the drop that a life adds, and
     ``gained_V`` where it falls (a sensor's, or warmer); ``uneven``: share of an added resistance
     that is not the same at every SOC; ``length``: of the SOC range, over which a change of shape
-    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range;
-    ``counter``: share of a counted charge (sensors, the last rows, what temperature does).
+    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range.
     """
 
     added_V: float = 0.15
@@ -61,7 +62,6 @@ class Ageing(NamedTuple):
     length: float = 0.3
     least_V: float = 0.002
     over: float = 0.02
-    counter: float = 0.002
 
 
 USABLE, SAME, COMPLETE, AGEING = UsableSegment(), SameLoad(), Complete(), Ageing()
@@ -92,7 +92,7 @@ class CurrentSegment:
         if abs(self.current_A / other.current_A - 1.0) > SAME.current:
             return False
         a, b = self.temperature_C, other.temperature_C
-        return a is None or b is None or abs(a - b) < SAME_TEMPERATURE_K
+        return a is None or b is None or abs(a - b) < SAME.temperature_K
 
     def as_complete_as(self, other: CurrentSegment) -> bool:
         """It begins charged and ends at the limit as the other does."""
@@ -184,7 +184,7 @@ def compare(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegments:
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
         return ComparedSegments(
-            share, AGEING.counter * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
+            share, FADE.start_std * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
         )
 
     return _marginal(one, reference)
@@ -221,7 +221,7 @@ def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegment
     # What was not seen may have aged by itself: lithium that is lost moves the ends of the range
     # and stretches nothing between them.
     unseen = (1.0 - min(covered / capacity, 1.0)) * AGED.ln_capacity
-    std = float(np.sqrt(variance + unseen**2 + AGEING.counter**2))
+    std = float(np.sqrt(variance + unseen**2 + FADE.start_std**2))
     return ComparedSegments(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 
 

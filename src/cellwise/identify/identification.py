@@ -283,15 +283,13 @@ class PlainComparison(NamedTuple):
 class Fitted:
     """What a fit gives, of laboratory tests or from a prior: the model and where it comes from.
 
-    ``starts`` holds every log that was given; ``measured_soc`` where the OCV was measured;
-    ``provenance`` the stations' own entries.
+    ``starts`` holds every log that was given; ``provenance`` the stations' own entries.
     """
 
     model: CellModel
     ocv: OcvCurve
     starts: tuple[Start, ...]
     temperatures: tuple[TemperatureResult, ...]
-    measured_soc: FloatArray
     decided: tuple[Decided, ...] = ()
     choices_Ah: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)

@@ -186,7 +186,6 @@ def log_validity(
 def identified_validity(
     tests: CellTests,
     used: Sequence[OwnLog],
-    measured_soc: FloatArray,
     temperature_C: float | None = None,
 ) -> Validity:
     """What the logs that took part in an identification covered together.
@@ -195,7 +194,6 @@ def identified_validity(
     ----------
     tests : CellTests                        with the temperatures that were stated
     used : sequence of OwnLog               the logs that the model was fitted on
-    measured_soc : (m,) float               where the OCV was measured
     temperature_C : float or None           of tests that measured none, as stated [degC]
     """
     stated = {id(log): warm for log, warm in (*tests.hppc, *tests.drive) if warm is not None}
@@ -212,8 +210,6 @@ def identified_validity(
     # A low-rate test shows no resistance: where loads were measured, their temperatures count.
     if joined(loads).temperature_C is not None:
         slow = [replace(p, temperature_C=None) for p in slow]
-    if measured_soc.size:
-        slow.append(Validity(soc=covered(np.clip(measured_soc, 0.0, 1.0))))
     return joined([*loads, *slow])
 
 

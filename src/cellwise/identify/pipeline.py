@@ -118,7 +118,7 @@ def identify_cell(
         "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }
-    validity = identified_validity(tests, used, fitted.measured_soc, settings.temperature_C)
+    validity = identified_validity(tests, used, settings.temperature_C)
     return Identification(
         model=replace(model, validity=validity, provenance=provenance),
         capacity_choice=capacity.choice,
@@ -172,7 +172,6 @@ def _fitted(
         ocv=curve,
         starts=starts,
         temperatures=tuple(TemperatureResult(t, pulses.sets[t], results[t]) for t in results),
-        measured_soc=curve.points_soc,
         decided=() if comparison and comparison.reason else fit.decided,
         choices_Ah={"fitted": model.capacity_Ah},
         provenance={
@@ -217,7 +216,7 @@ def _curve(
         curve = curve_from_points(
             at.soc, at.ocv_V[0], capacity_Ah=model.capacity_Ah, source="the fit"
         )
-        return replace(curve, points_soc=np.empty(0)), (), ()
+        return curve, (), ()
     return measured
 
 

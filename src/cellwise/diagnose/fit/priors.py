@@ -59,10 +59,12 @@ class UsualCell(NamedTuple):
     """What a cell has of an effect that its model does not know.
 
     ``asinh_per_V``: one electron and a symmetric reaction, F / (2 R T) at 25 degC; two electrodes
-    share a drop. ``ln_memory``: from this factor on (its logarithm) a memory is another one.
+    share a drop. ``activation_std_K``: of a usual electrolyte. ``ln_memory``: from this factor on
+    (its logarithm) a memory is another one.
     """
 
     asinh_per_V: float = 19.5
+    activation_std_K: float = 1500.0
     ln_memory: float = 0.7
 
 
@@ -161,7 +163,7 @@ def widened_for(
         has = model.effect(ChargeTransfer).asinh_per_V
         mean["asinh_per_V"] = 0.0 if has else USUAL.asinh_per_V
     if cause.name == "self_heating" and needs_activation(coordinates):
-        std["activation_K"] = SPREAD.activation_std_K
+        std["activation_K"] = USUAL.activation_std_K
         mean["activation_K"] = SPREAD.activation_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
     readings = start_readings(std, coordinates, evidence)

@@ -25,9 +25,8 @@ class _PlateauLimits(NamedTuple):
     """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
     near_zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
-    rest_sigmas: float = 6.0  # so far from zero a sample is no rest, ...
-    moving: float = 0.05  # of the range: so many sigmas that are more are a moving current
-    rest: float = 1e-3  # ... and at least so much of the range
+    moving: float = 0.05  # of the range: SIGMAS that are more are a moving current
+    rest: float = 1e-3  # of the range: nearer to zero it is a rest
     step: float = 2e-3  # of the range: the least change
     glitch: float = 0.1  # of a glitch: its neighbours differ by less
     coarse: float = 0.05  # of the range: the largest resolution, ...
@@ -52,6 +51,8 @@ class _White(NamedTuple):
 
 
 LIMITS, WHITE = _PlateauLimits(), _White()
+SIGMAS = 6.0  # of the noise: beyond them it is none
+DRIFT = 0.03  # of a current: so much it may drift, or differ from its siblings
 MEAN_BEND = math.sqrt(12.0 / math.pi)  # mean size of a second difference of noise of unit sigma
 LOWER_BEND = 1.367  # mean of the smaller four fifths of them
 # Up to this long, what lies between two plateaus is the tester's rise.
@@ -104,10 +105,10 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     if abs(zero) > LIMITS.step * top:  # the end of a CV part, or a small load: not the zero
         zero = 0.0
     near_mean, far_mean = (_lower_mean(current_A, lag) for lag in (1, 2))
-    noise = LIMITS.rest_sigmas * near_mean / LOWER_BEND
+    noise = SIGMAS * near_mean / LOWER_BEND
     if noise > LIMITS.moving * top or far_mean > WHITE.growth * near_mean:
         noise = 0.0  # a current that moves
-    rest = max(noise, min(LIMITS.rest_sigmas * scatter, LIMITS.near_zero * top))
+    rest = max(noise, min(SIGMAS * scatter, LIMITS.near_zero * top))
     rest = max(rest, LIMITS.rest * top, 1.5 * lsb)
     return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb), top)
 

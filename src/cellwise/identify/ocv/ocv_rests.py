@@ -29,7 +29,7 @@ class _RestLimits(NamedTuple):
 
 LIMITS = _RestLimits()
 # Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
-RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
+RELAXATION_OF_LENGTH = np.geomspace(0.3, 1.8, 5)
 
 
 class OcvRest(NamedTuple):
@@ -163,7 +163,7 @@ def _relaxed_V(t: FloatArray, v: FloatArray) -> float:
         return float(v[-1])
     x, y = (t[half] - t[-1]) / (0.5 * length), v[half]
     fits = []
-    for tau in RELAXATION_OF_LENGTH:
+    for tau in RELAXATION_OF_LENGTH.tolist():
         columns = np.column_stack((np.ones(x.size), np.exp(-x / tau)))
         found = np.linalg.lstsq(columns, y, rcond=None)[0]
         fits.append((float(np.sum((columns @ found - y) ** 2)), float(found[1])))

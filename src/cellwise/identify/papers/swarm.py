@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.identify.pulse_fit.circuit import Circuit, PulseFit, PulseParameters
+from cellwise.identify.pulse_fit.circuit import APART, Circuit, PulseFit, PulseParameters
 from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.typing import FloatArray
 
@@ -29,7 +29,6 @@ class _Box(NamedTuple):
     fastest_s: float = 0.5
     between_s: float = 15.0
     slowest_s: float = 120.0
-    ratio: float = 1.5  # between the time constants, where a window leaves little room
     rest_s: float = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
     wall: float = -0.5  # a particle that leaves is put on the wall and turned back at half pace
 
@@ -92,7 +91,7 @@ def _box(circuit: Circuit) -> tuple[FloatArray, FloatArray]:
     """
     data, window = circuit.data, circuit.tau_bounds()
     slowest, fastest = min(BOX.slowest_s, window.slowest_s), max(BOX.fastest_s, window.fastest_s)
-    between = float(np.clip(BOX.between_s, BOX.ratio * fastest, slowest / BOX.ratio))
+    between = float(np.clip(BOX.between_s, APART * fastest, slowest / APART))
     swing = float(np.ptp(data.voltage_V[data.first :]))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]

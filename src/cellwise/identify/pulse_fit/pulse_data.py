@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.identify.hppc.plateaus import DRIFT, SIGMAS
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -29,15 +30,13 @@ class _Settling(NamedTuple):
 
     A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
     arrive some rows after the current. Such rows follow an edge one by one, each still moving the
-    same way. Fitted, they take R0 of Panasonic at 25 degC down by a quarter and its residual from
-    0.7 to 1.5 mV.
+    same way, by more than DRIFT of the step and SIGMAS of the noise. Fitted, they take R0 of
+    Panasonic at 25 degC down by a quarter and its residual from 0.7 to 1.5 mV.
     """
 
     edge: float = 0.2  # of the pulse's current: so large a change from row to row is an edge
     still: float = 0.02  # of it: with so small a change the current stands still
     edge_rows: int = 3  # at most
-    moving: float = 0.03  # of the whole step: a voltage that moves by more arrives ...
-    noises: float = 6.0  # ... if it is more than so many standard deviations of the noise, too
     longest_s: float = 0.6
     early: float = 0.5  # of the step: so much before the current, and the voltage has stepped
 
@@ -128,7 +127,7 @@ class PulseData:
             until = int(np.searchsorted(t, t[before] + SETTLING.longest_s, side="right"))
             moves = np.diff(v[before:until])
             moves *= np.sign(np.sum(moves[: edge - before]))
-            least = max(SETTLING.moving * float(np.sum(moves)), SETTLING.noises * self.noise_V)
+            least = max(DRIFT * float(np.sum(moves)), SIGMAS * self.noise_V)
             after = moves[edge - before :] > max(least, 0.0)
             rows[edge : edge + (after.size if after.all() else int(np.argmin(after)))] = True
         if 2 * np.count_nonzero(rows[start : self.stop]) > self.stop - start:
