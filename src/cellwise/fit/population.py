@@ -88,7 +88,7 @@ class SameCell(NamedTuple):
 
 
 SPREAD, SAME_CELL = PopulationSpread(), SameCell()
-MODEL_STEP_K = 9.0  # between rows of a model that is a prior
+MODEL_STEP_K = 10.0  # between rows of a model that is a prior
 NUGGET_LN, NUGGET_V = 0.01, 1e-4  # of a knot by itself: keeps covariances apart from singular
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SurfaceSoc, TemperatureDependence
-from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
+from cellwise.cell.initial_soc.initial_soc import LOOKED, STATED_STD, initial_soc
 from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
@@ -48,15 +48,12 @@ class FittedLog(NamedTuple):
     Parameters
     ----------
     rows, iterations : int    compared rows at most, steps at most
-    least_start_std : float   a start that its rest says is open by this at least: an error of the
-                              model that is alike everywhere moves it, too [SOC]
     grid_K, narrow_K : float  tables of several temperatures are taken at most as far apart; within
                               so little one is enough
     """
 
     rows: int = 400
     iterations: int = 20
-    least_start_std: float = 0.02
     grid_K: float = 10.0
     narrow_K: float = 1.0
 
@@ -151,7 +148,8 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
     soc0, std = log.soc0, STATED_STD
     if soc0 is None:
         found = initial_soc(model, log, whole_log=True)
-        soc0, std = found.soc, max(found.std, FITTED.least_start_std)
+        # An error of the model that is alike everywhere moves a start, too.
+        soc0, std = found.soc, max(found.std, LOOKED.sure)
     rests = abs(float(log.known_current_A()[0])) < REST_RATE * model.capacity_Ah
     return FitLog(
         thinned(log),

@@ -25,12 +25,11 @@ class _PlateauLimits(NamedTuple):
     """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
     near_zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
-    moving: float = 0.05  # of the range: SIGMAS that are more are a moving current
+    moving: float = 0.05  # of the range: noise or resolution that is more is a moving current
     rest: float = 1e-3  # of the range: nearer to zero it is a rest
     step: float = 2e-3  # of the range: the least change
     glitch: float = 0.1  # of a glitch: its neighbours differ by less
-    coarse: float = 0.05  # of the range: the largest resolution, ...
-    coarse_rows: float = 0.01  # ... which goes back and forth in at least this share of the rows
+    coarse_rows: float = 0.01  # a resolution goes back and forth in at least this share of the rows
     flat: float = 0.01  # of a level: a held current may drift by so much
     slope: float = 0.1  # of a level: a smaller change may be the step of a slope
     knee: float = 1e-3  # of a level: as near to it is its last row before a slope
@@ -95,7 +94,7 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     moved = moved[moved > 1e-9 * top]
     lsb = float(moved.min()) if moved.size else 0.0
     coarse = np.count_nonzero(moved < 1.01 * lsb) > LIMITS.coarse_rows * current_A.size
-    if not coarse or lsb > LIMITS.coarse * top:
+    if not coarse or lsb > LIMITS.moving * top:
         lsb = 0.0
     near = current_A[np.abs(current_A) <= LIMITS.near_zero * top]
     zero = scatter = 0.0
