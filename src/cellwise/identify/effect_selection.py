@@ -15,6 +15,7 @@ import numpy as np
 from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
+from cellwise.fit.capacity import TRIED
 from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.fit.problem import EVIDENCE
 from cellwise.fit.rows import FitLog
@@ -53,7 +54,8 @@ SURFACE = (0.06, EVIDENCE.memory_s, 2500.0)
 class JointFit:
     """The fit of all logs, the effects that were tried, and what the model has of them.
 
-    ``logs`` and ``settings`` are those of the fit, the accepted effects in them.
+    ``logs`` and ``settings`` are those of the fit, the accepted effects in them. ``without_last``:
+    a fit without the last of the folds that loads are left out by; None where there was none.
     """
 
     joint: JointLogs
@@ -62,6 +64,7 @@ class JointFit:
     effects: tuple[Effect, ...]
     logs: tuple[FitLog, ...]
     settings: FitSettings
+    without_last: FitResult | None = None
 
     @property
     def model(self) -> CellModel:
@@ -156,7 +159,9 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     logs = _with_surface(joint.logs, best.effects)
     result = joint.fit(logs, best.settings, best.result.theta)
     result = joint.with_open_capacity(result, logs, best.settings)
-    return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
+    known = joint.settings.ln_capacity_std < TRIED.measured  # else a trial has another capacity
+    last = best.result if known and len(drives) >= NEEDED.fewest else None
+    return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings, last)
 
 
 def _with_surface(logs: Sequence[FitLog], effects: Sequence[Effect]) -> tuple[FitLog, ...]:

@@ -110,10 +110,13 @@ def leave_out(fit: JointFit) -> tuple[Fold, ...]:
     )
     capacity_Ah = fit.joint.capacity_Ah
     found = []
-    for rows in folds_of(logs, capacity_Ah):
+    folds = folds_of(logs, capacity_Ah)
+    for rows in folds:
         kept = [without(item, rows.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
-        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
+        result = fit.without_last if rows is folds[-1] else None
+        if result is None:
+            result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         parts = {
             k: residual_log(own_model(model, math.exp(logs[k].ln_sample)), logs[k], part)

@@ -77,8 +77,7 @@ READ_WITH = frozenset({"offset_V", "m_V", *OCV_NAMES, *LOSS_NAMES})
 # Charge transfer is about a third of it and may have all of the growth.
 AGE = {
     "ln_capacity": (0.12, 0.02),
-    "ln_scale": (0.1, 0.4),
-    "added_r0": (0.1, 0.4),
+    **dict.fromkeys(("ln_scale", "added_r0"), (0.1, 0.4)),
     "ln_r1": (0.3, 1.2),
 }
 # Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors

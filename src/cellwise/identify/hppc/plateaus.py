@@ -47,6 +47,8 @@ class _White(NamedTuple):
     scatter: float = 0.2  # of the level, at most: more is a drive
     few: float = 0.05  # of the level: the range of fewer rows whose sum is below half of that
     growth: float = 1.5  # of second differences at twice the distance: more is no noise
+    alone: float = 0.3  # of the level: scatter of a whole load between rests ...
+    quiet: float = 1.25  # ... whose sum is below this
 
 
 LIMITS, WHITE = _PlateauLimits(), _White()
@@ -225,6 +227,8 @@ def _levels(
             spread = max(sigma, math.sqrt(spread / n)) / max(abs(mean), 1e-12)
             if n >= WHITE.rows and white and spread <= WHITE.scatter:
                 flat = flat or largest <= WHITE.change * sigma * math.sqrt(n)
+            if a == start and b == stop and n >= RISE_ROWS and white and spread <= WHITE.alone:
+                flat = flat or largest <= WHITE.quiet * sigma * math.sqrt(n)
         if flat or n < 2:
             parts[count, 0], parts[count, 1] = a, b
             count += 1
