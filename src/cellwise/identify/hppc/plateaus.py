@@ -66,13 +66,11 @@ class CurrentScale(NamedTuple):
     zero_A : what the sensor reads at rest
     rest_A : distance from ``zero_A`` within which a sample is a rest
     step_A : smallest difference of two samples that is not noise
-    range_A : largest current
     """
 
     zero_A: float
     rest_A: float
     step_A: float
-    range_A: float
 
 
 class PlateauSpan(NamedTuple):
@@ -111,7 +109,7 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
         noise = 0.0  # a current that moves
     rest = max(noise, min(SIGMAS * scatter, LIMITS.near_zero * top))
     rest = max(rest, LIMITS.rest * top, 1.5 * lsb)
-    return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb), top)
+    return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb))
 
 
 def _lower_mean(x: FloatArray, lag: int) -> float:
