@@ -6,7 +6,7 @@ is. It is part of the model where it is better there, by more than a share, and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,7 +15,6 @@ import numpy as np
 from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
-from cellwise.fit.capacity import TRIED
 from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.fit.problem import EVIDENCE
 from cellwise.fit.rows import FitLog
@@ -31,18 +30,20 @@ class EffectEvidence(NamedTuple):
 
     ``gain``: of the held-out RMSE, less is no reason for a parameter; surely so, or with a marginal
     likelihood of what is not held out that is ``ln_evidence`` larger. With fewer drives than
-    ``fewest`` none can be held out, and activations of single tables need as many temperatures.
+    ``fewest`` none can be held out; as many loads of one temperature at ``temperatures`` of them do
+    as well, and activations of single tables need as many temperatures.
     """
 
     gain: float = 0.02
     ln_evidence: float = 5.0
     fewest: int = 3
+    temperatures: int = 2
 
 
 NEEDED = EffectEvidence()
 TRIAL_ITERATIONS = 24  # an effect needs its tables moved
-MOST_FOLDS = 4
-STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
+SOC_PARTS = 10  # pulses are held out by tenths of the SOC in turn
+LOADED = 0.02  # of the largest current
 # An electrolyte has half the activation of a reaction: it is not one for all resistances.
 OWN_ACTIVATION_STD_K = 1000.0
 # How far the surface's SOC lies below the mean at 1C [h], after how long [s], and how that grows
@@ -54,8 +55,7 @@ SURFACE = (0.06, EVIDENCE.memory_s, 2500.0)
 class JointFit:
     """The fit of all logs, the effects that were tried, and what the model has of them.
 
-    ``logs`` and ``settings`` are those of the fit, the accepted effects in them. ``without_last``:
-    a fit without the last of the folds that loads are left out by; None where there was none.
+    ``logs`` and ``settings`` are those of the fit, the accepted effects in them.
     """
 
     joint: JointLogs
@@ -64,7 +64,6 @@ class JointFit:
     effects: tuple[Effect, ...]
     logs: tuple[FitLog, ...]
     settings: FitSettings
-    without_last: FitResult | None = None
 
     @property
     def model(self) -> CellModel:
@@ -98,42 +97,32 @@ class _Trial:
 
 
 class _Split(NamedTuple):
-    """Logs with the rows that are left out of each (none: of all others), and what these are."""
+    """Logs with the numbers of those that are held out, what these are, and steps of a trial."""
 
     logs: tuple[FitLog, ...]
-    out: Mapping[int, BoolArray]
+    held: frozenset[int]
     of: str
-    capacity_Ah: float
-
-    def parts(self, effects: Sequence[Effect]) -> tuple[list[FitLog], list[FitLog]]:
-        """What is fitted, and what is held out of it."""
-        logs = _with_surface(self.logs, effects)
-        kept = [without(item, self.out.get(k), self.capacity_Ah) for k, item in enumerate(logs)]
-        held = [replace(logs[k], compare=rows) for k, rows in self.out.items() if rows.any()]
-        return [item for item in kept if item is not None], held
+    steps: int
 
 
 def fit_with_effects(joint: JointLogs) -> JointFit:
     """Fit all logs with the effects that predict held-out loads better.
 
-    Of the drives of each temperature the last is held out; where there are too few, every other
-    stretch of SOC of the other loads: several rates show a charge transfer without any drive, in
-    the cold above all.
+    Of the drives of each temperature that has several one is held out; where there are too few,
+    every second load of the pulse tests: several rates at one SOC show a charge transfer without
+    any drive, in the cold above all.
     """
     first = joint.fit(joint.logs, joint.settings, quick=TRIAL_ITERATIONS)
     found = joint.as_found(first)
-    drives = [k for k, item in enumerate(found) if item.skewed]
-    if len(drives) >= NEEDED.fewest:
-        folds = folds_of(found, joint.capacity_Ah)
-        out, candidates = folds[-1], _candidates(joint)
-        split = _Split(found, out, f"{len(out)} drive(s)", joint.capacity_Ah)
-    else:
-        others = [k for k, x in enumerate(found) if x.compare is None and k not in drives]
-        out, candidates = stretches_of(found, others, joint.capacity_Ah)[0], ("charge_transfer",)
-        split = _Split(found, out, "stretches of the loads", joint.capacity_Ah)
+    held = frozenset(held_out(found))
+    split = _Split(found, held, f"{len(held)} drive(s)", TRIAL_ITERATIONS)
+    candidates = _candidates(joint)
+    if not held:
+        split = _without_pulses(found, TRIAL_ITERATIONS, joint.capacity_Ah)
+        candidates = ("charge_transfer",)
     few = f"not tried: {NEEDED.fewest} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
-    if not all(split.parts(())):
+    if not split.held:
         result = joint.fit(joint.logs, joint.settings, first.theta)
         result = joint.with_open_capacity(result, joint.logs, joint.settings)
         return JointFit(joint, result, tuple(decided.values()), (), joint.logs, joint.settings)
@@ -159,9 +148,7 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     logs = _with_surface(joint.logs, best.effects)
     result = joint.fit(logs, best.settings, best.result.theta)
     result = joint.with_open_capacity(result, logs, best.settings)
-    known = joint.settings.ln_capacity_std < TRIED.measured  # else a trial has another capacity
-    last = best.result if known and len(drives) >= NEEDED.fewest else None
-    return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings, last)
+    return JointFit(joint, result, tuple(decided.values()), best.effects, logs, best.settings)
 
 
 def _with_surface(logs: Sequence[FitLog], effects: Sequence[Effect]) -> tuple[FitLog, ...]:
@@ -177,9 +164,10 @@ def _tried(
     theta: FloatArray | None = None,
 ) -> _Trial:
     """A quick fit and its residuals on what is held out."""
-    trained, held = split.parts(effects)
-    result = joint.fit(trained, settings, theta, quick=TRIAL_ITERATIONS)
-    found = joint.residuals(result, held, settings)
+    logs = _with_surface(split.logs, effects)
+    trained = [item for k, item in enumerate(logs) if k not in split.held]
+    result = joint.fit(trained, settings, theta, quick=split.steps)
+    found = joint.residuals(result, [logs[k] for k in sorted(split.held)], settings)
     blocks, last = [], 0
     for log, _ in found:
         block = last + (log.time_s // EVIDENCE.memory_s).astype(np.int64)
@@ -223,55 +211,32 @@ def _changed(
     return settings, effects, theta
 
 
-def folds_of(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
-    """Of each fold the logs left out and the rows of them that are, shape (n,).
+def _without_pulses(logs: Sequence[FitLog], steps: int, capacity_Ah: float) -> _Split:
+    """The logs without every second load of the pulse tests, and these loads beside them."""
+    split, beside = [], []
+    for item in logs:
+        left = np.zeros(0, dtype=np.bool_)
+        if not item.skewed and item.compare is None:
+            left = every_second_load(item, capacity_Ah)
+        if left.all() or not left.any():
+            split.append(item)
+        else:
+            split.append(replace(item, compare=~left))
+            beside.append(replace(item, compare=left))
+    held = frozenset(range(len(split), len(split) + len(beside)))
+    return _Split((*split, *beside), held, "every second load of the pulse tests", steps)
 
-    Of drives one of every temperature at a time, or one; else stretches of all loads.
+
+def every_second_load(item: FitLog, capacity_Ah: float) -> BoolArray:
+    """Rows of every second load and the rest after it, from one tenth of SOC to the next in turn.
+
+    In turn, or else of two pulses at every SOC the same one would be held out.
     """
-    loads = [k for k, item in enumerate(logs) if item.compare is None]
-    drives = [k for k in loads if logs[k].skewed]
-    if len(drives) > 1:
-        turns: dict[int, int] = {}
-        folds: list[dict[int, BoolArray]] = [{} for _ in range(MOST_FOLDS)]
-        for k in drives:
-            warm = round(_warm_C(logs[k]) / SAME_TEMPERATURE_K)
-            turn = turns[warm] = turns.get(warm, -1) + 1
-            folds[turn % MOST_FOLDS][k] = np.ones(len(logs[k].log), dtype=np.bool_)
-        if len(turns) == 1 or max(turns.values()) > 0:
-            return [fold for fold in folds if fold]
-    if drives and len(loads) > len(drives):
-        return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
-    return stretches_of(logs, loads, capacity_Ah)
-
-
-def stretches_of(
-    logs: Sequence[FitLog], loads: Sequence[int], capacity_Ah: float
-) -> list[dict[int, BoolArray]]:
-    """Every other stretch of SOC of some loads, and the others.
-
-    Where one log is left out the next one is not: no stretch is left out of all. Of a log that
-    moves little the stretches are shorter, so that something stays.
-    """
-    soc = [logs[k].soc(capacity_Ah) for k in loads]
-    most = max((float(np.nanmax(s) - np.nanmin(s)) for s in soc), default=0.0)
-    wide = min(STRETCH_SOC, 0.25 * most) or STRETCH_SOC
-    stretch = [(np.floor(s / wide) + turn) % 2 for turn, s in enumerate(soc)]
-    return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
-
-
-def without(item: FitLog, out: BoolArray | None, capacity_Ah: float) -> FitLog | None:
-    """A log without the rows left out; None where nothing stays."""
-    if out is None:
-        return item
-    kept = np.isfinite(item.soc(capacity_Ah)) & ~out
-    return replace(item, compare=kept) if kept.any() else None
-
-
-def _warm_C(item: FitLog) -> float:
-    """Median as measured, else what the log is said to be at; 0 where nobody knows."""
-    measured = item.log.temperature_C
-    known = np.empty(0) if measured is None else measured[np.isfinite(measured)]
-    return float(np.median(known)) if known.size else item.temperature_C or 0.0
+    current_A = item.log.known_current_A()
+    side = np.sign(np.where(np.abs(current_A) > LOADED * np.max(np.abs(current_A)), current_A, 0.0))
+    begins = (side != 0.0) & (np.diff(side, prepend=0.0) != 0.0)
+    turn = np.cumsum(begins) + np.floor(item.soc(capacity_Ah) * SOC_PARTS).astype(np.int64)
+    return np.asarray(turn % 2 == 1, dtype=np.bool_)
 
 
 def drive_temperatures(logs: Sequence[FitLog]) -> int:
@@ -279,3 +244,33 @@ def drive_temperatures(logs: Sequence[FitLog]) -> int:
     warm = [item.log.temperature_C for item in logs if item.skewed]
     found = np.sort([float(np.nanmedian(t)) for t in warm if t is not None])
     return int(found.size > 0) + int(np.count_nonzero(np.diff(found) >= SAME_TEMPERATURE_K))
+
+
+def held_out(logs: Sequence[FitLog]) -> tuple[int, ...]:
+    """Logs to hold out: the last drive of every temperature that has two and more.
+
+    Where no temperature has two, every second drive by temperature. Where drives are too few, one
+    discharge of every temperature that has three and more loads, in turn of another rate.
+    """
+    drives = [k for k, item in enumerate(logs) if item.skewed]
+    if len(drives) >= NEEDED.fewest:
+        groups = _by_temperature(logs, drives)
+        found = tuple(g[-1] for g in groups.values() if len(g) > 1)
+        return found or tuple(groups[t][0] for t in sorted(groups, key=lambda t: t or 0.0)[1::2])
+    steady = [k for k, item in enumerate(logs) if not item.skewed and not item.low_rate]
+    rates = {k: float(np.max(logs[k].log.known_current_A())) for k in steady}
+    groups = _by_temperature(logs, [*drives, *steady])
+    several = [sorted(set(g) - set(drives), key=rates.__getitem__) for g in groups.values()]
+    several = [g for g, all_ in zip(several, groups.values(), strict=True)
+               if len(all_) >= NEEDED.fewest and len(g) > 1]  # fmt: skip
+    if len(several) < NEEDED.temperatures:
+        return ()
+    return tuple(g[-1 - turn % 2] for turn, g in enumerate(several))
+
+
+def _by_temperature(logs: Sequence[FitLog], which: Sequence[int]) -> dict[float | None, list[int]]:
+    """Numbers of the logs of every temperature."""
+    found: dict[float | None, list[int]] = {}
+    for k in which:
+        found.setdefault(logs[k].temperature_C, []).append(k)
+    return found

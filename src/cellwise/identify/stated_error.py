@@ -20,6 +20,7 @@ from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.fit.model_error import (
     MIDDLE,
+    SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
     polarisation_V,
@@ -27,15 +28,12 @@ from cellwise.fit.model_error import (
 )
 from cellwise.fit.rows import FitLog, inverse_K
 from cellwise.identify.assemble import own_model
-from cellwise.identify.effect_selection import (
-    NEEDED,
-    JointFit,
-    drive_temperatures,
-    folds_of,
-    without,
-)
+from cellwise.identify.effect_selection import NEEDED, JointFit, drive_temperatures
 from cellwise.identify.joint_fit import QUICK_ITERATIONS
 from cellwise.typing import BoolArray, FloatArray
+
+MOST_FOLDS = 4
+STRETCH_SOC = 0.1  # left out at a time where a log cannot be left out whole
 
 
 class Fold(NamedTuple):
@@ -110,13 +108,10 @@ def leave_out(fit: JointFit) -> tuple[Fold, ...]:
     )
     capacity_Ah = fit.joint.capacity_Ah
     found = []
-    folds = folds_of(logs, capacity_Ah)
-    for rows in folds:
-        kept = [without(item, rows.get(k), capacity_Ah) for k, item in enumerate(logs)]
+    for rows in _folds(logs, capacity_Ah):
+        kept = [_without(item, rows.get(k), capacity_Ah) for k, item in enumerate(logs)]
         left = [item for item in kept if item is not None]
-        result = fit.without_last if rows is folds[-1] else None
-        if result is None:
-            result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
+        result = fit.joint.fit(left, fit.settings, fit.result.theta, quick=QUICK_ITERATIONS)
         model = fit.joint.model_of(result, fit.effects)
         parts = {
             k: residual_log(own_model(model, math.exp(logs[k].ln_sample)), logs[k], part)
@@ -160,3 +155,42 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
 
     warm = float(np.mean([p.temperature_C for p in parts]))
     return ResidualLog(of("time_s"), of("soc"), of("drop_V"), of("residual_V"), warm)
+
+
+def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:
+    """Of each fold the logs left out and the rows of them that are, shape (n,); whether all are."""
+    loads = [k for k, item in enumerate(logs) if item.compare is None]
+    drives = [k for k in loads if logs[k].skewed]
+    if len(drives) > 1:
+        turns: dict[int, int] = {}
+        folds: list[dict[int, BoolArray]] = [{} for _ in range(MOST_FOLDS)]
+        for k in drives:
+            warm = round(_warm_C(logs[k]) / SAME_TEMPERATURE_K)
+            turn = turns[warm] = turns.get(warm, -1) + 1
+            folds[turn % MOST_FOLDS][k] = np.ones(len(logs[k].log), dtype=np.bool_)
+        if len(turns) == 1 or max(turns.values()) > 0:
+            return [fold for fold in folds if fold]
+    if drives and len(loads) > len(drives):
+        return [{k: np.ones(len(logs[k].log), dtype=np.bool_)} for k in drives]
+    # Where one log is left out the next one is not: no stretch is left out of all. Of a log that
+    # moves little the stretches are shorter, so that something stays.
+    soc = [logs[k].soc(capacity_Ah) for k in loads]
+    most = max((float(np.nanmax(s) - np.nanmin(s)) for s in soc), default=0.0)
+    wide = min(STRETCH_SOC, 0.25 * most) or STRETCH_SOC
+    stretch = [(np.floor(s / wide) + turn) % 2 for turn, s in enumerate(soc)]
+    return [{k: part == odd for k, part in zip(loads, stretch, strict=True)} for odd in (0, 1)]
+
+
+def _warm_C(item: FitLog) -> float:
+    """Median as measured, else what the log is said to be at; 0 where nobody knows."""
+    measured = item.log.temperature_C
+    known = np.empty(0) if measured is None else measured[np.isfinite(measured)]
+    return float(np.median(known)) if known.size else item.temperature_C or 0.0
+
+
+def _without(item: FitLog, out: BoolArray | None, capacity_Ah: float) -> FitLog | None:
+    """A log without the rows left out; None where nothing stays."""
+    if out is None:
+        return item
+    kept = np.isfinite(item.soc(capacity_Ah)) & ~out
+    return replace(item, compare=kept) if kept.any() else None

@@ -13,8 +13,9 @@ from cellwise.fit.unknowns import FitSettings
 from cellwise.identify.effect_selection import (
     NEEDED,
     JointFit,
+    every_second_load,
     fit_with_effects,
-    folds_of,
+    held_out,
 )
 from cellwise.identify.joint_fit import JointLogs
 from cellwise.identify.stated_error import leave_out
@@ -87,12 +88,13 @@ def test_a_plain_cell_needs_none():
 
 def test_without_drives_to_hold_out_only_what_pulses_show_is_tried():
     logs = logs_of()[: NEEDED.fewest]
+    assert held_out(logs) == ()
     verdicts, result = decided(logs)
     others = [d for d in verdicts.values() if d.name != "charge_transfer"]
     assert others
     assert all(d.gain is None and "not tried" in d.reason for d in others)
     assert not verdicts["charge_transfer"].accepted
-    assert "stretches of the loads held out" in verdicts["charge_transfer"].reason
+    assert "load of the pulse tests held out" in verdicts["charge_transfer"].reason
     assert result.asinh_per_V == 0.0
 
 
@@ -103,13 +105,21 @@ def test_pulses_of_several_rates_show_a_charge_transfer_without_a_drive(change):
     assert result.asinh_per_V == pytest.approx(SHARP_PER_V if change else 0.0, rel=0.25)
 
 
+def test_of_two_pulses_at_every_soc_each_is_held_out_somewhere():
+    current = np.tile(np.repeat([0.0, 4.0, 0.0, -3.0, 0.0, 1.0], [60, 10, 60, 10, 60, 720]), 8)
+    log, _ = log_of(current, TRUTH)
+    left = every_second_load(FitLog(log, 1.0), CAPACITY_AH)
+    for kind in (4.0, -3.0):
+        rows = log.current_A == kind
+        assert np.any(left[rows])
+        assert not np.all(left[rows])
+
+
 def test_one_drive_of_each_temperature_with_several_is_held_out():
     logs = logs_of()
     cold = [replace(item, temperature_C=0.0) for item in logs[1:]]
-    folds = folds_of([*logs, *cold], CAPACITY_AH)
-    assert [tuple(fold) for fold in folds] == [(1, 4), (2, 5), (3, 6)]
-    folds = folds_of([*logs, cold[0]], CAPACITY_AH)
-    assert [tuple(fold) for fold in folds] == [(1, 4), (2,), (3,)]
+    assert held_out([*logs, *cold]) == (3, 6)
+    assert held_out([*logs, cold[0]]) == (3,)
 
 
 def test_what_is_left_out_in_turn_is_fitted_with_the_effects_of_the_model(monkeypatch):
