@@ -31,7 +31,7 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.identify.checked_logs import check_logs
-from cellwise.identify.fitted_pulses import fit_all_pulses
+from cellwise.identify.fitted_pulses import measure_pulses
 from cellwise.identify.hppc import phases
 from cellwise.identify.measured_capacity import measure_capacity
 from cellwise.identify.measured_ocv import measure_ocv
@@ -157,12 +157,12 @@ def begin_of(case: Case) -> str:
         capacity = measure_capacity(checked, settings).capacity_Ah
         ocv, *_ = measure_ocv(checked, capacity)
         full = {id(log): InitialSoc(1.0, 0.01, "full") for log, _ in checked.tests.hppc}
-        pulses = fit_all_pulses(checked, ocv, capacity, settings, full)
+        pulses = measure_pulses(checked, ocv, capacity, settings, full)
     except InputError as error:
         return str(error)
     figures = [capacity, *ocv.voltage_V]
-    for group in pulses.groups:
-        for one in group.pulse_sets:
+    for sets in pulses.sets.values():
+        for one in sets:
             figures += [x for f in one.fits for x in (*f.value, *f.error)]
             figures += [one.anchor.soc, *(ord(p.quality[0]) + p.start for p in one.pulses)]
     return " ".join(f"{x:.{DIGITS}g}" for x in figures) + repr(ocv.notes)

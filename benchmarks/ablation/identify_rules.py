@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.identify.capacity import capacity_choice, half_cycles
+from cellwise.identify.capacity import half_cycles
 from cellwise.identify.hppc import pulse_quality, pulses
-from cellwise.identify.ocv import curve, ocv_lowrate, ocv_rests
+from cellwise.identify.ocv import curve, ocv_rests
 from cellwise.identify.pulse_fit import pulse_data
 
 IDENTIFY = "cellwise.identify"
 PHASES = f"{IDENTIFY}.hppc.phases"
 PULSES, QUALITY = f"{IDENTIFY}.hppc.pulses", f"{IDENTIFY}.hppc.pulse_quality"
-CURVE, RESTS, LOW = (f"{IDENTIFY}.ocv.{m}" for m in ("curve", "ocv_rests", "ocv_lowrate"))
+RESTS = f"{IDENTIFY}.ocv.ocv_rests"
 TESTED = f"{IDENTIFY}.capacity.capacity_test"
-FITTED_PULSES = f"{IDENTIFY}.fitted_pulses"
+CHOICE = f"{IDENTIFY}.capacity.capacity_choice"
 MEASURED_CAPACITY, MEASURED_OCV = f"{IDENTIFY}.measured_capacity", f"{IDENTIFY}.measured_ocv"
 
 
@@ -51,10 +51,6 @@ def _planned(_: Any, pulses: Any) -> Any:
     kind = np.array([f"{p.role} {p.sign}" for p in pulses])
     duration = np.array([p.duration_s for p in pulses])
     return np.array([_commonest(duration[kind == k]) for k in kind])
-
-
-def _plain_mean(discharge_V: Any, charge_V: Any) -> Any:
-    return np.nanmean([discharge_V, charge_V], axis=0)
 
 
 def _by_gap(phases: Any) -> float:
@@ -93,25 +89,21 @@ RULES = (
     Rule("settling rows", _record(pulse_data, "SETTLING", edge=np.inf)),
     Rule("what was before a pulse", _record(pulse_data, "WINDOW", before_s=0.0)),
     Rule("balanced rows", _record(pulse_data, "WINDOW", balance=(1.0, 1.0))),
-    Rule("minutes of a move", _record(pulse_data, "WINDOW", step_s=1e9)),
     Rule(
         "variable projection",
-        ((FITTED_PULSES, "fit_pulse", _by_segments),),
+        ((f"{IDENTIFY}.identification", "fit_pulse", _by_segments),),
     ),
-    Rule("rests weighed by slope", _record(curve, "MOVED", steep_V=np.inf)),
     Rule("one cell", ((MEASURED_OCV, "sample_notice", _none),)),
     Rule("unrelaxed rests", _record(ocv_rests, "LIMITS", unrelaxed_V=np.inf)),
     Rule("short rests", _record(ocv_rests, "LIMITS", rest_s=0.0)),
     Rule("relaxation extrapolated", ((RESTS, "_relaxed_V", lambda _, v: float(v[-1])),)),
     Rule("climbs short of full", ((RESTS, "_climbs_short_of_full", _no),)),
     Rule("points condensed", _record(curve, "POINTS", most=10**9)),
-    Rule("mean by soundness", ((LOW, "_mean_of_branches", _plain_mean),)),
-    Rule("whole by charge", _record(ocv_lowrate, "LIMITS", nearly_all=np.inf)),
     Rule("HPPC reaches empty", ((MEASURED_CAPACITY, "hppc_reaches_empty", _no),)),
     Rule("looks like an end", ((TESTED, "_looks_like_end", _yes),)),
     Rule("full at the start", ((TESTED, "_not_full", lambda *_: ()),)),
     Rule("capacity test", ((TESTED, "_is_capacity_test", lambda _, h: h.charge_Ah > 0.0),)),
     Rule("settled end", _record(half_cycles, "LIMITS", dither=-1.0)),
-    Rule("nearest temperature", _record(capacity_choice, "NEAR", same_C=np.inf)),
+    Rule("nearest temperature", ((CHOICE, "SAME_TEMPERATURE_K", np.inf),)),
     Rule("charge runs that count", _record(half_cycles, "LIMITS", run=0.0)),
 )  # fmt: skip

@@ -32,6 +32,7 @@ from cellwise.fit.model_error import polarisation_V
 from cellwise.fit.problem import EVIDENCE
 from cellwise.identify import Identification, effect_selection
 from cellwise.identify.joint_fit import ROLES
+from cellwise.identify.measured_capacity import SPREAD
 from cellwise.logs import CellLog
 from cellwise.typing import FloatArray
 
@@ -210,7 +211,7 @@ RULES: tuple[Rule, ...] = (
     Rule("nothing"),
     Rule(
         "a test of the capacity keeps its own",
-        ((f"{FIT}.ROLES", ROLES._replace(capacity_std=0.0)),),
+        ((f"{FIT}.CAPACITY_SPREAD", SPREAD._replace(pulses=0.0)),),
         ("Panasonic, pulses and two drives",),
     ),
     Rule(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.fit.beginnings import TRIALS, find_beginning, thinned
+from cellwise.fit.beginnings import find_beginning, thinned
 from cellwise.fit.population import cell_classes
-from cellwise.fit.rows import FitLog
+from cellwise.fit.rows import ROWS, FitLog
 from measured_models import missed
 from synthetic import drive_current, driven_log, lfp_cell, nmc_cell
 
@@ -66,7 +66,7 @@ def test_thinning_keeps_charge_and_time():
     log = discharge(CELLS["layered"], 600)
     short = thinned(log)
     assert len(short) < 0.2 * len(log)
-    assert len(short) <= TRIALS.rows + 1
+    assert len(short) <= ROWS.most + 1
     assert short.counted_charge_Ah()[-1] == pytest.approx(log.counted_charge_Ah()[-1], rel=1e-9)
     assert short.time_s[-1] == log.time_s[-1]
     moved = float(short.known_current_A() @ short.interval_s) / 3600.0

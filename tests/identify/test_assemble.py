@@ -10,8 +10,9 @@ import pytest
 from cellwise.cell.effects import Hysteresis, SlowDiffusion, TemperatureDependence, TimeSkew
 from cellwise.cell.simulate import simulate
 from cellwise.fit.rows import FitLog
+from cellwise.fit.splines import SOC_GRID
 from cellwise.fit.unknowns import FitSettings
-from cellwise.identify.assemble import GRID_POINTS, fitted_model
+from cellwise.identify.assemble import fitted_model
 from fit_cases import CURVED, Truth, cells_like, fit_of, log_of, pulse_current, two_logs
 
 
@@ -38,7 +39,7 @@ def test_the_model_simulates_what_was_fitted(plain):
 
 def test_tables_are_positive_ordered_and_on_the_grid(plain):
     model = plain[2]
-    assert model.ocv_V.shape == (1, GRID_POINTS)
+    assert model.ocv_V.shape == (1, SOC_GRID.size)
     assert np.all(np.diff(model.ocv_V) > 0.0), "strictly: the OCV is inverted"
     assert np.all(model.tau2_s > model.tau1_s)
 

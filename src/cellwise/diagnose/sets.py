@@ -19,8 +19,9 @@ from cellwise.diagnose.causes.catalogue import Cause, forms_of, kept_coordinates
 from cellwise.diagnose.causes.coordinates import Coordinates
 from cellwise.diagnose.fit.cause_fits import CauseFits, Prediction
 from cellwise.diagnose.fit.coordinate_fit import Fit, Frozen, Tolerances, fit
-from cellwise.diagnose.fit.priors import USUAL, needs_activation, starts_to_try, widened_for
+from cellwise.diagnose.fit.priors import needs_activation, starts_to_try, widened_for
 from cellwise.diagnose.odds import NAMING, Rarity, Weighed, probability_of, weigh
+from cellwise.fit.population import SPREAD
 
 Progress = Callable[[float, str], None]
 
@@ -166,7 +167,7 @@ class Explanations:
             if cause.name == "self_heating":
                 point["rth_K_per_W"] = 1.0
                 if needs_activation(shaped):
-                    point["activation_K"] = USUAL.activation_K
+                    point["activation_K"] = SPREAD.activation_K
             steps = 1 if len(beginnings) > 1 else 5
             found.append(fitted(start.scale, shaped, point, steps, frozen))
         near, wide = max(found, key=lambda f: f[0].log_evidence)

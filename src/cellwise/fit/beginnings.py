@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.fit.population import CellPrior, prior_of
 from cellwise.fit.problem import Problem
-from cellwise.fit.rows import FitLog
+from cellwise.fit.rows import ROWS, FitLog
 from cellwise.fit.unknowns import FitSettings, layout_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -22,7 +22,7 @@ class Trials(NamedTuple):
     ----------
     step : float            of SOC between two starts that are tried
     full_std : float        how far full is from full, from one charge to the next
-    block_s, rows : float   a log is thinned to means over so long, or to so many [s]
+    block_s : float         a log is thinned to means over so long, or to ``ROWS.most`` [s]
     steps : int             of Gauss and Newton from each
     trust : float           of a log's evidence, as a power: the prior's model is nobody's cell, and
                             full logs of measured cells lost to starts at 0.96 by up to 4 in the
@@ -32,7 +32,6 @@ class Trials(NamedTuple):
     step: float = 0.1
     full_std: float = 0.01
     block_s: float = 10.0
-    rows: int = 1500
     steps: int = 5
     trust: float = 0.5
 
@@ -113,9 +112,7 @@ def _try(
     grid = np.array([temperature_C])
     settings = FitSettings(hysteresis=lay.hysteresis, ln_capacity_std=ln_capacity_std)
     prior = prior_of(cells, lay, (item,), capacity_Ah, grid, temperature_C, settings)
-    problem = Problem(
-        [item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, TRIALS.rows
-    )
+    problem = Problem([item], cells.base(), prior, lay, capacity_Ah, grid, temperature_C, ROWS.most)
     theta, _, normal, _ = problem.minimise(problem.inside(prior.mean), TRIALS.steps)
     std = float(np.sqrt(problem.prior.covariance(normal.matrix)[lay.start, lay.start]))
     return item.soc0 + float(theta[lay.start]), std, problem.log_evidence(normal)
@@ -124,7 +121,7 @@ def _try(
 def thinned(log: CellLog, compare: BoolArray | None = None) -> CellLog:
     """Means over blocks of time; voltages of rows that are not compared are left out."""
     voltage = log.voltage_V if compare is None else np.where(compare, log.voltage_V, np.nan)
-    block_s = max(TRIALS.block_s, log.duration_s / TRIALS.rows)
+    block_s = max(TRIALS.block_s, log.duration_s / ROWS.most)
     block = np.floor((log.time_s - log.time_s[0]) / block_s).astype(np.int64)
     _, place = np.unique(block, return_inverse=True)
     count = np.bincount(place)

@@ -13,13 +13,12 @@ from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
 from cellwise.cell.plausibility.validity import SHARE_AT_TWICE
-from cellwise.fit.problem import autocorrelation
+from cellwise.cell.posterior import POINTS
+from cellwise.fit.problem import EVIDENCE, autocorrelation
+from cellwise.fit.splines import TABLE_KNOTS
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-# Over SOC, where a band's size is estimated: it grows steeply towards empty.
-KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-POINTS = 21  # over SOC, at which it is stated
 SAME_TEMPERATURE_K = 4.0  # logs this near to each other report one temperature
 
 
@@ -28,7 +27,6 @@ class Likelihood(NamedTuple):
 
     Parameters
     ----------
-    cell_soc : float        rows of one log within as much SOC and of one direction are one cell
     fewest, most : float    independent errors of a cell; SOC by SOC a log repeats what it gets
                             wrong, however many rows there are
     tail : float            a mean square over few errors scatters, and a single log may be far
@@ -37,7 +35,6 @@ class Likelihood(NamedTuple):
     least_V : float         no band is smaller [V]
     """
 
-    cell_soc: float = 0.02
     fewest: float = 0.02
     most: float = 2.0
     tail: float = 2.0
@@ -73,8 +70,8 @@ class AlongSoc(NamedTuple):
 
 
 TAKEN, PRIORS, ALONG_SOC = Likelihood(), Priors(), AlongSoc()
-LEAST_LOG = 20  # rows
-SUSTAINED_S = 300.0  # what builds up within minutes has done so
+LEAST_LOG = 20  # rows: fewer say nothing
+SUSTAINED_S = EVIDENCE.memory_s  # what builds up within minutes has done so
 SHOWN = 1.0  # doublings of the current that lasted: up to there the tests' own errors count
 MOST_DOUBLINGS = 3.0  # a resistance that nothing sustained has shown
 MIDDLE = (0.1, 0.9)
@@ -163,7 +160,7 @@ def estimate_model_error(
     known = [fits[max(k, resolved)] or _nothing(len(groups)) for k in range(len(SCALES_S))]
     std = []
     for ln_size, _, _ in known:
-        rows = [np.exp(np.interp(grid, KNOTS, row)) for row in ln_size]
+        rows = [np.exp(np.interp(grid, TABLE_KNOTS, row)) for row in ln_size]
         std.append(tuple(tuple(_short(v) for v in np.maximum(row, TAKEN.least_V)) for row in rows))
     each = len(usable) / len(groups)
     return ModelError(
@@ -196,7 +193,7 @@ def _by_temperature(logs: Sequence[ResidualLog]) -> list[list[int]]:
 
 
 def _place(soc: FloatArray) -> IndexArray:
-    return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / TAKEN.cell_soc), dtype=np.int64)
+    return np.asarray(np.floor(np.clip(soc, 0.0, 1.0) / EVIDENCE.cell_soc), dtype=np.int64)
 
 
 def _of(cells: _Cells, which: BoolArray) -> _Cells:
@@ -240,7 +237,7 @@ _Fit = tuple[FloatArray, float, float]
 
 
 def _nothing(groups: int) -> _Fit:
-    return np.full((groups, KNOTS.size), np.log(TAKEN.least_V)), 0.0, 0.0
+    return np.full((groups, TABLE_KNOTS.size), np.log(TAKEN.least_V)), 0.0, 0.0
 
 
 def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
@@ -255,10 +252,10 @@ def _fit(cells: _Cells, band: int, groups: int) -> _Fit | None:
         np.maximum(cells.square[band][used], TAKEN.least_V**2 / 4.0),
     )
     drop2, charge, group = cells.drop2[used], cells.charge[used], cells.group[used]
-    knots = KNOTS.size
+    knots = TABLE_KNOTS.size
     soc = cells.soc[used]
-    low = np.clip(np.searchsorted(KNOTS, soc) - 1, 0, knots - 2)
-    way = (soc - KNOTS[low]) / np.diff(KNOTS)[low]
+    low = np.clip(np.searchsorted(TABLE_KNOTS, soc) - 1, 0, knots - 2)
+    way = (soc - TABLE_KNOTS[low]) / np.diff(TABLE_KNOTS)[low]
     place = group * knots + low
     first = 0.5 * np.log(np.average(square, weights=n))
 

@@ -20,9 +20,11 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.stock import stock_model, stock_names
 from cellwise.errors import InputError
 from cellwise.files import embedded_folder
+from cellwise.fit.problem import EVIDENCE
 from cellwise.fit.rows import BaseOcv, FitLog, inverse_K
 from cellwise.fit.solver import Prior
 from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville
+from cellwise.fit.splines import SOC_GRID as SOC
 from cellwise.fit.unknowns import (
     ACTIVATION_UNIT_K,
     ASINH_UNIT_PER_V,
@@ -32,7 +34,6 @@ from cellwise.fit.unknowns import (
 )
 from cellwise.typing import FloatArray
 
-SOC = np.linspace(0.0, 1.0, 201)
 HOME_C = 25.0  # of the members' curves
 TABLES = ("r0", "r1", "tau1", "r2", "tau2", "r3", "tau3")
 
@@ -47,7 +48,7 @@ class PopulationSpread(NamedTuple):
     rest : float                  share of that which is of short range, over ``rest_soc``
     soc : float                   over how much SOC OCVs differ alike
     least_ln, shape_ln : float    of a table of logarithms: its level, its shape
-    empty_ln, empty_soc : float   more of its shape near empty, over so much SOC
+    empty_ln : float              more of its shape near empty, over ``EVIDENCE.near_soc``
     table_soc : float             over how much SOC a table's shape is alike
     activation_K, activation_std_K : float      of the resistances
     temperature_ln : float        of a table from one temperature to the next, beside activation
@@ -66,7 +67,6 @@ class PopulationSpread(NamedTuple):
     least_ln: float = 1.2
     shape_ln: float = 1.0
     empty_ln: float = 0.9
-    empty_soc: float = 0.08
     table_soc: float = 0.2
     activation_K: float = 3000.0
     activation_std_K: float = 2000.0
@@ -78,20 +78,18 @@ class PopulationSpread(NamedTuple):
 class SameCell(NamedTuple):
     """How far a cell may be from a model of its kind, at least.
 
-    OCV over how much SOC alike; a table of logarithms, its shape over how much SOC alike; the
-    activation of its resistances.
+    OCV over how much SOC alike; a table of logarithms; the activation of its resistances.
     """
 
     ocv_V: float = 0.003
     soc: float = 1.0
     ln_r: float = 0.1
-    table_soc: float = 0.3
     activation_K: float = 1000.0
 
 
 SPREAD, SAME_CELL = PopulationSpread(), SameCell()
-MODEL_STEP_K = 9.0  # between rows of a model that is a prior
-NUGGET_LN, NUGGET_V = 0.01, 3e-4  # of a knot by itself: keeps covariances apart from singular
+MODEL_STEP_K = 10.0  # between rows of a model that is a prior
+NUGGET_LN, NUGGET_V = 0.01, 1e-4  # of a knot by itself: keeps covariances apart from singular
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +149,7 @@ class CellClass:
         n = len(rows)
         level = (rows - row).mean(axis=1)
         level_std = max(float(np.std(level, ddof=1)) * (1.0 + 1.0 / n), SPREAD.least_ln)
-        size = SPREAD.shape_ln + SPREAD.empty_ln * np.exp(-soc / SPREAD.empty_soc)
+        size = SPREAD.shape_ln + SPREAD.empty_ln * np.exp(-soc / EVIDENCE.near_soc)
         apart = np.abs(np.subtract.outer(soc, soc))
         alike = 0.9 * np.exp(-0.5 * (apart / SPREAD.table_soc) ** 2) + 0.1 * np.exp(-apart / 0.1)
         shape = level_std**2 + np.outer(size, size) * alike
@@ -225,7 +223,7 @@ class ModelPrior:
         rows = [np.interp(soc, SOC, _ln_table(self.model, name, float(warm))) for warm in grid_C]
         share = max(self.error_scale * self.model.error.shown_share(), SAME_CELL.ln_r)
         apart = np.abs(np.subtract.outer(soc, soc))
-        shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SAME_CELL.table_soc) ** 2))
+        shape = share**2 * (0.5 + 0.5 * np.exp(-0.5 * (apart / SPREAD.soc) ** 2))
         x = inverse_K(grid_C, HOME_C)
         covariance = np.kron(np.ones((x.size, x.size)), shape)
         covariance += np.kron(SAME_CELL.activation_K**2 * np.outer(x, x), np.ones(apart.shape))

@@ -7,7 +7,7 @@ import numpy as np
 from cellwise.cell.posterior import CAPACITY, POINTS, Posterior
 from cellwise.fit.solve import FitResult
 from cellwise.fit.solver import Prior
-from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_rows
+from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, spline_matrix
 from cellwise.fit.unknowns import Layout
 from cellwise.typing import FloatArray
 
@@ -23,7 +23,7 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     lay = result.layout
     grid = np.linspace(0.0, 1.0, POINTS)
     ocv = np.zeros((POINTS, lay.size))
-    ocv[:, : lay.knots_ocv] = _dense(grid, OCV_KNOTS)
+    ocv[:, : lay.knots_ocv] = spline_matrix(grid, OCV_KNOTS)
     ln_r = whole_resistance(lay, result.theta, grid)[1]
     before = prior.covariance()
     held = lay.capacity
@@ -56,20 +56,11 @@ def posterior_of(result: FitResult, prior: Prior, name: str) -> Posterior:
     )
 
 
-def _dense(soc: FloatArray, knots: FloatArray) -> FloatArray:
-    """Spline values as a matrix, shape (soc, splines)."""
-    rows = spline_rows(soc, knots)
-    found = np.zeros((soc.size, knots.size + 2))
-    for k in range(4):
-        found[np.arange(soc.size), rows.first + k] = rows.values[:, k]
-    return found
-
-
 def whole_resistance(
     lay: Layout, theta: FloatArray, soc: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Logarithm of the whole resistance, mean over temperatures; its derivative, (soc, size)."""
-    splines = _dense(soc, TABLE_KNOTS)
+    splines = spline_matrix(soc, TABLE_KNOTS)
     logarithm, slopes = np.zeros(soc.size), np.zeros((soc.size, lay.size))
     places = [lay.r0, *(lay.r(j) for j in range(lay.branches))]
     for k in range(lay.temperatures):

@@ -39,7 +39,6 @@ class ErrorEvidence(NamedTuple):
     robust : float          a residual of more deviations counts linearly
     fewest : float          independent errors of a log, however short
     cell_soc, memory_s : float      tables are wrong alike over so much SOC, and for so long [s]
-    low_rate_cell_soc : float       what shifts a low-rate test shifts it over so much SOC alike
     """
 
     least_V: float = 0.004
@@ -53,7 +52,6 @@ class ErrorEvidence(NamedTuple):
     robust: float = 4.0
     fewest: float = 4.0
     cell_soc: float = 0.02
-    low_rate_cell_soc: float = 0.04
     memory_s: float = 300.0
 
 
@@ -283,7 +281,8 @@ def products_of(jacobian: FloatArray, places: IndexArray) -> Products:
 def evidence_of(log: PreparedLog) -> float:
     """How many independent errors a log holds: what it gets wrong it repeats SOC by SOC."""
     shown = log.compared_soc
-    alike = EVIDENCE.low_rate_cell_soc if log.item.low_rate else EVIDENCE.cell_soc
+    # What shifts a low-rate test shifts it over twice as much alike.
+    alike = EVIDENCE.cell_soc * (1.0 + log.item.low_rate)
     cells = EVIDENCE.fewest + float(np.ptp(shown)) / alike
     long = max(float(np.ptp(log.time_s)) / EVIDENCE.memory_s, EVIDENCE.fewest)
     return min(cells, long) * log.item.weight

@@ -46,6 +46,7 @@ SELDOM = 0.02  # of the charge: temperatures at which less flowed bring no row o
 
 
 NO_SURFACE = SurfaceSoc()
+PAST_V = 0.036  # deviation of what a slow branch holds after a mean load of C/3 [V]
 
 
 @dataclass(frozen=True, eq=False)

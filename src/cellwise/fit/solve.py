@@ -24,7 +24,7 @@ from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
 
 ALL_ROWS = 40_000
-PASSES = (0.3, 0.3, 0.4)  # of the iterations; after each the size of every log's residual is taken
+PASSES = 3  # that share the iterations; after each the size of every log's residual is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +175,8 @@ def fit_logs(
     problem = Problem(logs, base, prior, layout, capacity_Ah, grid, reference_C, most)
     theta = problem.inside(prior.mean if theta is None else theta)
     steps = 0
-    for share in PASSES:
-        theta, done, _, residuals = problem.minimise(theta, max(3, int(share * iterations)))
+    for _ in range(PASSES):
+        theta, done, _, residuals = problem.minimise(theta, iterations // PASSES)
         steps += done
         problem.judge(theta, residuals)
     rows, residuals = problem.rows(theta)

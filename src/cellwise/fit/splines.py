@@ -10,9 +10,10 @@ from cellwise.cell.compiled import cached
 from cellwise.typing import FloatArray, IndexArray
 
 DEGREE = 3
+SOC_GRID = np.linspace(0.0, 1.0, 201)  # of curves and tables that are read off
 
 # SOC knots: closer together at low SOC, where every cell's resistance turns up.
-TABLE_KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+TABLE_KNOTS = np.concatenate((np.arange(0.0, 0.2, 0.05), np.linspace(0.2, 1.0, 9)))
 # An OCV turns sharply near empty and full; a plateau of LFP has steps of some per cent.
 OCV_KNOTS = np.concatenate(
     (np.linspace(0.0, 0.1, 9), np.linspace(0.125, 0.9, 32), np.linspace(0.9125, 1.0, 8))
@@ -106,6 +107,14 @@ def spline_values(rows: SplineRows, coefficients: FloatArray) -> FloatArray:
     """
     index = rows.first[:, None] + np.arange(DEGREE + 1)
     return np.asarray(np.einsum("ij,ij...->i...", rows.values, coefficients[index]))
+
+
+def spline_matrix(soc: FloatArray, breakpoints: FloatArray) -> FloatArray:
+    """Spline values as a matrix, shape (n, splines)."""
+    rows = spline_rows(soc, breakpoints)
+    found = np.zeros((soc.size, spline_count(breakpoints)))
+    found[np.arange(soc.size)[:, None], rows.first[:, None] + np.arange(DEGREE + 1)] = rows.values
+    return found
 
 
 def greville(breakpoints: FloatArray) -> FloatArray:

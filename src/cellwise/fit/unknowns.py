@@ -20,10 +20,8 @@ LEAST_RATIO = 2.0  # between neighbouring time constants, at every knot
 TAU_LIMITS_S = (0.05, 30_000.0)
 LEAST_OHM = 1e-7
 LARGEST_DROP_V = 10.0  # of one resistance at 1C: where nothing was measured it may run up
-GAMMA_LIMITS = (0.5, 5000.0)
 LN_CAPACITY_LIMITS = (-0.7, 0.4)  # an aged cell keeps a half
 BENDS = 2  # half and whole waves from empty to full
-OWN_LIMITS = (-6.0, 6.0)  # of a table's own activation, in units of ACTIVATION_UNIT_K
 
 
 @dataclass(frozen=True)
@@ -169,11 +167,9 @@ def bounds_of(lay: Layout, charge_As: float) -> tuple[FloatArray, FloatArray]:
         within(at, at + lay.block, *np.log(sizes))
     if lay.hysteresis:
         within(lay.m, lay.gamma, 0.0, 0.5)
-        within(lay.gamma, lay.activation, *np.log(GAMMA_LIMITS))
     within(lay.activation, lay.skew, -2.0, 15.0)
     within(lay.skew, lay.asinh, 0.0, np.inf)
     within(lay.asinh, lay.own, 0.0, 20.0)
-    within(lay.own, lay.capacity, *OWN_LIMITS)
     within(lay.capacity, lay.start, *LN_CAPACITY_LIMITS)
     return low, high
 

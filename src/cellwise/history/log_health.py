@@ -9,17 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.effects import Hysteresis, SurfaceSoc, TemperatureDependence
-from cellwise.cell.initial_soc.initial_soc import STATED_STD, initial_soc
+from cellwise.cell.initial_soc.initial_soc import LOOKED, STATED_STD, initial_soc
 from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
 from cellwise.fit.beginnings import thinned
 from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
+from cellwise.fit.model_error import LEAST_LOG
 from cellwise.fit.population import ModelPrior, prior_of
 from cellwise.fit.posterior import whole_resistance
 from cellwise.fit.problem import Problem
-from cellwise.fit.rows import FitLog
+from cellwise.fit.rows import PAST_V, FitLog
 from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, layout_of
@@ -46,20 +47,13 @@ class FittedLog(NamedTuple):
 
     Parameters
     ----------
-    fewest_rows : int         with a voltage: fewer say nothing
     rows, iterations : int    compared rows at most, steps at most
-    least_start_std : float   a start that its rest says is open by this at least: an error of the
-                              model that is alike everywhere moves it, too [SOC]
-    past_V : float            what each slow branch holds where a log begins under load
     grid_K, narrow_K : float  tables of several temperatures are taken at most as far apart; within
                               so little one is enough
     """
 
-    fewest_rows: int = 20
     rows: int = 400
     iterations: int = 20
-    least_start_std: float = 0.02
-    past_V: float = 0.036
     grid_K: float = 10.0
     narrow_K: float = 1.0
 
@@ -114,7 +108,7 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
     separate from the model's error widens the deviation. So does the range that it does not cover,
     which may have aged by itself.
     """
-    if int(np.count_nonzero(np.isfinite(log.voltage_V))) < FITTED.fewest_rows:
+    if int(np.count_nonzero(np.isfinite(log.voltage_V))) < LEAST_LOG:
         return None
     item = _fit_log(model, log)
     fitted = _fit(model, item)
@@ -154,7 +148,8 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
     soc0, std = log.soc0, STATED_STD
     if soc0 is None:
         found = initial_soc(model, log, whole_log=True)
-        soc0, std = found.soc, max(found.std, FITTED.least_start_std)
+        # An error of the model that is alike everywhere moves a start, too.
+        soc0, std = found.soc, max(found.std, LOOKED.sure)
     rests = abs(float(log.known_current_A()[0])) < REST_RATE * model.capacity_Ah
     return FitLog(
         thinned(log),
@@ -163,7 +158,7 @@ def _fit_log(model: CellModel, log: CellLog) -> FitLog:
         h0=start_hysteresis(soc0),
         temperature_C=float(known_temperature_C(model, log)[0]),
         surface=model.effect(SurfaceSoc),
-        past_V=0.0 if rests else FITTED.past_V,
+        past_V=0.0 if rests else PAST_V,
     )
 
 

@@ -8,6 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.fit.model_error import LEAST_LOG, SUSTAINED_S
+from cellwise.history.log_health import AGED
+from cellwise.history.trend import FADE
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import runs_of
 from cellwise.notices import Code, Notice
@@ -15,13 +18,11 @@ from cellwise.typing import FloatArray
 
 
 class UsableSegment(NamedTuple):
-    """A stretch lasts ``length_s``, has ``rows`` and a load of ``rate_C``, at least.
+    """A stretch has a load of ``rate_C`` at least.
 
     ``points`` are kept of it, of which one in ``thin`` is compared.
     """
 
-    length_s: float = 300.0
-    rows: int = 20
     rate_C: float = 0.02
     points: int = 200
     thin: int = 4
@@ -49,21 +50,18 @@ class Complete(NamedTuple):
 class Ageing(NamedTuple):
     """How a curve of voltage over charge changes in a life: standard deviations.
 
-    ``share``: of the capacities about the first; ``added_V``: of the drop that a life adds, and
+    ``added_V``: of the drop that a life adds, and
     ``gained_V`` where it falls (a sensor's, or warmer); ``uneven``: share of an added resistance
     that is not the same at every SOC; ``length``: of the SOC range, over which a change of shape
-    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range;
-    ``counter``: share of a counted charge (sensors, the last rows, what temperature does).
+    stays alike; ``least_V`` of that change; ``over``: by which a window may reach beyond the range.
     """
 
-    share: float = 0.3
     added_V: float = 0.15
     gained_V: float = 0.01
     uneven: float = 0.2
     length: float = 0.3
     least_V: float = 0.002
     over: float = 0.02
-    counter: float = 0.002
 
 
 USABLE, SAME, COMPLETE, AGEING = UsableSegment(), SameLoad(), Complete(), Ageing()
@@ -128,7 +126,7 @@ def _usable(log: CellLog, capacity_Ah: float) -> list[_SegmentRows]:
     current, interval = log.known_current_A(), log.interval_s
     for sign in (1.0, -1.0):
         loaded = (sign * current > USABLE.rate_C * capacity_Ah) & np.isfinite(log.voltage_V)
-        if np.count_nonzero(loaded) < USABLE.rows:
+        if np.count_nonzero(loaded) < LEAST_LOG:
             continue
         usual = float(np.median(current[loaded]))
         inside = loaded & (np.abs(current - usual) < SAME.constant * abs(usual))
@@ -137,9 +135,9 @@ def _usable(log: CellLog, capacity_Ah: float) -> list[_SegmentRows]:
         for first, last in runs_of(inside):
             a, b = first, last + 1
             charge = np.cumsum(np.abs(current[a:b]) * interval[a:b]) / 3600.0
-            long = log.time_s[b - 1] - log.time_s[a] >= USABLE.length_s
+            long = log.time_s[b - 1] - log.time_s[a] >= SUSTAINED_S
             much = charge[-1] - charge[0] >= 0.5 * AGEING.length * capacity_Ah
-            if b - a < USABLE.rows or not long or not much:
+            if b - a < LEAST_LOG or not long or not much:
                 continue
             warm = None if log.temperature_C is None else float(log.temperature_C[a])
             warm = None if warm is None or not np.isfinite(warm) else warm
@@ -186,7 +184,7 @@ def compare(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegments:
         share = one.moved_Ah / reference.moved_Ah
         added = _resistance_at_same_share(one, reference)
         return ComparedSegments(
-            share, AGEING.counter * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
+            share, FADE.start_std * np.sqrt(2.0), added, 0.2 * abs(added) + 1e-4, True
         )
 
     return _marginal(one, reference)
@@ -210,7 +208,7 @@ def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegment
     freedom = 1.0 + covered / AGEING.length
     likely = -0.5 * freedom * np.log(size)
     likely -= 0.5 * (drop / np.where(drop > 0.0, AGEING.added_V, AGEING.gained_V)) ** 2
-    likely -= 0.5 * ((SHARES[:, None] - 1.0) / AGEING.share) ** 2
+    likely -= 0.5 * ((SHARES[:, None] - 1.0) / AGED.ln_capacity) ** 2
     end = (begin[..., 0] + one.moved_Ah / share[..., 0]) / reference.moved_Ah
     likely -= 0.5 * (np.maximum(end - 1.0, 0.0) / AGEING.over) ** 2
     likely -= 0.5 * (np.minimum(begin[..., 0] / reference.moved_Ah, 0.0) / AGEING.over) ** 2
@@ -222,8 +220,8 @@ def _marginal(one: CurrentSegment, reference: CurrentSegment) -> ComparedSegment
     variance_ohm = float((weight * (added - mean) ** 2).sum())
     # What was not seen may have aged by itself: lithium that is lost moves the ends of the range
     # and stretches nothing between them.
-    unseen = (1.0 - min(covered / capacity, 1.0)) * AGEING.share
-    std = float(np.sqrt(variance + unseen**2 + AGEING.counter**2))
+    unseen = (1.0 - min(covered / capacity, 1.0)) * AGED.ln_capacity
+    std = float(np.sqrt(variance + unseen**2 + FADE.start_std**2))
     return ComparedSegments(capacity, std, mean, float(np.sqrt(variance_ohm)), False)
 
 

@@ -19,7 +19,8 @@ class Fade(NamedTuple):
     integrated Wiener process); ``scatters`` from log to log beyond the stated deviations
     (interrupted charges, temperature, rest before). ``windows_alike``: share of the variance of
     windows of one kind that is alike for ``alike_over`` of the life, since what they cannot see
-    ages in its own way. ``start_std``: of a first log that is counted itself.
+    ages in its own way. ``start_std``: of a
+    share that is counted (sensors, the last rows, what temperature does).
     """
 
     std: float = 0.2

@@ -20,10 +20,17 @@ from cellwise.cell.effects import (
 from cellwise.cell.model import CellModel, ModelTables
 from cellwise.fit.rows import BEYOND
 from cellwise.fit.solve import FitResult
-from cellwise.fit.splines import OCV_KNOTS, TABLE_KNOTS, greville, spline_rows, spline_values
+from cellwise.fit.splines import (
+    OCV_KNOTS,
+    SOC_GRID,
+    TABLE_KNOTS,
+    greville,
+    spline_rows,
+    spline_values,
+)
 from cellwise.fit.unknowns import LEAST_RATIO
 from cellwise.identify.ocv.curve import OcvCurve
-from cellwise.identify.tables import GRID_POINTS, NAMES, PulseTables
+from cellwise.identify.tables import NAMES, PulseTables
 from cellwise.typing import FloatArray
 
 
@@ -90,14 +97,13 @@ def temperatures_of(result: FitResult) -> FloatArray:
 
 def fitted_tables(result: FitResult) -> ModelTables:
     """The fitted tables of one temperature on the grid."""
-    grid = np.linspace(0.0, 1.0, GRID_POINTS)
     lay, theta = result.layout, result.theta
-    correction = spline_values(spline_rows(grid, OCV_KNOTS), theta[: lay.knots_ocv])
+    correction = spline_values(spline_rows(SOC_GRID, OCV_KNOTS), theta[: lay.knots_ocv])
     tau2 = _table(result, lay.tau(1))
     # In order at the temperatures of the grid; carried on beyond them they might cross.
     tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
     return ModelTables(
-        ocv_V=monotone(result.base.rows(grid)[0] + correction),
+        ocv_V=monotone(result.base.rows(SOC_GRID)[0] + correction),
         r0_ohm=_table(result, lay.r0),
         r1_ohm=_table(result, lay.r(0)),
         tau1_s=tau1,
@@ -108,7 +114,7 @@ def fitted_tables(result: FitResult) -> ModelTables:
 
 def _table(result: FitResult, at: int) -> FloatArray:
     """A table of logarithms on the grid."""
-    rows = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), TABLE_KNOTS)
+    rows = spline_rows(SOC_GRID, TABLE_KNOTS)
     return np.asarray(np.exp(spline_values(rows, result.theta[at : at + result.layout.knots])))
 
 
@@ -126,7 +132,7 @@ def fitted_effects(
             )
         )
     if lay.hysteresis:
-        knots = spline_rows(np.linspace(0.0, 1.0, GRID_POINTS), TABLE_KNOTS)
+        knots = spline_rows(SOC_GRID, TABLE_KNOTS)
         m = [spline_values(knots, row.theta[lay.m : lay.m + lay.knots]) for row in rows]
         if float(np.max(m)) > KEPT.m_V:
             found.append(Hysteresis(np.maximum(m, 0.0), float(np.exp(rows[0].theta[lay.gamma]))))

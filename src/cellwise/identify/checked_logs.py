@@ -11,6 +11,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.validity import check_one_cell
 from cellwise.errors import InputError
+from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import (
     REFERENCE_C,
@@ -33,8 +34,6 @@ OTHER_VOLTAGE = 1.9
 class _Together(NamedTuple):
     """Which logs are of one test, or of one temperature."""
 
-    same_C: float = 3.0  # what a chamber and a measured median differ by
-    own_tables_C: float = 5.0  # without pulses: logs nearer than this share their tables
     loads: int = 2  # that a temperature without pulses needs for tables of its own
     whole: float = 0.5  # of the largest discharge: a test's last per cent is no test of its own
 
@@ -151,7 +150,7 @@ def low_rate_tests(logs: Sequence[CellLog], default_C: float = REFERENCE_C) -> l
     for log, size in zip(logs, sizes, strict=True):
         at = log_temperature_C(log, None, default_C)
         whole = most > 0.0 and size >= LIMITS.whole * most
-        if not found or (whole and abs(at - head_C) > LIMITS.same_C):
+        if not found or (whole and abs(at - head_C) > SAME_TEMPERATURE_K):
             found.append([log])
             head_C = at
         else:
@@ -203,7 +202,7 @@ def _of_pulses(tests: CellTests, default_C: float) -> list[float]:
     }
     merged: list[float] = []
     for t in sorted(stated | measured):
-        if not merged or t - merged[-1] > LIMITS.same_C or t in stated:
+        if not merged or t - merged[-1] > SAME_TEMPERATURE_K or t in stated:
             merged.append(t)
     return merged
 
@@ -225,7 +224,7 @@ def _of_all(tests: CellTests, low_rate: Sequence[LowRateTest], default_C: float)
             continue  # nothing is known of it
         at = log_temperature_C(log, stated, default_C)
         near = min(found, key=lambda t: abs(t - at), default=at)
-        if abs(at - near) > LIMITS.own_tables_C or not found:
+        if abs(at - near) > SAME_TEMPERATURE_K or not found:
             near = float(round(at))
         found[near] = found.get(near, 0) + 1
     several = sorted(t for t, loads in found.items() if loads >= LIMITS.loads)

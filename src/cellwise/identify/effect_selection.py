@@ -16,6 +16,7 @@ from cellwise.cell.effects import Effect, SurfaceSoc
 from cellwise.cell.metrics import HeldOutGain, held_out_gain
 from cellwise.cell.model import CellModel
 from cellwise.fit.model_error import SAME_TEMPERATURE_K
+from cellwise.fit.problem import EVIDENCE
 from cellwise.fit.rows import FitLog
 from cellwise.fit.solve import FitResult
 from cellwise.fit.unknowns import ASINH_UNIT_PER_V, FitSettings
@@ -28,19 +29,15 @@ class EffectEvidence(NamedTuple):
     """What an effect must show, and on how much.
 
     ``gain``: of the held-out RMSE, less is no reason for a parameter; surely so, or with a marginal
-    likelihood of what is not held out that is ``ln_evidence`` larger. ``drives``: below, no drive
-    can be held out; ``loads`` of one temperature at ``temperatures`` of them do as well, and
-    activations of single tables need ``activations`` temperatures. ``block_s``: what is drawn
-    together where a gain's interval is found.
+    likelihood of what is not held out that is ``ln_evidence`` larger. With fewer drives than
+    ``fewest`` none can be held out; as many loads of one temperature at ``temperatures`` of them do
+    as well, and activations of single tables need as many temperatures.
     """
 
     gain: float = 0.02
     ln_evidence: float = 5.0
-    drives: int = 3
-    loads: int = 3
+    fewest: int = 3
     temperatures: int = 2
-    activations: int = 3
-    block_s: float = 120.0
 
 
 NEEDED = EffectEvidence()
@@ -51,7 +48,7 @@ LOADED = 0.02  # of the largest current
 OWN_ACTIVATION_STD_K = 1000.0
 # How far the surface's SOC lies below the mean at 1C [h], after how long [s], and how that grows
 # in the cold [K]: solid diffusion takes minutes and slows down as diffusion coefficients do.
-SURFACE = (0.06, 300.0, 2500.0)
+SURFACE = (0.06, EVIDENCE.memory_s, 2500.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +120,7 @@ def fit_with_effects(joint: JointLogs) -> JointFit:
     if not held:
         split = _without_pulses(found, TRIAL_ITERATIONS, joint.capacity_Ah)
         candidates = ("charge_transfer",)
-    few = f"not tried: {NEEDED.drives} drives are needed to hold one out"
+    few = f"not tried: {NEEDED.fewest} drives are needed to hold one out"
     decided = {name: Decided(name, False, None, few) for name in ("charge_transfer", "surface_soc")}
     if not split.held:
         result = joint.fit(joint.logs, joint.settings, first.theta)
@@ -173,7 +170,7 @@ def _tried(
     found = joint.residuals(result, [logs[k] for k in sorted(split.held)], settings)
     blocks, last = [], 0
     for log, _ in found:
-        block = last + (log.time_s // NEEDED.block_s).astype(np.int64)
+        block = last + (log.time_s // EVIDENCE.memory_s).astype(np.int64)
         last = int(block.max()) + 1
         blocks.append(block)
     residual = np.concatenate([r for _, r in found])
@@ -193,7 +190,7 @@ def _decided(name: str, g: HeldOutGain, accepted: bool, held: str) -> Decided:
 
 def _candidates(joint: JointLogs) -> tuple[str, ...]:
     """Effects that drives can show."""
-    several = joint.grid_C.size > 1 or drive_temperatures(joint.logs) < NEEDED.activations
+    several = joint.grid_C.size > 1 or drive_temperatures(joint.logs) < NEEDED.fewest
     return ("temperature_dependence",) * (not several) + ("charge_transfer", "surface_soc")
 
 
@@ -256,7 +253,7 @@ def held_out(logs: Sequence[FitLog]) -> tuple[int, ...]:
     discharge of every temperature that has three and more loads, in turn of another rate.
     """
     drives = [k for k, item in enumerate(logs) if item.skewed]
-    if len(drives) >= NEEDED.drives:
+    if len(drives) >= NEEDED.fewest:
         groups = _by_temperature(logs, drives)
         found = tuple(g[-1] for g in groups.values() if len(g) > 1)
         return found or tuple(groups[t][0] for t in sorted(groups, key=lambda t: t or 0.0)[1::2])
@@ -265,7 +262,7 @@ def held_out(logs: Sequence[FitLog]) -> tuple[int, ...]:
     groups = _by_temperature(logs, [*drives, *steady])
     several = [sorted(set(g) - set(drives), key=rates.__getitem__) for g in groups.values()]
     several = [g for g, all_ in zip(several, groups.values(), strict=True)
-               if len(all_) >= NEEDED.loads and len(g) > 1]  # fmt: skip
+               if len(all_) >= NEEDED.fewest and len(g) > 1]  # fmt: skip
     if len(several) < NEEDED.temperatures:
         return ()
     return tuple(g[-1 - turn % 2] for turn, g in enumerate(several))

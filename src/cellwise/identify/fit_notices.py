@@ -9,6 +9,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.cell.posterior import POINTS, Posterior
+from cellwise.fit.beginnings import TRIALS
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
 from cellwise.notices import Code, Notice, Option
@@ -23,12 +24,10 @@ class Said(NamedTuple):
     unseen : float      of an OCV's deviation before the logs: what they left says nothing there
     poor_V : float      half of a log's rows further off are another kind of cell's: 5 points of SOC
                         over a range of 1 V; right kinds leave 1 to 32 mV from 40 to -20 degC
-    full : float        a test that begins above is full
     """
 
     unseen: float = 0.7
     poor_V: float = 0.05
-    full: float = 0.98
 
 
 SAID = Said()
@@ -47,7 +46,7 @@ def start_notices(own: Sequence[OwnLog]) -> list[Notice]:
     found = []
     for one in own:
         log, start = one.simulation.log, one.start
-        full = one.role in ("ocv", "capacity") and start.soc > SAID.full
+        full = one.role in ("ocv", "capacity") and start.soc > 1.0 - 2.0 * TRIALS.full_std
         if one.used and log.soc0 is None and not full:
             at = f"{start.soc:.3f} +- {2.0 * start.std:.3f}"
             text = f" begins at SOC {at} by its voltages"

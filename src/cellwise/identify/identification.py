@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -19,7 +21,8 @@ from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.ocv.curve import OcvCurve
 from cellwise.identify.pulse_fit.circuit import PulseFit
-from cellwise.identify.pulse_fit.fit_pulse import Method
+from cellwise.identify.pulse_fit.fit_pulse import Method, fit_pulse
+from cellwise.identify.pulse_fit.pulse_data import PulseData
 from cellwise.identify.tables import TableKind
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice, texts
@@ -168,13 +171,26 @@ def log_temperature_C(log: CellLog, stated: float | None, default: float = REFER
 
 @dataclass(frozen=True, eq=False)
 class PulseSet:
-    """The pulses of one HPPC log and the fits of those that were healthy."""
+    """The pulses of one HPPC log, the ``windows`` of those that are healthy, and how to fit them.
+
+    ``anchor`` is where the log begins.
+    """
 
     log: CellLog
     anchor: InitialSoc
     pulses: tuple[Pulse, ...]
-    fitted: tuple[Pulse, ...]
-    fits: tuple[PulseFit, ...]
+    windows: tuple[PulseData, ...]
+    method: Method = "varpro"
+
+    @cached_property
+    def fits(self) -> tuple[PulseFit, ...]:
+        """Their parameters, of those with enough rows; fitted when first asked for."""
+        rng = np.random.default_rng(0)  # one for all: alike draws of a swarm would err alike
+        found = []
+        for window in self.windows:
+            with suppress(InputError):  # too few rows
+                found.append(fit_pulse(window, self.method, rng))
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,15 +283,13 @@ class PlainComparison(NamedTuple):
 class Fitted:
     """What a fit gives, of laboratory tests or from a prior: the model and where it comes from.
 
-    ``starts`` holds every log that was given; ``measured_soc`` where the OCV was measured;
-    ``provenance`` the stations' own entries.
+    ``starts`` holds every log that was given; ``provenance`` the stations' own entries.
     """
 
     model: CellModel
     ocv: OcvCurve
     starts: tuple[Start, ...]
     temperatures: tuple[TemperatureResult, ...]
-    measured_soc: FloatArray
     decided: tuple[Decided, ...] = ()
     choices_Ah: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)

@@ -19,7 +19,7 @@ from cellwise.fit.capacity import TRIED, at_open_capacity
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Problem
-from cellwise.fit.rows import FitLog, PreparedLog
+from cellwise.fit.rows import PAST_V, FitLog, PreparedLog
 from cellwise.fit.solve import FitResult, fit_logs
 from cellwise.fit.solver import Prior
 from cellwise.fit.unknowns import FitSettings, Layout, layout_of
@@ -27,6 +27,7 @@ from cellwise.identify.assemble import fitted_model
 from cellwise.identify.capacity.half_cycles import discharge_rows, find_half_cycles, join_logs
 from cellwise.identify.checked_logs import CheckedLogs, grouped_by_temperature
 from cellwise.identify.identification import REFERENCE_C, IdentifySettings, Start
+from cellwise.identify.measured_capacity import SPREAD as CAPACITY_SPREAD
 from cellwise.identify.measured_capacity import MeasuredCapacity
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
@@ -44,11 +45,8 @@ class Roles(NamedTuple):
                                       pulse test begins full, before its voltages are looked at
     open_std : float                  of a start that nobody knows [SOC]
     full_std, drive_std : float       of a full one, charged by a tester, by a charger
-    capacity_std : float              of ln of what the cell of a capacity test holds over the
-                                      others', where its charge may well be theirs
     rate_share : float                of the capacity that a test may give less for each C of its
                                       rate: what is missing beyond is another sample's or age's
-    past_rate : float                 mean load before a log that began anywhere [1/h]
     fewest_rows, least_moved : float  what says nothing: fewer rows, a smaller share of the capacity
     """
 
@@ -57,9 +55,7 @@ class Roles(NamedTuple):
     open_std: float = 0.3
     full_std: float = 0.0005
     drive_std: float = 0.004
-    capacity_std: float = 0.02
     rate_share: float = 0.1
-    past_rate: float = 0.3
     fewest_rows: int = 10
     least_moved: float = 0.005
 
@@ -289,11 +285,11 @@ def sample_std(log: CellLog, capacity_Ah: float) -> float:
     """
     halves = find_half_cycles(join_logs(log))
     if not halves:
-        return ROLES.capacity_std
+        return CAPACITY_SPREAD.pulses
     most = max(halves, key=lambda h: abs(h.charge_Ah))
     gives = float(np.log(abs(most.charge_Ah) / capacity_Ah))
     explained = ROLES.rate_share * abs(most.main_current_A) / capacity_Ah
-    return float(np.hypot(ROLES.capacity_std, max(gives, -gives - explained, 0.0)))
+    return float(np.hypot(CAPACITY_SPREAD.pulses, max(gives, -gives - explained, 0.0)))
 
 
 def _says_nothing(log: CellLog, capacity_Ah: float) -> str:
@@ -341,10 +337,9 @@ def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> Fi
 
     ``scaled``: a low-rate test beside it says what full is, and what the cell holds.
     """
-    past_V = 0.12 * ROLES.past_rate  # about what the slow branches hold after a mean load
     if found is None:
         soc0 = 1.0 if item.log.soc0 is None else item.log.soc0  # stated: else it was found
-        past = 0.0 if soc0 > 0.99 else past_V
+        past = 0.0 if soc0 > 0.99 else PAST_V
         return replace(
             item, soc0=soc0, soc0_std=ROLES.full_std, h0=start_hysteresis(soc0), past_V=past
         )
@@ -355,5 +350,5 @@ def _begun(item: FitLog, found: Beginning | None, role: str, scaled: bool) -> Fi
         std = float(np.sqrt(full_std**2 + left_open))
         item = replace(item, soc0=found.soc, soc0_std=std)
         return replace(item, h0=start_hysteresis(found.soc))
-    item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=past_V)
+    item = replace(item, soc0=found.soc, soc0_std=ROLES.open_std, past_V=PAST_V)
     return replace(item, h0=start_hysteresis(found.soc))

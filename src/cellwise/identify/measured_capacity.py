@@ -32,14 +32,13 @@ class CapacityLimits(NamedTuple):
 class CapacitySpread(NamedTuple):
     """Standard deviation of ln(capacity) beforehand, where a fit may still move it.
 
-    Of a cell in use whose rating is known; of a pulse test that is taken for whole; measured by a
-    capacity test; the nominal one where it was chosen by name.
+    Of a cell in use whose rating is known; of a pulse test that is taken for whole, or of another
+    sample; measured by a capacity test, or nominal where that was chosen by name.
     """
 
     rated: float = 0.1
     pulses: float = 0.02
     measured: float = 0.001
-    chosen: float = 0.001
 
 
 class _PulseTest(NamedTuple):
@@ -102,7 +101,7 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     of_choice = {"nominal": SPREAD.rated, "hppc-total": SPREAD.pulses}
     ln_std = of_choice.get(choice, SPREAD.measured)
     if settings.capacity_choice == "nominal":
-        ln_std = SPREAD.chosen
+        ln_std = SPREAD.measured
     found = [
         *parts,
         *_against_nominal(capacity, choice, nominal),

@@ -21,6 +21,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
+from cellwise.fit.model_error import LEAST_LOG
 from cellwise.identify.assemble import own_model
 from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
@@ -30,11 +31,8 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
-FEWEST_ROWS = 5
-WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
 CLEARLY_WORSE = 1.1  # a likelihood weighs rows otherwise than an RMSE does: a tenth is no loss
-SAME_CAPACITY = 0.005  # counters of one tester differ by so much
-BROUGHT_BACK = 0.95  # of what a discharge took: less is not one cycle
+WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
 # Left out at each end: a pulse of a few rows in hours of rest counts, a sensor's spike does not.
 TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
@@ -81,7 +79,7 @@ def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) ->
     rmse = {n: _rmse_V(simulation, x) for n, x in sides.items() if _known(simulation, x).size}
     away = start.capacity_scale - 1.0
     said = _gaps(simulation, sides)
-    if abs(away) >= SAME_CAPACITY:
+    if abs(away) > LIMITS.other_capacity:
         said.insert(
             0, f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
         )
@@ -188,7 +186,6 @@ def log_validity(
 def identified_validity(
     tests: CellTests,
     used: Sequence[OwnLog],
-    measured_soc: FloatArray,
     temperature_C: float | None = None,
 ) -> Validity:
     """What the logs that took part in an identification covered together.
@@ -197,7 +194,6 @@ def identified_validity(
     ----------
     tests : CellTests                        with the temperatures that were stated
     used : sequence of OwnLog               the logs that the model was fitted on
-    measured_soc : (m,) float               where the OCV was measured
     temperature_C : float or None           of tests that measured none, as stated [degC]
     """
     stated = {id(log): warm for log, warm in (*tests.hppc, *tests.drive) if warm is not None}
@@ -214,8 +210,6 @@ def identified_validity(
     # A low-rate test shows no resistance: where loads were measured, their temperatures count.
     if joined(loads).temperature_C is not None:
         slow = [replace(p, temperature_C=None) for p in slow]
-    if measured_soc.size:
-        slow.append(Validity(soc=covered(np.clip(measured_soc, 0.0, 1.0))))
     return joined([*loads, *slow])
 
 
@@ -233,7 +227,7 @@ def directions(log: CellLog) -> dict[str, BoolArray]:
         rows = np.zeros(len(log), dtype=np.bool_)
         for half in (h for h in halves if sign * h.charge_Ah >= 0.5 * most):
             rows[half.steady_start : half.steady_stop] = True
-        if np.count_nonzero(rows) >= FEWEST_ROWS:
+        if np.count_nonzero(rows) >= LEAST_LOG:
             found[name] = rows
     return found
 
@@ -254,17 +248,14 @@ def _gaps(simulation: Simulation, sides: dict[str, BoolArray]) -> list[str]:
     said = []
     for name, rows in sides.items():
         error = _known(simulation, rows)
-        if error.size >= FEWEST_ROWS and abs(float(np.median(error))) >= CLEAR_GAP_V:
+        if error.size >= LEAST_LOG and abs(float(np.median(error))) >= CLEAR_GAP_V:
             low, high = 1e3 * np.quantile(error, (0.1, 0.9))
             said.append(f"its {name} lies {low:+.0f} to {high:+.0f} mV from the model")
     if said and len(sides) == 2:
         charge = simulation.log.counted_charge_Ah()
         out, back = (float(np.ptp(charge[sides[name]])) for name in ("discharge", "charge"))
-        said.append(f"{back:.3f} Ah came back of {out:.3f} Ah")
         said.append(
-            "a current sensor that is off, or a charge that was not whole: the two sides do not "
-            "share one SOC"
-            if back < BROUGHT_BACK * out
-            else "hysteresis and resistance on charge are not in the model"
+            f"{back:.3f} Ah came back of {out:.3f} Ah: hysteresis and resistance on charge, a "
+            "charge that was not whole, or a current sensor that is off"
         )
     return said

@@ -10,7 +10,7 @@ it has to say.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 
@@ -28,7 +28,7 @@ from cellwise.identify.assemble import plain_model, table_summary
 from cellwise.identify.checked_logs import CheckedLogs, check_logs
 from cellwise.identify.effect_selection import fit_with_effects
 from cellwise.identify.fit_notices import fit_notices, poor_fit, start_notices
-from cellwise.identify.fitted_pulses import Group, fit_all_pulses
+from cellwise.identify.fitted_pulses import MeasuredPulses, measure_pulses
 from cellwise.identify.identification import (
     REFERENCE_C,
     CellTests,
@@ -39,7 +39,7 @@ from cellwise.identify.identification import (
 )
 from cellwise.identify.joint_fit import gather_logs
 from cellwise.identify.measured_capacity import MeasuredCapacity, measure_capacity
-from cellwise.identify.measured_ocv import measure_ocv
+from cellwise.identify.measured_ocv import measure_ocv, pulse_counts
 from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
 from cellwise.identify.own_logs import (
     check_possible,
@@ -52,6 +52,7 @@ from cellwise.identify.own_logs import (
 )
 from cellwise.identify.plain_model_check import check_against_plain
 from cellwise.identify.stated_error import leave_out, stated_error
+from cellwise.identify.tables import TableKind, pulse_tables
 from cellwise.notices import Code, Notice, texts
 from cellwise.threads import one_blas_thread
 
@@ -117,7 +118,7 @@ def identify_cell(
         "logs": tests.sources(),
         "seconds": round(seconds, 3),
     }
-    validity = identified_validity(tests, used, fitted.measured_soc, settings.temperature_C)
+    validity = identified_validity(tests, used, settings.temperature_C)
     return Identification(
         model=replace(model, validity=validity, provenance=provenance),
         capacity_choice=capacity.choice,
@@ -162,20 +163,15 @@ def _fitted(
     say("OCV and pulses")
     begun = {id(s.log): InitialSoc(s.soc0, 0.01, "as the fit has it") for s in starts}
     curve, wrong, said = _curve(checked, model)
-    pulses = fit_all_pulses(checked, curve, model.capacity_Ah, settings, begun)
+    pulses = measure_pulses(checked, curve, model.capacity_Ah, settings, begun)
     if not settings.refine:
-        model = _pulses_alone(pulses.groups, curve, model.capacity_Ah)
-    sets = [s for g in pulses.groups for s in g.pulse_sets]
-    results = {g.temperature_C: fit.result.at(g.temperature_C) for g in pulses.groups}
+        model = _pulses_alone(pulses, curve, model.capacity_Ah, checked, settings.tables)
+    results = {t: fit.result.at(t) for t in pulses.sets}
     return Fitted(
         model=_stated_of(model, checked.tests, settings),
         ocv=curve,
         starts=starts,
-        temperatures=tuple(
-            TemperatureResult(g.temperature_C, g.pulse_sets, results[g.temperature_C])
-            for g in pulses.groups
-        ),
-        measured_soc=curve.points_soc,
+        temperatures=tuple(TemperatureResult(t, pulses.sets[t], results[t]) for t in results),
         decided=() if comparison and comparison.reason else fit.decided,
         choices_Ah={"fitted": model.capacity_Ah},
         provenance={
@@ -183,8 +179,8 @@ def _fitted(
             "pulses": {
                 "method": settings.method,
                 "tables": settings.tables,
-                "logs": [s.log.name for s in sets],
-                "fitted": sum(len(s.fits) for s in sets),
+                "logs": [s.log.name for several in pulses.sets.values() for s in several],
+                "fitted": sum(len(s.windows) for x in pulses.sets.values() for s in x),
             },
             "refinement": [
                 {"temperature_C": t, **table_summary(result)} for t, result in results.items()
@@ -220,7 +216,7 @@ def _curve(
         curve = curve_from_points(
             at.soc, at.ocv_V[0], capacity_Ah=model.capacity_Ah, source="the fit"
         )
-        return replace(curve, points_soc=np.empty(0)), (), ()
+        return curve, (), ()
     return measured
 
 
@@ -242,19 +238,29 @@ def _stated_of(model: CellModel, tests: CellTests, settings: IdentifySettings) -
     return replace(model, chemistry=chemistry, voltage_min_V=low, voltage_max_V=high)
 
 
-def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float) -> CellModel:
+def _pulses_alone(
+    pulses: MeasuredPulses,
+    curve: OcvCurve,
+    capacity_Ah: float,
+    checked: CheckedLogs,
+    kind: TableKind,
+) -> CellModel:
     """The pulses' tables as they are, as the papers take them: their error is not the fit's.
 
     Raises
     ------
     InputError        a temperature without a pulse
     """
-    tables = [g.tables for g in groups if g.tables is not None]
-    if len(tables) < len(groups):
-        bare = next(g.temperature_C for g in groups if g.tables is None)
-        raise InputError(
-            f"no pulse at {bare:g} degC without refinement",
-            "an HPPC log with pulses, or refinement",
-            "Leave out `refine=False`.",
-        )
-    return plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])
+    fits = {t: [f for s in several for f in s.fits] for t, several in pulses.sets.items()}
+    for temperature_C, found in fits.items():
+        if not found:
+            raise InputError(
+                f"{pulse_counts(checked.tests)}, none to fit at {temperature_C:g} "
+                "degC, without refinement",
+                "healthy pulses after a rest that move less than a third of the charge, or "
+                "refinement",
+                "Give an HPPC log whose pulses stay within the voltage limits, or leave out "
+                "`refine=False`.",
+            )
+    tables = [pulse_tables(found, kind) for found in fits.values()]
+    return plain_model(tables, curve, capacity_Ah, tuple(fits))

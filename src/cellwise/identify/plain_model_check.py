@@ -20,11 +20,14 @@ from cellwise.cell.effects import Effect, TemperatureDependence
 from cellwise.cell.equations import ZERO_CELSIUS_K
 from cellwise.cell.metrics import held_out_gain
 from cellwise.cell.model import CellModel, ModelTables
+from cellwise.cell.posterior import POINTS
 from cellwise.errors import InputError
 from cellwise.fit.model_error import ResidualLog
-from cellwise.fit.population import HOME_C, SOC
+from cellwise.fit.population import HOME_C, SPREAD
 from cellwise.fit.problem import evidence_of
 from cellwise.fit.rows import NO_SURFACE, BaseOcv, FitLog, inverse_K, prepare_log
+from cellwise.fit.splines import SOC_GRID as SOC
+from cellwise.fit.splines import TABLE_KNOTS
 from cellwise.identify.assemble import monotone, own_model, temperatures_of
 from cellwise.identify.checked_logs import CheckedLogs, nearest_test
 from cellwise.identify.effect_selection import JointFit
@@ -41,22 +44,18 @@ class Plain(NamedTuple):
     Parameters
     ----------
     tau_s : floats          of its branches: seconds of a reaction, minutes of diffusion
-    nodes, ocv_nodes        SOC at which resistances and the correction of the OCV are unknowns
     measured : float        share of the cells' spread that a low-rate test of the cell leaves
     spread : float          of a resistance, in usual ones of its class
     level : float           share of that which is alike at every SOC and temperature
-    near_soc, near_K : float      over which the rest is alike
+    near_K : float          over which the rest is alike; over SOC as the prior's tables
     least : float           of a resistance, in usual ones
     size_V, off_soc : float       of a residual, and of the SOC axis where the OCV is steep
     """
 
     tau_s: tuple[float, float] = (10.0, 300.0)
-    nodes: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
-    ocv_nodes: int = 21
     measured: float = 0.3
     spread: float = 2.0
     level: float = 0.5
-    near_soc: float = 0.2
     near_K: float = 20.0
     least: float = 0.02
     size_V: float = 0.01
@@ -118,7 +117,7 @@ class PlainFit:
             matrix += weighted @ part.matrix[kept]
             target += weighted @ part.target[kept]
         root = cholesky(matrix)
-        low = np.where(np.arange(self.mean.size) < PLAIN.ocv_nodes, -np.inf, PLAIN.least)
+        low = np.where(np.arange(self.mean.size) < POINTS, -np.inf, PLAIN.least)
         right = root @ cho_solve((root, False), target)
         return self._of(lsq_linear(root, right, (low, np.inf), method="bvls").x)
 
@@ -127,13 +126,13 @@ class PlainFit:
         warm_C = temperatures_of(self.fit.result)
         grown = np.exp(joint.cells.activation_K[0] * inverse_K(warm_C, HOME_C))
         place = _hats(warm_C, joint.grid_C)
-        soc = _hats(SOC, np.array(PLAIN.nodes))
-        part = x[PLAIN.ocv_nodes :].reshape(len(TABLES), joint.grid_C.size, -1)
+        soc = _hats(SOC, TABLE_KNOTS)
+        part = x[POINTS:].reshape(len(TABLES), joint.grid_C.size, -1)
         r = [
             grown[:, None] * (place @ (y * usual) @ soc.T)
             for y, usual in zip(part, self.usual, strict=True)
         ]
-        level = self.base.voltage_V + _hats(SOC, _ocv_nodes()) @ x[: PLAIN.ocv_nodes]
+        level = self.base.voltage_V + _hats(SOC, _ocv_nodes()) @ x[:POINTS]
         ocv, same = np.tile(monotone(level), (warm_C.size, 1)), np.ones((warm_C.size, SOC.size))
         hot = any(item.log.temperature_C is not None for item in joint.logs)
         effects: tuple[Effect, ...] = ()
@@ -147,14 +146,14 @@ class PlainFit:
 def prepare_plain_fit(checked: CheckedLogs, fit: JointFit) -> PlainFit:
     """Everything of a plain fit of the logs of a fit, at its starts."""
     joint = fit.joint
-    nodes, at_ocv = np.array(PLAIN.nodes), _ocv_nodes()
+    nodes, at_ocv = TABLE_KNOTS, _ocv_nodes()
     base, share = _base_ocv(checked, fit)
     tables = [
         [joint.cells.table(name, nodes, np.array([HOME_C]))[0] for name in names]
         for names in TABLES
     ]
     usual = np.array([np.exp(several).sum(axis=0) for several in tables]) / joint.capacity_Ah
-    near = np.exp(-np.abs(np.subtract.outer(nodes, nodes)) / PLAIN.near_soc)
+    near = np.exp(-np.abs(np.subtract.outer(nodes, nodes)) / SPREAD.table_soc)
     warm = np.exp(-np.abs(np.subtract.outer(joint.grid_C, joint.grid_C)) / PLAIN.near_K)
     alike = PLAIN.level + (1.0 - PLAIN.level) * np.kron(warm, near)
     one = np.linalg.inv(PLAIN.spread**2 * alike)
@@ -195,7 +194,7 @@ def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _Com
     soc = np.clip(known.soc, 0.0, 1.0)
     home = inverse - float(inverse_K(HOME_C, joint.reference_C))
     load = rows.current_A * np.exp(joint.cells.activation_K[0] * home)
-    each = _hats(warm_C, joint.grid_C)[:, :, None] * _hats(soc, np.array(PLAIN.nodes))[:, None, :]
+    each = _hats(warm_C, joint.grid_C)[:, :, None] * _hats(soc, TABLE_KNOTS)[:, None, :]
     driven = [load[:, None] * (each * size).reshape(soc.size, -1) for size in usual]
     slow = zip(driven[1:], PLAIN.tau_s, strict=True)
     drops = [driven[0], *(_branch(u, rows.dt_s / tau) for u, tau in slow)]
@@ -221,11 +220,12 @@ def _branch(driven: FloatArray, x: FloatArray) -> FloatArray:
 
 def _hats(at: FloatArray, nodes: FloatArray) -> FloatArray:
     """Weight of each node at each place, straight in between, shape (places, nodes)."""
-    return np.array([np.interp(at, nodes, unit) for unit in np.eye(nodes.size)]).T
+    each = np.arange(nodes.size)
+    return np.maximum(0.0, 1.0 - np.abs(np.interp(at, nodes, each)[:, None] - each))
 
 
 def _ocv_nodes() -> FloatArray:
-    return np.linspace(0.0, 1.0, PLAIN.ocv_nodes)
+    return np.linspace(0.0, 1.0, POINTS)
 
 
 class PlainCheck(NamedTuple):

@@ -76,7 +76,7 @@ def stated_error(
     open_share = math.sqrt(max(left_open, 0.0))
     error = error.with_slow(open_V, math.hypot(open_share, other_share))
     beyond_K = activation_beyond_K(model, joint.grid_C) if joint.grid_C.size > 1 else None
-    if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.activations:
+    if joint.grid_C.size == 1 and drive_temperatures(joint.logs) >= NEEDED.fewest:
         # One activation for all of them: colder, another process limits, and may have none or two.
         beyond_K = abs(fit.result.activation_K)
     return replace(error, activation_std_K=beyond_K)

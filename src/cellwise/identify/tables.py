@@ -10,18 +10,17 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.fit.splines import (
+    SOC_GRID,
     TABLE_KNOTS,
     curvature_penalty,
     greville,
-    spline_rows,
-    spline_values,
+    spline_matrix,
 )
-from cellwise.identify.pulse_fit.circuit import PulseFit
+from cellwise.identify.pulse_fit.circuit import APART, PulseFit
 from cellwise.typing import FloatArray
 
 TableKind = Literal["spline", "cubic"]
 NAMES = ("r0_ohm", "r1_ohm", "tau1_s", "r2_ohm", "tau2_s")
-GRID_POINTS = 201
 
 
 class _TableSmoothing(NamedTuple):
@@ -31,7 +30,6 @@ class _TableSmoothing(NamedTuple):
     stiffness: float = 0.02  # of the spline: a bend of one costs as much as this misfit
     hold: float = 1e-4  # and a distance of one from the nearest pulse as much as this
     beyond: float = 0.05  # of the SOC range: so far beyond the pulses a table goes on
-    ratio: float = 1.5  # between the time constants
     unseen: float = 0.01  # of the other resistances: one that no pulse shows
     lowest: float = 0.05  # of the least value: a cubic may dip below zero outside its data
 
@@ -63,7 +61,7 @@ def pulse_tables(fits: Sequence[PulseFit], kind: TableKind = "spline") -> PulseT
     ------
     InputError        no pulse that shows a time constant
     """
-    grid = np.linspace(0.0, 1.0, GRID_POINTS)
+    grid = SOC_GRID
     soc = np.array([f.soc for f in fits])
     values: dict[str, FloatArray] = {}
     cubic: dict[str, tuple[float, float, float, float]] = {}
@@ -92,7 +90,7 @@ def pulse_tables(fits: Sequence[PulseFit], kind: TableKind = "spline") -> PulseT
             values[name] = np.maximum(table, SMOOTHING.lowest * float(np.min(v)))
         else:
             values[name] = np.exp(_smooth(s, np.log(v), weight, grid))
-    values["tau2_s"] = np.maximum(values["tau2_s"], SMOOTHING.ratio * values["tau1_s"])
+    values["tau2_s"] = np.maximum(values["tau2_s"], APART * values["tau1_s"])
     return PulseTables(grid, values, cubic)
 
 
@@ -118,9 +116,7 @@ def cubic_fit(
 
 def _smooth(soc: FloatArray, value: FloatArray, weight: FloatArray, grid: FloatArray) -> FloatArray:
     """Penalised spline; what no pulse reaches stays level with the nearest one."""
-    rows, centres = spline_rows(soc, TABLE_KNOTS), greville(TABLE_KNOTS)
-    matrix = np.zeros((soc.size, centres.size))
-    matrix[np.arange(soc.size)[:, None], rows.first[:, None] + np.arange(4)] = rows.values
+    matrix, centres = spline_matrix(soc, TABLE_KNOTS), greville(TABLE_KNOTS)
     share = matrix.T * (weight / weight.sum())
     system = share @ matrix + SMOOTHING.stiffness / soc.size * curvature_penalty(TABLE_KNOTS)
     hold, order = SMOOTHING.hold / soc.size, np.argsort(soc)
@@ -130,4 +126,4 @@ def _smooth(soc: FloatArray, value: FloatArray, weight: FloatArray, grid: FloatA
     )
     low, high = np.min(soc) - SMOOTHING.beyond, np.max(soc) + SMOOTHING.beyond
     at = np.clip(grid, max(low, 0.0), min(high, 1.0))
-    return np.asarray(spline_values(spline_rows(at, TABLE_KNOTS), coefficients))
+    return np.asarray(spline_matrix(at, TABLE_KNOTS) @ coefficients)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.initial_soc.rest import (
-    RECKONED,
+    RELAXED_S,
     Branches,
     PastLoad,
     rested_ocv,
@@ -37,7 +37,7 @@ def test_pasts_like_the_log_are_inside_two_deviations(lasted_s):
         found = rested_ocv(*rest(lasted_s, past, rng), NOISE_V, BRANCHES, load)
         sizes.append((found.ocv_V - OCV_V) / found.std_V)
     assert np.mean(np.abs(sizes) < 2.0) > 0.9
-    if lasted_s < RECKONED.fades_s / 4.0:  # later it is what no branch of a model knows
+    if lasted_s < RELAXED_S / 4.0:  # later it is what no branch of a model knows
         assert np.sqrt(np.mean(np.square(sizes))) > 0.4, "wider than the pasts are"
 
 

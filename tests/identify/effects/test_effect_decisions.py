@@ -87,7 +87,7 @@ def test_a_plain_cell_needs_none():
 
 
 def test_without_drives_to_hold_out_only_what_pulses_show_is_tried():
-    logs = logs_of()[: NEEDED.drives]
+    logs = logs_of()[: NEEDED.fewest]
     assert held_out(logs) == ()
     verdicts, result = decided(logs)
     others = [d for d in verdicts.values() if d.name != "charge_transfer"]

@@ -8,8 +8,6 @@ import pytest
 from cellwise.data import load_dataset
 from cellwise.errors import InputError
 from cellwise.identify.ocv.curve import (
-    combine_ocv,
-    curve_from_points,
     fit_monotone_spline,
     sample_notice,
 )
@@ -95,42 +93,6 @@ def test_spline_through_every_twentieth_predicts_the_rest_of_a_real_curve(real_d
     f = fit_monotone_spline(levels, np.interp(levels, s[order], v[order]))
     between = (s > 0.05) & (s < 0.95)
     assert rms(f.evaluate(s[between]) - v[between]) < limit_V
-
-
-# --- rests and a low-rate curve
-
-
-def test_rests_set_the_level_of_the_low_rate_shape():
-    dense, levels = np.linspace(0.0, 1.0, 800), np.arange(0.05, 1.001, 0.05)
-    low = curve_from_points(dense, stepped(dense) - 0.03, capacity_Ah=3.0, source="low rate")
-    rests = curve_from_points(levels, stepped(levels), capacity_Ah=3.0, source="rests")
-    both = combine_ocv(rests, low)
-    s = np.linspace(0.05, 1.0, 300)
-    assert both.function.evaluate(s) == pytest.approx(stepped(s), abs=1.5e-3)
-    # The rests alone miss the step between them.
-    alone = rests.function.evaluate(s) - stepped(s)
-    assert rms(both.function.evaluate(s) - stepped(s)) < 0.5 * rms(alone)
-    assert "low rate" in both.source
-    assert "rests" in both.source
-
-
-@pytest.mark.parametrize(
-    ("slow", "pulses", "most_V"),
-    [
-        ("panasonic_18650pf/ocv_c20_p25", "panasonic_18650pf/hppc_p25", None),
-        *(("nissan_leaf/cycling_c15_10c_24c_40c", f"nissan_leaf/hppc_{t}", 6e-3)
-          for t in ("p10", "p25", "p40")),
-    ],
-)  # fmt: skip
-def test_a_measured_low_rate_curve_is_moved_onto_the_rests(real_data, slow, pulses, most_V):
-    """On the counter's scale as well as that allows; the Leaf's rests lie a quarter volt away."""
-    low = ocv_from_low_rate(read_log(real_data / f"{slow}.csv.gz"))
-    rests = ocv_from_rests(read_log(real_data / f"{pulses}.csv.gz"), capacity_Ah=low.capacity_Ah)
-    before, left = (c.function.evaluate(rests.points_soc) - rests.points_V
-                    for c in (low, combine_ocv(rests, low)))  # fmt: skip
-    assert rms(left) < 0.5 * rms(before)
-    middle = (rests.points_soc > 0.1) & (rests.points_soc < 0.99)
-    assert most_V is None or rms(left[middle]) < most_V
 
 
 # --- two samples of a cell: their capacities come back from the same two voltages

@@ -47,21 +47,17 @@ def up(a=0.0, b=1.0, gap=0.04, **more):
 MIDDLE = np.linspace(0.05, 0.95, 181)
 
 
-def test_mean_of_branches_is_the_ocv_and_their_difference_the_gap():
+def gap_V(curve, low=0.05, high=0.95):
+    inside = (curve.soc > low) & (curve.soc < high)
+    return (curve.charge_V - curve.discharge_V)[inside]
+
+
+def test_the_discharge_is_the_curve_and_the_charge_lies_by_the_gap_above_it():
     curve = ocv_from_low_rate([down(), up()])
     assert curve.capacity_Ah == pytest.approx(CAPACITY_AH)
-    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
-    inside = (curve.soc > 0.05) & (curve.soc < 0.95)
-    assert curve.gap_V[inside] == pytest.approx(0.04, abs=1e-3)
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
+    assert gap_V(curve) == pytest.approx(0.04, abs=1e-3)
     assert np.all(np.diff(curve.voltage_V) > 0.0)
-
-
-def test_a_charge_that_brought_all_back_is_averaged_whatever_its_last_row_shows():
-    """Rows a minute apart: where the OCV is steep, the last one lies far below the limit."""
-    last = ocv_from_low_rate([down(gap=0.004), up(b=0.996, gap=0.004)])
-    assert last.source.startswith("mean of both branches")
-    assert last.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
-    assert ocv(1.0) - ocv(0.996) > 0.03
 
 
 @pytest.mark.parametrize("rows", [20_001, 80_001])
@@ -73,35 +69,23 @@ def test_rows_every_second_or_less_are_no_single_point(rows):
     assert curve.function.evaluate(MIDDLE) == pytest.approx(known, abs=1e-3)
 
 
-def test_incomplete_charge_is_kept_but_not_averaged_in():
+def test_incomplete_charge_ends_where_it_stopped():
     curve = ocv_from_low_rate([down(), up(0.0, 0.85)])
     assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) - 0.02, abs=1e-3)
-    assert any("incomplete" in note.text for note in curve.notes)
     assert np.isfinite(curve.charge_V[curve.soc < 0.84]).all()
     assert np.isnan(curve.charge_V[curve.soc > 0.86]).all()
     assert curve.source.startswith("discharge branch")
 
 
-def test_charge_that_stops_a_little_short_ends_where_its_rest_says():
-    # It meets the voltage of the full cell by its polarisation, as a charge without CV does.
-    gap = 2 * (ocv(1.0) - ocv(0.985))
-    curve = ocv_from_low_rate([down(gap=gap), up(0.0, 0.985, gap=gap)])
-    assert curve.source.startswith("mean")
-    last = curve.soc[np.isfinite(curve.charge_V)][-1]
-    assert last == pytest.approx(0.985, abs=8e-3)
-    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=2e-3)
+def test_a_charge_alone_is_the_curve():
+    curve = ocv_from_low_rate(up())
+    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE) + 0.02, abs=1e-3)
+    assert curve.source.startswith("charge branch")
 
 
-def test_counters_that_differ_do_not_tilt_the_mean():
+def test_a_counter_that_runs_ahead_on_charge_does_not_tilt_its_branch():
     curve = ocv_from_low_rate([down(), up(gain=1.04)])
-    assert curve.function.evaluate(MIDDLE) == pytest.approx(ocv(MIDDLE), abs=1e-3)
-
-
-def test_branches_at_different_rates_are_not_averaged():
-    fast = segment(np.linspace(0.0, 1.0, 1001), -8 * CURRENT_A, 0.3)
-    curve = ocv_from_low_rate([down(), fast])
-    assert curve.source.startswith("discharge branch")
-    assert any("another rate" in note.text for note in curve.notes)
+    assert gap_V(curve) == pytest.approx(0.04, abs=1e-3)
 
 
 def test_fast_logs_and_rests_are_refused():
@@ -113,11 +97,12 @@ def test_fast_logs_and_rests_are_refused():
         ocv_from_low_rate(CellLog(t, np.zeros(t.size), np.full(t.size, 3.3)))
 
 
-def test_panasonic_charge_is_recognised_as_incomplete(real_data):
+def test_panasonic_charge_is_incomplete(real_data):
     curve = ocv_from_low_rate(read_log(real_data / "panasonic_18650pf/ocv_c20_p25.csv.gz"))
     assert curve.capacity_Ah == pytest.approx(2.997, abs=1e-3)
     assert curve.source.startswith("discharge branch")
-    assert any("2.61" in note.text and "Not averaged" in note.text for note in curve.notes)
+    assert any("charge branch: 2.61" in note.text for note in curve.notes)
+    assert np.isnan(curve.charge_V[curve.soc > 0.9]).all()
     assert np.std(curve.points_V - curve.function.evaluate(curve.points_soc)) < 5e-4
 
 
@@ -125,21 +110,15 @@ def test_panasonic_charge_is_recognised_as_incomplete(real_data):
 def test_a123_branches_enclose_the_ocv_at_every_temperature(real_data, tag):
     logs = [read_log(real_data / f"plett_a123/ocv_{tag}_s{k}.csv.gz") for k in (1, 2, 3, 4)]
     curve = ocv_from_low_rate(logs)
-    assert curve.source.startswith("mean of both")
     assert curve.capacity_Ah == pytest.approx(2.0725, rel=3e-3)
-    inside = (curve.soc > 0.1) & (curve.soc < 0.85)
-    assert np.all(curve.gap_V[inside] > 0.01)  # hysteresis and polarisation never vanish
-    assert np.all(curve.discharge_V[inside] < curve.voltage_V[inside])
-    assert np.all(curve.voltage_V[inside] < curve.charge_V[inside])
+    assert np.all(gap_V(curve, 0.1, 0.85) > 0.01)  # hysteresis and polarisation never vanish
     assert np.all(np.diff(curve.voltage_V) > 0.0)
 
 
 def test_lg_charge_counter_runs_ahead_without_crossing_the_branches(real_data):
     # Its charge counts 7 % more than its discharge: laid by the counter the branches would cross.
     curve = ocv_from_low_rate(read_log(real_data / "lg_18650hg2/ocv_c20_p25_549.csv.gz"))
-    assert curve.source.startswith("mean of both")
-    inside = (curve.soc > 0.02) & (curve.soc < 0.98)
-    assert np.all(curve.gap_V[inside] > 0.0)
+    assert np.all(gap_V(curve, 0.02, 0.98) > 0.0)
 
 
 def test_embedded_nmc_charge_ends_where_the_physics_model_says(datasets):

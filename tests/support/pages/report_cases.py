@@ -169,7 +169,8 @@ def identification(
         source=f"mean of both branches of {name}",
         notes=("a note & more",),
     )
-    sets = (PulseSet(log, InitialSoc(1.0, 0.005, "full"), found, healthy, fits),)
+    sets = (PulseSet(log, InitialSoc(1.0, 0.005, "full"), found, (), method),)
+    vars(sets[0])["fits"] = fits  # as fitted by hand
     results = tuple(
         TemperatureResult(t, sets if with_pulses else (), refinement() if refined else None)
         for t in temperatures

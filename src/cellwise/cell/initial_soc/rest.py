@@ -13,8 +13,8 @@ from cellwise.cell.model import CellModel, branch_table
 from cellwise.typing import FloatArray
 
 REST_RATE = 0.01  # below C/100 a cell counts as resting
-SHORT_REST_V = 0.010  # what may be left of an unknown past when the rest seen is short
-RELAXED_S = 1800.0
+# Deviation of what no branch of a model knows of an unknown past [V]; what fades within ...
+SHORT_REST_V, RELAXED_S = 0.010, 1800.0
 EVERY_SOC = np.linspace(0.0, 1.0, 2001)
 
 
@@ -89,7 +89,6 @@ class Reckoned(NamedTuple):
                         once; else the cell has rested for hours. Nobody knows: even
     least_rate : float  the load is at least of so much of the capacity [1/h]: a day's use
     usual_rate : float  where a log shows no load at all, its past was a use of hours [1/h]
-    other_V : float     deviation of what no branch of a model knows [V], fading within ``fades_s``
     shape_V, shape : float      relaxations are no sums of three exponentials: of every reading [V],
                         and of what it still had to go
     apart : float       of the slow load: what each branch has seen differs by so much
@@ -99,8 +98,6 @@ class Reckoned(NamedTuple):
     cut: float = 0.5
     least_rate: float = 0.1
     usual_rate: float = 0.33
-    other_V: float = 0.010
-    fades_s: float = 1800.0
     shape_V: float = 0.001
     shape: float = 0.2
     apart: float = 1.0
@@ -169,12 +166,12 @@ def rested_ocv(
     """
     t, v, noise_V = _readings(time_s - time_s[0], voltage_V, white_V)
     noise_V = np.hypot(noise_V, RECKONED.shape * (v - v[-1]))
-    tau = np.append(branches.tau_s, RECKONED.fades_s)
+    tau = np.append(branches.tau_s, RELAXED_S)
     shape = np.exp(-t[:, None] / tau)
     slow_A = float(np.max(load.rms_A[-1:], initial=abs(load.mean_A)))
     r = branches.r_ohm
     held = np.zeros((r.size + 1, r.size + 1))
-    held[-1, -1] = RECKONED.other_V**2
+    held[-1, -1] = SHORT_REST_V**2
     cut = held.copy()
     own = np.maximum(load.rms_A**2 - slow_A**2, (RECKONED.apart * slow_A) ** 2)
     cut[:-1, :-1] = slow_A**2 * np.outer(r, r) + np.diag(own * r * r)

@@ -29,6 +29,7 @@ from cellwise.diagnose.causes.coordinates import (
 from cellwise.diagnose.fit.coordinate_fit import Fit, Tolerances
 from cellwise.diagnose.fit.rests import OCV_KNOWN
 from cellwise.diagnose.fit.rows import ScoredRows
+from cellwise.fit.population import SPREAD
 from cellwise.typing import FloatArray
 
 
@@ -58,12 +59,11 @@ class UsualCell(NamedTuple):
     """What a cell has of an effect that its model does not know.
 
     ``asinh_per_V``: one electron and a symmetric reaction, F / (2 R T) at 25 degC; two electrodes
-    share a drop. ``activation_K``: of a usual electrolyte, with its spread. ``ln_memory``: from
-    this factor on (its logarithm) a memory is another one.
+    share a drop. ``activation_std_K``: of a usual electrolyte. ``ln_memory``: from this factor on
+    (its logarithm) a memory is another one.
     """
 
     asinh_per_V: float = 19.5
-    activation_K: float = 3000.0
     activation_std_K: float = 1500.0
     ln_memory: float = 0.7
 
@@ -77,8 +77,7 @@ READ_WITH = frozenset({"offset_V", "m_V", *OCV_NAMES, *LOSS_NAMES})
 # Charge transfer is about a third of it and may have all of the growth.
 AGE = {
     "ln_capacity": (0.12, 0.02),
-    "ln_scale": (0.1, 0.4),
-    "added_r0": (0.1, 0.4),
+    **dict.fromkeys(("ln_scale", "added_r0"), (0.1, 0.4)),
     "ln_r1": (0.3, 1.2),
 }
 # Of a class, and of those that are configured or wired wrongly, a few in a hundred. Current sensors
@@ -164,7 +163,7 @@ def widened_for(
         mean["asinh_per_V"] = 0.0 if has else USUAL.asinh_per_V
     if cause.name == "self_heating" and needs_activation(coordinates):
         std["activation_K"] = USUAL.activation_std_K
-        mean["activation_K"] = USUAL.activation_K
+        mean["activation_K"] = SPREAD.activation_K
         low["activation_K"], high["activation_K"] = 500.0, 8000.0
     readings = start_readings(std, coordinates, evidence)
     for name, log in zip(evidence.starts(), evidence.logs, strict=True):

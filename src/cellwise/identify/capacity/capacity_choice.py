@@ -10,27 +10,17 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress, groupby
-from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.identification import REFERENCE_C
 
-# Rates that laboratories write down; a measured one is called by the nearest of them.
-FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
-MULTIPLES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
-
-
-class _Near(NamedTuple):
-    """What is called alike."""
-
-    rate: float = 0.12  # of a usual rate: a cell hardly ever has its nominal capacity
-    same_C: float = 4.0  # starting temperatures as near as this are one
-
-
-NEAR = _Near()
+# What laboratories write before C or below it, beside powers of ten (below it whole numbers); a
+# measured rate within so much takes the nearest: a cell hardly ever has its nominal capacity.
+USUAL, NEAR = np.outer((1.0, 10.0, 100.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)), 0.1
 
 
 @dataclass(frozen=True)
@@ -53,16 +43,14 @@ class CapacityRow:
 def rate_name(rate_C: float) -> str:
     """Name of a rate as it is spoken: ``C/20``, ``C/3``, ``1C``, ``2C``.
 
-    A measured rate takes the nearest usual name within 12 %, because cells hardly ever have
+    A measured rate takes the nearest usual name within a tenth, because cells hardly ever have
     their nominal capacity; else its own value, two digits.
     """
-    usual = [(1.0 / n, f"C/{n}") for n in FRACTIONS] + [(m, f"{m:g}C") for m in MULTIPLES]
-    value, name = min(usual, key=lambda pair: abs(np.log(rate_C / pair[0])))
-    if abs(rate_C / value - 1.0) <= NEAR.rate:
-        return name
-    if rate_C >= 1.0:
-        return f"{_two_digits(rate_C)}C"
-    return f"C/{_two_digits(1.0 / rate_C)}"
+    over = rate_C if rate_C >= 1.0 else 1.0 / rate_C
+    usual = USUAL if rate_C >= 1.0 else USUAL[np.floor(USUAL) == USUAL]
+    value = float(usual.flat[np.argmin(np.abs(np.log(usual / over)))])
+    said = f"{value:g}" if abs(np.log(over / value)) <= NEAR else _two_digits(over)
+    return f"{said}C" if rate_C >= 1.0 or said == "1" else f"C/{said}"
 
 
 def _two_digits(value: float) -> str:
@@ -102,7 +90,7 @@ def usable_tests(
     steady = [t for t in whole if not t.cooled] or whole
     at = [temperature_C if t.temperature_C is None else t.temperature_C for t in steady]
     nearest = min(at, key=lambda one: abs(one - temperature_C), default=temperature_C)
-    near = [abs(one - nearest) <= NEAR.same_C for one in at]
+    near = [abs(one - nearest) <= SAME_TEMPERATURE_K for one in at]
     return tuple(compress(steady, near))
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.capacity.half_cycles import LIMITS as HALF_CYCLES
 from cellwise.identify.capacity.half_cycles import (
     CapacityTrace,
@@ -30,17 +31,15 @@ class _CapacityTestLimits(NamedTuple):
 
     at_limit_V: float = 0.01  # so near to a voltage limit is at it, ...
     at_limit: float = 0.01  # ... or as near as this share of the log's voltage range
-    given_way: float = 0.02  # of the current: the CC part goes on at the limit until it fell by it
+    little: float = 0.02  # of the current: less is none; the CC part ends where it fell by it
     held: float = 0.002  # of the charge: a limit that was held for so much was one
     # Below these a discharge is a drive or an HPPC test, not a capacity test.
     steady: float = 0.95  # of the charge, at one current
     idle_s: float = 120.0
-    idle: float = 0.02  # of the current
     # A rest voltage this far down the window does not follow a full charge, not even in LFP (3.35 V
     # in a window of 2.5 to 4.0 V); nor was a cell full that takes so much more to become so.
     full_rest: float = 0.5
     much_more: float = 1.15
-    cooling_C: float = 5.0  # a cell warms up under load: one that cools by more was moved
     # More out than in: the charge was cut short, or the counters differ. Either way no efficiency.
     efficiency: float = 1.02
     # The end of a discharge where the limit is not given: slope over the last 3 % over that of the
@@ -177,7 +176,7 @@ def _is_capacity_test(trace: CapacityTrace, half: HalfCycle) -> bool:
     rows = slice(half.steady_start, _cc_stop(trace, half, _lowest_V(trace, half)))
     current, dt, main = trace.current_A[rows], trace.interval_s[rows], half.main_current_A
     off = np.abs(current - main) > HALF_CYCLES.steady * main
-    idle_s = float(np.sum(dt[np.abs(current) < LIMITS.idle * main]))
+    idle_s = float(np.sum(dt[np.abs(current) < LIMITS.little * main]))
     moved = np.abs(current) * dt
     return bool(idle_s <= LIMITS.idle_s and moved[off].sum() <= (1.0 - LIMITS.steady) * moved.sum())
 
@@ -189,7 +188,7 @@ def _cc_stop(trace: CapacityTrace, half: HalfCycle, limit_V: float) -> int:
     if at.size == 0:
         return half.stop
     first, main = half.steady_start + int(at[0]), half.main_current_A
-    gave_way = np.abs(trace.current_A[first : half.stop] - main) > LIMITS.given_way * main
+    gave_way = np.abs(trace.current_A[first : half.stop] - main) > LIMITS.little * main
     return first + max(int(np.argmax(gave_way)) if gave_way.any() else gave_way.size, 1)
 
 
@@ -216,7 +215,8 @@ def _measure(
     temperature = trace.temperature_C[first:limit]
     tenth = max(1, temperature.size // 10)
     first_C, last_C = _median(temperature[:tenth]), _median(temperature[-tenth:])
-    cooled = first_C is not None and last_C is not None and last_C < first_C - LIMITS.cooling_C
+    # A cell warms up under load: one that cools was moved.
+    cooled = first_C is not None and last_C is not None and last_C < first_C - SAME_TEMPERATURE_K
     if cooled:
         text = f"the temperature fell from {first_C:.1f} to {last_C:.1f} degC during the test"
         notices.append(Notice(Code.CAPACITY_TEST_COOLED, text))

@@ -10,8 +10,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from cellwise.identify.hppc.plateaus import (
+    DRIFT,
     RISE_ROWS,
     RISE_S,
+    SIGMAS,
     CurrentScale,
     PhaseKind,
     PlateauSpan,
@@ -28,12 +30,10 @@ class _PhaseLimits(NamedTuple):
     drive_s: float = 5.0  # levels held for less, one after another, are a drive ...
     drive_levels: int = 4  # ... from so many on
     # A voltage counts as held within its noise, or within this share of it.
-    sigmas: float = 6.0
     held: float = 1e-3
 
 
 LIMITS = _PhaseLimits()
-HEAD = 0.03  # of a current: what leads to a constant voltage may drift by so much
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _voltage_tolerance(v: FloatArray) -> float:
     if n:
         spread = np.partition(np.abs(np.diff(v[:n].reshape(-1, 8), axis=1)), 3, axis=1)[:, 3]
         noise = float(np.quantile(spread, 0.2)) / (0.6745 * np.sqrt(2.0))
-    return max(LIMITS.sigmas * noise, LIMITS.held * float(np.median(np.abs(v))))
+    return max(SIGMAS * noise, LIMITS.held * float(np.median(np.abs(v))))
 
 
 def filled(voltage_V: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ def _moving(a: int, b: int, s: _Signals) -> tuple[list[PlateauSpan], int]:
         last = b
     elif last < b and last - first > 1:  # the first row of the fall may be near by its voltage
         change = np.abs(np.diff(s.current_A[last - 2 : last]))[0]
-        last -= int(change > HEAD * abs(s.current_A[last - 2]))
+        last -= int(change > DRIFT * abs(s.current_A[last - 2]))
     whole = last - first >= max(3, (b - a) // 2) and _held(first, last, s)
     if not whole and _held(a, b, s):
         first, last, whole = a, b, True
@@ -184,7 +184,7 @@ def _moving(a: int, b: int, s: _Signals) -> tuple[list[PlateauSpan], int]:
     spans = []
     if first > a:
         head = s.current_A[a:first]
-        flat = np.ptp(head) <= max(s.scale.step_A, HEAD * float(np.max(np.abs(head))))
+        flat = np.ptp(head) <= max(s.scale.step_A, DRIFT * float(np.max(np.abs(head))))
         kind: PhaseKind = "cc" if flat or s.seconds(a, first) <= RISE_S else "dynamic"
         spans.append(PlateauSpan(kind, a, first, float(np.mean(head))))
     spans.append(PlateauSpan("cv", first, last, float(np.mean(s.current_A[first:last]))))

@@ -25,13 +25,11 @@ class _PlateauLimits(NamedTuple):
     """What separates the levels of a current: multiples of its noise, or shares of its range."""
 
     near_zero: float = 0.01  # of the range: up to here a steady reading may be the sensor's zero
-    rest_sigmas: float = 6.0  # so far from zero a sample is no rest, ...
-    moving: float = 0.05  # of the range: so many sigmas that are more are a moving current
-    rest: float = 1e-3  # ... and at least so much of the range
+    moving: float = 0.05  # of the range: noise or resolution that is more is a moving current
+    rest: float = 1e-3  # of the range: nearer to zero it is a rest
     step: float = 2e-3  # of the range: the least change
     glitch: float = 0.1  # of a glitch: its neighbours differ by less
-    coarse: float = 0.05  # of the range: the largest resolution, ...
-    coarse_rows: float = 0.01  # ... which goes back and forth in at least this share of the rows
+    coarse_rows: float = 0.01  # a resolution goes back and forth in at least this share of the rows
     flat: float = 0.01  # of a level: a held current may drift by so much
     slope: float = 0.1  # of a level: a smaller change may be the step of a slope
     knee: float = 1e-3  # of a level: as near to it is its last row before a slope
@@ -47,14 +45,15 @@ class _White(NamedTuple):
     rows: int = 32  # of a part whose noise can be known ...
     change: float = 4.0  # ... with noise that need not be white: so large a sum is a change
     scatter: float = 0.2  # of the level, at most: more is a drive
-    drift: float = 0.01  # of the level, between both sides of the change, is none
-    growth: float = 1.5  # of second differences at twice the distance: more is no noise
     few: float = 0.05  # of the level: the range of fewer rows whose sum is below half of that
+    growth: float = 1.5  # of second differences at twice the distance: more is no noise
     alone: float = 0.3  # of the level: scatter of a whole load between rests ...
     quiet: float = 1.25  # ... whose sum is below this
 
 
 LIMITS, WHITE = _PlateauLimits(), _White()
+SIGMAS = 6.0  # of the noise: beyond them it is none
+DRIFT = 0.03  # of a current: so much it may drift, or differ from its siblings
 MEAN_BEND = math.sqrt(12.0 / math.pi)  # mean size of a second difference of noise of unit sigma
 LOWER_BEND = 1.367  # mean of the smaller four fifths of them
 # Up to this long, what lies between two plateaus is the tester's rise.
@@ -67,13 +66,11 @@ class CurrentScale(NamedTuple):
     zero_A : what the sensor reads at rest
     rest_A : distance from ``zero_A`` within which a sample is a rest
     step_A : smallest difference of two samples that is not noise
-    range_A : largest current
     """
 
     zero_A: float
     rest_A: float
     step_A: float
-    range_A: float
 
 
 class PlateauSpan(NamedTuple):
@@ -97,7 +94,7 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     moved = moved[moved > 1e-9 * top]
     lsb = float(moved.min()) if moved.size else 0.0
     coarse = np.count_nonzero(moved < 1.01 * lsb) > LIMITS.coarse_rows * current_A.size
-    if not coarse or lsb > LIMITS.coarse * top:
+    if not coarse or lsb > LIMITS.moving * top:
         lsb = 0.0
     near = current_A[np.abs(current_A) <= LIMITS.near_zero * top]
     zero = scatter = 0.0
@@ -107,12 +104,12 @@ def current_scale(current_A: FloatArray) -> CurrentScale:
     if abs(zero) > LIMITS.step * top:  # the end of a CV part, or a small load: not the zero
         zero = 0.0
     near_mean, far_mean = (_lower_mean(current_A, lag) for lag in (1, 2))
-    noise = LIMITS.rest_sigmas * near_mean / LOWER_BEND
+    noise = SIGMAS * near_mean / LOWER_BEND
     if noise > LIMITS.moving * top or far_mean > WHITE.growth * near_mean:
         noise = 0.0  # a current that moves
-    rest = max(noise, min(LIMITS.rest_sigmas * scatter, LIMITS.near_zero * top))
+    rest = max(noise, min(SIGMAS * scatter, LIMITS.near_zero * top))
     rest = max(rest, LIMITS.rest * top, 1.5 * lsb)
-    return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb), top)
+    return CurrentScale(zero, rest, max(LIMITS.step * top, 2.5 * lsb))
 
 
 def _lower_mean(x: FloatArray, lag: int) -> float:
@@ -220,9 +217,6 @@ def _levels(
             bends, wide = bends / (n - 2), wide / max(n - 4, 1)
             sigma = bends / MEAN_BEND
             white = wide <= (WHITE.growth + 1.5 / math.sqrt(n)) * bends
-            before = (total[split] - total[a]) / (split - a)
-            after = (total[b] - total[split]) / (b - split)
-            same = abs(before - after) <= WHITE.drift * abs(mean)
             few = high - low <= WHITE.few * abs(mean)
             flat = few and largest <= 0.5 * WHITE.change * sigma * math.sqrt(n)
             spread = 0.0
@@ -230,7 +224,7 @@ def _levels(
                 spread += (x[k] - mean) ** 2
             spread = max(sigma, math.sqrt(spread / n)) / max(abs(mean), 1e-12)
             if n >= WHITE.rows and white and spread <= WHITE.scatter:
-                flat = flat or same or largest <= WHITE.change * sigma * math.sqrt(n)
+                flat = flat or largest <= WHITE.change * sigma * math.sqrt(n)
             if a == start and b == stop and n >= RISE_ROWS and white and spread <= WHITE.alone:
                 flat = flat or largest <= WHITE.quiet * sigma * math.sqrt(n)
         if flat or n < 2:

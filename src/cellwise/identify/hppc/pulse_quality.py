@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
+from cellwise.identify.hppc.plateaus import DRIFT
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
@@ -32,7 +33,6 @@ class _QualityLimits(NamedTuple):
     """What separates healthy pulses from others; shares without a unit."""
 
     same_duration: float = 0.05  # durations this near to each other were planned alike
-    same_rate: float = 0.03
     short: float = 0.93  # of the planned duration: less was cut
     far_short: float = 0.5  # of it: without a voltage limit near, this was never planned
     at_limit: float = 0.015  # of the voltage
@@ -52,7 +52,6 @@ class _QualityLimits(NamedTuple):
 class _ShapeWindow(NamedTuple):
     """What of a pulse and its relaxation is looked at for its shape."""
 
-    edge: float = 0.03  # a row is part of an edge whose current is off by this share of the pulse
     settling_rows: int = 2  # after an edge: voltage and current of a row are not of one instant
     bins: int = 40  # of the pulse, and of the relaxation
     rest_bins: int = 8
@@ -162,7 +161,7 @@ def _planned_s(v: FloatArray, pulses: Sequence[Pulse]) -> FloatArray:
     ends = np.array([_last_V(v[p.start : p.stop]) for p in pulses])
     out = np.array([_commonest(duration[kind == k]) for k in kind])
     for k, p in enumerate(pulses):
-        alike = (kind == kind[k]) & (np.abs(current / p.current_A - 1.0) <= LIMITS.same_rate)
+        alike = (kind == kind[k]) & (np.abs(current / p.current_A - 1.0) <= DRIFT)
         alike &= np.abs(duration - p.duration_s) <= LIMITS.same_duration * p.duration_s
         spread = float(np.ptp(ends[alike]))
         if np.count_nonzero(alike) > 2 and spread > LIMITS.at_limit * abs(ends[k]):
@@ -348,10 +347,10 @@ def _binned_window(
     share = current_A[p.start : p.relax_stop] / p.current_A
     moved_s = share * np.diff(time[p.start - 1 : p.relax_stop])
     # A rise that takes rows is a switch at the instant that keeps the charge.
-    on, off = int(np.argmax(np.abs(share[:rows] - 1.0) <= WINDOW.edge)), rows
+    on, off = int(np.argmax(np.abs(share[:rows] - 1.0) <= DRIFT)), rows
     t_on = float(time[p.start - 1 + on] - min(p.duration_s, np.sum(moved_s[:on])))
     t_off = float(time[p.stop - 1])
-    if off < share.size and abs(share[off]) > WINDOW.edge:
+    if off < share.size and abs(share[off]) > DRIFT:
         t_off += float(moved_s[off])
         off += 1
     if rows - on > 10 * WINDOW.settling_rows:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.identify.hppc.phases import LIMITS as PHASES
 from cellwise.identify.hppc.phases import Phase, find_phases
 from cellwise.identify.hppc.pulse_quality import LIMITS, Pulse, judge
 from cellwise.logs.cell_log import CellLog
@@ -20,7 +21,6 @@ class _PulseLimits(NamedTuple):
     rest_s: float = 5.0  # before it
     # In a log that is mostly a drive, idling and cruising look like pulses.
     drive: float = 0.5
-    drive_pulse_s: float = 5.0
     drive_rest_s: float = 30.0
     smallest: float = 0.01  # of the largest current: less is a tester's leakage, or a dither
     # Pulses and moves differ in duration by this factor, and the border lies within these; a pulse
@@ -119,7 +119,7 @@ def _shortest(phases: Sequence[Phase]) -> tuple[float, float]:
     for phase in phases:
         seconds[phase.kind] += phase.duration_s
     drive = seconds["dynamic"] > KINDS.drive * (seconds["cc"] + seconds["cv"])
-    return (KINDS.drive_pulse_s, KINDS.drive_rest_s) if drive else (0.0, KINDS.rest_s)
+    return (PHASES.drive_s, KINDS.drive_rest_s) if drive else (0.0, KINDS.rest_s)
 
 
 def _same_load(phase: Phase, following: Phase) -> bool:

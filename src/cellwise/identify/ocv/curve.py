@@ -1,4 +1,4 @@
-"""The open-circuit voltage over SOC: a strictly rising spline, of one source or of two.
+"""The open-circuit voltage over SOC: a strictly rising spline.
 
 It rises strictly with SOC, because a filter divides by nothing but relies on the sign of the slope,
 and goes on as a straight line beyond its points, because a filter's first guesses may lie there.
@@ -17,10 +17,9 @@ from scipy.optimize import isotonic_regression, minimize_scalar, nnls
 
 from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.errors import InputError
+from cellwise.fit.splines import SOC_GRID
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
-
-GRID_INTERVALS = 200
 
 
 class _Points(NamedTuple):
@@ -44,15 +43,6 @@ class _CurveSmoothing(NamedTuple):
     penalty: float = 1e-2
 
 
-class _Moved(NamedTuple):
-    """How a low-rate curve is moved onto rests."""
-
-    cells: int = 20  # of the correction over SOC
-    stiffness: float = 0.1  # V^2 of a step over its cell against V^2 of a rest
-    # V per unit of SOC: a rest is good for 2 mV and 0.003 of SOC, so beyond this its SOC decides.
-    steep_V: float = 0.67
-
-
 class _CurveLimits(NamedTuple):
     """What separates two cells from one."""
 
@@ -64,7 +54,8 @@ class _CurveLimits(NamedTuple):
     other_shape_V: float = 0.015  # beyond: another chemistry, or a cell of another age
 
 
-POINTS, SMOOTHING, MOVED, LIMITS = _Points(), _CurveSmoothing(), _Moved(), _CurveLimits()
+POINTS, SMOOTHING, LIMITS = _Points(), _CurveSmoothing(), _CurveLimits()
+OUTSIDE = 0.02  # of the SOC range, beyond its ends: rows, rests and pulses that still count
 Points = tuple[FloatArray, FloatArray, FloatArray]
 
 
@@ -125,13 +116,6 @@ class OcvCurve:
     source: str = ""
     notes: tuple[Notice, ...] = ()
 
-    @property
-    def gap_V(self) -> FloatArray | None:
-        """Charge branch minus discharge branch [V]: hysteresis and polarisation together."""
-        if self.charge_V is None or self.discharge_V is None:
-            return None
-        return self.charge_V - self.discharge_V
-
 
 def curve_from_points(
     soc: FloatArray,
@@ -156,10 +140,9 @@ def curve_from_points(
     """
     s, v, w = checked_points(soc, voltage_V, weight)
     function = fit_monotone_spline(s, v, w)
-    grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
     return OcvCurve(
-        grid,
-        function.evaluate(grid),
+        SOC_GRID,
+        function.evaluate(SOC_GRID),
         capacity_Ah,
         function,
         s,
@@ -258,53 +241,6 @@ def _length(s: FloatArray, v: FloatArray, w: FloatArray) -> FloatArray:
     steps = np.hypot(np.diff(s), np.diff(rising) / (rising[-1] - rising[0]))
     length = np.append(0.0, np.cumsum(steps))
     return np.asarray(length / length[-1])
-
-
-def combine_ocv(rests: OcvCurve, low_rate: OcvCurve) -> OcvCurve:
-    r"""Shape of the low-rate curve, level and scale of the rests.
-
-    A low-rate branch sees every bend of the OCV but carries polarisation, and half of the
-    hysteresis; rests are relaxed but few. So
-
-    .. math:: OCV(s) = L(s) + c(s)
-
-    with the low-rate curve L and a smooth correction: straight lines between uniform nodes, least
-    squares with first differences penalised, constant beyond the outermost rests. There is one SOC
-    scale, as counted: whether both tests are of one cell is for `sample_notice`.
-
-    Parameters
-    ----------
-    rests, low_rate : OcvCurve        SOC of both over the same capacity
-
-    Returns
-    -------
-    OcvCurve        over the SOC of the rests
-    """
-    s = rests.points_soc
-    difference = rests.points_V - low_rate.function.evaluate(s)
-    # Unweighted, the steep ends move by up to 90 mV (Samsung) and the middle by 4 (Panasonic).
-    weight = rests.points_weight / (1.0 + (rests.function.slope(s) / MOVED.steep_V) ** 2)
-    nodes = np.linspace(0.0, 1.0, MOVED.cells + 1)
-    hats = np.maximum(0.0, 1.0 - MOVED.cells * np.abs(np.clip(s, 0, 1)[:, None] - nodes))
-    change = np.diff(np.eye(nodes.size), axis=0)
-    weighted = hats.T * (weight / np.mean(weight))
-    normal = weighted @ hats + MOVED.stiffness * MOVED.cells * change.T @ change
-    correction = np.linalg.solve(normal, weighted @ difference)
-    grid = low_rate.soc
-    left_V = np.sqrt(np.average((difference - hats @ correction) ** 2, weights=weight))
-    text = (
-        f"low-rate curve moved by {1e3 * correction.min():+.1f} to {1e3 * correction.max():+.1f} mV"
-        f" to {s.size} rests, {1e3 * left_V:.1f} mV RMS left"
-    )
-    return curve_from_points(
-        grid,
-        low_rate.function.evaluate(grid) + np.interp(grid, nodes, correction),
-        capacity_Ah=rests.capacity_Ah,
-        discharge_V=low_rate.discharge_V,
-        charge_V=low_rate.charge_V,
-        source=f"{low_rate.source}; {rests.source}",
-        notes=(*low_rate.notes, *rests.notes, Notice(Code.OCV_SOURCE, text)),
-    )
 
 
 def sample_notice(rests: OcvCurve, low_rate: OcvCurve, capacity_Ah: float) -> Notice | None:

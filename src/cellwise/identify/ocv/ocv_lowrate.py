@@ -1,18 +1,18 @@
 """Open-circuit voltage from low-rate discharge and charge: both branches kept, their gap a result.
 
 A branch carries the polarisation of its small current and, in LFP above all, half of the
-hysteresis. The mean of both is free of what is symmetric, so it is taken where both branches are
-whole. A charge that was cut short would tilt it: such a branch is kept, named, and not averaged in.
+hysteresis. The curve is the discharge branch, which begins full; the charge one without it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.fit.splines import SOC_GRID
 from cellwise.identify.capacity.half_cycles import (
     CapacityTrace,
     HalfCycle,
@@ -20,7 +20,7 @@ from cellwise.identify.capacity.half_cycles import (
     join_logs,
 )
 from cellwise.identify.ocv.curve import (
-    GRID_INTERVALS,
+    OUTSIDE,
     OcvCurve,
     curve_from_points,
     fit_monotone_spline,
@@ -31,27 +31,14 @@ from cellwise.typing import FloatArray
 
 
 class _LowRateLimits(NamedTuple):
-    """What makes a branch whole, and two branches fit for a mean."""
+    """What a low rate is."""
 
     low_rate: float = 1.0 / 9.0  # [1/h] of the branch's own charge: faster is said
     fastest_rate: float = 1.0 / 1.8  # [1/h]: faster is no low rate
     alike: float = 1.3  # times the slowest: of these the one that moved most
-    cover: float = 0.75  # of the SOC range that a branch must cover
-    # A whole charge brings back this much of what the discharge took, counter errors included;
-    # nearly all is whole whatever voltage its last row shows.
-    back: tuple[float, float] = (0.95, 1.10)
-    nearly_all: float = 0.99
-    at_limit_V: float = 0.01
-    alike_rate: float = 2.0  # factor between the rates of branches that are averaged
-    # Between these parts of the SOC range the gap is what it is; towards the ends it may grow by
-    # the factor that follows.
-    middle: tuple[float, float] = (0.25, 0.75)
-    end_gap: float = 1.3
-    outside: float = 0.02  # of the SOC range: rows beyond the ends that are still taken
 
 
 LIMITS = _LowRateLimits()
-BOTH = "mean of both branches"
 
 
 class Branch(NamedTuple):
@@ -61,7 +48,6 @@ class Branch(NamedTuple):
     grid_V : (m,) smoothed, on the uniform grid; nan where not measured
     moved_Ah : charge of the whole half cycle, positive
     rate : current over that charge [1/h]
-    cover : part of the SOC range in which it has rows
     """
 
     soc: FloatArray
@@ -69,7 +55,6 @@ class Branch(NamedTuple):
     grid_V: FloatArray
     moved_Ah: float
     rate: float
-    cover: float
 
 
 def ocv_from_low_rate(
@@ -77,7 +62,7 @@ def ocv_from_low_rate(
 ) -> OcvCurve:
     """OCV curve from C/20 to C/30 (at most C/2) discharge, charge, or both.
 
-    The mean of the branches where both are whole, else the discharge branch, else the charge one.
+    The discharge branch, else the charge one.
 
     Parameters
     ----------
@@ -103,37 +88,23 @@ def ocv_from_low_rate(
         )
     capacity = capacity_Ah or abs(first.charge_Ah)
     discharge = charge = None
-    averaged = False
-    if taken is not None:
-        discharge = _branch(trace, taken, 1.0, capacity)
     if returned is not None:
-        back_Ah, empty = -returned.charge_Ah, 0.0
-        top_V = np.max(trace.voltage_V[returned.start : returned.stop])
-        whole = bool(top_V >= np.max(trace.voltage_V) - LIMITS.at_limit_V)
-        scale_Ah = back_Ah if whole else capacity
+        empty, scale_Ah = 0.0, -returned.charge_Ah
         if taken is not None:
-            ratio, empty = back_Ah / taken.charge_Ah, 1.0 - taken.charge_Ah / capacity
-            whole = whole or ratio >= LIMITS.nearly_all
-            averaged = whole and LIMITS.back[0] <= ratio <= LIMITS.back[1]
             # Charge that is lost on the way cannot make the cell fuller than full.
-            scale_Ah = capacity * (max(ratio, 1.0) if averaged else 1.0)
-        charge = _branch(trace, returned, empty, scale_Ah)
-    first_branch = next(b for b in (discharge, charge) if b is not None)
-    soc, level = first_branch.soc, first_branch.voltage_V
-    chosen = "charge branch" if discharge is None else "discharge branch"
-    if averaged and discharge is not None and charge is not None:
-        covered = min(discharge.cover, charge.cover) >= LIMITS.cover
-        if covered and _alike(discharge, charge):
-            soc, chosen = np.linspace(0.0, 1.0, GRID_INTERVALS + 1), BOTH
-            level = _mean_of_branches(discharge.grid_V, charge.grid_V)
+            scale_Ah = capacity * max(scale_Ah / taken.charge_Ah, 1.0)
+            empty = 1.0 - taken.charge_Ah / capacity
+        used, chosen = (charge := _branch(trace, returned, empty, scale_Ah)), "charge branch"
+    if taken is not None:
+        used, chosen = (discharge := _branch(trace, taken, 1.0, capacity)), "discharge branch"
     return curve_from_points(
-        soc,
-        level,
+        used.soc,
+        used.voltage_V,
         capacity_Ah=capacity,
         discharge_V=None if discharge is None else discharge.grid_V,
         charge_V=None if charge is None else charge.grid_V,
         source=f"{chosen} of {name}",
-        notes=_notes(discharge, charge, chosen == BOTH),
+        notes=_notes(discharge, charge),
     )
 
 
@@ -153,44 +124,17 @@ def _branch(trace: CapacityTrace, half: HalfCycle, soc_begin: float, scale_Ah: f
     """Rows at the low current, in the log in which it began, from the SOC at which it did."""
     rows = half.at_main_current(trace) & (trace.log == trace.log[half.steady_start])
     soc = soc_begin - (trace.charge_Ah[rows] - trace.charge_Ah[half.begin]) / scale_Ah
-    inside = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
+    inside = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
     order = np.argsort(soc[inside], kind="stable")
     s, v = soc[inside][order], trace.voltage_V[rows][inside][order]
-    grid = np.linspace(0.0, 1.0, GRID_INTERVALS + 1)
-    smooth = fit_monotone_spline(s, v).evaluate(grid)
-    near = 0.5 / GRID_INTERVALS
-    smooth[(grid < s[0] - near) | (grid > s[-1] + near)] = np.nan
+    smooth = fit_monotone_spline(s, v).evaluate(SOC_GRID)
+    near = 0.5 * SOC_GRID[1]
+    smooth[(s[0] - near > SOC_GRID) | (s[-1] + near < SOC_GRID)] = np.nan
     moved_Ah = abs(half.charge_Ah)
-    cover = float(min(s[-1], 1.0) - max(s[0], 0.0))
-    return Branch(s, v, smooth, moved_Ah, abs(half.main_current_A) / moved_Ah, cover)
+    return Branch(s, v, smooth, moved_Ah, abs(half.main_current_A) / moved_Ah)
 
 
-def _alike(discharge: Branch, charge: Branch) -> bool:
-    """Whether both were measured at about one rate."""
-    return 1.0 / LIMITS.alike_rate <= charge.rate / discharge.rate <= LIMITS.alike_rate
-
-
-def _mean_of_branches(discharge_V: FloatArray, charge_V: FloatArray) -> FloatArray:
-    """Mean of the branches, save where one of them bends off towards the end of its own test.
-
-    There the gap is no longer hysteresis and ohmic drop: it is the approach to the limit. Below
-    the middle of the SOC range the charge branch, above it the discharge branch, starts from rest
-    and is the sound one: it is moved by half the gap of the middle. (Plett, Battery Management
-    Systems vol. 1, 2015, section 2.9 takes the branches so too, with the gap at 50 % SOC.)
-    """
-    soc = np.linspace(0.0, 1.0, discharge_V.size)
-    low, high = LIMITS.middle
-    half = 0.5 * (charge_V - discharge_V)
-    most = LIMITS.end_gap * float(np.nanmedian(half[(soc > low) & (soc < high)]))
-    half = np.fmin(half, most)  # the usual one, too, where a branch is not known
-    share = np.clip((soc - low) / (high - low), 0.0, 1.0)
-    share = np.where(np.isfinite(charge_V), share, 1.0)
-    share = np.where(np.isfinite(discharge_V), share, 0.0)
-    from_discharge, from_charge = np.nan_to_num(discharge_V) + half, np.nan_to_num(charge_V) - half
-    return np.asarray(share * from_discharge + (1.0 - share) * from_charge)
-
-
-def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> tuple[Notice, ...]:
+def _notes(discharge: Branch | None, charge: Branch | None) -> tuple[Notice, ...]:
     notes = []
     for label, branch in (("discharge", discharge), ("charge", charge)):
         if branch is not None:
@@ -200,21 +144,7 @@ def _notes(discharge: Branch | None, charge: Branch | None, averaged: bool) -> t
             )
             if branch.rate > LIMITS.low_rate:
                 notes.append(f"{label} branch is faster than C/10: it carries much polarisation")
-    if discharge is None or charge is None:
-        return _as_notices(notes)
-    if averaged:
-        gap = 1e3 * np.nanmedian(charge.grid_V - discharge.grid_V)
-        notes.append(f"gap between the branches: {gap:.1f} mV median")
-    elif not _alike(discharge, charge):
-        notes.append("charge branch at another rate than the discharge: not averaged in")
-    else:
-        notes.append(
-            f"incomplete: charge brought back {charge.moved_Ah:.4f} of {discharge.moved_Ah:.4f} Ah;"
-            f" at the low rate the branches cover {charge.cover:.0%} and {discharge.cover:.0%}. "
-            "Not averaged"
-        )
-    return _as_notices(notes)
-
-
-def _as_notices(notes: Iterable[str]) -> tuple[Notice, ...]:
+    if discharge is not None and charge is not None:
+        gap_V = float(np.nanmedian(charge.grid_V - discharge.grid_V))
+        notes.append(f"gap between the branches: {1e3 * gap_V:.1f} mV median")
     return tuple(Notice(Code.OCV_SOURCE, text) for text in notes)

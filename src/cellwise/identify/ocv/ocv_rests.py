@@ -8,7 +8,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.identify.hppc.phases import Phase, find_phases
-from cellwise.identify.ocv.curve import OcvCurve, curve_from_points
+from cellwise.identify.ocv.curve import OUTSIDE, POINTS, OcvCurve, curve_from_points
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
@@ -19,11 +19,9 @@ class _RestLimits(NamedTuple):
 
     # Shorter rests show relaxation more than OCV, unless there are not as many longer ones.
     rest_s: float = 300.0
-    enough: int = 4
     average_s: float = 10.0  # at a rest's end, as in the LFP paper
     current: float = 0.01  # of the largest: a phase called rest that moved more was none
     unrelaxed_V: float = 5e-3  # a rest that is this far from its end counts half
-    outside: float = 0.02  # of the SOC range, beyond its ends
     # A log whose charge never goes further above its start, as a share of the capacity, begins at
     # its fullest.
     begins_full: float = 0.02
@@ -31,7 +29,7 @@ class _RestLimits(NamedTuple):
 
 LIMITS = _RestLimits()
 # Time constants tried for the end of a relaxation, in lengths of the part that is fitted.
-RELAXATION_OF_LENGTH = (0.3, 0.5, 0.8, 1.2, 1.8)
+RELAXATION_OF_LENGTH = np.geomspace(0.3, 1.8, 5)
 
 
 class OcvRest(NamedTuple):
@@ -72,7 +70,7 @@ def find_ocv_rests(log: CellLog, *, min_rest_s: float | None = None) -> tuple[Oc
     if min_rest_s is None:
         long = [p.duration_s for p in rests if p.duration_s >= LIMITS.rest_s]
         longest = max((p.duration_s for p in rests), default=0.0)
-        min_rest_s = LIMITS.rest_s if len(long) >= LIMITS.enough else 0.5 * longest
+        min_rest_s = LIMITS.rest_s if len(long) >= POINTS.fewest else 0.5 * longest
     charge = log.counted_charge_Ah()
     chosen = [p for p in rests if p.duration_s >= min_rest_s or p.start == 0]
     return tuple(r for p in chosen if (r := _rest(log, p, charge)) is not None)
@@ -110,7 +108,7 @@ def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
     elif _climbs_short_of_full(log, log.counted_charge_Ah(), capacity_Ah):
         full_at = max(0.0, float(np.max(charge))) - capacity_Ah
     soc = 1.0 - (charge - full_at) / capacity_Ah
-    inside = (soc >= -LIMITS.outside) & (soc <= 1.0 + LIMITS.outside)
+    inside = (soc >= -OUTSIDE) & (soc <= 1.0 + OUTSIDE)
     remaining = np.array([r.remaining_V for r in rests])
     weight = 1.0 / (1.0 + (remaining / LIMITS.unrelaxed_V) ** 2)
     used = soc[inside] if inside.any() else soc
@@ -165,7 +163,7 @@ def _relaxed_V(t: FloatArray, v: FloatArray) -> float:
         return float(v[-1])
     x, y = (t[half] - t[-1]) / (0.5 * length), v[half]
     fits = []
-    for tau in RELAXATION_OF_LENGTH:
+    for tau in RELAXATION_OF_LENGTH.tolist():
         columns = np.column_stack((np.ones(x.size), np.exp(-x / tau)))
         found = np.linalg.lstsq(columns, y, rcond=None)[0]
         fits.append((float(np.sum((columns @ found - y) ** 2)), float(found[1])))

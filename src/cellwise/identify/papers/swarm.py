@@ -21,6 +21,7 @@ import numpy as np
 from cellwise.cell.compiled import cached
 from cellwise.cell.equations.states import decay, relaxed
 from cellwise.identify.pulse_fit.circuit import (
+    APART,
     SAME_INTERVAL,
     Circuit,
     PulseFit,
@@ -36,7 +37,6 @@ class _Box(NamedTuple):
     fastest_s: float = 0.5
     between_s: float = 15.0
     slowest_s: float = 120.0
-    ratio: float = 1.5  # between the time constants, where a window leaves little room
     rest_s: float = 10.0  # the paper's OCV: mean voltage over the last 10 s before the pulse
     wall: float = -0.5  # a particle that leaves is put on the wall and turned back at half pace
 
@@ -99,7 +99,7 @@ def _box(circuit: Circuit) -> tuple[FloatArray, FloatArray]:
     """
     data, window = circuit.data, circuit.tau_bounds()
     slowest, fastest = min(BOX.slowest_s, window.slowest_s), max(BOX.fastest_s, window.fastest_s)
-    between = float(np.clip(BOX.between_s, BOX.ratio * fastest, slowest / BOX.ratio))
+    between = float(np.clip(BOX.between_s, APART * fastest, slowest / APART))
     swing = float(np.ptp(data.voltage_V[data.first :]))
     most = 2.0 * swing / max(abs(data.pulse_current_A), 1e-12)
     before = data.time_s[max(data.start - 1, 0)]

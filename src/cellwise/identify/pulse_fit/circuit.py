@@ -29,6 +29,7 @@ SAME_INTERVAL = 1e-7
 FASTEST_S = 0.5  # a pulse is searched down to it, where sampling allows
 FOLD = 1e-3  # of ln tau, for a derivative
 IDENTIFIED = 0.3  # standard error over value, up to which a parameter is known
+APART = 1.5  # ratio of neighbouring time constants, at least
 FEWEST_ROWS = 10  # that count, for six unknowns
 
 
@@ -112,7 +113,7 @@ class TauBounds(NamedTuple):
 
     fastest_s: float
     slowest_s: float
-    ratio: float = 1.5
+    ratio: float = APART
 
 
 class Circuit:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.identify.hppc.plateaus import DRIFT, SIGMAS
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
@@ -21,10 +22,6 @@ class _PulseWindow(NamedTuple):
     rest_s: float = 60.0  # of rest before it that is compared, if there is as much
     rest_rows: int = 3  # at least
     before_s: float = 600.0  # shown before it: branches of minutes have forgotten what was earlier
-    # Of a long step the first minutes are a pulse: over hours two branches go to what is slow, and
-    # R0 takes in all that is fast. What is slow is for the refinement on the whole log.
-    step_s: float = 300.0
-    step_rows: int = 25
     balance: tuple[float, float] = (0.02, 5.0)  # of a relaxation row over a pulse row
 
 
@@ -33,15 +30,13 @@ class _Settling(NamedTuple):
 
     A tester that filters its voltage, or a double layer far faster than tau1, makes the voltage
     arrive some rows after the current. Such rows follow an edge one by one, each still moving the
-    same way. Fitted, they take R0 of Panasonic at 25 degC down by a quarter and its residual from
-    0.7 to 1.5 mV.
+    same way, by more than DRIFT of the step and SIGMAS of the noise. Fitted, they take R0 of
+    Panasonic at 25 degC down by a quarter and its residual from 0.7 to 1.5 mV.
     """
 
     edge: float = 0.2  # of the pulse's current: so large a change from row to row is an edge
     still: float = 0.02  # of it: with so small a change the current stands still
     edge_rows: int = 3  # at most
-    moving: float = 0.03  # of the whole step: a voltage that moves by more arrives ...
-    noises: float = 6.0  # ... if it is more than so many standard deviations of the noise, too
     longest_s: float = 0.6
     early: float = 0.5  # of the step: so much before the current, and the voltage has stepped
 
@@ -132,7 +127,7 @@ class PulseData:
             until = int(np.searchsorted(t, t[before] + SETTLING.longest_s, side="right"))
             moves = np.diff(v[before:until])
             moves *= np.sign(np.sum(moves[: edge - before]))
-            least = max(SETTLING.moving * float(np.sum(moves)), SETTLING.noises * self.noise_V)
+            least = max(DRIFT * float(np.sum(moves)), SIGMAS * self.noise_V)
             after = moves[edge - before :] > max(least, 0.0)
             rows[edge : edge + (after.size if after.all() else int(np.argmin(after)))] = True
         if 2 * np.count_nonzero(rows[start : self.stop]) > self.stop - start:
@@ -193,7 +188,7 @@ def pulse_data(
 def cut_pulse(
     log: CellLog, pulse: Pulse, soc: FloatArray, ocv: OcvTable | None = None
 ) -> PulseData:
-    """Cut a pulse that `find_pulses` found out of its log; of a move, its first minutes.
+    """Cut a pulse that `find_pulses` found out of its log.
 
     What is compared begins a minute before the pulse and ends before the next current or a gap. Ten
     minutes before the pulse are shown, too: what its branches hold comes from there.
@@ -203,12 +198,10 @@ def cut_pulse(
     soc : (n,) float          of every row of the log [0..1]
     ocv : callable            tabulated OCV: SOC array -> voltage array [V]; None: it stands still
     """
-    time, start, stop = log.time_s, pulse.start, fitted_stop(log, pulse)
-    end = stop
-    if stop == pulse.stop:
-        # The row before the next current may hold part of its switch.
-        switch = pulse.relax_stop < time.size and pulse.relax_stop > stop + 1
-        end = pulse.relax_stop - switch
+    time, start, stop = log.time_s, pulse.start, pulse.stop
+    # The row before the next current may hold part of its switch.
+    switch = pulse.relax_stop < time.size and pulse.relax_stop > stop + 1
+    end = pulse.relax_stop - switch
     gaps = np.flatnonzero(log.gap_rows)
     end = min([end, *gaps[(gaps > stop) & (gaps < end)]])
     began_s = time[max(start - 1, 0)]
@@ -228,12 +221,3 @@ def cut_pulse(
         ocv=ocv,
         name=f"{log.name} at {time[start]:.0f} s",
     )
-
-
-def fitted_stop(log: CellLog, pulse: Pulse) -> int:
-    """Row after the last one that a fit sees as the pulse: of a long move, some minutes."""
-    if pulse.role != "move":
-        return pulse.stop
-    begin_s = float(log.time_s[max(pulse.start - 1, 0)])
-    shown = int(np.searchsorted(log.time_s, begin_s + WINDOW.step_s, "right"))
-    return min(max(shown, pulse.start + WINDOW.step_rows), pulse.stop)
