@@ -25,7 +25,7 @@ from cellwise.cell.metrics import (
     error_metrics,
     metrics_to_dict,
 )
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     assumed_temperature_notices,
     error_notices,
@@ -37,7 +37,8 @@ from cellwise.cell.plausibility.notice import (
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
@@ -195,7 +196,6 @@ class Simulation(Plottable, Tabular):
 
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
     """Simulate a log from a known initial SOC; the public one also finds it."""
-    check_is_model(model)
     check_is_log(log)
     soc0 = check_soc0(soc0)
     if h0 is not None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwise.arguments import check_kind, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     ORDER,
     assumed_temperature_notices,
@@ -24,6 +24,7 @@ from cellwise.cell.plausibility.notice import (
     soc_notices,
     times_stated,
 )
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.errors import InputError
@@ -34,7 +35,8 @@ from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
 from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray

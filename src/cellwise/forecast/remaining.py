@@ -10,8 +10,9 @@ import numpy as np
 from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import place_of, size_of
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis

@@ -11,8 +11,9 @@ from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray
+from cellwise.wording import Option
 
 
 class Said(NamedTuple):

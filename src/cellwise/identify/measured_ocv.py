@@ -22,6 +22,7 @@ from cellwise.identify.ocv.curve import (
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 
 class MeasuredOcv(NamedTuple):
@@ -65,7 +66,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
         raise InputError(
             f"{pulse_counts(tests)}, and no open-circuit voltage ({why})",
             "a low-rate test, or an HPPC log with healthy pulses and rests at several SOC",
-            "Add `ocv=LOG` (a C/20 discharge), or give such an HPPC log.",
+            "Add " + arg("ocv", letter="LOG") + " (a C/20 discharge), or give such an HPPC log.",
         )
     return MeasuredOcv(curve, () if unlike is None else (unlike,), tuple(notices))
 
@@ -88,8 +89,8 @@ def _of_rests(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> Oc
     try:
         return ocv_from_rests(log, capacity_Ah)
     except InputError as error:
-        text = f"no OCV from the rests of '{log.name}': found {error.found}"
-        said = (text, f"; expected {error.expected}. {error.action}")
+        text = f"no OCV from the rests of '{log.name}': found " + error.found
+        said = (text, "; expected " + error.expected + ". " + error.action)
         notices.append(Notice(Code.NO_OCV_OF_RESTS, said))
         return None
 
@@ -109,7 +110,7 @@ def _of_drives(tests: CellTests, capacity_Ah: float, notices: list[Notice]) -> O
         raise InputError(
             "no OCV test, no rest and too little charge moved",
             "a low-rate discharge or an HPPC log with rests",
-            "Add `ocv=LOG` or `hppc=LOG`.",
+            "Add " + arg("ocv", letter="LOG") + " or " + arg("hppc", letter="LOG") + ".",
         )
     begun = "begun full" if log.soc0 is None else f"begun at SOC {log.soc0:g}"
     text = f"no OCV test: first OCV from the voltages of drive '{log.name}', {begun}"

@@ -54,6 +54,7 @@ from cellwise.identify.plain_model_check import check_against_plain
 from cellwise.identify.stated_error import leave_out, stated_error
 from cellwise.notices import Code, Notice, texts
 from cellwise.threads import one_blas_thread
+from cellwise.wording import arg
 
 Progress = Callable[[str], None]
 UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
@@ -255,6 +256,6 @@ def _pulses_alone(groups: Sequence[Group], curve: OcvCurve, capacity_Ah: float) 
         raise InputError(
             f"no pulse at {bare:g} degC without refinement",
             "an HPPC log with pulses, or refinement",
-            "Leave out `refine=False`.",
+            "Leave out " + arg("refine", False) + ".",
         )
     return plain_model(tables, curve, capacity_Ah, [g.temperature_C for g in groups])

@@ -20,8 +20,9 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import contradiction, verify_sign
-from cellwise.notices import Code, Notice, Option, Piece, RowPlace
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import Option, Piece, RowPlace
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
 RANGE_V = 1.0

@@ -17,6 +17,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.identification import REFERENCE_C
+from cellwise.wording import arg
 
 # Rates that laboratories write down; a measured one is called by the nearest of them.
 FRACTIONS = (200, 100, 50, 40, 30, 25, 20, 15, 12, 10, 8, 6, 5, 4, 3, 2)
@@ -179,7 +180,13 @@ def capacity_choices(
             "nothing that says how large the cell is: no complete capacity test, HPPC log or "
             "nominal capacity",
             "one of them",
-            "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
+            "Add "
+            + arg("capacity", letter="LOG")
+            + ", "
+            + arg("hppc", letter="LOG")
+            + " or "
+            + arg("nominal_Ah", letter="X")
+            + ".",
         )
     return choices
 

@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, typical
+from cellwise.logs.cell_log import WAY_TO_A_LOG, CellLog, typical
 from cellwise.logs.files.columns import KELVIN_OFFSET
-from cellwise.notices import Code, Notice, Option, place
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import Option, place
 
 
 class CounterRule(NamedTuple):
@@ -197,6 +199,31 @@ SLIPS = {
     60.0: "time in minutes: name its column time_min",
     3600.0: "time in hours: name its column time_h",
 }
+
+
+def check_is_log(log: object) -> None:
+    """Refuse what is no log of a cell, and one in memory whose numbers are in another unit.
+
+    Raises
+    ------
+    InputError        another type; millivolts, kelvin, with the line that converts them
+    """
+    log = check_kind("log", log, CellLog, WAY_TO_A_LOG)
+    usual_V, measured = abs(log.typical_voltage_V), log.temperature_C
+    if usual_V > CELL.string_V:
+        raise InputError(
+            f"a voltage of typically {usual_V:.0f} V in log '{log.name}'",
+            "volts",
+            "Millivolts? Write dataclasses.replace(log, voltage_V=log.voltage_V / 1000).",
+        )
+    if measured is None or not np.isfinite(measured).any():
+        return
+    if (usual := typical(measured)) > CELL.kelvin:
+        raise InputError(
+            f"a temperature of typically {usual:.0f} degC in log '{log.name}'",
+            "degrees Celsius",
+            "Kelvin? Write dataclasses.replace(log, temperature_C=log.temperature_C - 273.15).",
+        )
 
 
 def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[Notice]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cellwise.arguments import several
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerTrace
@@ -262,6 +263,7 @@ def replay_page(
     flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
     path, figures : as of `write_page`, whose errors it raises
     """
+    replays = several("replays", replays, Replay, "Write replay_page([replay(model, log)], path).")
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
