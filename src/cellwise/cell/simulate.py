@@ -139,26 +139,41 @@ class Simulation(Plottable, Tabular):
     def band_V(self) -> float:
         """RMS of the deviation that the model states of its voltage along the log [V].
 
+        One deviation over logs: of a single one the slow part of the error is one draw, and mostly
+        below. NaN without a model.
+        """
+        return float(np.sqrt(np.mean(self.stated_V**2)))
+
+    @property
+    def band_above_10pct_V(self) -> float:
+        """The same over the rows whose simulated SOC is above 0.1 [V]; NaN: there is none."""
+        above = self.stated_V[self.soc > 0.1]
+        return float(np.sqrt(np.mean(above**2))) if above.size else math.nan
+
+    @property
+    def stated_V(self) -> FloatArray:
+        """The deviation that the model states of its voltage at every row [V], shape (n,).
+
         Its error, in which the OCV and the resistances that its fit left open are, and its
         capacity, off by which the SOC is the more off the more charge has flowed. NaN without a
         model.
         """
         if self.model is None:
-            return math.nan
+            return np.full(len(self.soc), math.nan)
         stated_V = stated_error_V(self.model, self.log, self.soc, self.voltage_V)
         fitted = self.model.posterior
         off = 0.0 if fitted is None else fitted.capacity_std * (self.soc - self.soc0)
         ocv_V = self.model.ocv_at(self.model.usual_temperature_C)
         slope_V = np.interp(self.soc, self.model.soc, np.gradient(ocv_V, self.model.soc))
-        return float(np.sqrt(np.mean(stated_V**2 + (slope_V * off) ** 2)))
+        return np.asarray(np.hypot(stated_V, slope_V * off))
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
-        above = self.rmse_above_10pct_V
         return {
             **metrics_to_dict(self.metrics),
-            "rmse_above_10pct_V": above if np.isfinite(above) else None,
-            "band_V": self.band_V if np.isfinite(self.band_V) else None,
+            "rmse_above_10pct_V": _known(self.rmse_above_10pct_V),
+            "band_V": _known(self.band_V),
+            "band_above_10pct_V": _known(self.band_above_10pct_V),
             "bands": [
                 {"soc": [b.soc_low, b.soc_high], **metrics_to_dict(b.metrics)} for b in self.bands
             ],
@@ -192,6 +207,10 @@ class Simulation(Plottable, Tabular):
             f"MAE {1e3 * m.mae_V:.1f} mV, max {1e3 * m.max_error_V:.0f} mV over {m.samples} rows"
             f"{', FAR OFF this model' if self.far_off else ''})"
         )
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:

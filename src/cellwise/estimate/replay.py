@@ -43,6 +43,7 @@ from cellwise.typing import FloatArray
 
 CONVERGED_SOC = 0.02
 SUSTAINED_S = 600.0
+BEYOND_NIS = 4.0  # two deviations: a voltage that is missed by more is not as the model states
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,17 @@ class Replay(Plottable, Tabular):
         if self.error is None:
             return None
         row = converged_row(self.log.time_s, self.error)
+        return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
+
+    @property
+    def settled_s(self) -> float | None:
+        """Time from which the stated deviation stays within 2 points as well.
+
+        Before, an error that is small is luck: nobody who has no reference can know it.
+        """
+        if self.error is None:
+            return None
+        row = converged_row(self.log.time_s, np.maximum(np.abs(self.error), self.trace.soc_std))
         return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
 
     @property
@@ -195,6 +207,15 @@ class Replay(Plottable, Tabular):
         if model is None:
             return []
         found, since_s = [], log.time_s - log.time_s[0]
+        if self.nis is not None and max(self.nis) > BEYOND_NIS:
+            worst = int(np.argmax(self.nis))
+            nis, scale_s = self.nis[worst], model.error.scales_s[worst]
+            text = (
+                f"the voltage over {scale_s:g} s is missed by {math.sqrt(nis):.1f} times what the "
+                f"model states (NIS {nis:.1f}): it is further off than on the logs it was made of, "
+                "so that the SOC's band may be too narrow"
+            )
+            found.append(Notice(Code.MODEL_OFF, text, size_V=self.voltage_rmse_V))
         span = long_innovation(model, log, trace)
         if span is not None:
             side = "below" if span.mean_V < 0.0 else "above"
@@ -234,6 +255,7 @@ class Replay(Plottable, Tabular):
             "soc_mae": None if errors is None else errors.mae,
             "soc_max_error": None if errors is None else errors.max,
             "convergence_s": self.convergence_s,
+            "settled_s": self.settled_s,
             "settled": None if settled is None else vars(settled),
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,

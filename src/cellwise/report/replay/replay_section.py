@@ -59,8 +59,10 @@ def replay_finding(replay: Replay) -> str:
             "over the second half."
         )
     held = f"{percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
-    if replay.convergence_s > 0.0:
-        reached = f"is within {TWO} after {duration(replay.convergence_s)} "
+    if replay.settled_s is None:  # before that a small error is luck
+        reached = f"is within {TWO}, though its own deviation stays above, "
+    elif replay.settled_s > 0.0:
+        reached = f"is within {TWO} after {duration(replay.settled_s)} "
     else:
         reached = "" if off < 0.005 else f"is within {TWO} from the first row on "
     # It has come within two points and stayed for ten minutes; later it may leave them again.
@@ -173,7 +175,7 @@ def comparison_plot(replays: Sequence[Replay], key: str) -> Plot:
 
 def _after(replay: Replay) -> str:
     text = reached(replay)
-    return f"after {text}" if replay.convergence_s else text
+    return f"after {text}" if replay.settled_s else text
 
 
 def _start_name(replay: Replay) -> str:
@@ -281,12 +283,12 @@ def estimated_content(replay: Replay) -> Markup:
 
 
 def reached(replay: Replay) -> str:
-    """How long the error took to come within two points and stay."""
+    """How long error and stated deviation took to come within two points and stay."""
     if replay.error is None:
         return duration(None)
-    if replay.convergence_s is None:
-        return "never"
-    return "at once" if replay.convergence_s == 0.0 else duration(replay.convergence_s)
+    if replay.settled_s is None:
+        return "never" if replay.convergence_s is None else "never by its own band"
+    return "at once" if replay.settled_s == 0.0 else duration(replay.settled_s)
 
 
 def _errors(prefix: str, errors: SocErrors | None) -> list[tuple[str, str]]:
