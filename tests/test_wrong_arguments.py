@@ -274,8 +274,9 @@ def test_a_model_in_another_unit_is_refused_with_the_line_that_mends_it(model, e
     [
         replace(LOG, voltage_V=1000.0 * LOG.voltage_V),
         replace(LOG, temperature_C=np.full(len(LOG), 298.15)),
+        replace(LOG, charge_Ah=np.linspace(0.0, 2900.0, len(LOG))),
     ],
-    ids=["millivolts", "kelvin"],
+    ids=["millivolts", "kelvin", "milliampere hours"],
 )
 def test_a_log_in_another_unit_is_refused_with_the_line_that_mends_it(log):
     for refuses in (

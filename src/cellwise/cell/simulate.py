@@ -27,12 +27,10 @@ from cellwise.cell.metrics import (
 )
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
-    assumed_temperature_notices,
+    along_notices,
     error_notices,
     far_off,
     in_order,
-    outside_notices,
-    soc_notices,
     stated_error_V,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
@@ -112,11 +110,7 @@ class Simulation(Plottable, Tabular):
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
         found = [] if self.far_off is None else [self.far_off]
-        found += outside_notices(self.validity, self.log, self.soc)
-        found += soc_notices(self.log, self.soc)
-        if self.model is not None:
-            warm = self.model.usual_temperature_C
-            found += assumed_temperature_notices(self.model, self.log, warm)
+        found += along_notices(self.model, self.validity, self.log, self.soc)
         found += error_notices(self.model, self.log, self.residual_V, self.soc)
         return in_order(found, self.log.notices)
 

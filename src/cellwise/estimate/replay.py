@@ -16,12 +16,10 @@ from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     ORDER,
-    assumed_temperature_notices,
+    along_notices,
     far_off,
     in_order,
-    outside_notices,
     prediction_notices,
-    soc_notices,
     times_stated,
 )
 from cellwise.cell.plausibility.sizes import check_is_model
@@ -189,12 +187,8 @@ class Replay(Plottable, Tabular):
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
         found = [] if self.far_off is None else [self.far_off]
-        found += outside_notices(self.validity, self.log, self.trace.soc)
-        found += soc_notices(self.log, self.trace.soc)
-        if self.model is not None:
-            warm = self.model.usual_temperature_C
-            found += assumed_temperature_notices(self.model, self.log, warm)
         trace = self.trace
+        found += along_notices(self.model, self.validity, self.log, trace.soc)
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
             found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
             found += self._remarks()

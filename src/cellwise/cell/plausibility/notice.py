@@ -309,6 +309,16 @@ def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[Beyond
                 yield Beyond(channel, text)
 
 
+def along_notices(
+    model: CellModel | None, validity: Validity, log: CellLog, soc: FloatArray
+) -> list[Notice]:
+    """What a run along a log says of where it leads: outside the model's data, outside 0..1."""
+    found = outside_notices(validity, log, soc) + soc_notices(log, soc)
+    if model is not None:
+        found += assumed_temperature_notices(model, log, model.usual_temperature_C)
+    return found
+
+
 def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     """A SOC outside 0..1, and more charge than such a cell holds.
 

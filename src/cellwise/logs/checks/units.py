@@ -206,24 +206,32 @@ def check_is_log(log: object) -> None:
 
     Raises
     ------
-    InputError        another type; millivolts, kelvin, with the line that converts them
+    InputError        another type; millivolts, kelvin, mAh, with the line that converts them
     """
     log = check_kind("log", log, CellLog, WAY_TO_A_LOG)
-    usual_V, measured = abs(log.typical_voltage_V), log.temperature_C
-    if usual_V > CELL.string_V:
-        raise InputError(
-            f"a voltage of typically {usual_V:.0f} V in log '{log.name}'",
-            "volts",
-            "Millivolts? Write dataclasses.replace(log, voltage_V=log.voltage_V / 1000).",
-        )
-    if measured is None or not np.isfinite(measured).any():
-        return
-    if (usual := typical(measured)) > CELL.kelvin:
-        raise InputError(
-            f"a temperature of typically {usual:.0f} degC in log '{log.name}'",
-            "degrees Celsius",
-            "Kelvin? Write dataclasses.replace(log, temperature_C=log.temperature_C - 273.15).",
-        )
+    for channel, found, largest, unit, slip, undo in (
+        ("voltage_V", abs(log.typical_voltage_V), CELL.string_V, "V", "Millivolts", "/ 1000"),
+        ("temperature_C", _usual(log.temperature_C), CELL.kelvin, "degC", "Kelvin", "- 273.15"),
+        ("charge_Ah", _span(log.charge_Ah), CELL.largest_Ah, "Ah", "Milliampere hours", "/ 1000"),
+    ):
+        if found > largest:
+            raise InputError(
+                f"{channel} of {found:.0f} {unit} in log '{log.name}'",
+                f"at most {largest:g} {unit}",
+                f"{slip}? Write dataclasses.replace(log, {channel}=log.{channel} {undo}).",
+            )
+
+
+def _usual(values: FloatArray | None) -> float:
+    """Median of a channel; NaN without one."""
+    return np.nan if values is None or not np.isfinite(values).any() else typical(values)
+
+
+def _span(values: FloatArray | None) -> float:
+    """From the lowest value of a channel to the highest; NaN without one."""
+    if values is None or not np.isfinite(values).any():
+        return np.nan
+    return float(np.nanmax(values) - np.nanmin(values))
 
 
 def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[Notice]:

@@ -43,7 +43,7 @@ from cellwise.report.page.numerals import (
     spanned,
     time_unit,
 )
-from cellwise.report.page.picture import FigureFiles, safe_key
+from cellwise.report.page.picture import Figures, safe_key
 from cellwise.report.page.plot import Plot, time_axis
 from cellwise.report.page.section import Blocks, Section, plots_within, write_page
 from cellwise.report.replay.replay_section import (
@@ -251,7 +251,7 @@ def replay_page(
     simulations: Sequence[Simulation] = (),
     *,
     flights: Sequence[Flight] = (),
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of one or more replays, and of simulations beside them.
 
