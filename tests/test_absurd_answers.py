@@ -188,6 +188,7 @@ def test_settled_is_not_claimed_while_the_stated_deviation_is_larger():
     minutes = run.log.time_s / 60.0
     unsure = replace(
         run,
+        start=InitialSoc(0.5, 0.15, "given"),
         trace=replace(run.trace, soc_std=np.where(minutes < 20.0, 0.15, 0.01)),
         reference_soc=run.trace.soc,
     )

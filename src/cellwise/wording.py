@@ -105,7 +105,7 @@ def arg(argument: str, value: Value | None = None, *, letter: str = "") -> Text:
 
 
 def within(text: str) -> Text:
-    """The same with a small first letter, to go on with within a sentence."""
+    """The same with a small first letter, to go on with in another text."""
     first, *more = pieces_of(text)
     return Text(*([first[:1].lower(), first[1:]] if isinstance(first, str) else [first]), *more)
 

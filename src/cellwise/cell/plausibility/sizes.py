@@ -85,7 +85,7 @@ def check_physical(model: CellModel, where: str = "") -> None:
     Raises
     ------
     InputError        names the entry, its values, what is possible, and the likely slip; of a
-                      model in memory the line that mends it
+                      model in memory the line that corrects it
     """
     for name, values, allowed in _sizes(model):
         low, high = float(np.min(values)), float(np.max(values))
@@ -93,11 +93,11 @@ def check_physical(model: CellModel, where: str = "") -> None:
             raise InputError(
                 f"{name} of {_span(low, high)} {allowed.unit} in {where or 'the model'}",
                 f"{allowed.low:g} to {allowed.high:g} {allowed.unit}",
-                allowed.hint if where else _mended(model, name, low, high, allowed),
+                allowed.hint if where else _corrected(model, name, low, high, allowed),
             )
 
 
-def _mended(model: CellModel, name: str, low: float, high: float, allowed: AllowedRange) -> str:
+def _corrected(model: CellModel, name: str, low: float, high: float, allowed: AllowedRange) -> str:
     """What to do about a model in memory: the line that undoes the slip, where it is one."""
     field, hint = name.partition(" ")[0], allowed.hint
     undone = [value * allowed.factor + allowed.offset for value in (low, high)]

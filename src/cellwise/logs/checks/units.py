@@ -211,7 +211,7 @@ def check_is_log(log: object) -> None:
     log = check_kind("log", log, CellLog, WAY_TO_A_LOG)
     for channel, found, largest, unit, slip, undo in (
         ("voltage_V", abs(log.typical_voltage_V), CELL.string_V, "V", "Millivolts", "/ 1000"),
-        ("temperature_C", _usual(log.temperature_C), CELL.kelvin, "degC", "Kelvin", "- 273.15"),
+        ("temperature_C", _lowest(log.temperature_C), CELL.kelvin, "degC", "Kelvin", "- 273.15"),
         ("charge_Ah", _span(log.charge_Ah), CELL.largest_Ah, "Ah", "Milliampere hours", "/ 1000"),
     ):
         if found > largest:
@@ -222,9 +222,9 @@ def check_is_log(log: object) -> None:
             )
 
 
-def _usual(values: FloatArray | None) -> float:
-    """Median of a channel; NaN without one."""
-    return np.nan if values is None or not np.isfinite(values).any() else typical(values)
+def _lowest(values: FloatArray | None) -> float:
+    """The lowest value of a channel; NaN without one."""
+    return np.nan if values is None or not np.isfinite(values).any() else float(np.nanmin(values))
 
 
 def _span(values: FloatArray | None) -> float:

@@ -388,7 +388,7 @@ def replay_tiles(replay: Replay) -> Markup:
     settled = replay.settled
     if settled is not None:
         facts += [
-            ("within 2 points after", reached(replay)),
+            ("within 2 points, and stated so, after", reached(replay)),
             ("settled SOC RMSE", percent(settled.rmse)),
             ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ]
