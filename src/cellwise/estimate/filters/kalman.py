@@ -264,7 +264,7 @@ def known_start(log: CellLog, soc0: float | None) -> float:
     known = log.soc0 if soc0 is None else soc0
     if known is None:
         raise InputError(
-            "no initial SOC",
+            "soc0 = None for a log whose initial SOC is not stated",
             "a fraction from 0 to 1",
             "Write run(log, 0.9), say; replay(model, log) finds it in the log.",
         )
