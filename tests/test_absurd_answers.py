@@ -12,7 +12,7 @@ import pytest
 import cellwise as cw
 from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.simulate import simulate
-from cellwise.cli.replay_output import print_runs, state_of_health
+from cellwise.cli.replay_output import print_forecasts, print_runs, state_of_health
 from cellwise.diagnose.limits import next_test
 from cellwise.errors import InputError
 from cellwise.estimate.status import Status
@@ -21,8 +21,9 @@ from cellwise.identify.identification import Start
 from cellwise.identify.own_logs import simulate_back, updates_for_worse
 from cellwise.live.run import Counts, check_any
 from cellwise.notices import Code
-from cellwise.report.page.numerals import significant
 from cellwise.report.replay.page import beyond_its_statement, flight_content, flight_finding
+from cellwise.report.replay.replay_section import reached, replay_finding
+from cellwise.workflows.replaying import ReplayRequest
 from example_cells import curved_cell, random_log
 
 MODEL = curved_cell()
@@ -175,7 +176,55 @@ def test_a_wrong_start_is_no_large_nis_and_a_wrong_model_is_said_on_the_page():
     minutes = 0.1 * np.sin(log.time_s / 100.0)
     off = cw.replay(MODEL, replace(log, voltage_V=log.voltage_V + minutes), "ekf", 0.8)
     assert max(off.nis) > 4.0
-    assert f"(NIS {significant(max(off.nis), 2)})" in beyond_its_statement(off)
+    (said,) = (n for n in off.notices if n.code is Code.MODEL_OFF)
+    assert f"(NIS {max(off.nis):.1f})" in said.text
+    assert said.text[1:] in beyond_its_statement(off)
+    assert any(n.code is Code.MODEL_OFF for n in off.notices)
+
+
+def test_settled_is_not_claimed_while_the_stated_deviation_is_larger():
+    """A start that happens to be right is within two points from the first row on, by luck."""
+    run = followed(np.zeros(60 * MINUTES))
+    minutes = run.log.time_s / 60.0
+    unsure = replace(
+        run,
+        start=InitialSoc(0.5, 0.15, "given"),
+        trace=replace(run.trace, soc_std=np.where(minutes < 20.0, 0.15, 0.01)),
+        reference_soc=run.trace.soc,
+    )
+    assert unsure.convergence_s == 0.0
+    assert unsure.settled_s == pytest.approx(20 * 60.0, abs=60.0)
+    never = replace(unsure, trace=replace(run.trace, soc_std=np.full(len(minutes), 0.15)))
+    assert never.settled_s is None
+    assert reached(never) == "never by its own band"
+    assert "its own deviation stays above" in replay_finding(never)
+
+
+def test_the_band_beside_an_error_is_of_the_same_rows():
+    """Near empty the OCV is steep and what a model states many times what it states elsewhere."""
+    log = random_log(np.random.default_rng(3), rows=1200)
+    found = cw.simulate(MODEL, log, 0.2)
+    above = found.soc > 0.1
+    stated = found.stated_V
+    assert found.band_V == pytest.approx(np.sqrt(np.mean(stated**2)))
+    assert found.band_above_10pct_V == pytest.approx(np.sqrt(np.mean(stated[above] ** 2)))
+    assert found.to_dict()["band_above_10pct_V"] == found.band_above_10pct_V
+
+
+@pytest.mark.parametrize("rest_s", [0, 57])
+def test_a_rest_at_the_end_of_a_log_is_no_present_load(rest_s, capsys):
+    """Its last minute holds seconds of load: their mean is no load that goes on for hours."""
+    time_s = np.arange(1800.0)
+    current_A = np.where(time_s < time_s.size - rest_s, MODEL.capacity_Ah, 0.0)
+    log = cw.CellLog(time_s, current_A, np.full(time_s.size, 3.7))
+    log = replace(log, voltage_V=simulate(MODEL, log, 0.9).voltage_V)
+    run = cw.replay_and_forecast(MODEL, log, ReplayRequest("ekf", soc0=0.9))
+    assert run.flight.stands == (rest_s > 0)
+    print_forecasts(run)
+    said = capsys.readouterr().out
+    assert ("at the present load" in said) == (rest_s == 0)
+    assert ("ends at a rest" in said) == (rest_s > 0)
+    assert "at the log's usual load" in said
 
 
 def test_pilots_read_the_energy_of_their_pack(tmp_path, capsys):

@@ -15,18 +15,8 @@ from packaging.requirements import Requirement
 
 from cellwise.cli.common.printing import in_command, rendered
 from cellwise.errors import not_installed
-from cellwise.notices import (
-    Code,
-    Notice,
-    Option,
-    Severity,
-    from_json,
-    graves_first,
-    in_python,
-    place,
-    texts,
-    to_json,
-)
+from cellwise.notices import Code, Notice, Severity, from_json, graves_first, texts, to_json
+from cellwise.wording import Option, in_python, place
 
 SOURCE = Path(__file__).parents[1] / "src" / "cellwise"
 DOCS = Path(__file__).parents[1] / "docs"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,6 +36,11 @@ CALLS = {
         "export": lambda: cw.export_firmware(LOG, "firmware", 1.0),
         "write_model": lambda: cw.write_model("m.json", MODEL),
         "inverted": lambda: cw.replay_and_forecast(LOG, MODEL),
+        "a filter of nothing": lambda: cw.Ekf().run(LOG),
+        "a counter of nothing": lambda: cw.Coulomb(),
+        "no name": lambda: cw.named_model(None),
+        "a path": lambda: cw.Ekf(Path("m.json")),
+        "a dict": lambda: cw.simulate({"capacity_Ah": 3.0}, LOG),
         "life_of, inverted": lambda: cw.life_of([LOG], MODEL),
     },
     "sample": {
@@ -77,6 +84,9 @@ CALLS = {
         "a list": lambda: cw.simulate(MODEL, [LOG]),
         "tune_noise": lambda: cw.tune_noise(MODEL, ["a.csv"]),
         "resample": lambda: cw.resample(None, 1.0),
+        "Ekf": lambda: cw.Ekf(MODEL).run(None),
+        "Coulomb": lambda: cw.Coulomb(MODEL).run(None),
+        "Adaptive, a dict": lambda: cw.Adaptive(MODEL).run({}),
         "inspect_log": lambda: cw.inspect_log(MODEL),
         "write_log": lambda: cw.write_log(MODEL, "a.csv"),
         "write_log, inverted": lambda: cw.write_log("a.csv", LOG),
@@ -84,6 +94,7 @@ CALLS = {
     "replay": {
         "forecast": lambda: cw.forecast(MODEL, LOG),
         "forecast_at": lambda: cw.forecast_at(MODEL, None, 5.0),
+        "page": lambda: cw.replay_page(MODEL, "x.html"),
     },
     "estimator": {
         "its start": lambda: cw.replay(MODEL, LOG, 0.9),
@@ -119,10 +130,21 @@ CALLS = {
     },
     "current_A": {"none": lambda: cw.CellLog(T_S, None, V_V)},
     "time_s": {"none": lambda: cw.CellLog(None, I_A, V_V)},
-    "table": {"from_table": lambda: cw.CellLog.from_table(None)},
+    "CellLog(": {
+        "a dict": lambda: cw.CellLog({"time_s": T_S}),
+        "a file": lambda: cw.CellLog("a.csv"),
+    },
+    "table": {
+        "none": lambda: cw.CellLog.from_table(None),
+        "a file": lambda: cw.CellLog.from_table("a.csv"),
+        "rows": lambda: cw.CellLog.from_table([[0.0, 1.0, 3.7]]),
+    },
     "rows": {"part": lambda: LOG.part(0.0, 20.0)},
     "path": {
         "read_model": lambda: cw.read_model(None),
+        "read_log": lambda: cw.read_log(None),
+        "read_log, a dict": lambda: cw.read_log({"time_s": T_S}),
+        "read_pack": lambda: cw.read_pack(LOG),
         "write_model": lambda: cw.write_model(MODEL, None),
         "write_log": lambda: cw.write_log(LOG, 3),
     },
@@ -222,3 +244,58 @@ def test_an_estimator_that_answers_with_something_else_is_refused():
 
     with pytest.raises(InputError, match=r"what Silent.step gives = None; expected the SOC"):
         cw.replay(MODEL, LOG, Silent(), 0.8)
+
+
+@pytest.mark.parametrize(
+    ("model", "entry"),
+    [
+        (replace(MODEL, capacity_Ah=1000.0 * 3.0), "capacity_Ah"),
+        (replace(MODEL, r0_ohm=1000.0 * MODEL.r0_ohm), "r0_ohm"),
+        (replace(MODEL, ocv_V=1000.0 * MODEL.ocv_V), "ocv_V"),
+        (replace(MODEL, temperature_C=MODEL.temperature_C + 273.15), "temperature_C"),
+        (replace(MODEL, voltage_min_V=3000.0, voltage_max_V=4200.0), "voltage_min_V"),
+    ],
+)
+def test_a_model_in_another_unit_is_refused_with_the_line_that_mends_it(model, entry):
+    """Every function takes a model through one check; what it proposes is run as it stands."""
+    for refuses in (lambda: cw.Ekf(model), lambda: cw.simulate(model, LOG, 0.9)):
+        with pytest.raises(InputError) as caught:
+            refuses()
+        line = caught.value.action.partition(" Write ")[2].rstrip(".")
+        assert line.startswith(f"dataclasses.replace(model, {entry}=")
+    mended = eval(line, {"dataclasses": dataclasses, "model": model})
+    if entry == "voltage_min_V":  # the other limit is in millivolts still
+        mended = replace(mended, voltage_max_V=mended.voltage_max_V / 1000)
+    assert cw.Ekf(mended).name == "ekf"
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        replace(LOG, voltage_V=1000.0 * LOG.voltage_V),
+        replace(LOG, temperature_C=np.full(len(LOG), 298.15)),
+        replace(LOG, charge_Ah=np.linspace(0.0, 2900.0, len(LOG))),
+    ],
+    ids=["millivolts", "kelvin", "milliampere hours"],
+)
+def test_a_log_in_another_unit_is_refused_with_the_line_that_mends_it(log):
+    for refuses in (
+        lambda: cw.simulate(MODEL, log, 0.9),
+        lambda: cw.Ekf(MODEL).run(log, 0.9),
+        lambda: cw.replay(MODEL, log, "coulomb"),
+        lambda: cw.diagnose(MODEL, log),
+    ):
+        with pytest.raises(InputError) as caught:
+            refuses()
+    line = caught.value.action.partition(" Write ")[2].rstrip(".")
+    mended = eval(line, {"dataclasses": dataclasses, "log": log})
+    assert np.isfinite(cw.simulate(MODEL, mended, 0.9).metrics.rmse_V)
+
+
+@pytest.mark.parametrize("estimator", [cw.Ekf, cw.Ukf, cw.Adaptive, cw.Coulomb])
+def test_a_filter_begins_where_it_is_told_or_where_the_log_states(estimator):
+    told = estimator(MODEL).run(LOG, 0.8)
+    stated = estimator(MODEL).run(replace(LOG, soc0=0.8))
+    np.testing.assert_array_equal(stated.soc, told.soc)
+    with pytest.raises(InputError, match=r"replay\(model, log\) finds it"):
+        estimator(MODEL).run(LOG)

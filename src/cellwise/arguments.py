@@ -14,8 +14,8 @@ from cellwise.typing import FloatArray
 Kind = TypeVar("Kind")
 
 
-def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> None:
-    """Refuse what is of another type.
+def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> Kind:
+    """The value; refused where it is of another type.
 
     Raises
     ------
@@ -23,6 +23,7 @@ def check_kind(name: str, value: object, kind: type[Kind], way_out: str) -> None
     """
     if not isinstance(value, kind):
         raise InputError(f"{name} = {shown(value)}", with_article(kind.__name__), way_out)
+    return value
 
 
 def several(name: str, values: object, kind: type[Kind], way_out: str) -> tuple[Kind, ...]:

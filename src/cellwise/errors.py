@@ -6,6 +6,8 @@ import re
 from importlib.metadata import PackageNotFoundError, requires
 from typing import Any
 
+from cellwise.wording import Option, Text
+
 
 class InputError(ValueError):
     """An input was refused: what was found, what was expected, what to do.
@@ -18,14 +20,21 @@ class InputError(ValueError):
 
     Notes
     -----
-    Commands print the message on standard error and exit with code 2.
+    Commands print the message on standard error and exit with code 2. Arguments that it names are
+    data (`cellwise.wording.arg`): ``options`` are those of the whole ``text``.
     """
 
     def __init__(self, found: str, expected: str, action: str) -> None:
         self.found = found
         self.expected = expected
         self.action = action
-        super().__init__(f"found {found}; expected {expected}. {action}")
+        self.text = Text("found ", found, "; expected ", expected, ". ", action)
+        super().__init__(str(self.text))
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """The arguments that the message names, each with the value that it proposes."""
+        return self.text.options
 
     def __reduce__(self) -> tuple[type[InputError], tuple[Any, ...]]:
         """What another process needs to raise it again."""

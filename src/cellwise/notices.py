@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
-Value = str | int | float | bool | tuple[str, str]
+from cellwise.wording import Option, Piece, RowPlace, Text, Value, in_python, pieces_of
 
 
 class Severity(StrEnum):
@@ -173,41 +173,6 @@ class Code(Enum):
         self.word, self.severity, self.meaning = word, severity, meaning
 
 
-class Option(NamedTuple):
-    """An argument that a text proposes, and its value.
-
-    ``letter`` stands in the text for a value that only the reader knows; a pair is an entry of a
-    mapping (``channels``).
-    """
-
-    argument: str
-    value: Value | None = None
-    letter: str = ""
-
-
-def in_python(option: Option) -> str:
-    """An option as an argument of Python, as documentation writes code."""
-    key, value = option.argument, option.value
-    written = f"{{{value[0]!r}: {value[1]!r}}}" if isinstance(value, tuple) else repr(value)
-    return f"`{key}={option.letter or written}`"
-
-
-class RowPlace(NamedTuple):
-    """Words of a text that name rows of the log, counted from 0."""
-
-    words: str
-    rows: range
-
-
-def place(rows: range) -> RowPlace:
-    """Rows as people count them, from 1."""
-    first, last = rows.start + 1, rows.stop
-    return RowPlace(f"row {last}" if first == last else f"rows {first} to {last}", rows)
-
-
-Piece = str | Option | RowPlace
-
-
 @dataclass(frozen=True, repr=False)
 class Notice:
     """What a person should know.
@@ -263,12 +228,12 @@ class Notice:
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """The text in parts: words, and options."""
-        return (self.said,) if isinstance(self.said, str) else self.said
+        return pieces_of(self.said) if isinstance(self.said, str) else Text(*self.said).pieces
 
     @property
-    def text(self) -> str:
+    def text(self) -> Text:
         """For people who write Python."""
-        return self.rendered()
+        return Text(self.before, *self.pieces)
 
     def rendered(self, of_option: Callable[[Option], str] = in_python) -> str:
         """The text, with options as ``of_option`` writes them."""
@@ -281,7 +246,7 @@ class Notice:
 
     def behind_name(self, of_option: Callable[[Option], str] = in_python) -> str:
         """The text without the name that it begins with: the same for every log alike."""
-        return "".join(_written(piece, of_option) for piece in self.pieces)
+        return Text(*self.pieces).rendered(of_option)
 
     @property
     def head(self) -> str:
@@ -303,13 +268,7 @@ class Notice:
         return f"Notice({self.code.word}: {self.text!r})"
 
 
-def _written(piece: Piece, of_option: Callable[[Option], str]) -> str:
-    if isinstance(piece, Option):
-        return of_option(piece)
-    return piece.words if isinstance(piece, RowPlace) else piece
-
-
-def texts(notices: Iterable[Notice]) -> list[str]:
+def texts(notices: Iterable[Notice]) -> list[Text]:
     """The texts of notices, for JSON and tables."""
     return [notice.text for notice in notices]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from cellwise.cli import main
 from cellwise.data import datasets_folder
 
 NMC = datasets_folder() / "nmc"
+# An argument as Python has it: a command writes its own option.
+IN_PYTHON = re.compile(r"`[A-Za-z]\w*=[^`]*`")
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ def printed(*arguments: object) -> tuple[dict[str, Any], str]:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([*map(str, arguments), "--json"])
     assert code == 0, err.getvalue()
+    assert not IN_PYTHON.search(out.getvalue() + err.getvalue())
     return one_object(out.getvalue()), err.getvalue()
 
 
@@ -75,6 +79,7 @@ def refused(capsys) -> Callable[..., str]:
         assert code == 2
         assert captured.out == ""
         assert "Traceback" not in captured.err
+        assert not IN_PYTHON.search(captured.err)
         lines = captured.err.splitlines()
         if lines[0].startswith("usage:"):
             return lines[-1]

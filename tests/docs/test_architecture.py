@@ -14,6 +14,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "src" / "cellwise"
 
 BASE = {"errors", "typing", "files", "arguments", "notices", "plotting", "records", "threads"}
+BASE |= {"wording"}
 TOOLS = {
     "logs",
     "cell",
@@ -27,7 +28,8 @@ TOOLS = {
     "data",
 }
 MAY_IMPORT = {
-    "errors": set(),
+    "wording": set(),
+    "errors": {"wording"},
     "typing": set(),
     "files": {"errors"},
     "arguments": {"errors", "typing"},
@@ -35,7 +37,7 @@ MAY_IMPORT = {
     "records": {"errors"},
     "first_use": BASE | {"cell", "logs", "estimate", "forecast", "diagnose", "data"},
     "threads": set(),
-    "notices": set(),
+    "notices": {"wording"},
     "plotting": {"arguments", "errors", "typing"},
     "logs": BASE,
     "cell": BASE | {"logs"},

@@ -19,6 +19,7 @@ from cellwise.history.log_health import changed_model, log_health
 from cellwise.history.trend import FADE, Deviations, change_of, trend_of
 from cellwise.logs import CellLog, write_log
 from cellwise.notices import texts
+from cellwise.report.history_page import capacity_picture
 
 FRESH = stock_model("nca-18650")
 SHARES = (1.0, 0.97, 0.94, 0.90)
@@ -63,6 +64,20 @@ def test_complete_discharges_are_counted():
     percent = f"{100 * life.trend.share[-1]:.1f} +- "
     assert repr(life).startswith(f"Life({len(SHARES)} logs: {percent}")
     assert len(repr(life)) < 200
+
+
+def test_a_picture_of_a_life_shows_every_bar_whole_and_its_legend_beside_them():
+    life = life_of(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
+    figure = capacity_picture(life).figure
+    (axes,) = figure.axes
+    assert axes.get_legend() is None
+    (legend,) = figure.legends
+    figure.canvas.draw()
+    assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+    low, high = axes.get_ylim()
+    for one in life.logs:
+        assert low < 100.0 * (one.share - 2.0 * one.share_std)
+        assert 100.0 * (one.share + 2.0 * one.share_std) < high
 
 
 def test_windows_are_compared_with_the_first_complete_discharge():

@@ -12,10 +12,11 @@ import pytest
 
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
-from cellwise.notices import Code, Notice, place
+from cellwise.notices import Code, Notice
 from cellwise.report import replay_page
 from cellwise.report.page.plot import Plot
 from cellwise.report.page.section import Section, write_page
+from cellwise.wording import place
 from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page
 from report_cases import drive, replay, simulation

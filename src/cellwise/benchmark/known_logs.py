@@ -14,6 +14,7 @@ from cellwise.data import CATALOGUE, list_datasets
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
+from cellwise.wording import arg
 
 # Another reader of the same original drops a repeated stamp and rounds in its own way; another
 # log differs by more in one of these at least.
@@ -100,7 +101,7 @@ def find_known(known: KnownLog, places: tuple[Path, ...], data: Path | None) -> 
         f"no file that holds '{known.log}'" + ("" if data is None else f" below '{data}'"),
         f"the rows of it that the suite was frozen with ({known.rows} of {known.duration_s:.0f} s)",
         f"Get it: cellwise data fetch {name} -o raw, cellwise data import {name} raw -o "
-        f"DATA/{name}; then `data=DATA`.",
+        f"DATA/{name}; then " + arg("data", letter="DATA") + ".",
     )
 
 

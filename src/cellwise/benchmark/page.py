@@ -32,7 +32,7 @@ from cellwise.report.page.markup import (
     table,
 )
 from cellwise.report.page.numerals import listed, percent, plural
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.picture import Figures, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 
 Row = Mapping[str, Any]
@@ -130,7 +130,7 @@ def benchmark_page(
     path: str | Path,
     parts: Sequence[Standings] = (),
     *,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of a benchmark.
 

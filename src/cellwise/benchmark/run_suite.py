@@ -49,6 +49,7 @@ from cellwise.benchmark.work import (
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
 from cellwise.logs.writing import write_columns
+from cellwise.wording import arg
 
 if TYPE_CHECKING:
     from cellwise.report.page.picture import FigureFiles
@@ -275,7 +276,7 @@ def _pool(processes: int) -> Iterator[Executor | None]:
         raise InputError(
             "a process that ended before its work was done",
             "memory for every process",
-            "Run with `processes=1`; what is done is kept.",
+            "Run with " + arg("processes", 1) + "; what is done is kept.",
         ) from error
     finally:
         pool.shutdown(wait=False, cancel_futures=True)

@@ -25,6 +25,7 @@ from cellwise.logs.cell_log import CellLog, resample
 from cellwise.logs.reading import read_log
 from cellwise.logs.stated import Stated
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 MOST_LOCATED = 512
 ROOM_C = 25.0  # where nobody measured or stated a temperature
@@ -79,7 +80,9 @@ def _located(location: str, suite: Suite, data: Path | None) -> tuple[Path, bool
             f"no log '{place}' of suite '{suite.name}'"
             + (" and no folder of measured data" if data is None else f" below '{data}'"),
             "a file beside the suite or in the folder of measured data",
-            "Add `data=DIR` or set CELLWISE_DATA." if data is None else "Correct its path.",
+            "Add " + arg("data", letter="DIR") + " or set CELLWISE_DATA."
+            if data is None
+            else "Correct its path.",
         )
     return found, True
 

@@ -137,7 +137,7 @@ def make_model(place: SuiteFolders, number: int, key: str) -> str:
             model, noise = cell_model(cell, place.suite, place.data)
         except InputError as error:
             raise InputError(
-                f"cell '{cell.name}' of suite '{place.suite.name}': {error.found}",
+                f"cell '{cell.name}' of suite '{place.suite.name}': " + error.found,
                 error.expected,
                 error.action,
             ) from error

@@ -471,16 +471,6 @@ def _check_parts(model: CellModel) -> None:
         check_kind("effects", effect, Effect, "Write effects=(Hysteresis(m_V=0.01, gamma=40.0),).")
 
 
-def check_is_model(model: object) -> None:
-    """Refuse what is no model.
-
-    Raises
-    ------
-    InputError        another type
-    """
-    check_kind("model", model, CellModel, "Read one with read_model('model.json').")
-
-
 def check_model(model: CellModel) -> None:
     """Refuse a model that no kernel could run: see :class:`CellModel`."""
     for found, expected, action in _faults(model):

@@ -5,18 +5,18 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
 from cellwise.arguments import file_path
-from cellwise.cell.effects import EFFECTS, Effect, SlowDiffusion
-from cellwise.cell.model import RESISTANCES, TABLES, CellModel, ModelTables, check_is_model
+from cellwise.cell.effects import EFFECTS, Effect
+from cellwise.cell.model import TABLES, CellModel, ModelTables
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.plausibility.sizes import check_is_model, check_physical
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.posterior import Posterior
 from cellwise.errors import InputError
@@ -26,42 +26,6 @@ from cellwise.typing import FloatArray
 T = TypeVar("T")
 SCHEMA_VERSION = 1
 ENTRIES = ("schema_version", "kind", "soc", *(f.name for f in fields(CellModel)))
-
-
-class AllowedRange(NamedTuple):
-    """What a number of a model may be, and the slip that mostly stands behind another."""
-
-    low: float
-    high: float
-    unit: str
-    hint: str
-
-
-# Of a cell: wider than any chemistry, narrow enough for every slip of a unit by a thousand.
-VOLTAGE = AllowedRange(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.")
-# What a resistance takes at 1C: resistances alone differ by cells' sizes. Today's cells take
-# 0.02 to 0.2 V at room temperature, in the cold and empty up to some volts.
-DROP = AllowedRange(1e-9, 30.0, "V at 1C", "Ohms: not mohm.")
-TIME = AllowedRange(1e-6, 1e7, "s", "Seconds: not ms, not minutes.")
-TEMPERATURE = AllowedRange(-80.0, 120.0, "degC", "Degrees Celsius, not kelvin.")
-SHARE = AllowedRange(0.0, 10.0, "of the polarisation", "A share, not per cent.")
-SIZES = {
-    "capacity_Ah": AllowedRange(1e-7, 1e5, "Ah", "Ampere hours: not mAh, not coulombs."),
-    "temperature_C": TEMPERATURE,
-    "ocv_V": VOLTAGE,
-    "tau1_s": TIME,
-    "tau2_s": TIME,
-    "voltage_min_V": VOLTAGE,
-    "voltage_max_V": VOLTAGE,
-    "error.std_V": AllowedRange(0.0, 6.0, "V", "Volts: not mV."),
-    "error.scales_s": TIME._replace(low=0.0),
-    "error.correlation_soc": AllowedRange(0.0, 10.0, "of the SOC", "A fraction, not per cent."),
-    "error.temperature_C": TEMPERATURE,
-    # Of its data: a counter may run a little beyond 0..1, a sensor see a short circuit.
-    "validity.soc": AllowedRange(-0.5, 1.5, "", "A fraction, not per cent."),
-    "validity.temperature_C": TEMPERATURE,
-}
-RATE = AllowedRange(-1e3, 1e3, "C", "Ampere: not mA.")
 
 
 def model_to_dict(model: CellModel) -> dict[str, Any]:
@@ -149,7 +113,7 @@ def model_from_dict(data: Any, where: str = "the model") -> CellModel:
     except InputError as error:
         if where in error.found:
             raise
-        raise InputError(f"{error.found} in {where}", error.expected, error.action) from None
+        raise InputError(error.found + f" in {where}", error.expected, error.action) from None
     except (
         *(KeyError, TypeError, ValueError, AttributeError, IndexError),
         *(OverflowError, RecursionError),
@@ -172,7 +136,6 @@ def write_model(model: CellModel, path: str | Path) -> None:
     """
     check_is_model(model)
     place = file_path("path", path)
-    check_physical(model, "the model")
     text = json.dumps(model_to_dict(model), indent=1, allow_nan=False) + "\n"
     write_atomically(place, text)
 
@@ -197,46 +160,6 @@ def read_model(path: str | Path) -> CellModel:
             "Check that the file is complete.",
         ) from None
     return model_from_dict(data, str(path))
-
-
-def check_physical(model: CellModel, where: str) -> None:
-    """Refuse numbers that no cell can have: they are slips of a unit, or a file that is damaged.
-
-    Raises
-    ------
-    InputError        names the entry, its values, what is possible, and the likely slip
-    """
-    for name, values, allowed in _sizes(model):
-        low, high = float(np.min(values)), float(np.max(values))
-        if not (allowed.low <= low and high <= allowed.high):
-            raise InputError(
-                f"{name} of {_span(low, high)} {allowed.unit} in {where}",
-                f"{allowed.low:g} to {allowed.high:g} {allowed.unit}",
-                allowed.hint,
-            )
-
-
-def _sizes(model: CellModel) -> Iterator[tuple[str, Any, AllowedRange]]:
-    """Every entry with its range; resistances as the voltage that they take at 1C."""
-    for path, allowed in SIZES.items():
-        holder, _, name = path.rpartition(".")
-        values = attrgetter(path)(model)
-        if values is not None and np.size(values):
-            yield f"{name} of the {holder}" if holder else name, values, allowed
-    with np.errstate(over="ignore"):  # beyond every number is beyond every bound
-        for name in RESISTANCES:
-            yield f"{name} with a drop", getattr(model, name) * model.capacity_Ah, DROP
-        slow = np.asarray(model.effect(SlowDiffusion).r3_ohm) * model.capacity_Ah
-        yield "r3_ohm with a drop", slow, DROP._replace(low=0.0)
-    shares = (*model.error.shares(), *model.error.shares(-1.0))
-    yield "share and charge_share of the error", shares, SHARE
-    if model.validity.current_A is not None:
-        rate = np.array(model.validity.current_A) / model.capacity_Ah
-        yield "current_A of the validity, a rate", rate, RATE
-
-
-def _span(low: float, high: float) -> str:
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
 
 
 def _no_constant(name: str) -> NoReturn:

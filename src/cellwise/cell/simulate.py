@@ -25,19 +25,18 @@ from cellwise.cell.metrics import (
     error_metrics,
     metrics_to_dict,
 )
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
-    assumed_temperature_notices,
+    along_notices,
     error_notices,
     far_off,
     in_order,
-    outside_notices,
-    soc_notices,
     stated_error_V,
 )
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
@@ -111,11 +110,7 @@ class Simulation(Plottable, Tabular):
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
         found = [] if self.far_off is None else [self.far_off]
-        found += outside_notices(self.validity, self.log, self.soc)
-        found += soc_notices(self.log, self.soc)
-        if self.model is not None:
-            warm = self.model.usual_temperature_C
-            found += assumed_temperature_notices(self.model, self.log, warm)
+        found += along_notices(self.model, self.validity, self.log, self.soc)
         found += error_notices(self.model, self.log, self.residual_V, self.soc)
         return in_order(found, self.log.notices)
 
@@ -138,26 +133,41 @@ class Simulation(Plottable, Tabular):
     def band_V(self) -> float:
         """RMS of the deviation that the model states of its voltage along the log [V].
 
+        One deviation over logs: of a single one the slow part of the error is one draw, and mostly
+        below. NaN without a model.
+        """
+        return float(np.sqrt(np.mean(self.stated_V**2)))
+
+    @property
+    def band_above_10pct_V(self) -> float:
+        """The same over the rows whose simulated SOC is above 0.1 [V]; NaN: there is none."""
+        above = self.stated_V[self.soc > 0.1]
+        return float(np.sqrt(np.mean(above**2))) if above.size else math.nan
+
+    @property
+    def stated_V(self) -> FloatArray:
+        """The deviation that the model states of its voltage at every row [V], shape (n,).
+
         Its error, in which the OCV and the resistances that its fit left open are, and its
         capacity, off by which the SOC is the more off the more charge has flowed. NaN without a
         model.
         """
         if self.model is None:
-            return math.nan
+            return np.full(len(self.soc), math.nan)
         stated_V = stated_error_V(self.model, self.log, self.soc, self.voltage_V)
         fitted = self.model.posterior
         off = 0.0 if fitted is None else fitted.capacity_std * (self.soc - self.soc0)
         ocv_V = self.model.ocv_at(self.model.usual_temperature_C)
         slope_V = np.interp(self.soc, self.model.soc, np.gradient(ocv_V, self.model.soc))
-        return float(np.sqrt(np.mean(stated_V**2 + (slope_V * off) ** 2)))
+        return np.asarray(np.hypot(stated_V, slope_V * off))
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as JSON values, keys as the command prints them."""
-        above = self.rmse_above_10pct_V
         return {
             **metrics_to_dict(self.metrics),
-            "rmse_above_10pct_V": above if np.isfinite(above) else None,
-            "band_V": self.band_V if np.isfinite(self.band_V) else None,
+            "rmse_above_10pct_V": _known(self.rmse_above_10pct_V),
+            "band_V": _known(self.band_V),
+            "band_above_10pct_V": _known(self.band_above_10pct_V),
             "bands": [
                 {"soc": [b.soc_low, b.soc_high], **metrics_to_dict(b.metrics)} for b in self.bands
             ],
@@ -193,9 +203,12 @@ class Simulation(Plottable, Tabular):
         )
 
 
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
     """Simulate a log from a known initial SOC; the public one also finds it."""
-    check_is_model(model)
     check_is_log(log)
     soc0 = check_soc0(soc0)
     if h0 is not None:

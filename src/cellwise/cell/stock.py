@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwise.arguments import number
+from cellwise.arguments import file_path, number
 from cellwise.cell.effects import Effect, SelfDischarge, SelfHeating
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
@@ -65,7 +65,7 @@ def named_model(text: str | Path, capacity_Ah: float | None = None) -> CellModel
     InputError        neither a file nor the name of a stock model; a file that `read_model`
                       refuses; a capacity that is not above zero
     """
-    path = Path(text)
+    path = file_path("model", text)
     stock = str(text) in stock_names()
     if path.is_file() or (path.exists() and not stock):
         model = read_model(path)

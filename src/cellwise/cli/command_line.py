@@ -13,7 +13,7 @@ from importlib import import_module
 from types import FrameType
 
 from cellwise.cli.common.options import check_overwriting
-from cellwise.cli.common.printing import in_options
+from cellwise.cli.common.printing import worded
 from cellwise.cli.common.usage import add_commands
 from cellwise.errors import InputError
 
@@ -122,7 +122,7 @@ def _run(parsed: argparse.Namespace) -> tuple[int, str]:
             raise
         refusal = _refusal(error)
         if refusal is not None:
-            return REFUSED, f"cellwise {parsed.command}: {in_options(str(refusal))}"
+            return REFUSED, f"cellwise {parsed.command}: {worded(refusal.text)}"
         return BUG, (
             f"cellwise {parsed.command}: internal error, {error.__class__.__name__}: {error}\n"
             "This is a bug. Run again with --debug and report what it shows."

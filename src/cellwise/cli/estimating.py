@@ -166,7 +166,8 @@ def print_simulation(found: Simulation, start: InitialSoc) -> None:
         ("rows", lambda row: f"{row[1].samples:,}"),
     )
     printing.say(
-        f"RMSE above 10 % SOC: {millivolt(found.rmse_above_10pct_V)} mV; the model states "
-        f"{millivolt(found.band_V)} mV (one deviation)"
+        f"RMSE above 10 % SOC: {millivolt(found.rmse_above_10pct_V)} mV, where the model states "
+        f"{millivolt(found.band_above_10pct_V)} mV; of all rows: {millivolt(found.rmse_V)} mV, "
+        f"{millivolt(found.band_V)} mV (one deviation over logs)"
     )
     printing.say_notices(n for n in notices if n not in first)

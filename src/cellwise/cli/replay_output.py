@@ -76,6 +76,7 @@ def print_replay(found: Replay, run: ReplayAndForecast | None = None, *, sure: b
         each_of = " / ".join(percent(settled[k]) for k in ("rmse", "mae", "max"))
         rows["SOC RMSE, all rows"] = f"{percent(data['soc_rmse'])} %"
         rows["within 2 %"] = _after(data["convergence_s"])
+        rows["within 2 %, and stated so"] = _after(data["settled_s"])
         rows["settled RMSE / MAE / max"] = f"{each_of} %"
         rows["rows within 2 sigma"] = f"{percent(data['coverage_2sigma'], 1)} %"
     values: dict[str, Any] = data.get("parameters") or {}
@@ -110,7 +111,8 @@ def _after(seconds: float | None) -> str:
 def print_forecasts(run: ReplayAndForecast) -> None:
     """Remaining time and energy, for people; nothing where there is no load."""
     flight, at_load = run.flight, run.at_load
-    forecasts = [] if flight is None else [("at the present load", flight.last)]
+    stands = flight is not None and flight.stands and flight.typical is not None
+    forecasts = [] if flight is None or stands else [("at the present load", flight.last)]
     if flight is not None and flight.typical is not None:
         forecasts.insert(0, ("at the log's usual load", flight.typical.last))
     if at_load is not None:
@@ -136,6 +138,11 @@ def print_forecasts(run: ReplayAndForecast) -> None:
         ("end SOC %", lambda one: f"{100 * one[1].end_soc:.1f}"),
         ("ends by", lambda one: one[1].by),
     )
+    if stands and flight is not None:
+        printing.say(
+            f"  the log ends at a rest: the {flight.last.load_A:.2g} A of its last minute are no "
+            "load to go on with"
+        )
     if run.cells > 1:
         energy = span(run.cells * now.remaining_Wh, pack_band(run.cells, now), 1.0, 1)
         load = f"{run.cells * now.load_W:.0f} W"

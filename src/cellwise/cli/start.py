@@ -113,7 +113,7 @@ def why_of(file: FoundFile) -> str:
     named = [word for pair in file.channels for word in ("--channel", "=".join(pair))]
     into = file.path.with_name(f"{file.path.name.partition('.')[0]}_tidy.csv")
     what = ("cellwise", "convert", str(file.path), *named, "-o", str(into))
-    return f"{file.why}: {shlex.join(what)}"
+    return file.why + f": {shlex.join(what)}"
 
 
 def _nothing(folder: Path, files: list[FoundFile]) -> InputError:

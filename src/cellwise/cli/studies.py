@@ -112,6 +112,7 @@ def run_demo(arguments: argparse.Namespace) -> None:
         print_simulation(simulation, start)
     for replay in found.replays:
         print_replay(replay)
+    printing.say_notices(n for replay in found.replays for n in replay.notices)
     printing.say(f"\nOpen this page: {found.page}")
 
 

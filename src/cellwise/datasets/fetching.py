@@ -15,6 +15,7 @@ from urllib.request import Request, urlopen
 from cellwise.data import list_originals
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
+from cellwise.wording import arg
 
 TIMEOUT_S = 60.0  # without an answer
 MOST_LISTING_BYTES = 64_000_000
@@ -73,7 +74,8 @@ def fetch_dataset(
             f"no list of files with checksums for '{name}'",
             "an original whose repository gives one",
             f"Download it by hand from {registered(name)['url']} and use `data import`, or give "
-            "`listing=URL`.",
+            + arg("listing", letter="URL")
+            + ".",
         )
     with _open(str(address)) as answer:
         text = answer.read(MOST_LISTING_BYTES).decode("utf-8", "replace")
@@ -120,7 +122,9 @@ def _piece(answer: Any, file: RemoteFile) -> bytes:
 
 def _open(url: str) -> Any:
     if not url.startswith(("https://", "http://")):
-        raise InputError(f"the address '{url}'", "https://...", "Give `listing=URL`.")
+        raise InputError(
+            f"the address '{url}'", "https://...", "Give " + arg("listing", letter="URL") + "."
+        )
     try:
         # Some repositories refuse Python's own name.
         return urlopen(Request(url, headers={"User-Agent": "cellwise"}), timeout=TIMEOUT_S)

@@ -87,13 +87,13 @@ def import_dataset(
             try:
                 log = read_log(path, name=Path(shown).stem)
             except InputError as error:
-                left_out.append((shown, str(error)))
+                left_out.append((shown, error.text))
                 continue
             entries.append(_write(original, shown, path, log, target, entries))
     if not entries:
-        reason = f" ({left_out[0][0]}: {left_out[0][1]})" if left_out else ""
+        reason = f" ({left_out[0][0]}: " + left_out[0][1] + ")" if left_out else ""
         raise InputError(
-            f"not one log in '{source}'{reason}",
+            f"not one log in '{source}'" + reason,
             f"the files of {original['cell']} as downloaded",
             f"They are at {original['url']}.",
         )

@@ -41,6 +41,7 @@ from cellwise.diagnose.sets import SearchOutcome
 from cellwise.estimate.replay import replay
 from cellwise.identify.own_logs import joined, log_validity
 from cellwise.logs.cell_log import CellLog
+from cellwise.wording import arg
 
 # Effects that have tables over the temperatures: made again from the tables of the point.
 TABULATED = (effects.SlowDiffusion, effects.Hysteresis, effects.Entropy)
@@ -223,7 +224,7 @@ def soc_gain(
     if stated_Ah is None and "capacity" in named:
         return None, (
             "the capacity is one of the causes, and a SOC over it would prove itself; "
-            "state one that was measured (`reference_capacity_Ah=X`)"
+            "state one that was measured (" + arg("reference_capacity_Ah", letter="X") + ")"
         )
     choice = old.provenance.get("capacity", {})
     how = choice.get("choice", "") if isinstance(choice, dict) else ""

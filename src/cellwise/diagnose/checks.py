@@ -18,12 +18,14 @@ from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
 from cellwise.fit.model_error import charged_for_minutes, polarisation_V
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
+from cellwise.wording import arg
 
 Logs = CellLog | Sequence[CellLog]
 Start = float | None  # None: not known
 START = "a fraction from 0 to 1 or None, or one of them for every log"
-CORRECT_START = "Give `soc0=0.9`, say; left out it is found from the log."
+CORRECT_START = "Give " + arg("soc0", 0.9) + ", say; left out it is found from the log."
 
 
 def logs_of(logs: Logs) -> tuple[CellLog, ...]:

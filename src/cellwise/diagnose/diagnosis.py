@@ -10,7 +10,8 @@ import numpy as np
 
 from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.diagnose.applied import (
     Applied,
     Gain,

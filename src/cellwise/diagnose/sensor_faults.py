@@ -23,7 +23,8 @@ from cellwise.logs.checks.faults import (
     without,
 )
 from cellwise.logs.gaps import RowRange, run_edges
-from cellwise.notices import Code, Notice, RowPlace, texts
+from cellwise.notices import Code, Notice, texts
+from cellwise.wording import RowPlace
 
 
 class Failing(NamedTuple):

@@ -301,14 +301,14 @@ class Adaptive(kalman.FilterOfModel):
 
     def __init__(
         self,
-        model: CellModel,
+        model: CellModel | None = None,
         noise: Noise | None = None,
         settings: AdaptiveSettings | None = None,
     ) -> None:
         super().__init__(model, noise)
         self.settings = AdaptiveSettings() if settings is None else settings
         offset = replace(self.noise, offset_share=self.settings.offset_share)
-        self._noise = offset.scalars(model)
+        self._noise = offset.scalars(self.model)
         self._rules = self.settings.rules()
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
 
@@ -353,9 +353,10 @@ class Adaptive(kalman.FilterOfModel):
         values = np.empty((layout.ADAPTIVE_OUTPUTS, rows))
         return TraceArrays(values, np.empty(rows, dtype=np.int32))
 
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> AdaptiveTrace:
-        """Replay a whole log; the same steps in one compiled loop."""
-        rows, start = kalman.log_arrays(log), self.start(soc0, soc0_std)
+    def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> AdaptiveTrace:
+        """Replay a whole log from `known_start`; the same steps in one compiled loop."""
+        start = self.start(kalman.known_start(log, soc0), soc0_std)
+        rows = kalman.log_arrays(log)
         out = self._room(len(log))
         announce(adaptive_rows, f"the estimator '{self.name}'")
         # fmt: off

@@ -28,8 +28,9 @@ from cellwise.cell.equations import (
     transition,
     with_heat,
 )
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import put_record, record_at, size_of
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError

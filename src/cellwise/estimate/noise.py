@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.arguments import check_kind, number
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity_kernels import (
     EVERYWHERE,
     ValidityScalars,

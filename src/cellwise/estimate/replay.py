@@ -13,17 +13,16 @@ import numpy as np
 
 from cellwise.arguments import check_kind, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     ORDER,
-    assumed_temperature_notices,
+    along_notices,
     far_off,
     in_order,
-    outside_notices,
     prediction_notices,
-    soc_notices,
     times_stated,
 )
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.errors import InputError
@@ -34,13 +33,15 @@ from cellwise.estimate.power.along import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
 from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
 
 CONVERGED_SOC = 0.02
 SUSTAINED_S = 600.0
+BEYOND_NIS = 4.0  # two deviations: a voltage that is missed by more is not as the model states
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,17 @@ class Replay(Plottable, Tabular):
         return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
 
     @property
+    def settled_s(self) -> float | None:
+        """Time from which the stated deviation stays within 2 points as well.
+
+        Before, an error that is small is luck: nobody who has no reference can know it.
+        """
+        if self.error is None:
+            return None
+        row = converged_row(self.log.time_s, np.maximum(np.abs(self.error), self.trace.soc_std))
+        return None if row is None else float(self.log.time_s[row] - self.log.time_s[0])
+
+    @property
     def settled(self) -> SocErrors | None:
         """After convergence; over the log's second half when it never converged."""
         if self.error is None:
@@ -175,12 +187,8 @@ class Replay(Plottable, Tabular):
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
         found = [] if self.far_off is None else [self.far_off]
-        found += outside_notices(self.validity, self.log, self.trace.soc)
-        found += soc_notices(self.log, self.trace.soc)
-        if self.model is not None:
-            warm = self.model.usual_temperature_C
-            found += assumed_temperature_notices(self.model, self.log, warm)
         trace = self.trace
+        found += along_notices(self.model, self.validity, self.log, trace.soc)
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
             found += prediction_notices(self.log, self.voltage_rmse_V, trace.rejected)
             found += self._remarks()
@@ -193,6 +201,15 @@ class Replay(Plottable, Tabular):
         if model is None:
             return []
         found, since_s = [], log.time_s - log.time_s[0]
+        if self.nis is not None and max(self.nis) > BEYOND_NIS:
+            worst = int(np.argmax(self.nis))
+            nis, scale_s = self.nis[worst], model.error.scales_s[worst]
+            text = (
+                f"the voltage over {scale_s:g} s is missed by {math.sqrt(nis):.1f} times what the "
+                f"model states (NIS {nis:.1f}): it is further off than on the logs it was made of, "
+                "so that the SOC's band may be too narrow"
+            )
+            found.append(Notice(Code.MODEL_OFF, text, size_V=self.voltage_rmse_V))
         span = long_innovation(model, log, trace)
         if span is not None:
             side = "below" if span.mean_V < 0.0 else "above"
@@ -232,6 +249,7 @@ class Replay(Plottable, Tabular):
             "soc_mae": None if errors is None else errors.mae,
             "soc_max_error": None if errors is None else errors.max,
             "convergence_s": self.convergence_s,
+            "settled_s": self.settled_s,
             "settled": None if settled is None else vars(settled),
             "coverage_2sigma": self.coverage_2sigma,
             "nis_mean": self.nis_mean,

@@ -10,12 +10,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cellwise.cell.initial_soc.initial_soc import initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.plotting import Tabular
 from cellwise.typing import FloatArray
 

@@ -17,6 +17,7 @@ from cellwise.estimate.fixed.layout import hex_float, row_names
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.files import shipped_folder
 from cellwise.printing.firmware import HEADERS, print_files
+from cellwise.wording import arg
 
 BY_HAND = (
     "cellwise_float.h",
@@ -151,7 +152,7 @@ def prefixed(files: Mapping[str, str], prefix: str) -> dict[str, str]:
         raise InputError(
             f"a prefix '{prefix}'",
             "a name of C: a letter, then letters, digits and _, up to 31",
-            "Write e.g. `prefix='nmc'`.",
+            "Write e.g. " + arg("prefix", "nmc") + ".",
         )
     flat = [PurePosixPath(name).name for name in files]
     names = {

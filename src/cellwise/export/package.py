@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.arguments import file_path, number
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_to_dict
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.layout import CELL, INPUT, OUTPUT, state_type
 from cellwise.estimate.fixed.options import MOST_CELLS, Asked, CellSettings
@@ -40,6 +41,7 @@ from cellwise.export.c_tables import (
     write_sources,
 )
 from cellwise.export.example import BUILD, example_files
+from cellwise.wording import arg
 
 DESCRIPTION = "cellwise_export.json"
 MODEL_FILE = "cell.json"  # what the tables were made of, for `cellwise certify`
@@ -85,7 +87,7 @@ class Export:
                 f"a time step of {self.dt_s:g} s",
                 f"at most {LONGEST_STEP_S:g} s: a longer mean says little of the voltage at its "
                 "end",
-                "Give `dt_s=1`, say, and step more often than the rows are logged.",
+                "Give " + arg("dt_s", 1) + ", say, and step more often than the rows are logged.",
             )
         if self.cells and not 2 <= self.cells <= MOST_CELLS:
             raise InputError(
@@ -98,7 +100,7 @@ class Export:
             raise InputError(
                 f"a time step of {self.dt_s:g} s for foxBMS",
                 "whole milliseconds",
-                "Give `dt_s=0.1`, say.",
+                "Give " + arg("dt_s", 0.1) + ", say.",
             )
         if self.prefix:
             prefixed({}, self.prefix)

@@ -28,6 +28,7 @@ from cellwise.export.package import Export
 from cellwise.files import write_atomically
 from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
+from cellwise.wording import arg, joined_texts
 
 KNOWN = (*IN_TABLES, SlowDiffusion, RateDependence, ChargeAsymmetry, SelfHeating)
 SUFFIXES = (".py", ".json")
@@ -54,7 +55,9 @@ def write(export: Export, path: str) -> tuple[list[Path], list[Notice]]:
         raise InputError(
             f"a model with {', '.join(others)}",
             "what PyBaMM's Thevenin model knows: RC branches, temperature, current, own warming",
-            "Leave them out: " + " ".join(f"`without={name}`" for name in others) + ".",
+            "Leave them out: "
+            + joined_texts((arg("without", letter=name) for name in others), " ")
+            + ".",
         )
     text, notices = parameter_file(model)
     if not path.lower().endswith(".json"):

@@ -24,6 +24,7 @@ from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.fleet.store import BY_LOG, BY_MACHINE, ResultFolder
 from cellwise.fleet.tasks import LogTask
 from cellwise.threads import usable_cores
+from cellwise.wording import arg
 
 LOCAL, PROCESSES = "local", "processes"
 WORKER_DIED = "the worker died"
@@ -320,7 +321,7 @@ def run_fleet(
             f"none of the {len(there)} {task.unit} of '{place}' with a log that can be read (the "
             f"first: {refusals[0].rstrip('.')})",
             "a folder with logs in it",
-            "Check the folder, `pattern=...`, and how the logs are read.",
+            "Check the folder, " + arg("pattern", letter="...") + ", and how the logs are read.",
         )
     seconds = time.perf_counter() - began
     resumed = len(there) - len(names)
@@ -366,7 +367,7 @@ def find_logs(folder: Path, pattern: str, out: Path) -> dict[str, tuple[int, int
         raise InputError(
             f"no file '{pattern}' in '{folder}'",
             "logs",
-            "Check the folder and `pattern=...`.",
+            "Check the folder and " + arg("pattern", letter="...") + ".",
         )
     return found
 

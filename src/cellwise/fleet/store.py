@@ -17,6 +17,7 @@ from cellwise.logs.cell_log import CHANNELS, CellLog
 from cellwise.logs.reading import read_log
 from cellwise.logs.writing import read_rows, write_rows
 from cellwise.notices import Code, Notice, from_json, to_json
+from cellwise.wording import arg
 
 BY_LOG, BY_MACHINE, BY_US = "log", "machine", "cellwise"  # whose fault a failure is
 INTERNAL = "internal error"
@@ -29,9 +30,9 @@ def failure(error: Exception) -> dict[str, Any]:
     of the log: it is tried again when the run goes on.
     """
     if isinstance(error, MachineError):
-        return {"error": str(error), "failed_by": BY_MACHINE}
+        return {"error": error.text, "failed_by": BY_MACHINE}
     if isinstance(error, InputError):
-        return {"error": str(error), "failed_by": BY_LOG}
+        return {"error": error.text, "failed_by": BY_LOG}
     if isinstance(error, (OSError, MemoryError)):
         said = getattr(error, "strerror", None) or str(error) or "out of memory"
         return {"error": f"{type(error).__name__}: {said}", "failed_by": BY_MACHINE}
@@ -115,7 +116,7 @@ def read_prepared(path: Path, cache: str | Path = "", **options: Any) -> CellLog
         write_atomically(place, lambda target: _keep(log, target))
     except MachineError as error:
         # What is wrong with the cache is not wrong with the log.
-        noted = Notice(Code.NOT_CACHED, f"not kept in the cache: {error.found}")
+        noted = Notice(Code.NOT_CACHED, "not kept in the cache: " + error.found)
         return log.with_notices((*log.notices, noted))
     return log
 
@@ -272,5 +273,5 @@ class ResultFolder:
             raise InputError(
                 f"results in '{place}' of a run with another {', '.join(wrong) or 'setting'}",
                 "the settings of that run, to go on with it",
-                "Start again with `fresh=True`, or name another folder.",
+                "Start again with " + arg("fresh", True) + ", or name another folder.",
             )

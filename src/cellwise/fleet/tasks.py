@@ -27,6 +27,7 @@ from cellwise.logs.reading import read_pack
 from cellwise.logs.stated import Stated, in_order
 from cellwise.notices import texts
 from cellwise.pack.pack_estimate import estimate_pack
+from cellwise.wording import joined_texts
 
 
 class Surprised(NamedTuple):
@@ -306,11 +307,12 @@ class FolderTask(LogTask):
             except MachineError:
                 raise  # none of the log: the folder is tried again
             except InputError as error:
-                unread.append(f"{path.name}: {error}")
+                unread.append(f"{path.name}: " + error.text)
         if not logs:
             raise InputError(
                 f"{len(unread)} file(s), none of them a log that can be read (the first: "
-                f"{unread[0].rstrip('.')})",
+                + unread[0]
+                + ")",
                 "logs of one pack or cell",
                 "Check how they are read.",
             )
@@ -394,4 +396,4 @@ def _of_log(log: CellLog) -> dict[str, Any]:
 
 def _joined(texts: Iterable[str]) -> str | None:
     """Texts of a cell of the table; None where there are none."""
-    return "; ".join(texts) or None
+    return joined_texts(texts) or None

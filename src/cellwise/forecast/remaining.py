@@ -10,8 +10,9 @@ import numpy as np
 from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.effects import SelfHeating
 from cellwise.cell.equations import CellState, empty_state
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import place_of, size_of
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.cell.simulate import known_temperature_C, start_hysteresis
@@ -87,8 +88,9 @@ class Flight(Plottable, Tabular):
     load of at least C/50 has no forecast. ``typical`` is the same at the usual load, the mean
     of all these under way: that of the last minute swings with every bend. The lower end of its
     band is where the load's usual peaks first press the voltage to the cutoff. ``given`` is
-    what :func:`forecast_at` was asked for beside them. On a charger the load is negative: time and
-    energy to full, ``cutoff_V`` the voltage that it holds, ``taper_A`` the current at its end.
+    what :func:`forecast_at` was asked for beside them, ``stands`` says that the log ends at a rest.
+    On a charger the load is negative: time and energy to full, ``cutoff_V`` the voltage that it
+    holds, ``taper_A`` the current at its end.
     All are of one cell; ``cells`` is how many the pack has, as the log was read.
 
     ``time_s``, ``soc`` and ``soc_std`` are those of the moments; ``load_W``, ``remaining_s``,
@@ -127,6 +129,11 @@ class Flight(Plottable, Tabular):
     def last(self) -> Forecast:
         """The last moment under load."""
         return self.at(len(self) - 1)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the load of the last minute is none to go on with: a rest's, or of standing."""
+        return self.taper_A == 0.0 and not under_way(self.load_A)[-1]
 
     def at(self, k: int) -> Forecast:
         """One moment."""
@@ -185,6 +192,7 @@ class Flight(Plottable, Tabular):
             "hold": self.hold,
             "window_s": WINDOW_S,
             "moments": len(self),
+            "stands": self.stands,
             "cells": self.cells,
             "remaining_pack_Wh": self.cells * self.last.remaining_Wh,
             **now,

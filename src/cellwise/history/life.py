@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cellwise.arguments import several
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import withheld
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
 from cellwise.history.stretches import (

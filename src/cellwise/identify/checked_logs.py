@@ -25,6 +25,7 @@ from cellwise.logs.checks.unsigned import signed_by_loads
 from cellwise.logs.gaps import cut_at_pauses
 from cellwise.logs.stated import other_temperature
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 # The highest voltages of a log of an empty cell and one of a full differ by less (LTO: 1.87); those
 # of one cell and two in series by 2.
@@ -67,7 +68,11 @@ def check_logs(tests: CellTests, settings: IdentifySettings) -> CheckedLogs:
     tests, left_out = _without_wrong_drives(tests)
     logs, nominal = tests.logs(), settings.nominal_Ah
     if not logs:
-        raise InputError("no test", "at least one", "Give `hppc=LOG` or `drive=LOG`.")
+        raise InputError(
+            "no test",
+            "at least one",
+            "Give " + arg("hppc", letter="LOG") + " or " + arg("drive", letter="LOG") + ".",
+        )
     if nominal is not None and not (np.isfinite(nominal) and nominal > 0.0):
         raise InputError(
             f"a nominal capacity of {nominal:g} Ah", "a number above zero", "Give it in Ah."
@@ -104,7 +109,7 @@ def _check_log(log: CellLog) -> None:
             f"log '{log.name}' whose voltage rises with its discharge current "
             f"({'; '.join(found.evidence[:2])})",
             "positive current on discharge",
-            "Give `sign='charge-positive'`, or swap the sign in the file.",
+            "Give " + arg("sign", "charge-positive") + ", or swap the sign in the file.",
         )
     check_one_cell(log)
 
@@ -116,7 +121,7 @@ def _without_wrong_drives(tests: CellTests) -> tuple[CellTests, tuple[Notice, ..
         try:
             _check_log(log)
         except InputError as error:
-            wrong[id(log)] = Notice(Code.LOG_LEFT_OUT, f"left out: {error.found}")
+            wrong[id(log)] = Notice(Code.LOG_LEFT_OUT, "left out: " + error.found)
     if 2 * len(wrong) > len(tests.drive) - 1:
         return tests, ()
     kept = tuple(one for one in tests.drive if id(one[0]) not in wrong)
@@ -132,7 +137,9 @@ def _check_voltages(logs: tuple[CellLog, ...]) -> None:
                 f"up to {highest[high]:.3g} V in '{logs[high].name}' beside "
                 f"{highest[low]:.3g} V in '{logs[low].name}'",
                 "logs of one cell",
-                "Other cells in series? Read that log alone with its own `series=N`, and write it "
+                "Other cells in series? Read that log alone with its own "
+                + arg("series", letter="N")
+                + ", and write it "
                 "as a log of one cell (write_log, cellwise convert).",
             )
 

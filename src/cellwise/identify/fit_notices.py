@@ -12,8 +12,9 @@ from cellwise.cell.posterior import POINTS, Posterior
 from cellwise.fit.beginnings import TRIALS
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray
+from cellwise.wording import Option
 
 
 class Said(NamedTuple):

@@ -16,6 +16,7 @@ from cellwise.identify.hppc.phases import find_phases
 from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 
 class CapacityLimits(NamedTuple):
@@ -86,7 +87,7 @@ def measure_capacity(checked: CheckedLogs, settings: IdentifySettings) -> Measur
     except InputError as error:
         if nominal is None and not tests.hppc:
             raise
-        notices.append(Notice(Code.NO_CAPACITY_TEST, f"no capacity test found: {error}"))
+        notices.append(Notice(Code.NO_CAPACITY_TEST, "no capacity test found: " + error.text))
     total, empty_early = _of_pulse_tests(tests, nominal, notices)
     usable, parts = _without_parts(measured, nominal)
     if not any(t.complete for t in usable):
@@ -141,7 +142,9 @@ def _against_nominal(capacity_Ah: float, choice: str, nominal_Ah: float | None) 
             f"a capacity of {capacity_Ah:.4g} Ah ({choice}) for a cell of {nominal_Ah:g} Ah "
             "nominal",
             f"a capacity within a factor of {LIMITS.far:g} of the nominal one",
-            "Check the unit of the current (mA for A?) and `nominal_Ah=...`, or leave that out.",
+            "Check the unit of the current (mA for A?) and "
+            + arg("nominal_Ah", letter="...")
+            + ", or leave that out.",
         )
     if away < math.log(LIMITS.near_nominal):
         return []
@@ -162,7 +165,9 @@ def _against_logs(capacity_Ah: float, choice: str, tests: CellTests) -> list[Not
             raise InputError(
                 f"'{log.name}' that {of_cell} for a cell of {capacity_Ah:.4g} Ah ({choice})",
                 "logs of one cell, with current in ampere",
-                "Check the unit of the current (mA for A?), `parallel=N`, and the capacity.",
+                "Check the unit of the current (mA for A?), "
+                + arg("parallel", letter="N")
+                + ", and the capacity.",
             )
         if moved_Ah > SHOWN.charge * capacity_Ah:
             text = (

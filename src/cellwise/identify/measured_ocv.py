@@ -14,6 +14,7 @@ from cellwise.identify.ocv.curve import OcvCurve, sample_notice
 from cellwise.identify.ocv.ocv_lowrate import ocv_from_low_rate
 from cellwise.identify.ocv.ocv_rests import ocv_from_rests
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 
 class MeasuredOcv(NamedTuple):
@@ -41,7 +42,7 @@ def measure_ocv(checked: CheckedLogs, capacity_Ah: float) -> MeasuredOcv:
         raise InputError(
             "; ".join((pulse_counts(checked.tests), *(one.head for one in failed))),
             "a low-rate test, or an HPPC log with healthy pulses and rests at several SOC",
-            "Add `ocv=LOG` (a C/20 discharge), or give such an HPPC log.",
+            "Add " + arg("ocv", letter="LOG") + " (a C/20 discharge), or give such an HPPC log.",
         )
     curve = ocv_from_low_rate(slow, capacity_Ah=capacity_Ah)
     if rests is None:
@@ -75,6 +76,6 @@ def _of_rests(tests: CellTests, capacity_Ah: float) -> tuple[OcvCurve | None, tu
     try:
         return ocv_from_rests(log, capacity_Ah), ()
     except InputError as error:
-        text = f"no OCV from the rests of '{log.name}': found {error.found}"
-        said = (text, f"; expected {error.expected}. {error.action}")
+        text = f"no OCV from the rests of '{log.name}': found " + error.found
+        said = (text, "; expected " + error.expected + ". " + error.action)
         return None, (Notice(Code.NO_OCV_OF_RESTS, said),)

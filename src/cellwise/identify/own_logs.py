@@ -10,7 +10,6 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.model_file import check_physical
 from cellwise.cell.plausibility.notice import (
     RANGE_V,
     SHOWN,
@@ -18,6 +17,7 @@ from cellwise.cell.plausibility.notice import (
     in_order,
     soc_notices,
 )
+from cellwise.cell.plausibility.sizes import check_physical
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity, covered
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.errors import InputError
@@ -27,8 +27,9 @@ from cellwise.identify.capacity.half_cycles import find_half_cycles, join_logs
 from cellwise.identify.identification import CellTests, Fitted, OwnLog, Role, Start
 from cellwise.identify.ocv.curve import LIMITS
 from cellwise.logs.cell_log import CellLog
-from cellwise.notices import Code, Notice
+from cellwise.notices import Code, Notice, texts
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import joined_texts
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 CLEARLY_WORSE = 1.1  # a likelihood weighs rows otherwise than an RMSE does: a tenth is no loss
@@ -91,14 +92,13 @@ def check_possible(model: CellModel, found: Sequence[Notice]) -> None:
 
     Raises
     ------
-    InputError        see :func:`cellwise.cell.model_file.check_physical`
+    InputError        see :func:`cellwise.cell.plausibility.sizes.check_physical`
     """
     try:
         check_physical(model, "the model")
     except InputError as error:
-        first = "".join(f"; {one.text}" for one in in_order(found)[:1])
         raise InputError(
-            f"tests that give {error.found}{first}",
+            "tests that give " + joined_texts((error.found, *texts(in_order(found)[:1]))),
             error.expected,
             "Check that the logs are of one cell and in one scale, and their temperatures.",
         ) from None
@@ -114,7 +114,7 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
     if found and rmse_V >= SHOWN.no_model_V:
         first = in_order(found)[0]
         raise InputError(
-            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; {first.text}",
+            f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; " + first.text,
             "logs of one cell, in one scale",
             "Leave out the log that does not belong, or check the unit of its current (mA for A?).",
         )

@@ -55,6 +55,7 @@ from cellwise.identify.stated_error import leave_out, stated_error
 from cellwise.identify.tables import TableKind, pulse_tables
 from cellwise.notices import Code, Notice, texts
 from cellwise.threads import one_blas_thread
+from cellwise.wording import arg
 
 Progress = Callable[[str], None]
 UNKNOWN_TEMPERATURE_K = 10.0  # by how much the temperature of one log and another differ
@@ -260,7 +261,8 @@ def _pulses_alone(
                 "healthy pulses after a rest that move less than a third of the charge, or "
                 "refinement",
                 "Give an HPPC log whose pulses stay within the voltage limits, or leave out "
-                "`refine=False`.",
+                + arg("refine", False)
+                + ".",
             )
     tables = [pulse_tables(found, kind) for found in fits.values()]
     return plain_model(tables, curve, capacity_Ah, tuple(fits))

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from cellwise.arguments import check_kind, choice, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import model_mark
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfState
 from cellwise.estimate.filters.kalman import Ekf, KalmanFilter, Ukf

@@ -20,6 +20,7 @@ from cellwise.estimate.status import INNOVATION_REJECTED, OUT_OF_RANGE, Status
 from cellwise.live.samples import POLL_S, Readings, Sample, Source, Stray
 from cellwise.logs.files.format import need
 from cellwise.logs.files.source import ReadOptions
+from cellwise.wording import arg
 
 INFO = ("BATTERY_INFO", "SMART_BATTERY_INFO")  # the first one has replaced the second
 # BATTERY_INFO where the library's dialects do not have it: its number, the protocol's checksum of
@@ -152,7 +153,7 @@ class MavlinkStream:
             raise InputError(
                 f"{kind} of {self.name} with {count} cells in series, {series} given",
                 "the same number",
-                f"Give `series={count}`, or `auto`.",
+                "Give " + arg("series", count) + ", or `auto`.",
             )
 
     def _battery(self, message: Any) -> Sample | Stray | None:

@@ -16,6 +16,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.status import Status
 from cellwise.live.live_filter import LiveFilter, Update
 from cellwise.live.samples import Source, Stray
+from cellwise.wording import arg
 
 MOST_REASONS = 50  # why something was no sample; more are counted together
 LATENCIES = 50_000  # the last ones that are kept
@@ -183,7 +184,7 @@ def check_any(source: Source, counts: Counts) -> None:
             f"{counts.samples} samples in {source.name} and no voltage of a cell among them (the "
             f"last is {counts.last.sample.voltage_V:.4g} V)",
             "the voltage of one cell, or a pack's with its cells in series",
-            "State `series=N`, or check the channel and its unit.",
+            "State " + arg("series", letter="N") + ", or check the channel and its unit.",
         )
     if counts.samples:
         return

@@ -17,6 +17,7 @@ from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.logs.files.columns import TIDY_NAMES, Unit, listed, tidy_name
 from cellwise.logs.files.source import ReadOptions
 from cellwise.logs.packs.cells import CellColumn, known_column
+from cellwise.wording import arg
 
 FIELDS = ("time_s", "current_A", "voltage_V", "temperature_C")
 CELL_FIELDS = FIELDS[1:]
@@ -92,9 +93,9 @@ class Readings:
     ) -> None:
         if options.series == "auto":
             raise InputError(
-                "`series='auto'` for a stream",
+                arg("series", "auto") + " for a stream",
                 "the number of cells in series",
-                "Give it: `series=4`, say.",
+                "Give it: " + arg("series", 4) + ", say.",
             )
         if cells and not 2 <= cells <= MOST_CELLS:
             raise InputError(

@@ -13,6 +13,7 @@ from cellwise.errors import InputError
 from cellwise.live.live_filter import Update
 from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample, Source, Stray
 from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
+from cellwise.wording import arg
 
 LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
 WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), "
@@ -59,7 +60,7 @@ def open_source(
     if options.dbc is not None and kind != "can":
         raise InputError("a DBC file for a stream without CAN frames", "can:...", "Omit it.")
     if options.instance is not None and kind not in ("ulog", "mavlink"):
-        one = "`instance=...` for a stream of one battery"
+        one = arg("instance", letter="...") + " for a stream of one battery"
         raise InputError(one, "ulog:... or mavlink:...", "Omit it.")
     if cells and kind == "ulog":
         raise InputError("cells of a pack in a ULog stream", "json:... or can:...", "Omit them.")

@@ -17,6 +17,7 @@ from cellwise.logs.gaps import Gap, find_gaps, run_edges
 from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
+from cellwise.wording import arg
 
 CurrentMeaning = Literal["interval_end", "interval_start"]
 
@@ -24,6 +25,7 @@ CHANNELS = ("time_s", "current_A", "voltage_V", "temperature_C", "charge_Ah", "s
 # A missing current is its last value; of more seconds what the counter says, whose steps (0.01 Ah
 # on some testers) are by then small against what flowed.
 COUNTED_S = 60.0
+WAY_TO_A_LOG = "Read one with read_log, or CellLog.from_table(a data frame)."
 LARGEST = 100_000_000  # rows of an even step; beyond it a step is a slip of the unit
 
 
@@ -69,6 +71,16 @@ class CellLog(Plottable, Tabular):
     soc0: float | None = None
     series: int = 1
     parallel: int = 1
+
+    def __new__(cls, *given: object, **named: object) -> Self:
+        """Refuse a table, or the name of a file, in the place of channels."""
+        if len(given) + len(named) == 1:
+            raise InputError(
+                f"CellLog({shown((*given, *named.values())[0])})",
+                "time_s, current_A and voltage_V",
+                "Write CellLog.from_table(frame) with a data frame, read_log('a.csv') with a file.",
+            )
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         n = np.size(self.time_s)
@@ -363,16 +375,6 @@ def _check_time(time_s: FloatArray, where: str) -> None:
         )
 
 
-def check_is_log(log: object) -> None:
-    """Refuse what is no log of a cell.
-
-    Raises
-    ------
-    InputError        another type
-    """
-    check_kind("log", log, CellLog, "Read one with read_log, or CellLog.from_table(a data frame).")
-
-
 def resample(log: CellLog, dt_s: float) -> CellLog:
     """Rows every ``dt_s`` seconds: mean current of the interval, last voltage and temperature.
 
@@ -383,13 +385,13 @@ def resample(log: CellLog, dt_s: float) -> CellLog:
     ------
     InputError        a step that is not above zero, longer than the log, or beyond any memory
     """
-    check_is_log(log)
+    check_kind("log", log, CellLog, WAY_TO_A_LOG)
     dt_s = number("dt_s", dt_s, "seconds, above zero")
     if not (0.0 < dt_s <= log.duration_s <= LARGEST * dt_s):
         raise InputError(
             f"a time step of {dt_s:g} s for a log of {log.duration_s:g} s",
             f"a step in seconds, shorter than the log, and at most {LARGEST:,} of them",
-            "Give `dt_s=1.0`, say.",
+            "Give " + arg("dt_s", 1.0) + ", say.",
         )
     start = float(log.time_s[0])
     steps = int(np.floor(log.duration_s / dt_s + 1e-9))

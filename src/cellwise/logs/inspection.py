@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import faults, grave, units
 from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
+from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.gaps import Gap, run_edges
-from cellwise.notices import Code, Notice, RowPlace, coded, graves_first
+from cellwise.notices import Code, Notice, coded, graves_first
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import RowPlace
 
 
 class Noted(NamedTuple):

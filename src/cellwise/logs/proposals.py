@@ -16,6 +16,7 @@ from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import listed
 from cellwise.logs.files.source import LogSource
 from cellwise.notices import Code
+from cellwise.wording import arg, within
 
 TRIED_BYTES = 2_000_000  # of a larger text the beginning is tried
 LEAST_V = 0.5  # of a cell, typically
@@ -54,20 +55,23 @@ def tried(
         return MissingColumnsError(
             refusal.found,
             refusal.expected,
-            "None of them was found to fit. If some do, name them with `channels={...}`. "
+            "None of them was found to fit. If some do, name them with "
+            + arg("channels", letter="{...}")
+            + ". "
             + refusal.action,
             refusal.missing,
         )
     passed, best = max(found, key=lambda one: one[0])
-    said = ", ".join(f"{tidy!r}: {name!r}" for tidy, name in best.items())
     why = "it reads, and the voltage answers the current" if passed.answers else "it reads"
     others = sorted({name for _, one in found for name in one.values()} - set(best.values()))
     also = f" What reads, too: {listed(others)}." if others else ""
     return MissingColumnsError(
         refusal.found,
         refusal.expected,
-        f"Name the columns with `channels={{{said}}}`, if that is what they hold ({why}).{also} "
-        f"Or: {refusal.action[:1].lower()}{refusal.action[1:]}",
+        "Name the columns with "
+        + arg("channels", tuple(best.items()))
+        + f", if that is what they hold ({why}).{also} Or: "
+        + within(refusal.action),
         refusal.missing,
         fitting=best,
     )

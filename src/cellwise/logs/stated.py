@@ -13,7 +13,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from cellwise.arguments import beyond, check_kind, held_soc
+from cellwise.arguments import beyond, check_kind, file_path, held_soc
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
@@ -100,7 +100,7 @@ class Stated:
         """What is stated of a log: by a text behind its path; a Path is taken as it is."""
         if isinstance(path, Stated):
             return path
-        return cls.parse(path) if isinstance(path, str) else cls(str(path))
+        return cls.parse(path) if isinstance(path, str) else cls(str(file_path("path", path)))
 
     @property
     def says_nothing(self) -> bool:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 from cellwise.arguments import file_path
 from cellwise.errors import InputError
 from cellwise.files import write_atomically
-from cellwise.logs.cell_log import CHANNELS, CellLog, check_is_log
+from cellwise.logs.cell_log import CHANNELS, CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.files.arrow import from_numpy
+from cellwise.wording import arg
 
 if TYPE_CHECKING:
     import pyarrow
@@ -173,6 +175,6 @@ def read_rows(path: Path) -> dict[str, list[Any]]:
         raise InputError(
             f"'{path}', which is no parquet file ({str(error).splitlines()[0]})",
             "a part that this command wrote",
-            "Remove it, or start again with `fresh=True`.",
+            "Remove it, or start again with " + arg("fresh", True) + ".",
         ) from None
     return dict(table.to_pydict())

@@ -149,7 +149,7 @@ def pack_days(
         raise refused[0]
     check_order([(one.log.name, one.day) for one in days])
     if refused:
-        left_out = (Notice(Code.LOG_LEFT_OUT, f"left out: {one.found}") for one in refused)
+        left_out = (Notice(Code.LOG_LEFT_OUT, "left out: " + one.found) for one in refused)
         said = (*days[0].log.mean.notices, *left_out)
         first = replace(days[0].log, mean=days[0].log.mean.with_notices(said))
         days[0] = replace(days[0], log=first)

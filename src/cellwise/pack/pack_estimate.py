@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from cellwise.arguments import several
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import far_off, in_order, outside_notices, withheld
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.logs.packs.pack_log import PackLog
-from cellwise.notices import Code, Notice, Option, texts
+from cellwise.notices import Code, Notice, texts
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
 from cellwise.pack.evidence import PackEvidence, period_evidence
@@ -31,6 +32,7 @@ from cellwise.pack.suspicion import (
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
+from cellwise.wording import Option
 
 BALANCED = [by.SOC, by.SELF_DISCHARGE]
 POINTS = 101  # of the mean of the OCV between full and empty

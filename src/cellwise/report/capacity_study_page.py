@@ -9,7 +9,7 @@ from cellwise.errors import InputError
 from cellwise.report.page import style
 from cellwise.report.page.markup import bullets, paragraph, table
 from cellwise.report.page.numerals import capitalised
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.picture import Figures, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.studies.capacity_study import VOLTAGE, CellStudy, published_orders
 from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
@@ -119,7 +119,7 @@ def capacity_study_page(
     studies: Sequence[CellStudy],
     path: str | Path,
     *,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of a capacity study: a section per cell, the papers' order.
 

@@ -19,9 +19,9 @@ from cellwise.report.identification.page import (
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import bullets, details, lead_of, paragraph
 from cellwise.report.page.numerals import ampere_hours, millivolt, plural
-from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, write_page
-from cellwise.report.replay.page import replay_data
+from cellwise.report.replay.page import beyond_its_statement, replay_data
 from cellwise.report.replay.replay_section import replay_content, replay_finding, replay_plots
 
 INTRODUCTION = (
@@ -38,7 +38,7 @@ def demo_page(
     replays: Sequence[Replay],
     path: str | Path,
     *,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write one page from tests to SOC, every plot explained for a newcomer.
 
@@ -49,14 +49,15 @@ def demo_page(
     replays : of Replay           the first one from a wrong start, of a simulated log
     path, figures : as of `write_page`, whose errors it raises
     """
-    judged = [replay_finding(r) for r in replays if r.settled is not None]
+    judged = [replay_finding(r) for r in replays if r.settled is not None][:1]
+    judged += [*filter(None, map(beyond_its_statement, replays))][:1]
     return write_page(
         path,
         demo_finding(identification, simulations),
         f"cellwise demo on {cell_name(identification)}",
         demo_sections(identification, simulations, replays),
         {"identification": identification.to_dict(), **replay_data(replays, simulations)},
-        lead=lead_of((), identify_tiles(identification), judged[:1]),
+        lead=lead_of((), identify_tiles(identification), judged),
         figures=figures,
     )
 

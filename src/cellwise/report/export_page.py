@@ -9,7 +9,7 @@ from typing import Any
 from cellwise.plotting import Plottable
 from cellwise.report.page.markup import Markup, bullets, paragraph, record_table, table, tiles
 from cellwise.report.page.numerals import counted, listed, plural, significant
-from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.picture import Figures
 from cellwise.report.page.plot import Plot
 from cellwise.report.page.section import Section, write_page
 
@@ -40,7 +40,7 @@ def export_page(
     path: str | Path,
     on_log: Plottable | None = None,
     *,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of an export.
 

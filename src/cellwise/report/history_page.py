@@ -12,15 +12,13 @@ from cellwise.history.life import Life
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
 from cellwise.report.page.numerals import SPACE, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, pictured
+from cellwise.report.page.picture import Figures, pictured
 from cellwise.report.page.section import Section, write_page
 
 UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved in these logs [Ah]"}
 
 
-def history_page(
-    found: Life, path: str | Path, *, figures: str | Path | FigureFiles | None = None
-) -> Path:
+def history_page(found: Life, path: str | Path, *, figures: Figures = None) -> Path:
     """Write the page of a life.
 
     Raises
@@ -125,12 +123,13 @@ def capacity_picture(found: Life) -> style.Figure:
     axes.plot(found.way, trend, color=style.BLUE, label="trend")
     looks = {"color": style.BLUE, "alpha": 0.18, "linewidth": 0}
     axes.fill_between(found.way, trend - band, trend + band, **looks)
-    low = min(float(np.min(trend - band)), float(np.min(share))) - 2.0
-    axes.set_ylim(low, max(float(np.max(trend + band)), float(np.max(share))) + 2.0)
+    low = min(np.min(trend - band), np.min(share - 2.0 * std))
+    high = max(np.max(trend + band), np.max(share + 2.0 * std))
+    axes.set_ylim(float(low) - 2.0, float(high) + 2.0)
     if found.trend.knee is not None:
         at = found.way[found.trend.knee]
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, label="knee")
-    style.legend(axes)
+    style.key_below(axes)
     style.finding(axes, f"{_now(found)} of the new cell's capacity at the last log")
     style.labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
     return figure

@@ -13,7 +13,7 @@ from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
 from cellwise.report.page.numerals import millivolt, percent, plural, significant
-from cellwise.report.page.picture import FigureFiles, Picture, pictured
+from cellwise.report.page.picture import Figures, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
 
@@ -30,9 +30,7 @@ class CellImage(NamedTuple):
 IMAGE = CellImage()
 
 
-def pack_page(
-    found: PackEstimate, path: str | Path, *, figures: str | Path | FigureFiles | None = None
-) -> Path:
+def pack_page(found: PackEstimate, path: str | Path, *, figures: Figures = None) -> Path:
     """Write the page of a pack.
 
     Raises

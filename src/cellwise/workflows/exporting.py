@@ -19,6 +19,7 @@ from cellwise.files import file_place
 from cellwise.identify.ocv.voltage_only import read_voltage_table
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Notice, texts
+from cellwise.wording import arg
 from cellwise.workflows.starts import start_of
 
 # What is written beside the folder of C, each by the module of its name.
@@ -85,7 +86,9 @@ def without_effects(model: CellModel, names: Sequence[str]) -> CellModel:
     for name in names:
         if name not in there:
             expected = f"an effect of the model: {', '.join(there) or 'it has none'}"
-            raise InputError(f"`without={name}`", expected, "Leave it out, or correct its name.")
+            raise InputError(
+                arg("without", letter=name), expected, "Leave it out, or correct its name."
+            )
     kept = tuple(effect for name, effect in there.items() if name not in names)
     return replace(model, effects=kept) if names else model
 
@@ -110,7 +113,7 @@ def check_export(folder: str | Path | None, formats: Mapping[str, str]) -> None:
         module = import_module(FORMATS[name])
         if not place.lower().endswith(module.SUFFIXES):
             ends = " or ".join(module.SUFFIXES)
-            raise InputError(f"`{name}={place}`", f"a name that ends in {ends}", "Name it so.")
+            raise InputError(arg(name, letter=place), f"a name that ends in {ends}", "Name it so.")
         module.check(place)
 
 
@@ -183,7 +186,7 @@ def _write_formats(
 def _beside_float64(export: Export, log: CellLog, soc0: float | None) -> list[FixedAndFloat]:
     """What is exported and the float64 EKF on the log, by number of SOC points."""
     if export.dt_s is None:
-        raise InputError("no time step", "that of the target", "Give `dt_s=1`, say.")
+        raise InputError("no time step", "that of the target", "Give " + arg("dt_s", 1) + ", say.")
     return fixed_and_float(
         export.seen.model,
         log,

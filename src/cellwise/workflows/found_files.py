@@ -17,7 +17,8 @@ from cellwise.logs import CellLog, read_log
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.stated import SUFFIXES, in_order
-from cellwise.notices import Code, Option, coded, in_python
+from cellwise.notices import Code, coded
+from cellwise.wording import arg
 
 FLIGHTS = ("px4-ulog", "ardupilot-dataflash", "blackbox")
 DATABASES = (".dbc", ".arxml", ".kcd", ".sym")
@@ -28,7 +29,7 @@ TESTS = ("hppc", "ocv", "capacity")
 # What else lies about, by how its name ends.
 OTHERS = {
     **dict.fromkeys(DATABASES, "a database of CAN frames, by which their logs are read"),
-    ".jsonl": "samples of a stream: cellwise live `source='json:FILE'`",
+    ".jsonl": "samples of a stream: cellwise live " + arg("source", "json:FILE"),
     ".json": "a model, a state or settings",
     **dict.fromkeys((".zip", ".7z", ".tar", ".rar", ".bz2", ".xz"), "an archive: unpack it"),
     **dict.fromkeys((".html", ".pdf", ".docx", ".md", ".rst"), "a document"),
@@ -144,7 +145,7 @@ def look_at(
 def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
     """Of no use beside files whose sign is another's."""
     why = "the sign of the current looks wrong: read it by itself, with "
-    why += in_python(Option("sign", one.other_sign))
+    why += arg("sign", one.other_sign)
     return replace(one, kind="unread", why=why)
 
 
@@ -195,7 +196,7 @@ def _to_do(error: InputError) -> str:
             return "a log under other names"
         if len(error.missing) > 1:  # most columns: only what it lacks
             return f"a table without {', '.join(error.missing)}: no log"
-    return f"{error.found}. {error.action}"
+    return error.found + ". " + error.action
 
 
 def _taken_for(place: Path, log: CellLog, series: int, nominal_Ah: float | None) -> FoundFile:

@@ -12,8 +12,9 @@ import numpy as np
 
 from cellwise.arguments import check_kind
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import ends_forecasts, withheld
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import make_estimator
 from cellwise.estimate.power.along import PowerTrace
@@ -31,7 +32,8 @@ from cellwise.forecast.remaining import (
     forecast,
     forecast_at,
 )
-from cellwise.logs.cell_log import CellLog, check_is_log, resample
+from cellwise.logs.cell_log import CellLog, resample
+from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.files.source import ReadOptions, open_source
 from cellwise.logs.formats.ros_bag import start_of as start_of_bag
 from cellwise.logs.gaps import cut_at_pauses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cellwise.errors import InputError
+from cellwise.wording import arg
 
 
 def start_of(stated: float | None, asked: float | None, argument: str = "soc0") -> float | None:
@@ -19,8 +20,9 @@ def start_of(stated: float | None, asked: float | None, argument: str = "soc0") 
     """
     if stated is not None and asked is not None and asked != stated:
         raise InputError(
-            f"`{argument}={asked:g}` for a log whose initial SOC is stated as {stated:g}",
+            arg(argument, letter=f"{asked:g}")
+            + f" for a log whose initial SOC is stated as {stated:g}",
             "one initial SOC",
-            f"Leave out `{argument}=...`, or what is stated behind the @.",
+            "Leave out " + arg(argument, letter="...") + ", or what is stated behind the @.",
         )
     return asked if stated is None else None

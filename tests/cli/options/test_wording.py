@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import pickle
 import re
 import shlex
 import subprocess
@@ -16,16 +17,17 @@ import pytest
 import cellwise
 from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
-from cellwise.cli.common.printing import ARGUMENT, in_command, in_options
+from cellwise.cli.common.printing import in_command, worded
 from cellwise.logs import read_log
-from cellwise.notices import Option
+from cellwise.wording import Option, Text, arg, joined_texts, within
 from sources import tree_of
 
 SOURCE = Path(cellwise.__file__).parent
 # Options of other programs, and of `python -m cellwise.printing`; the variables of a style sheet.
 OTHERS = ("cli", "printing", "report/page", "export/cross.py", "export/page.py")
-OTHERS += ("export/package.py",)
+OTHERS += ("export/package.py", "wording.py")
 OPTION = re.compile(r"(?<![\w-])--[a-z]")
+IN_PYTHON = re.compile(r"`[A-Za-z{][\w}]*=[^`]*`")
 
 
 def texts():
@@ -70,50 +72,93 @@ def test_no_message_of_the_library_names_an_option(library):
     assert [place for place, text in library.items() if OPTION.search(text)] == []
 
 
-def test_every_argument_that_a_message_names_is_an_option_of_a_command(library, options):
+def test_no_text_of_the_library_writes_an_argument_that_is_no_data(library):
+    assert [place for place, text in library.items() if IN_PYTHON.search(text)] == []
+
+
+def test_every_argument_that_a_text_names_is_an_option_of_a_command(options):
     named = {
-        (place, option)
-        for place, text in library.items()
-        for found in ARGUMENT.finditer(text)
-        for option in in_options(found[0]).split()
-        if option.startswith("--")
-    }
-    assert len(named) > 30
-    assert [(place, option) for place, option in named if option not in options] == []
-
-
-def test_every_argument_that_a_notice_proposes_is_an_option_of_a_command(options):
-    proposed = {
         node.args[0].value
         for path in SOURCE.rglob("*.py")
         for node in ast.walk(tree_of(path))
         if isinstance(node, ast.Call)
-        and getattr(node.func, "id", "") == "Option"
+        and getattr(node.func, "id", "") in ("Option", "arg")
         and node.args
         and isinstance(node.args[0], ast.Constant)
     }
-    assert {"sign", "series", "parallel", "soc0", "channels", "instance"} <= proposed
-    written = {in_command(Option(name, letter="X")).split()[0] for name in proposed}
-    assert written <= options
+    assert {"sign", "series", "parallel", "soc0", "channels", "instance", "dt_s"} <= named
+    assert len(named) > 20
+    off = {"refine": False}  # what is on already has only the option that turns it off
+    written = {n: in_command(Option(n, off.get(n, "X"))).split()[0] for n in named}
+    assert {name: option for name, option in written.items() if option not in options} == {}
 
 
 @pytest.mark.parametrize(
-    ("library", "command"),
+    ("text", "python", "command"),
     [
-        ("Give `series=4`.", "Give --series 4."),
-        ("Give `sign='charge-positive'`.", "Give --sign charge-positive."),
-        ("with `partial=True`.", "with --partial."),
-        ("Leave out `refine=False`.", "Leave out --no-refine."),
-        ("`nominal_Ah=X` or `capacity=LOG`", "--nominal-ah X or --capacity LOG"),
-        ("`channels={'time_s': 'Total Time'}`", "--channel time_s='Total Time'"),
-        ("`channels={'a_V': 'x', 'b_V': 'y'}`", "--channel a_V=x --channel b_V=y"),
-        ("omit `instance=...`, `channels={...}`", "omit --instance, --channel"),
-        ("`dt_s=0.1`", "--dt 0.1"),
-        ("`code` and 'a=b'", "`code` and 'a=b'"),
+        ("Give " + arg("series", 4) + ".", "Give `series=4`.", "Give --series 4."),
+        (arg("sign", "charge-positive"), "`sign='charge-positive'`", "--sign charge-positive"),
+        (arg("partial", True), "`partial=True`", "--partial"),
+        (arg("refine", False), "`refine=False`", "--no-refine"),
+        (
+            arg("nominal_Ah", letter="X") + " or " + arg("capacity", letter="LOG"),
+            "`nominal_Ah=X` or `capacity=LOG`",
+            "--nominal-ah X or --capacity LOG",
+        ),
+        (
+            arg("channels", ("time_s", "Total Time")),
+            "`channels={'time_s': 'Total Time'}`",
+            "--channel time_s='Total Time'",
+        ),
+        (
+            arg("channels", (("a_V", "x"), ("b_V", "y"))),
+            "`channels={'a_V': 'x', 'b_V': 'y'}`",
+            "--channel a_V=x --channel b_V=y",
+        ),
+        (
+            joined_texts([arg("instance", letter="..."), arg("channels", letter="{...}")], ", "),
+            "`instance=...`, `channels={...}`",
+            "--instance, --channel",
+        ),
+        ("Or: " + within("Give " + arg("dt_s", 0.1)), "Or: give `dt_s=0.1`", "Or: give --dt 0.1"),
+        # Text that looks like an argument is none: a name of a file, say.
+        ("a log '`soc0=1`.csv'", "a log '`soc0=1`.csv'", "a log '`soc0=1`.csv'"),
     ],
 )
-def test_an_argument_is_said_as_the_option(library, command):
-    assert in_options(library) == command
+def test_an_argument_is_said_as_the_option(text, python, command):
+    assert text == python
+    assert worded(text) == command
+    assert worded(pickle.loads(pickle.dumps(text))) == command  # from another process
+
+
+def test_every_option_of_every_command_is_rendered_from_its_argument():
+    """What a refusal names comes out as the very option, whatever the command."""
+    seen = 0
+    for command in parsers(build_parser()):
+        for action in command._actions:
+            if not action.option_strings or action.dest == "help":
+                continue
+            argument = {"dt": "dt_s", "voltage_limits": "limits", "channel": "channels"}.get(
+                action.dest, action.dest
+            )
+            off = action.option_strings[0].startswith("--no-")
+            flag = action.nargs == 0
+            value = not off if flag else ("time_s", "A") if argument == "channels" else 1
+            argument = argument.removeprefix("no_")
+            refusal = InputError("a", "b", "Give " + arg(argument, value) + ".")
+            said = worded(refusal.text).removeprefix("found a; expected b. Give ").rstrip(".")
+            assert refusal.options == (Option(argument, value),)
+            assert said.split()[0].lower() in action.option_strings, action.option_strings
+            assert f"`{argument}=" in str(refusal)
+            seen += 1
+    assert seen > 150
+
+
+def test_a_refusal_keeps_what_it_names_on_its_way_from_another_process():
+    refusal = pickle.loads(pickle.dumps(InputError("a", "b", "Give " + arg("dt_s", 1) + ".")))
+    assert refusal.options == (Option("dt_s", 1),)
+    assert worded(refusal.text) == "found a; expected b. Give --dt 1."
+    assert isinstance(refusal.action, Text)
 
 
 def test_python_and_command_say_the_same_each_in_its_words(tmp_path, refused, run_json):

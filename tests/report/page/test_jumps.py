@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from cellwise.notices import Code, Notice, RowPlace, place
+from cellwise.notices import Code, Notice
 from cellwise.report import replay_page
 from cellwise.report.page.markup import linked, linked_among
+from cellwise.wording import RowPlace, place
 from report_cases import Page, drive, replay
 
 

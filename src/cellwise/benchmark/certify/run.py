@@ -41,6 +41,7 @@ from cellwise.fleet.engine import LOCAL, connected, rows_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.writing import write_log
 from cellwise.typing import BoolArray
+from cellwise.wording import arg
 
 ROWS_FILE, WORST_FOLDER = "cells.jsonl", "worst"
 NEAR = 0.03  # points within which a discharge ends well, the measure of gauges' makers
@@ -91,7 +92,7 @@ def certify(
         raise InputError(
             f"{cells} cells of {hours:g} h",
             "one cell at least, and more than the hour that a filter has to find its start",
-            "Give e.g. `cells=200, hours=100`.",
+            "Give e.g. " + arg("cells", letter="200, hours=100") + ".",
         )
     if keep_logs and folder is None:
         raise InputError("logs to keep, and no folder", "a folder for them", "Name one.")

@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.gaps import uncounted_pauses
 from cellwise.notices import Code, Notice
 

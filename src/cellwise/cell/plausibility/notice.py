@@ -20,8 +20,9 @@ from cellwise.cell.plausibility.validity import Validity
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, validity_scalars
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import contradiction, verify_sign
-from cellwise.notices import Code, Notice, Option, Piece, RowPlace
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import Option, Piece, RowPlace
 
 # A charge or SOC that is wrong by the whole range is wrong by about this in voltage.
 RANGE_V = 1.0
@@ -310,6 +311,16 @@ def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[Beyond
                     f"{written.format(end)}, where its data end, to {furthest:.3g}"
                 )
                 yield Beyond(channel, text)
+
+
+def along_notices(
+    model: CellModel | None, validity: Validity, log: CellLog, soc: FloatArray
+) -> list[Notice]:
+    """What a run along a log says of where it leads: outside the model's data, outside 0..1."""
+    found = outside_notices(validity, log, soc) + soc_notices(log, soc)
+    if model is not None:
+        found += assumed_temperature_notices(model, log, model.usual_temperature_C)
+    return found
 
 
 def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:

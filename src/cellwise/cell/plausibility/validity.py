@@ -12,6 +12,7 @@ from cellwise.arguments import numbers
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 if TYPE_CHECKING:
     from cellwise.cell.model import CellModel
@@ -193,7 +194,9 @@ def check_cells_in_series(model: CellModel, log: CellLog) -> None:
         raise InputError(
             f"a voltage of typically {typical:.3g} V in log '{log.name}'",
             expected,
-            "Fewer cells in series? Correct `series=...`; or it is another kind of cell.",
+            "Fewer cells in series? Correct "
+            + arg("series", letter="...")
+            + "; or it is another kind of cell.",
         )
     if typical > full + ONE_CELL.above_full_V:
         raise _several_cells(log, expected, full)
@@ -220,7 +223,7 @@ def _several_cells(log: CellLog, expected: str, full_V: float) -> InputError:
     cells = cells_in_series(log, full_V)
     others = cells_in_series(log, ONE_CELL.full_lfp_V)
     also = f" (LFP: {others})" if full_V == ONE_CELL.full_V and others != cells else ""
-    hint = f"{cells} cells in series{also}? Give `series={cells}`."
+    hint: str = f"{cells} cells in series{also}? Give " + arg("series", cells) + "."
     if log.typical_voltage_V > ONE_CELL.millivolt_from:
         hint = "Millivolts? Name the column voltage_mV."
     found = f"a voltage of typically {log.typical_voltage_V:.4g} V in log '{log.name}'"

@@ -103,12 +103,12 @@ def read_each(paths: Sequence[str], read_one: Callable[[Stated], Log]) -> list[t
                 first = unread[0][1]
                 raise InputError(
                     f"a folder or pattern '{path}' of {len(unread)} file(s), none of them a log "
-                    f"that can be read (the first: {first.found})",
+                    "that can be read (the first: " + first.found + ")",
                     first.expected,
                     first.action,
                 )
             for name, refusal in unread:
-                printing.warn(f"left out of '{path}': '{Path(name).name}', {refusal.found}")
+                printing.warn(f"left out of '{path}': '{Path(name).name}', " + refusal.found)
     return found
 
 

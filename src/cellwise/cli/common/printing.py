@@ -5,10 +5,8 @@ The library's messages are put in the words of the command line: `series=4` is `
 
 from __future__ import annotations
 
-import ast
 import json
 import math
-import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,49 +15,36 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from cellwise.notices import Notice, Option
+from cellwise.notices import Notice
 from cellwise.progress import progress_bar
+from cellwise.wording import Option, Text, pairs_of
 
 T = TypeVar("T")
-# A message names an argument as Python has it, between backticks.
-ARGUMENT = re.compile(r"`([A-Za-z]\w*)=([^`]*)`")
 # Where the option is not the argument's own name.
 NAMES = {"channels": "channel", "dt_s": "dt", "limits": "voltage-limits"}
-OPEN = "..."  # the argument, whatever its value
+OPEN = ("...", "{...}")  # the argument, whatever its value
 
 
-def in_options(text: str) -> str:
-    """A refusal's message with every argument as the option of a command.
+def worded(text: str) -> str:
+    """A text of the library, with every argument that it names as the option of a command."""
+    return text.rendered(in_command) if isinstance(text, Text) else text
+
+
+def in_command(option: Option) -> str:
+    """An argument and its value as the option of a command.
 
     ``series=4`` is ``--series 4``, ``partial=True`` is ``--partial``, ``refine=False`` is
     ``--no-refine``, ``channels={'time_s': 'COLUMN'}`` is ``--channel time_s=COLUMN``.
     """
-    return ARGUMENT.sub(lambda found: _written(found[1], found[2]), text)
-
-
-def _written(argument: str, value: str) -> str:
-    """An argument as a message has it, as an option."""
-    if value.strip("{}") == OPEN:
-        return in_command(Option(argument, letter=OPEN))
-    try:
-        plain = ast.literal_eval(value)
-    except (SyntaxError, TypeError, ValueError):  # a word that stands for a value: MODEL, ...
-        plain = value
-    pairs = tuple(plain.items()) if isinstance(plain, dict) else (plain,)
-    return " ".join(in_command(Option(argument, one)) for one in pairs)
-
-
-def in_command(option: Option) -> str:
-    """An argument and its value as the option of a command."""
-    argument, value = option.argument, option.letter or option.value
-    if value == OPEN:
-        value = True
-    name = NAMES.get(argument, argument).replace("_", "-").lower()
+    value = option.letter or option.value
+    name = NAMES.get(option.argument, option.argument).replace("_", "-").lower()
     if isinstance(value, bool):
         return f"--{name}" if value else f"--no-{name}"
-    if isinstance(value, tuple):
-        return f"--{name} {value[0]}={shlex.quote(str(value[1]))}"
-    return f"--{name} {shlex.quote(str(value))}"
+    if value in OPEN:
+        return f"--{name}"
+    pairs = pairs_of(value)
+    said = [f"{key}={shlex.quote(of)}" for key, of in pairs] or [shlex.quote(str(value))]
+    return " ".join(f"--{name} {one}" for one in said)
 
 
 def rendered(notices: Iterable[Notice]) -> list[str]:
@@ -90,7 +75,7 @@ def clean(value: Any) -> Any:
         return clean(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return in_options(value) if isinstance(value, str) else value
+    return worded(value) if isinstance(value, str) else value
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -99,7 +84,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     for k, column in enumerate(columns):
         shown.add_column(column, justify="left" if k == 0 else "right")
     for row in rows:
-        shown.add_row(*map(in_options, row))
+        shown.add_row(*map(worded, row))
     console = Console()
     if console.width < 100 and not console.is_terminal:
         console = Console(width=140)
@@ -125,12 +110,12 @@ def say_notices(notices: Iterable[Notice]) -> None:
 
 def warn(text: str) -> None:
     """A line on standard error, whatever standard output is for."""
-    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(in_options(text))
+    Console(stderr=True, soft_wrap=True, highlight=False, markup=False).print(worded(text))
 
 
 def say(text: str) -> None:
     """A line for people."""
-    Console(soft_wrap=True, highlight=False, markup=False).print(in_options(text))
+    Console(soft_wrap=True, highlight=False, markup=False).print(worded(text))
 
 
 def millivolt(value: float | None) -> str:

@@ -18,6 +18,7 @@ from cellwise.estimate.filters.filter_state import LogArrays
 from cellwise.estimate.filters.kalman import (
     FilterOfModel,
     check_state,
+    known_start,
     log_arrays,
     reading_from,
 )
@@ -171,7 +172,7 @@ class RestOcv(FilterOfModel):
     reads_voltage = True
 
     def __init__(
-        self, model: CellModel, noise: Noise | None = None, rest_s: float = REST_S
+        self, model: CellModel | None = None, noise: Noise | None = None, rest_s: float = REST_S
     ) -> None:
         if not (np.isfinite(rest_s) and rest_s >= 0.0):
             raise InputError(f"rest_s = {rest_s}", "seconds, at least 0", "Give e.g. 600.")
@@ -208,9 +209,9 @@ class RestOcv(FilterOfModel):
         new, rested, bits = gauge_step(self._tables, self._rules, state, reading)
         return new, CoulombInfo(new.soc, math.sqrt(new.variance), rested, Status(bits))
 
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+    def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log; it predicts no voltage, so those figures are missing (NaN)."""
-        log_rows, n = log_arrays(log), len(log)
+        soc0, log_rows, n = known_start(log, soc0), log_arrays(log), len(log)
         out, status = np.empty((2, n)), np.empty(n, dtype=np.int32)
         start = self.init(soc0, soc0_std)
         gauge_rows(self._tables, self._rules, start, self._default_C, log_rows, out, status)
@@ -230,11 +231,12 @@ class Coulomb(RestOcv):
     name = "coulomb"
     reads_voltage = False
 
-    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
+    def __init__(self, model: CellModel | None = None, noise: Noise | None = None) -> None:
         super().__init__(model, noise)
 
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+    def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> Trace:
         """Count a whole log; the voltage shown is the model's own simulation."""
+        soc0 = known_start(log, soc0)
         voltage = simulate(self.model, log, soc0).voltage_V
         trace = super().run(log, soc0, soc0_std)
         return replace(trace, voltage_V=voltage, innovation_V=log.voltage_V - voltage)

@@ -25,7 +25,8 @@ from cellwise.estimate.filters.predict_kernels import RESTED_V2, before_start, g
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.status import OUTSIDE
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.typing import FloatArray
 
 

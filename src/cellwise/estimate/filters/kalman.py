@@ -11,8 +11,9 @@ import numpy as np
 from cellwise.arguments import check_kind, number
 from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.description import CELL
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import row_of
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
@@ -35,7 +36,8 @@ from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import check_is_log
 from cellwise.typing import FloatArray
 
 STATES = len(CELL)
@@ -53,9 +55,8 @@ class FilterOfModel:
 
     name = ""
 
-    def __init__(self, model: CellModel, noise: Noise | None = None) -> None:
-        check_is_model(model)
-        self.model = model
+    def __init__(self, model: CellModel | None = None, noise: Noise | None = None) -> None:
+        self.model = model = check_is_model(model)
         self.noise = noise_for(model, noise)
         self._tables = model.parameters()
         self._default_C = model.usual_temperature_C
@@ -133,11 +134,15 @@ class KalmanFilter(FilterOfModel):
     sigma: SigmaScalars | None = None
 
     def __init__(
-        self, model: CellModel, noise: Noise | None = None, *, components: int = COMPONENTS
+        self,
+        model: CellModel | None = None,
+        noise: Noise | None = None,
+        *,
+        components: int = COMPONENTS,
     ) -> None:
         super().__init__(model, noise)
         self.components = check_components(components)
-        self._noise = self.noise.scalars(model)
+        self._noise = self.noise.scalars(self.model)
         self._unknown = self.start(0.5, 0.3)  # for a state that is no longer finite: know nothing
         self._constants = row_of(self._tables.cell, self._noise, self._unknown)
 
@@ -180,9 +185,9 @@ class KalmanFilter(FilterOfModel):
         )
         return state_of(bank), EkfInfo._make((*info.tolist(), status))
 
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
-        """Replay a whole log; the same steps in one compiled loop."""
-        n = len(log)
+    def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> Trace:
+        """Replay a whole log from `known_start`; the same steps in one compiled loop."""
+        soc0, n = known_start(log, soc0), len(log)
         out = TraceArrays(np.empty((layout.OUTPUTS, n)), np.empty(n, dtype=np.int32))
         announce(kalman_rows, f"the estimator '{self.name}'")
         start, rows = self.start(soc0, soc0_std), log_arrays(log)
@@ -246,6 +251,24 @@ def check_state(state: object, kind: type, name: str) -> None:
     InputError        another type
     """
     check_kind("state", state, kind, f"Begin with init(soc0) of the {name}, and pass on its own.")
+
+
+def known_start(log: CellLog, soc0: float | None) -> float:
+    """The SOC that a filter begins a log with; None: what is stated of the log.
+
+    Raises
+    ------
+    InputError        what is no log; nothing is stated of it either
+    """
+    check_is_log(log)
+    known = log.soc0 if soc0 is None else soc0
+    if known is None:
+        raise InputError(
+            "soc0 = None for a log whose initial SOC is not stated",
+            "a fraction from 0 to 1",
+            "Write run(log, 0.9), say; replay(model, log) finds it in the log.",
+        )
+    return known
 
 
 def log_arrays(log: CellLog) -> layout.LogArrays:

@@ -8,11 +8,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
-from cellwise.estimate.filters.kalman import check_components, one_reading
+from cellwise.estimate.filters.kalman import check_components, known_start, one_reading
 from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
@@ -27,7 +28,7 @@ from cellwise.estimate.fixed.tables import FixedStepTables, fixed_step_tables
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.status import VOLTAGE_INVALID
 from cellwise.estimate.trace import Trace
-from cellwise.logs.cell_log import CellLog, check_is_log, resample
+from cellwise.logs.cell_log import CellLog, resample
 from cellwise.typing import IntArray
 
 
@@ -189,12 +190,12 @@ class FixedStep:
                 "Give what `cellwise history` says, beside the model's own.",
             )
 
-    def run(self, log: CellLog, soc0: float, soc0_std: float = 0.15) -> Trace:
+    def run(self, log: CellLog, soc0: float | None = None, soc0_std: float = 0.15) -> Trace:
         """Replay a whole log at the time step; an uneven log is resampled first.
 
         Every row shows the last time step that ended at it or before.
         """
-        check_is_log(log)
+        soc0 = known_start(log, soc0)
         dt_s = median_interval_s(log) if self.dt_s is None else self.dt_s
         stepper = self.stepper(dt_s)
         samples = samples_of(self.model, log, dt_s)

@@ -25,6 +25,7 @@ from cellwise.estimate.fixed.layout import constant_type, row_names
 from cellwise.estimate.fixed.options import Asked, Options, options_of
 from cellwise.estimate.noise import Noise
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 Float32Array = NDArray[np.float32]
 
@@ -139,7 +140,9 @@ def resampled(model: CellModel, points: int) -> CellModel:
     InputError        fewer than 3 points
     """
     if points < 3:
-        raise InputError(f"{points} SOC points", "at least 3", "Give e.g. `points=101`.")
+        raise InputError(
+            f"{points} SOC points", "at least 3", "Give e.g. " + arg("points", 101) + "."
+        )
     soc = np.linspace(0.0, 1.0, points)
 
     def over(table: FloatArray) -> FloatArray:
@@ -171,7 +174,9 @@ def fixed_step_tables(
                       cannot hold (see :func:`check_holds`); what ``Asked`` refuses
     """
     if not (np.isfinite(dt_s) and dt_s > 0):
-        raise InputError(f"a time step of {dt_s} s", "seconds above zero", "Give e.g. `dt_s=0.1`.")
+        raise InputError(
+            f"a time step of {dt_s} s", "seconds above zero", "Give e.g. " + arg("dt_s", 0.1) + "."
+        )
     wish = Asked(**asked)
     noise = Noise.of_model(model) if noise is None else noise
     points = soc_grid(model, wish.points).points
@@ -211,7 +216,7 @@ def check_holds(model: CellModel, dt_s: float, options: Options) -> None:
         raise InputError(
             f"{options.points} SOC points at {options.temperatures} temperature(s)",
             f"3 to {TARGET.points} points, at most {TARGET.temperatures} temperatures",
-            "Give `points=101`, or fewer temperatures.",
+            "Give " + arg("points", 101) + ", or fewer temperatures.",
         )
     slowest = _slowest_s(model, options)
     if dt_s / slowest < TARGET.smallest_gain:

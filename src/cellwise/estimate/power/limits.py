@@ -12,6 +12,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limit_kernels import LimitScalars
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 # The usual window of a cell by what its chemistry's name begins with [V].
 WINDOWS: Mapping[str, tuple[float, float]] = {
@@ -141,7 +142,7 @@ def operating_limits(model: CellModel, given: OperatingLimits | None = None) -> 
                 f"no {'lower' if k == 0 else 'upper'} voltage limit for the power: the model "
                 f"states none, and its chemistry is '{model.chemistry or 'not stated'}'",
                 "limits given, in the model, or a chemistry of " + ", ".join(WINDOWS),
-                "Give both voltages: `limits=...`.",
+                "Give both voltages: " + arg("limits", letter="...") + ".",
             )
         voltages.append(float(value))
     currents = []

@@ -10,8 +10,9 @@ import numpy as np
 from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
-from cellwise.cell.model import CellModel, check_is_model
+from cellwise.cell.model import CellModel
 from cellwise.cell.packed import row_of
+from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState

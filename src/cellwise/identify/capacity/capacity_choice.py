@@ -17,6 +17,7 @@ from cellwise.errors import InputError
 from cellwise.fit.model_error import SAME_TEMPERATURE_K
 from cellwise.identify.capacity.capacity_test import CapacityTest
 from cellwise.identify.identification import REFERENCE_C
+from cellwise.wording import arg
 
 # What laboratories write before C or below it, beside powers of ten (below it whole numbers); a
 # measured rate within so much takes the nearest: a cell hardly ever has its nominal capacity.
@@ -167,7 +168,13 @@ def capacity_choices(
             "nothing that says how large the cell is: no complete capacity test, HPPC log or "
             "nominal capacity",
             "one of them",
-            "Add `capacity=LOG`, `hppc=LOG` or `nominal_Ah=X`.",
+            "Add "
+            + arg("capacity", letter="LOG")
+            + ", "
+            + arg("hppc", letter="LOG")
+            + " or "
+            + arg("nominal_Ah", letter="X")
+            + ".",
         )
     return choices
 

@@ -24,6 +24,7 @@ from cellwise.identify.capacity.half_cycles import (
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice, texts
 from cellwise.typing import FloatArray
+from cellwise.wording import arg, joined_texts
 
 
 class _CapacityTestLimits(NamedTuple):
@@ -88,8 +89,8 @@ class CapacityTest:
     @property
     def left_out(self) -> str:
         """Why it is no capacity, for one that is not complete."""
-        why = "; ".join(texts(self.notices)) or "not from full to the lower limit"
-        return f"{self.name}: not used ({why})"
+        why = joined_texts(texts(self.notices)) or "not from full to the lower limit"
+        return f"{self.name}: not used (" + why + ")"
 
     @property
     def coulombic_efficiency(self) -> float | None:
@@ -147,7 +148,9 @@ def measure_capacities(
         raise InputError(
             f"no discharge at constant current in {', '.join(map(repr, names)) or 'no log'}",
             "a discharge at one current from full to the lower voltage limit",
-            "Name a capacity test, or leave `capacity=...` out: then the HPPC's or the nominal "
+            "Name a capacity test, or leave "
+            + arg("capacity", letter="...")
+            + " out: then the HPPC's or the nominal "
             "capacity is used.",
         )
     ends = [_lowest_V(trace, halves[k]) for _, trace, halves, k in found]

@@ -12,6 +12,7 @@ from cellwise.identify.ocv.curve import OUTSIDE, POINTS, OcvCurve, curve_from_po
 from cellwise.logs.cell_log import CellLog
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 
 class _RestLimits(NamedTuple):
@@ -98,7 +99,7 @@ def ocv_from_rests(log: CellLog, capacity_Ah: float) -> OcvCurve:
         raise InputError(
             f"no rest in log '{log.name or log.source}'",
             "stretches without current, best of half an hour and more",
-            "Use an HPPC log with rests, or a low-rate log (`ocv=LOG`).",
+            "Use an HPPC log with rests, or a low-rate log (" + arg("ocv", letter="LOG") + ").",
         )
     charge = np.array([r.charge_Ah for r in rests])
     # The first row counts as well: a log may begin full and under load.

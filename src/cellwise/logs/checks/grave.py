@@ -17,8 +17,9 @@ from cellwise.logs.checks.faults import (
 )
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import RowRange, runs_of
-from cellwise.notices import Code, Notice, Piece, RowPlace, place
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import Piece, RowPlace, arg, place
 
 MOST_NAMED = 3  # rows, in a notice
 
@@ -92,7 +93,8 @@ def check_time_moves(time_s: FloatArray, where: str) -> None:
             f"the same time, {time_s[0]:g} s, in all {time_s.size} rows of {where}",
             "a time that goes on",
             "Check the export; if the time stands in another column, name it with "
-            "`channels={'time_s': 'COLUMN'}`.",
+            + arg("channels", ("time_s", "COLUMN"))
+            + ".",
         )
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.gaps import run_edges
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import Option
 
 Verdict = Literal["verified", "contradicted", "undetermined"]
 

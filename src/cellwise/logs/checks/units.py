@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.arguments import check_kind
 from cellwise.errors import InputError
-from cellwise.logs.cell_log import CellLog, typical
+from cellwise.logs.cell_log import WAY_TO_A_LOG, CellLog, typical
 from cellwise.logs.files.columns import KELVIN_OFFSET
-from cellwise.notices import Code, Notice, Option, place
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import Option, place
 
 
 class CounterRule(NamedTuple):
@@ -197,6 +199,39 @@ SLIPS = {
     60.0: "time in minutes: name its column time_min",
     3600.0: "time in hours: name its column time_h",
 }
+
+
+def check_is_log(log: object) -> None:
+    """Refuse what is no log of a cell, and one in memory whose numbers are in another unit.
+
+    Raises
+    ------
+    InputError        another type; millivolts, kelvin, mAh, with the line that converts them
+    """
+    log = check_kind("log", log, CellLog, WAY_TO_A_LOG)
+    for channel, found, largest, unit, slip, undo in (
+        ("voltage_V", abs(log.typical_voltage_V), CELL.string_V, "V", "Millivolts", "/ 1000"),
+        ("temperature_C", _lowest(log.temperature_C), CELL.kelvin, "degC", "Kelvin", "- 273.15"),
+        ("charge_Ah", _span(log.charge_Ah), CELL.largest_Ah, "Ah", "Milliampere hours", "/ 1000"),
+    ):
+        if found > largest:
+            raise InputError(
+                f"{channel} of {found:.0f} {unit} in log '{log.name}'",
+                f"at most {largest:g} {unit}",
+                f"{slip}? Write dataclasses.replace(log, {channel}=log.{channel} {undo}).",
+            )
+
+
+def _lowest(values: FloatArray | None) -> float:
+    """The lowest value of a channel; NaN without one."""
+    return np.nan if values is None or not np.isfinite(values).any() else float(np.nanmin(values))
+
+
+def _span(values: FloatArray | None) -> float:
+    """From the lowest value of a channel to the highest; NaN without one."""
+    if values is None or not np.isfinite(values).any():
+        return np.nan
+    return float(np.nanmax(values) - np.nanmin(values))
 
 
 def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[Notice]:

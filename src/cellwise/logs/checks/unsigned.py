@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.gaps import run_edges
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import Option
 
 
 class LoadRule(NamedTuple):

@@ -32,8 +32,9 @@ from cellwise.logs.files.format import Format, SignConvention
 from cellwise.logs.files.source import FROM_FILE, RawLog
 from cellwise.logs.files.tables import table_channels
 from cellwise.logs.files.times import DAY_S
-from cellwise.notices import Code, Notice, Option, coded, graves_first
+from cellwise.notices import Code, Notice, coded, graves_first
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
+from cellwise.wording import Option, arg
 
 
 class StateRule(NamedTuple):
@@ -208,7 +209,9 @@ def _sign_by_state(
             f"a current of {where} whose sign agrees with the tester's state in "
             f"{100 * agreeing:.0f} % of the rows under load",
             "one meaning of the sign",
-            "Export the file again, or name the right columns with `channels={...}`.",
+            "Export the file again, or name the right columns with "
+            + arg("channels", letter="{...}")
+            + ".",
         )
     if discharge_positive == (sign == "discharge-positive"):
         return current, []
@@ -345,9 +348,11 @@ def assemble(
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:
     """`CellLog.from_table`."""
     where = f"'{source or name}'" if source or name else "the table"
-    if table is None or not hasattr(table, "__getitem__"):
+    if isinstance(table, (str, bytes, list, tuple)) or not hasattr(table, "__getitem__"):
         raise InputError(
-            f"table = {shown(table)}", "a data frame, or a dict of arrays", "Pass one of them."
+            f"table = {shown(table)}",
+            "a data frame, or a dict of arrays",
+            "Pass one of them; a file is read with read_log('a.csv').",
         )
     raw = table_channels(table, TIDY_CHANNELS, where)
     raw = complete(raw, "discharge-positive", where, sign)

@@ -17,7 +17,8 @@ from cellwise.errors import InputError, not_installed
 from cellwise.logs.cell_log import CurrentMeaning
 from cellwise.logs.files.columns import MOST_LISTED, Channel, folded
 from cellwise.logs.files.source import LogSource, RawLog
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
+from cellwise.wording import Option, arg
 
 SignConvention = Literal["discharge-positive", "charge-positive"]
 Reader = Callable[[LogSource, "Format"], RawLog]
@@ -154,13 +155,17 @@ def _check_options(source: LogSource, known: Format) -> None:
         raise InputError(
             f"an instance for {source.where}, whose format {known.name} holds one battery",
             "a log of several batteries",
-            "Omit `instance=...`, or choose the columns with `channels={...}`.",
+            "Omit "
+            + arg("instance", letter="...")
+            + ", or choose the columns with "
+            + arg("channels", letter="{...}")
+            + ".",
         )
     if options.dbc is not None and not known.uses_dbc:
         raise InputError(
             f"a DBC file for {source.where}, whose format is {known.name}",
             "a log of CAN frames",
-            "Omit `dbc=...`.",
+            "Omit " + arg("dbc", letter="...") + ".",
         )
 
 
@@ -184,7 +189,7 @@ def chosen_battery(
         raise InputError(
             f"no battery {stated} in {source.where}, which has {named}",
             "the number of a battery that is there",
-            "Choose one of them with `instance=K`.",
+            "Choose one of them with " + arg("instance", letter="K") + ".",
         )
     chosen = next(iter(live or batteries)) if stated is None else stated
     if len(batteries) < 2:
@@ -249,7 +254,9 @@ def chosen_log(logs: Sequence[str], source: LogSource) -> int:
     raise SeveralLogsError(
         f"{len(logs)} logs in {source.where} ({shown})",
         "one of them" if stated is None else f"a number up to {len(logs) - 1}",
-        "Choose one with `instance=K` (of one file: LOG@instance=K); `cellwise history` and "
+        "Choose one with "
+        + arg("instance", letter="K")
+        + " (of one file: LOG@instance=K); `cellwise history` and "
         "`cellwise identify` take all of them.",
         () if stated is not None else tuple(range(len(logs))),
     )
@@ -296,7 +303,9 @@ def cut_off(source: LogSource, kind: str) -> InputError:
     return InputError(
         f"a cut off {kind} {source.where}: it ends within a message",
         "a complete file",
-        "Copy it again; if the recorder lost power, read what there is with `partial=True`.",
+        "Copy it again; if the recorder lost power, read what there is with "
+        + arg("partial", True)
+        + ".",
     )
 
 

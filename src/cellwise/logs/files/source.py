@@ -19,6 +19,7 @@ from cellwise.errors import InputError, MachineError
 from cellwise.logs.files.words import words_in
 from cellwise.notices import Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 # Called with the bytes (or columns) done and the number there are in all.
 Progress = Callable[[int, int], None]
@@ -68,7 +69,9 @@ class ReadOptions:
         for name, count in (("series", self.series), ("parallel", self.parallel)):
             if count != FROM_FILE and not (isinstance(count, int) and count >= 1):
                 raise InputError(
-                    f"{name} = {count}", "a number of cells from 1 up", f"Give `{name}=4`, say."
+                    f"{name} = {count}",
+                    "a number of cells from 1 up",
+                    "Give " + arg(name, 4) + ", say.",
                 )
         if self.instance is not None and self.instance < 0:
             raise InputError(
@@ -76,7 +79,9 @@ class ReadOptions:
             )
         if self.decimal not in (FROM_FILE, ".", ","):
             raise InputError(
-                f"a decimal sign '{self.decimal}'", "'.', ',' or 'auto'", "Give `decimal=','`, say."
+                f"a decimal sign '{self.decimal}'",
+                "'.', ',' or 'auto'",
+                "Give " + arg("decimal", ",") + ", say.",
             )
         if self.dbc is not None and not Path(self.dbc).is_file():
             raise InputError(f"no DBC file '{self.dbc}'", "a CAN database", "Check the path.")

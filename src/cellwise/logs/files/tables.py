@@ -27,6 +27,7 @@ from cellwise.logs.files.times import epoch_unit, seconds_of
 from cellwise.logs.files.words import state_of
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray, NamedColumns
+from cellwise.wording import arg
 
 if TYPE_CHECKING:
     import pyarrow
@@ -94,7 +95,7 @@ def channels_of(
         raise InputError(
             f"channels of unequal lengths in {where} ({sizes})",
             "one value per row in each",
-            "Choose channels of one group with `channels={...}`.",
+            "Choose channels of one group with " + arg("channels", letter="{...}") + ".",
         )
     return replace(raw, cells=cells)
 
@@ -177,7 +178,9 @@ def _no_numbers(column: ChosenColumn, where: str, found: str) -> InputError:
     return InputError(
         f"column '{column.name}' {found} in {where}",
         "a column of numbers",
-        "Convert it (missing values are nan), or choose another with `channels={...}`.",
+        "Convert it (missing values are nan), or choose another with "
+        + arg("channels", letter="{...}")
+        + ".",
     )
 
 

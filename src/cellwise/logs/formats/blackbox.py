@@ -13,6 +13,7 @@ from cellwise.logs.files.source import LogSource, RawLog, ReadLimits
 from cellwise.logs.files.tables import channels_of
 from cellwise.logs.formats.column_maps import mapped
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 _HEADER = b"H Product:Blackbox flight data recorder"
 LOOK_FRAMES = 1000  # between two looks at the limits
@@ -49,7 +50,9 @@ def _read(source: LogSource, known: Format) -> RawLog:
         raise InputError(
             f"no frame in {source.where}, session {session + 1}",
             "a recording of a flight",
-            "Choose another session with `instance=K`, or copy the file again.",
+            "Choose another session with "
+            + arg("instance", letter="K")
+            + ", or copy the file again.",
         )
     table = np.array(rows, dtype=np.float64)
     arrays = {name: table[:, k] for k, name in enumerate(places)}

@@ -25,6 +25,7 @@ from cellwise.logs.formats.vehicle_signals import (
     choose_signals,
 )
 from cellwise.notices import Code, Notice
+from cellwise.wording import arg
 
 
 def can_database(path: Path | None, of: str) -> Any:
@@ -41,7 +42,11 @@ def can_database(path: Path | None, of: str) -> Any:
     """
     cantools = need("cantools", "a CAN log")
     if path is None:
-        raise InputError(of, "the database that describes them", "Give it with `dbc=FILE.dbc`.")
+        raise InputError(
+            of,
+            "the database that describes them",
+            "Give it with " + arg("dbc", letter="FILE.dbc") + ".",
+        )
     try:
         return cantools.database.load_file(str(path), strict=False)
     except Exception as error:  # parsers of four formats raise what they like

@@ -22,6 +22,7 @@ from cellwise.logs.formats.column_maps import mapped
 from cellwise.logs.formats.vehicle_signals import Series, Signal, aligned, choose_signals
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
+from cellwise.wording import arg
 
 MAGIC = b"ULog\x01\x12\x35"
 TOPIC = "battery_status"
@@ -240,13 +241,13 @@ def _read_mdf(source: LogSource, known: Format) -> RawLog:
                 raise InputError(
                     f"no frame of {source.where} in the database '{source.options.dbc}'",
                     "the database of these frames",
-                    "Choose another DBC file, or omit `dbc=...`.",
+                    "Choose another DBC file, or omit " + arg("dbc", letter="...") + ".",
                 )
         elif (signals or _has_frames(file)) and all(_of_a_bus(s.name) for s in signals):
             raise InputError(
                 f"CAN frames only in {source.where}",
                 "the database that describes them",
-                "Give it with `dbc=FILE.dbc`.",
+                "Give it with " + arg("dbc", letter="FILE.dbc") + ".",
             )
         chosen, notices = choose_signals(signals, source.options.channels, source.where)
         with library_at_work(source, "MDF file"):

@@ -27,6 +27,7 @@ from cellwise.logs.files.words import WORDS, words_of
 from cellwise.logs.gaps import find_gaps
 from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import arg
 
 SIGNAL_UNITS = {
     "current_A": named_units(("a", "amp", "amps", "ampere", "ma => mA")),
@@ -195,14 +196,14 @@ def _unclear(
         return MissingColumnsError(
             f"{len(found)} signals that could be {field} in {where}: {listed(names)}",
             "one",
-            f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
+            "Choose it: " + arg("channels", (tidy, "NAME")) + ".",
             proposals=[{tidy_of(field, f"({_unit(s, field)})"): s.name} for s in found],
         )
     names = [s.name + (f" [{s.unit}]" if s.unit else "") for s in signals]
     return InputError(
         f"no signal with a unit of {field} in {where}, which has {listed(names) or 'none at all'}",
         f"the battery's {field.partition('_')[0]}",
-        f"Choose it: `channels={{{tidy!r}: 'NAME'}}`.",
+        "Choose it: " + arg("channels", (tidy, "NAME")) + ".",
     )
 
 
@@ -246,7 +247,7 @@ def aligned(series: Mapping[str, Series], where: str) -> tuple[dict[str, FloatAr
             f"current from {current.time_s[0]:.3f} to {current.time_s[-1]:.3f} s and voltage from "
             f"{voltage.time_s[0]:.3f} to {voltage.time_s[-1]:.3f} s in {where}",
             "channels that were recorded at the same time",
-            "Choose channels of one recording with `channels={...}`.",
+            "Choose channels of one recording with " + arg("channels", letter="{...}") + ".",
         )
     time = voltage.time_s[inside]
     channels = {"time_s": time, "voltage_V": voltage.values[inside]}

@@ -14,8 +14,9 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
 from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
-from cellwise.notices import Code, Notice, Option
+from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import Option, arg
 
 Kind = Literal["cell", "balancing", "temperature"]
 
@@ -343,9 +344,9 @@ def to_cell(raw: RawLog, options: ReadOptions, where: str) -> RawLog:
     if series == FROM_FILE:
         if raw.cells is None:
             raise InputError(
-                f"`series='auto'` for {where}, which does not state its cells in series",
+                arg("series", "auto") + f" for {where}, which does not state its cells in series",
                 "a number of cells",
-                "Give it: `series=4`, say.",
+                "Give it: " + arg("series", 4) + ", say.",
             )
         series = raw.cells
     notices = list(raw.notices)

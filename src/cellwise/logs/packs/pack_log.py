@@ -31,6 +31,7 @@ from cellwise.logs.packs.cells import (
 )
 from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
+from cellwise.wording import arg
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,6 +266,8 @@ def _no_pack(source: LogSource, found: str) -> InputError:
     return InputError(
         f"no pack in {source.where}, whose {found}",
         "at least two columns cell_01_V, cell_02_V, ... (or cell_01_mV, ...)",
-        "Name the cells' columns so, or say which they are (`channels={'cell_01_V': 'COLUMN'}`, "
+        "Name the cells' columns so, or say which they are ("
+        + arg("channels", ("cell_01_V", "COLUMN"))
+        + ", "
         "one for each); a log of one cell goes to `cellwise replay`.",
     )

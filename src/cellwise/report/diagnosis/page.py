@@ -54,13 +54,11 @@ from cellwise.report.page.numerals import (
     plural,
     significant,
 )
-from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, plots_within, write_page
 
 
-def diagnose_page(
-    diagnosis: Diagnosis, path: str | Path, *, figures: str | Path | FigureFiles | None = None
-) -> Path:
+def diagnose_page(diagnosis: Diagnosis, path: str | Path, *, figures: Figures = None) -> Path:
     """Write the page of a diagnosis.
 
     Parameters

@@ -50,7 +50,7 @@ from cellwise.report.page.numerals import (
     plural,
     significant,
 )
-from cellwise.report.page.picture import FigureFiles
+from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
 
@@ -235,7 +235,7 @@ def identify_page(
     identification: Identification,
     path: str | Path,
     *,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of an identification: OCV, capacity, pulses, tables, fit, provenance.
 

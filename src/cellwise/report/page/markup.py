@@ -11,8 +11,9 @@ from importlib.resources import files
 from typing import Any, NamedTuple, TypeVar
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.notices import Notice, Option, RowPlace, in_python
+from cellwise.notices import Notice
 from cellwise.report.page.numerals import NONE
+from cellwise.wording import Option, RowPlace, in_python
 
 T = TypeVar("T")
 

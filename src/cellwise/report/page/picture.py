@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, Protocol
+from typing import Any, NamedTuple, ParamSpec, Protocol, TypeAlias
 
 from cellwise.errors import InputError
 from cellwise.files import made_folder, write_atomically
@@ -71,6 +71,9 @@ class FigureFiles(NamedTuple):
 
     folder: Path
     suffixes: tuple[str, ...] = (".png", ".svg")
+
+
+Figures: TypeAlias = str | Path | FigureFiles | None  # where a page's pictures go as files, too
 
 
 def save_figure(figure: style.Figure, path: str | Path) -> Path:

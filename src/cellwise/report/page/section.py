@@ -18,7 +18,7 @@ from cellwise.report.page.markup import (
     paragraph,
 )
 from cellwise.report.page.numerals import listed
-from cellwise.report.page.picture import FigureFiles, Picture, inline, save_figures
+from cellwise.report.page.picture import FigureFiles, Figures, Picture, inline, save_figures
 from cellwise.report.page.plot import Plot, trace
 
 Block = Markup | Picture | Plot
@@ -78,7 +78,7 @@ def write_page(
     data: Mapping[str, Any],
     *,
     lead: Markup = EMPTY,
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Render a page and write it.
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from cellwise.arguments import several
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
 from cellwise.estimate.power.along import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Flight, Forecast
+from cellwise.notices import Code, coded
 from cellwise.plotting import Line, Panel
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import (
@@ -42,7 +43,7 @@ from cellwise.report.page.numerals import (
     spanned,
     time_unit,
 )
-from cellwise.report.page.picture import FigureFiles, safe_key
+from cellwise.report.page.picture import Figures, safe_key
 from cellwise.report.page.plot import Plot, time_axis
 from cellwise.report.page.section import Blocks, Section, plots_within, write_page
 from cellwise.report.replay.replay_section import (
@@ -105,7 +106,7 @@ def flight_content(flight: Flight, *, several: bool) -> Markup:
     """The last moment of a flight at its usual load, that of its last minute and a given one."""
     ways = {
         "usual load": flight.typical.last if flight.typical else None,
-        "load of the last minute": flight.last,
+        "load of the last minute": None if flight.stands and flight.typical else flight.last,
         "given load": flight.given,
     }
     columns = {name: _figures(now, flight.cells) for name, now in ways.items() if now is not None}
@@ -250,7 +251,7 @@ def replay_page(
     simulations: Sequence[Simulation] = (),
     *,
     flights: Sequence[Flight] = (),
-    figures: str | Path | FigureFiles | None = None,
+    figures: Figures = None,
 ) -> Path:
     """Write the page of one or more replays, and of simulations beside them.
 
@@ -262,6 +263,7 @@ def replay_page(
     flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
     path, figures : as of `write_page`, whose errors it raises
     """
+    replays = several("replays", replays, Replay, "Write replay_page([replay(model, log)], path).")
     if not replays:
         raise InputError("no replay for the page", "at least one", "Replay a log first.")
     names = list(dict.fromkeys(clock_of(r.log) for r in replays))
@@ -331,15 +333,8 @@ def unknown_start(replay: Replay) -> str | None:
 
 def beyond_its_statement(replay: Replay) -> str | None:
     """That the voltage is missed by more than two of the model's own deviations on some scale."""
-    if replay.nis is None or replay.model is None or not max(replay.nis) > 4.0:
-        return None
-    worst = int(np.argmax(replay.nis))
-    nis = replay.nis[worst]
-    times, scale = significant(math.sqrt(nis), 2), duration(replay.model.error.scales_s[worst])
-    return (
-        f"The voltage over {scale} is missed by {times} times what the model states (NIS "
-        f"{significant(nis, 2)}): the model is further off here than on the logs it was made of."
-    )
+    found = [n for n in coded(replay.notices, Code.MODEL_OFF) if n not in replay.log.notices]
+    return f"{capitalised(found[0].text)}." if found else None
 
 
 def noticed(
@@ -393,7 +388,7 @@ def replay_tiles(replay: Replay) -> Markup:
     settled = replay.settled
     if settled is not None:
         facts += [
-            ("within 2 points after", reached(replay)),
+            ("within 2 points, and stated so, after", reached(replay)),
             ("settled SOC RMSE", percent(settled.rmse)),
             ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors
+from cellwise.estimate.replay import CONVERGED_SOC, Replay, SocErrors, soc_errors
 from cellwise.plotting import Line, Panel
 from cellwise.report.page.markup import EMPTY, MOST, Markup, clock_of, paragraph, table
 from cellwise.report.page.numerals import (
@@ -58,11 +58,18 @@ def replay_finding(replay: Replay) -> str:
             f"{begin} {who} never comes within {TWO} for ten minutes: {percent(settled.rmse)} RMSE "
             "over the second half."
         )
+    if replay.settled_s and replay.error is not None:
+        row = np.searchsorted(replay.time_s, replay.time_s[0] + replay.settled_s)
+        settled = soc_errors(replay.error[row:])
     held = f"{percent(settled.rmse)} SOC RMSE, {percent(settled.max)} at most."
-    if replay.convergence_s > 0.0:
-        reached = f"is within {TWO} after {duration(replay.convergence_s)} "
+    if off < 0.005 and replay.convergence_s == 0.0:
+        reached = ""
+    elif replay.settled_s is None:  # before that a small error is luck
+        reached = f"is within {TWO}, though its own deviation stays above, "
+    elif replay.settled_s > 0.0:
+        reached = f"is within {TWO} after {duration(replay.settled_s)} "
     else:
-        reached = "" if off < 0.005 else f"is within {TWO} from the first row on "
+        reached = f"is within {TWO} from the first row on "
     # It has come within two points and stayed for ten minutes; later it may leave them again.
     then = "but drifts off later: " if settled.max > 1.5 * CONVERGED_SOC else "and then holds "
     return f"{begin} {who} {reached}{then if reached else 'holds '}{held}"
@@ -173,7 +180,7 @@ def comparison_plot(replays: Sequence[Replay], key: str) -> Plot:
 
 def _after(replay: Replay) -> str:
     text = reached(replay)
-    return f"after {text}" if replay.convergence_s else text
+    return f"after {text}" if replay.settled_s else text
 
 
 def _start_name(replay: Replay) -> str:
@@ -235,7 +242,7 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
         ("initial SOC", f"{soc_at_start(replay)}, {replay.start.how}"),
         ("final SOC", soc_at_end(replay)),
         *_errors("", replay.errors),
-        (f"within {percent(CONVERGED_SOC, 0)} after", reached(replay)),
+        (f"within {percent(CONVERGED_SOC, 0)}, and stated so, after", reached(replay)),
         *_errors("settled: ", replay.settled),
         ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
         ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
@@ -281,12 +288,12 @@ def estimated_content(replay: Replay) -> Markup:
 
 
 def reached(replay: Replay) -> str:
-    """How long the error took to come within two points and stay."""
+    """How long error and stated deviation took to come within two points and stay."""
     if replay.error is None:
         return duration(None)
-    if replay.convergence_s is None:
-        return "never"
-    return "at once" if replay.convergence_s == 0.0 else duration(replay.convergence_s)
+    if replay.settled_s is None:
+        return "never" if replay.convergence_s is None else "never by its own band"
+    return "at once" if replay.settled_s == 0.0 else duration(replay.settled_s)
 
 
 def _errors(prefix: str, errors: SocErrors | None) -> list[tuple[str, str]]:
