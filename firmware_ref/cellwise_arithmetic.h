@@ -29,8 +29,9 @@
 #define COST_MOST 20.0f /* a component less likely than exp(-20) is given up: */
 #define GIVEN_UP 0x1p+20f /* its cost, and nobody steps it any more */
 #define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
-#define LOOK_FACTOR 4u /* and each time so much longer */
+#define LOOK_FACTOR 4.0f /* and each time so much longer */
 #define LOOKS 3u /* times */
+#define NEVER_LOOKED 0xFFFFFFFFu /* before the first sample */
 #define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
 #define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
 #define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06: a millivolt of what it has left is always open */
@@ -60,7 +61,6 @@
 #define COMPONENT 1u /* one of a bank, */
 #define CONTRADICTED 2u /* one whose voltages have contradicted it for long, */
 #define UNCOUNTED 3u /* and one of whose charge a part is not known */
-#define NEVER_LOOKED 0xFFFFFFFFu
 #define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define POWER_TRIALS 8u
@@ -86,6 +86,7 @@
 #define MOST_SCALE 20.0f /* of the resistances */
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define COUNT_MOST 2000000000u
+#define SINCE_MOST 0x1.dcd65p+29f /* 1e+09: steps, until the past is looked at */
 
 /* Whether two numbers are the same. */
 static bool is_same(float a, float b)

@@ -110,9 +110,9 @@ typedef struct {
     float mismatch; /* running mean of squared innovation over variance */
     uint32_t spread; /* 1: the components are stepped, 0: the estimate alone */
     uint32_t likeliest; /* which component, from 1 on */
-    uint32_t since; /* steps since the start */
+    float since; /* steps since the start */
     uint32_t looks; /* how often the past has been looked at */
-    uint32_t next_look; /* when it is next */
+    float next_look; /* when it is next */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 

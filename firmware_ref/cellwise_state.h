@@ -98,10 +98,48 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     x->v3_V = p->r3_ohm * before.flow_A;
     x->v3_carry_V = 0.0f;
     x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
-    if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
-        /* What flowed for hours no first sample shows; it is looked at once more is known. */
-        const float wide_V = c->bank_A * p->r3_ohm;
-        x->p33 = x->p33 + (wide_V * wide_V);
+}
+
+/* Whether it has seen no sample yet. */
+static bool is_new(const cellwise_state *x)
+{
+    return x->evidence == NOT_BEGUN;
+}
+
+/* Whether it has used a voltage. */
+static bool has_voltage(const cellwise_state *x)
+{
+    return x->evidence >= FIRST_VOLTAGE;
+}
+
+/* What rounding has kept from the sums is dropped: they are set. */
+static void forget_rounding(cellwise_state *x)
+{
+    x->soc_carry = 0.0f;
+    x->v3_carry_V = 0.0f;
+    x->ss_carry = 0.0f;
+}
+
+/* A component of a bank, which is set anew. */
+static void stand_in_bank(cellwise_state *x)
+{
+    forget_rounding(x);
+    x->in_bank = COMPONENT;
+}
+
+/* The estimate of one, which is. */
+static void stand_alone(cellwise_state *x)
+{
+    forget_rounding(x);
+    x->in_bank = ALONE;
+}
+
+/* SOC held within 0..1. */
+static void hold_within(cellwise_state *x)
+{
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) {
+        x->soc = within_one(x->soc);
+        x->soc_carry = 0.0f;
     }
 }
 

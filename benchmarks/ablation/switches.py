@@ -16,7 +16,8 @@ from cellwise.cell.plausibility.validity_kernels import EVERYWHERE, ValidityScal
 
 ESTIMATE = "cellwise.estimate"
 START = f"{ESTIMATE}.filters.predict_kernels"
-BANK = f"{ESTIMATE}.filters.bank_kernels"
+BANK = f"{ESTIMATE}.equations.bank"
+AGAIN = f"{ESTIMATE}.filters.bank_kernels"
 NEVER = 10**9
 
 
@@ -52,7 +53,7 @@ SWITCHES = (
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
         "components for a start",
-        names=((BANK, "WIDE_VARIANCE", math.inf), (BANK, "SPREAD_VARIANCE", math.inf)),
+        names=((BANK, "WIDE_VARIANCE", math.inf), (AGAIN, "SPREAD_VARIANCE", math.inf)),
     ),
     Switch("what a load has left before the start", names=((BANK, "LOOKS", 0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),

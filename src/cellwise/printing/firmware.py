@@ -101,6 +101,7 @@ FIRST = {
     "components.py": "likelihood",
     "step.py": "correction", "begin_at": "step",
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
+    "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power",
 }  # fmt: skip

@@ -119,7 +119,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "least_use_A": LEAST_USE_RATE * model.capacity_Ah,
         "fades": (1.0 - stays) * shared,
         "stays": stays,
-        "look_steps": int(np.ceil(LOOK_S / dt_s)),
+        "look_steps": np.ceil(LOOK_S / dt_s),
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, V3, H
+from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.evidence import unknown_square
 from cellwise.estimate.equations.sensors import unseen_variance
@@ -21,7 +21,7 @@ from cellwise.estimate.fixed.covariance import (
     tilt,
 )
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Point, Slopes
+from cellwise.estimate.fixed.lookup import Point, Slopes, within_one
 from cellwise.estimate.status import OUT_OF_RANGE
 
 
@@ -149,11 +149,44 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
             x.state[i] = p.r[i] * flow
             held_V = spread * p.r[i]
             x.p[i, i] = rested_V2 + (held_V * held_V)
-    if BANK and x.in_bank == COMPONENT and not size_below(current, c.rest_A):
-        # What flowed for hours no first sample shows; it is looked at once more is known.
-        for i in (V3,):
-            wide_V = c.bank_A * p.r[i]
-            x.p[i, i] = x.p[i, i] + (wide_V * wide_V)
+
+
+def is_new(x: State) -> bool:
+    """Whether it has seen no sample yet."""
+    return x.evidence == NOT_BEGUN  # type: ignore[no-any-return]
+
+
+def has_voltage(x: State) -> bool:
+    """Whether it has used a voltage."""
+    return x.evidence >= FIRST_VOLTAGE  # type: ignore[no-any-return]
+
+
+@unrolled_by_option
+def forget_rounding(x: State) -> None:
+    """What rounding has kept from the sums is dropped: they are set."""
+    for i in CARRIED:
+        x.carry[i] = 0.0
+    if WIDE:
+        x.ss_carry = 0.0
+
+
+def stand_in_bank(x: State) -> None:
+    """A component of a bank, which is set anew."""
+    forget_rounding(x)
+    x.in_bank = COMPONENT
+
+
+def stand_alone(x: State) -> None:
+    """The estimate of one, which is."""
+    forget_rounding(x)
+    x.in_bank = ALONE
+
+
+def hold_within(x: State) -> None:
+    """SOC held within 0..1."""
+    if not not_negative(x.soc, 1.0):
+        x.soc = within_one(x.soc)
+        x.soc_carry = 0.0
 
 
 @unrolled_by_option

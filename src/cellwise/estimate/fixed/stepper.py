@@ -22,6 +22,7 @@ from cellwise.cell.compiled import cached
 from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
+from cellwise.estimate.equations import bank as whole_bank
 from cellwise.estimate.equations import components, constants, evidence, sensors
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
@@ -78,6 +79,7 @@ STEP_MODULES = (
     sensing,
     innovation,
     whole_step,
+    whole_bank,
     bank,
     fixed_power,
     fixed_remaining,
@@ -162,11 +164,19 @@ def specialised(options: Options) -> dict[str, Any]:
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
-    absent |= set() if options.bank else {bank}
+    absent |= set() if options.bank else {whole_bank, bank}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
-            scope = {**f.__globals__, **columns, **flags_of(options), **SINGLE, **made}
+            scope = {
+                **f.__globals__,
+                **columns,
+                **flags_of(options),
+                **SINGLE,
+                **made,
+                "F": F,
+                "U": U,
+            }
             own = FunctionType(_single(f.__code__), scope, f.__name__)
             made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made
