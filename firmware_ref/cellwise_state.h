@@ -24,6 +24,10 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->swings, SWINGS_MOST) && NOT_NEGATIVE(x->repeats, FOUND_FROZEN))) { return false; }
+    if (!(SIZE_WITHIN(x->reach, LARGE) && SIZE_WITHIN(x->score, SCORE_MOST))) { return false; }
+    if (!POSITIVE_WITHIN(x->information, 1.0f, INFORMATION_MOST)) { return false; }
+    if (!(SIZE_WITHIN(x->believed, LARGE) && NOT_NEGATIVE(x->unsure, LARGE))) { return false; }
+    if (!(WITHIN(x->rest, REST_USED, SCORE_MOST) && SIZE_WITHIN(x->rest_A, LARGE))) { return false; }
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) { return false; }
     if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) { return false; }
     if (!SIZE_WITHIN(x->mean_V, LARGE)) { return false; }
@@ -42,6 +46,21 @@ uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float c
         status = 0u;
     }
     return status;
+}
+
+/* Nothing counted yet, nothing known of an offset. */
+static void forget_offset(cellwise_state *x)
+{
+    x->reach = 0.0f;
+    x->score = 0.0f;
+    x->information = 1.0f;
+    x->believed = 0.0f;
+    x->unsure = CHANCE;
+    x->d1_V = 0.0f;
+    x->d2_V = 0.0f;
+    x->d3_V = 0.0f;
+    x->rest = 0.0f;
+    x->rest_A = 0.0f;
 }
 
 /* A cell at rest; its branches are guessed at the first sample. */
@@ -69,6 +88,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->swings = 0.0f;
     x->no_current = 0u;
     x->no_voltage = 0u;
+    forget_offset(x);
     x->per_capacity = 1.0f;
     x->resistance_scale = 1.0f;
     x->cost = 0.0f;

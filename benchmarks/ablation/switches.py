@@ -18,6 +18,7 @@ ESTIMATE = "cellwise.estimate"
 START = f"{ESTIMATE}.filters.predict_kernels"
 BANK = f"{ESTIMATE}.equations.bank"
 AGAIN = f"{ESTIMATE}.filters.bank_kernels"
+OFFSET = f"{ESTIMATE}.equations.offset"
 NEVER = 10**9
 
 
@@ -61,13 +62,13 @@ SWITCHES = (
         "hypothesis of an offset",
         names=(
             (f"{ESTIMATE}.filters.drift_kernels", "CHANCE", 0.0),
-            (f"{ESTIMATE}.filters.drift_kernels", "ODDS", 0.0),
+            (OFFSET, "ODDS", 0.0),
             (f"{ESTIMATE}.noise", "WANDERS", 1.0),
         ),
     ),
     Switch(
         "a rest shows the hypothesis its offset",
-        names=((f"{ESTIMATE}.filters.drift_kernels", "SHOWN", 0.0),),
+        names=((OFFSET, "REST_SHOWS", 0.0),),
     ),
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),

@@ -81,6 +81,7 @@ PARTS = {
     "sensors": "Readings that a sensor cannot have meant, and a charge that nobody counted.",
     "start": "What branches may hold that nobody has seen before.",
     "likelihood": "What a voltage and the past say against one of several filters.",
+    "offset": "What rests and voltages say of a current that is off all the time.",
     "lookup": "Tables at one SOC, temperature and current.",
     "covariance": "What a step does to P, and to the state through it.",
     "state": "Whether a state is sound, where it starts, what an interval does to it.",

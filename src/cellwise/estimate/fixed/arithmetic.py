@@ -49,6 +49,7 @@ SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
 SurfaceFloat: TypeAlias = Any
+OffsetFloat: TypeAlias = Any
 
 # Options: what is compiled in. They are known when numba compiles and when C is printed.
 SLOW = HYSTERESIS = 0  # states
@@ -60,6 +61,7 @@ VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its tempera
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
 BANK = 0  # components for a start that nobody knows
+OFFSET = 0  # the hypothesis of a current that is off
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
@@ -105,6 +107,7 @@ LEAST_SHARE, MOST_SHARE = F(0.1), F(2.0)  # of the capacity that a history gives
 LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 COUNT_MOST = U(2_000_000_000)
+SCORE_MOST = F(1e9)  # of what is known of an offset
 SINCE_MOST = F(1e9)  # steps, until the past is looked at
 
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----

@@ -55,6 +55,17 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WIDE and not (size_within(x.swings, SWINGS_MOST) and not_negative(x.repeats, FOUND_FROZEN)):
         return False
+    if OFFSET and not (size_within(x.reach, LARGE) and size_within(x.score, SCORE_MOST)):
+        return False
+    if OFFSET and not positive_within(x.information, 1.0, INFORMATION_MOST):
+        return False
+    if OFFSET and not (size_within(x.believed, LARGE) and not_negative(x.unsure, LARGE)):
+        return False
+    if OFFSET and not (within(x.rest, REST_USED, SCORE_MOST) and size_within(x.rest_A, LARGE)):
+        return False
+    for i in BRANCHES:
+        if OFFSET and not size_within(x.d[i], LARGE):
+            return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
@@ -80,6 +91,20 @@ def set_health(m: Model, x: State, capacity_share: float, resistance_scale: floa
         x.resistance_scale = resistance_scale
         status = U(0)
     return status
+
+
+@unrolled_by_option
+def forget_offset(x: State) -> None:
+    """Nothing counted yet, nothing known of an offset."""
+    x.reach = 0.0
+    x.score = 0.0
+    x.information = 1.0
+    x.believed = 0.0
+    x.unsure = CHANCE
+    for i in BRANCHES:
+        x.d[i] = 0.0
+    x.rest = 0.0
+    x.rest_A = 0.0
 
 
 @noinline
@@ -112,6 +137,8 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
         x.swings = 0.0
         x.no_current = U(0)
         x.no_voltage = U(0)
+    if OFFSET:
+        forget_offset(x)
     if HEALTH:
         x.per_capacity = 1.0
         x.resistance_scale = 1.0

@@ -23,7 +23,7 @@ from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.equations import bank as whole_bank
-from cellwise.estimate.equations import components, constants, evidence, sensors
+from cellwise.estimate.equations import components, constants, evidence, offset, sensors
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
@@ -73,6 +73,7 @@ STEP_MODULES = (
     sensors,
     whole_start,
     components,
+    offset,
     lookup,
     covariance,
     state,
