@@ -44,8 +44,8 @@ def rest_after(
 
     A current that stands still near zero for ``least`` is what the sensor adds: once for each rest,
     so that a small constant load that is taken for one can be outvoted by the voltages. Within
-    REST_BAND of zero it shows an offset to a fifth of the deviation that it has beforehand; what is more
-    may as well be a load, and shows as much as is known beforehand.
+    REST_BAND of zero it shows an offset to a fifth of the deviation that it has beforehand; what is
+    more may as well be a load, and shows as much as is known beforehand.
     """
     now = 0.0
     at_A = current_A
