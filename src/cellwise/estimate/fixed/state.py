@@ -63,9 +63,10 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if OFFSET and not (within(x.rest, REST_USED, SCORE_MOST) and size_within(x.rest_A, LARGE)):
         return False
-    for i in BRANCHES:
-        if OFFSET and not size_within(x.d[i], LARGE):
-            return False
+    if OFFSET:
+        for i in BRANCHES:
+            if not size_within(x.d[i], LARGE):
+                return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
