@@ -96,6 +96,7 @@
 #define MOST_SCALE 20.0f /* of the resistances */
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define COUNT_MOST 2000000000u
+#define REACH_MOST 1024.0f /* of an offset: SOC, deviations, and volts */
 #define SCORE_MOST 0x1.dcd65p+29f /* 1e+09: of what is known of an offset */
 #define SINCE_MOST 0x1.dcd65p+29f /* 1e+09: steps, until the past is looked at */
 

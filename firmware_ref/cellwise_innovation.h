@@ -105,7 +105,7 @@ static void count_offset(const cellwise_constants *c, cellwise_state *x, const c
         counted = 0.0f;
     }
     const float moved = counted * c->drift_soc;
-    x->reach = x->reach + moved;
+    x->reach = at_most(x->reach + moved, REACH_MOST);
     add(&x->soc, &x->soc_carry, x->believed * moved);
     x->d1_V = x->d1_V + (p->gain1 * ((p->r1_ohm * c->offset_A) - x->d1_V));
     x->d2_V = x->d2_V + (p->gain2 * ((p->r2_ohm * c->offset_A) - x->d2_V));

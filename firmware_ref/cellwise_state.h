@@ -24,13 +24,13 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->swings, SWINGS_MOST) && NOT_NEGATIVE(x->repeats, FOUND_FROZEN))) { return false; }
-    if (!(SIZE_WITHIN(x->reach, LARGE) && SIZE_WITHIN(x->score, SCORE_MOST))) { return false; }
+    if (!(SIZE_WITHIN(x->reach, REACH_MOST) && SIZE_WITHIN(x->score, SCORE_MOST))) { return false; }
     if (!POSITIVE_WITHIN(x->information, 1.0f, INFORMATION_MOST)) { return false; }
-    if (!(SIZE_WITHIN(x->believed, LARGE) && NOT_NEGATIVE(x->unsure, LARGE))) { return false; }
+    if (!(SIZE_WITHIN(x->believed, REACH_MOST) && NOT_NEGATIVE(x->unsure, LARGE))) { return false; }
     if (!(WITHIN(x->rest, REST_USED, SCORE_MOST) && SIZE_WITHIN(x->rest_A, LARGE))) { return false; }
-    if (!SIZE_WITHIN(x->d1_V, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->d2_V, LARGE)) { return false; }
-    if (!SIZE_WITHIN(x->d3_V, LARGE)) { return false; }
+    if (!SIZE_WITHIN(x->d1_V, REACH_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->d2_V, REACH_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->d3_V, REACH_MOST)) { return false; }
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) { return false; }
     if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) { return false; }
     if (!SIZE_WITHIN(x->mean_V, LARGE)) { return false; }

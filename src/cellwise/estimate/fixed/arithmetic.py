@@ -107,6 +107,7 @@ LEAST_SHARE, MOST_SHARE = F(0.1), F(2.0)  # of the capacity that a history gives
 LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 COUNT_MOST = U(2_000_000_000)
+REACH_MOST = F(1024.0)  # of an offset: SOC, deviations, and volts
 SCORE_MOST = F(1e9)  # of what is known of an offset
 SINCE_MOST = F(1e9)  # steps, until the past is looked at
 

@@ -124,7 +124,7 @@ def count_offset(c: Constants, x: State, p: Point, s: Reading, missing: int) -> 
     if missing != U(0) or s.unmeasured_A2 > 0.0:
         counted = 0.0
     moved = counted * c.drift_soc
-    x.reach = x.reach + moved
+    x.reach = at_most(x.reach + moved, REACH_MOST)
     x.soc, x.soc_carry = add(x.soc, x.soc_carry, x.believed * moved)
     for i in BRANCHES:
         x.d[i] = x.d[i] + (p.gain[i] * ((p.r[i] * c.offset_A) - x.d[i]))

@@ -55,17 +55,17 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WIDE and not (size_within(x.swings, SWINGS_MOST) and not_negative(x.repeats, FOUND_FROZEN)):
         return False
-    if OFFSET and not (size_within(x.reach, LARGE) and size_within(x.score, SCORE_MOST)):
+    if OFFSET and not (size_within(x.reach, REACH_MOST) and size_within(x.score, SCORE_MOST)):
         return False
     if OFFSET and not positive_within(x.information, 1.0, INFORMATION_MOST):
         return False
-    if OFFSET and not (size_within(x.believed, LARGE) and not_negative(x.unsure, LARGE)):
+    if OFFSET and not (size_within(x.believed, REACH_MOST) and not_negative(x.unsure, LARGE)):
         return False
     if OFFSET and not (within(x.rest, REST_USED, SCORE_MOST) and size_within(x.rest_A, LARGE)):
         return False
     if OFFSET:
         for i in BRANCHES:
-            if not size_within(x.d[i], LARGE):
+            if not size_within(x.d[i], REACH_MOST):
                 return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
