@@ -110,7 +110,7 @@ static void count_offset(const cellwise_constants *c, cellwise_state *x, const c
     x->d1_V = x->d1_V + (p->gain1 * ((p->r1_ohm * c->offset_A) - x->d1_V));
     x->d2_V = x->d2_V + (p->gain2 * ((p->r2_ohm * c->offset_A) - x->d2_V));
     x->d3_V = x->d3_V + (p->gain3 * ((p->r3_ohm * c->offset_A) - x->d3_V));
-    cellwise_rest now;
+    cellwise_standstill now;
     rest_after(x->rest, x->rest_A, s->current, counted, c->rate_A, c->rest_steps, &now);
     x->rest = now.lasts;
     x->rest_A = now.current_A;

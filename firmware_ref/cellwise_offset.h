@@ -10,28 +10,28 @@ typedef struct {
     float lasts;
     float current_A;
     float weight;
-} cellwise_rest;
+} cellwise_standstill;
 
 /* After an interval of which `counted` were counted by the sensor; `rate_A` is 1C. A current that stands still near
  * zero for `least` is what the sensor adds: once for each rest, so that a small constant load that is taken for one
  * can be outvoted by the voltages. Within REST_BAND of zero it shows an offset to a fifth of the deviation that it
  * has beforehand; what is more may as well be a load, and shows as much as is known beforehand. */
 static void rest_after(float lasts, float since_A, float current_A, float counted, float rate_A, float least,
-                       cellwise_rest *rest)
+                       cellwise_standstill *standstill)
 {
-    rest->lasts = 0.0f;
-    rest->current_A = current_A;
-    rest->weight = 0.0f;
+    standstill->lasts = 0.0f;
+    standstill->current_A = current_A;
+    standstill->weight = 0.0f;
     const float size_A = magnitude(current_A);
     if ((size_A <= (REST_LIMIT * rate_A)) && (magnitude(current_A - since_A) <= (REST_BAND * rate_A))) {
-        rest->current_A = since_A;
-        rest->lasts = REST_USED;
+        standstill->current_A = since_A;
+        standstill->lasts = REST_USED;
         if (lasts >= 0.0f) {
-            rest->lasts = lasts + counted;
+            standstill->lasts = lasts + counted;
         }
-        if (rest->lasts >= least) {
-            rest->lasts = REST_USED;
-            rest->weight = (size_A <= (REST_BAND * rate_A)) ? REST_SHOWS : MAY_BE_LOAD;
+        if (standstill->lasts >= least) {
+            standstill->lasts = REST_USED;
+            standstill->weight = (size_A <= (REST_BAND * rate_A)) ? REST_SHOWS : MAY_BE_LOAD;
         }
     }
 }
@@ -61,9 +61,9 @@ typedef struct {
 static void offset_after(float score, float information, float seen_V, float own_V, float inverse,
                          cellwise_offset *offset)
 {
-    const float told = inverse * seen_V;
-    offset->information = information + (told * seen_V);
-    offset->score = score + (told * own_V);
+    const float per_V = inverse * seen_V;
+    offset->information = information + (per_V * seen_V);
+    offset->score = score + (per_V * own_V);
     if (!(offset->information <= INFORMATION_MOST)) {
         offset->information = information;
         offset->score = score;

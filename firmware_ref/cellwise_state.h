@@ -143,14 +143,14 @@ static void forget_rounding(cellwise_state *x)
     x->ss_carry = 0.0f;
 }
 
-/* A component of a bank, which is set anew. */
+/* A component of a bank, whose numbers are set. */
 static void stand_in_bank(cellwise_state *x)
 {
     forget_rounding(x);
     x->in_bank = COMPONENT;
 }
 
-/* The estimate of one, which is. */
+/* The estimate of one, whose numbers are. */
 static void stand_alone(cellwise_state *x)
 {
     forget_rounding(x);

@@ -28,7 +28,7 @@ from cellwise.estimate.equations.constants import (
 )
 
 
-class Rest(NamedTuple):
+class Standstill(NamedTuple):
     """How long the current has stood still near zero, at what, and how much that shows now."""
 
     lasts: float
@@ -39,7 +39,7 @@ class Rest(NamedTuple):
 @inline
 def rest_after(
     lasts: float, since_A: float, current_A: float, counted: float, rate_A: float, least: float
-) -> Rest:
+) -> Standstill:
     """After an interval of which ``counted`` were counted by the sensor; ``rate_A`` is 1C.
 
     A current that stands still near zero for ``least`` is what the sensor adds: once for each rest,
@@ -59,7 +59,7 @@ def rest_after(
         if now >= least:
             now = REST_USED
             weight = REST_SHOWS if size_A <= REST_BAND * rate_A else MAY_BE_LOAD
-    return Rest(now, at_A, weight)
+    return Standstill(now, at_A, weight)
 
 
 @inline
@@ -97,9 +97,9 @@ def offset_after(
     ``seen_V`` is what one deviation moves the voltage by, ``own_V`` the innovation of the filter's
     own estimate, ``inverse`` one over the variance that weighed it.
     """
-    told = inverse * seen_V
-    more = information + (told * seen_V)
-    sum_of = score + (told * own_V)
+    per_V = inverse * seen_V
+    more = information + (per_V * seen_V)
+    sum_of = score + (per_V * own_V)
     if not (more <= INFORMATION_MOST):
         more = information
         sum_of = score

@@ -18,7 +18,7 @@ from cellwise.estimate.noise import NoiseScalars
 # An offset of the current, per standard deviation that it has beforehand. ``reach`` is the SOC by
 # which one of them puts the filter's own estimate too low, ``d1_V`` ... by how much it puts the
 # branches too high; ``score`` to ``unsure`` are an ``Offset``: the estimate that is carried is the
-# filter's own and ``believed`` x ``reach``. ``rest_s`` and ``rest_A`` are a ``Rest``.
+# filter's own and ``believed`` x ``reach``. ``rest_s`` and ``rest_A`` are a ``Standstill``.
 if TYPE_CHECKING:
     Drift: TypeAlias = Any
 else:

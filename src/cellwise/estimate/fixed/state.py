@@ -199,13 +199,13 @@ def forget_rounding(x: State) -> None:
 
 
 def stand_in_bank(x: State) -> None:
-    """A component of a bank, which is set anew."""
+    """A component of a bank, whose numbers are set."""
     forget_rounding(x)
     x.in_bank = COMPONENT
 
 
 def stand_alone(x: State) -> None:
-    """The estimate of one, which is."""
+    """The estimate of one, whose numbers are."""
     forget_rounding(x)
     x.in_bank = ALONE
 
