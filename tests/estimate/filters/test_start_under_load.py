@@ -28,7 +28,7 @@ from cellwise.estimate.filters.bank_kernels import BANK_FIELDS, RECORD
 from cellwise.estimate.filters.component_kernels import (
     STATE,
     BankModel,
-    TablePlace,
+    ComponentPlace,
     bank_constants,
     new_share,
 )
@@ -147,7 +147,7 @@ def test_what_flows_after_the_start_is_in_the_branch_whatever_was_before():
 @pytest.mark.parametrize(("mean_A", "soc"), [(2.0, 0.995), (-2.0, 0.005)])
 def test_near_the_end_that_a_load_comes_from_a_slow_branch_holds_nothing(mean_A, soc):
     """A charge from empty has just begun near empty: the OCV alone is the level there."""
-    left = left_by_load(bank_model(linear()), TablePlace(25.0, 0.0), mean_A, soc)
+    left = left_by_load(bank_model(linear()), ComponentPlace(25.0, 0.0), mean_A, soc)
     assert abs(left) < 0.2 * R3_OHM * 2.0
 
 
@@ -162,7 +162,7 @@ def left_after(mean_A: float, soc: float) -> float:
 @pytest.mark.parametrize("mean_A", [0.3, 1.5, 3.0])
 def test_a_past_of_constant_load_is_what_its_equation_says(mean_A):
     model = linear(tau3_s=HOURS_S)
-    left = left_by_load(bank_model(model), TablePlace(25.0, 0.0), mean_A, 0.4)
+    left = left_by_load(bank_model(model), ComponentPlace(25.0, 0.0), mean_A, 0.4)
     assert left == pytest.approx(left_after(mean_A, 0.4), rel=0.03)
 
 

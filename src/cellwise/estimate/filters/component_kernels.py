@@ -110,7 +110,7 @@ class SlowBranch(NamedTuple):
     gain3: float
 
 
-class TablePlace(NamedTuple):
+class ComponentPlace(NamedTuple):
     """Where a component is within its tables, beside its SOC."""
 
     temperature_C: float
@@ -118,14 +118,14 @@ class TablePlace(NamedTuple):
 
 
 @inline
-def place_now(m: BankModel, a: State) -> TablePlace:
+def place_now(m: BankModel, a: State) -> ComponentPlace:
     """The cell's temperature and what its particles' surface has followed."""
     warm_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
-    return TablePlace(warm_C + a.heat_K, a.slow_A)
+    return ComponentPlace(warm_C + a.heat_K, a.slow_A)
 
 
 @part
-def look_up(m: BankModel, place: TablePlace, soc: float, current_A: float) -> ByState:
+def look_up(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
     """The slow branch at a SOC under a current."""
     at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
     return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)
