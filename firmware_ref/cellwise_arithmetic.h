@@ -29,11 +29,22 @@
 #define COST_MOST 20.0f /* a component less likely than exp(-20) is given up: */
 #define GIVEN_UP 0x1p+20f /* its cost, and nobody steps it any more */
 #define LEAST_PASSED 0x1.a36e2ep-14f /* 0.0001: of an innovation that the gate lets pass */
-#define LOOK_FACTOR 4u /* and each time so much longer */
+#define LOOK_FACTOR 4.0f /* and each time so much longer */
 #define LOOKS 3u /* times */
+#define NEVER_LOOKED 0xFFFFFFFFu /* before the first sample */
 #define PAST_PART 0.03125f /* of the SOC: the way of a load before the start goes in such parts */
 #define PAST_SPREAD 0.5f /* of what a load has left before the start may be otherwise */
 #define LEAST_PAST_V2 0x1.0c6f7ap-20f /* 1e-06: a millivolt of what it has left is always open */
+#define CHANCE 0x1.99999ap-3f /* 0.2: of one, before any data, as in the adaptive filter */
+#define ODDS 0.25f /* the same, over the chance of none */
+#define PER_FREEDOM 0x1.08421p-5f /* 0.0322581 */
+#define SURE_SQUARE 1000.0f /* of a mean over its variance: more says nothing */
+#define INFORMATION_MOST 0x1p+20f /* an offset is known better than any sensor has it */
+#define REST_LIMIT 0x1.47ae14p-5f /* 0.04 */
+#define REST_BAND 0x1.47ae14p-7f /* 0.01: within which it stands still; as near zero nobody takes it for a load */
+#define REST_USED (-1.0f) /* in place of how long it lasts */
+#define REST_SHOWS 25.0f /* by a rest, as one over the variance */
+#define MAY_BE_LOAD 1.0f
 #define SIXTH 0x1.555556p-3f /* 0.166667 */
 #define TWENTY_FOURTH 0x1.555556p-5f /* 0.0416667 */
 #define THIRD 0x1.555556p-2f /* 0.333333 */
@@ -60,7 +71,6 @@
 #define COMPONENT 1u /* one of a bank, */
 #define CONTRADICTED 2u /* one whose voltages have contradicted it for long, */
 #define UNCOUNTED 3u /* and one of whose charge a part is not known */
-#define NEVER_LOOKED 0xFFFFFFFFu
 #define LN_2 0x1.62e43p-1f /* 0.693147 */
 #define FURTHEST 2000.0f /* beyond it exp(-z) is nothing */
 #define POWER_TRIALS 8u
@@ -86,6 +96,9 @@
 #define MOST_SCALE 20.0f /* of the resistances */
 #define SUSTAINED 0x1.a5182ap+0f /* 1.6449: one-sided 95 % of a normal distribution */
 #define COUNT_MOST 2000000000u
+#define REACH_MOST 1024.0f /* of an offset: SOC, deviations, and volts */
+#define SCORE_MOST 0x1.dcd65p+29f /* 1e+09: of what is known of an offset */
+#define SINCE_MOST 0x1.dcd65p+29f /* 1e+09: steps, until the past is looked at */
 
 /* Whether two numbers are the same. */
 static bool is_same(float a, float b)

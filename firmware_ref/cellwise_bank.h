@@ -63,6 +63,21 @@ static float likeliest_of(cellwise_bank *b, const cellwise_state *of, uint32_t c
     return least;
 }
 
+/* One time step of components that do not agree yet: the status. */
+static uint32_t step_spread(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                            const cellwise_input *sample, cellwise_output *out, float elapsed, bool lost)
+{
+    uint32_t status = step_components(m, b, of, count, sample, out);
+    look_back(m, b, of, count, elapsed, lost);
+    if (has_voltage(&of[b->likeliest])) {
+        weigh_components(of, count, likeliest_of(b, of, count));
+        gather(b, of, count);
+    } else { /* as it was stated */
+        status = cellwise_step(m, &of[0u], sample, out);
+    }
+    return status;
+}
+
 /* Whether nobody knows what flowed, one filter is not enough, and a voltage is there. */
 static bool is_lost(const cellwise_state *x)
 {
@@ -77,7 +92,10 @@ static bool is_lost(const cellwise_state *x)
 static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t count)
 {
     bool good = WITHIN(b->mean_A, -LARGE, LARGE) && WITHIN(b->looked_A, -LARGE, LARGE);
-    if (!NOT_NEGATIVE(b->mismatch, LARGE)) {
+    if (!NOT_NEGATIVE(b->mismatch, LARGE) || !NOT_NEGATIVE(b->since, SINCE_MOST)) {
+        good = false;
+    }
+    if (!NOT_NEGATIVE(b->next_look, SINCE_MOST)) {
         good = false;
     }
     if ((b->likeliest < 1u) || (b->likeliest > count)) {
@@ -98,15 +116,7 @@ static bool bank_is_sound(cellwise_bank *b, const cellwise_state *of, uint32_t c
 static uint32_t know_nothing(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
     start(&m->constant, &of[0u], KNOW_NOTHING_SOC, KNOW_NOTHING_VARIANCE);
-    b->likeliest = 1u;
-    b->looks = LOOKS;
-    b->mean_A = 0.0f;
-    b->looked_A = 0.0f;
-    if (count > 0u) {
-        spread_out(b, of, count);
-    } else {
-        b->spread = 0u;
-    }
+    begin_bank(b, of, count);
     return CELLWISE_STATE_RESET;
 }
 
@@ -114,18 +124,8 @@ uint32_t cellwise_bank_init(const cellwise_model *m, cellwise_bank *b, cellwise_
                             float soc_variance)
 {
     const uint32_t status = begin_at(m, &of[0u], soc, soc_variance);
-    b->spread = 0u;
-    b->likeliest = 1u;
-    b->looks = NEVER_LOOKED;
-    b->since = 0u;
-    b->next_look = 0u;
+    begin_bank(b, of, count);
     b->sequence = 0u;
-    b->mean_A = 0.0f;
-    b->looked_A = 0.0f;
-    b->mismatch = 1.0f;
-    if ((count > 0u) && (of[0u].ss > WIDE_VARIANCE)) {
-        spread_out(b, of, count);
-    }
     return status;
 }
 
@@ -133,31 +133,25 @@ uint32_t cellwise_bank_step(const cellwise_model *m, cellwise_bank *b, cellwise_
                             const cellwise_input *sample, cellwise_output *out)
 {
     uint32_t status = 0u;
-    uint32_t lost = 0u;
+    uint32_t damaged = 0u;
+    const uint32_t elapsed = sample->sequence - b->sequence;
+    b->sequence = sample->sequence;
     if ((b->spread != 0u) && !bank_is_sound(b, of, count)) {
-        lost = know_nothing(m, b, of, count);
+        damaged = know_nothing(m, b, of, count);
     }
     if (b->spread == 0u) {
         of[0u].in_bank = ALONE;
         status = cellwise_step(m, &of[0u], sample, out);
-        b->looks = LOOKS;
-        if (((count > 0u) && (of[0u].in_bank == CONTRADICTED)) || ((count > 0u) && is_lost(&of[0u]))) {
-            spread_out(b, of, count);
+        if ((of[0u].in_bank == CONTRADICTED) || is_lost(&of[0u])) {
+            spread_again(b, of, count);
         }
     } else {
-        status = step_components(m, b, of, count, sample, out);
-        look_back(m, b, of, count, sample);
+        status = step_spread(m, b, of, count, sample, out, (float)elapsed, elapsed > 1u);
         if (!bank_is_sound(b, of, count)) {
-            lost = know_nothing(m, b, of, count);
-        }
-        if (of[b->likeliest].evidence < FIRST_VOLTAGE) { /* no voltage yet: as it was stated */
-            status = cellwise_step(m, &of[0u], sample, out);
-        } else {
-            weigh_components(of, count, likeliest_of(b, of, count));
-            gather(b, of, count);
+            damaged = know_nothing(m, b, of, count);
         }
     }
-    status = status | lost;
+    status = status | damaged;
     out->soc = of[0u].soc;
     out->soc_variance = variance_of(&of[0u], of[0u].ss);
     out->status = status;

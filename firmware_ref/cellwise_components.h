@@ -10,16 +10,14 @@ static void component_start(cellwise_state *a, float t, float apart, float std)
 {
     cellwise_component begins;
     component_from(t, apart, a->soc, a->ss, std, &begins);
+    stand_in_bank(a);
+    forget_correlations(a);
     a->cost = begins.cost;
     a->soc = begins.soc;
-    a->soc_carry = 0.0f;
     a->ss = begins.variance;
-    a->ss_carry = 0.0f;
-    forget_correlations(a);
-    if (a->evidence == NOT_BEGUN) {
+    if (is_new(a)) {
         a->h = (a->soc > 0.5f) ? 1.0f : -1.0f;
     }
-    a->in_bank = COMPONENT;
 }
 
 /* Weights that add up to one; the likeliest component costs nothing. */
@@ -50,51 +48,45 @@ static void spread_out(cellwise_bank *b, cellwise_state *of, uint32_t count)
             b->likeliest = k + 1u;
         }
     }
-    of[0u].in_bank = ALONE;
+    stand_alone(&of[0u]);
     b->spread = 1u;
     b->mismatch = of[0u].mismatch;
     weigh_components(of, count, least);
 }
 
-/* SOC held within 0..1. */
-static void hold_within(cellwise_state *a)
+/* About an estimate that has been stepped alone: what was before its start is long over. */
+static void spread_again(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    if (!NOT_NEGATIVE(a->soc, 1.0f)) {
-        a->soc = within_one(a->soc);
-        a->soc_carry = 0.0f;
+    b->looks = LOOKS;
+    if (count > 1u) {
+        spread_out(b, of, count);
     }
 }
 
-/* The components' mean state, as a column. */
-static void mean_of(const cellwise_state *of, uint32_t count, cellwise_column *column)
+/* A cell that nobody has seen yet, or the estimate alone where its start is known. */
+static void begin_bank(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    column->s = 0.0f;
-    column->v1 = 0.0f;
-    column->v2 = 0.0f;
-    column->v3 = 0.0f;
-    column->h = 0.0f;
-    for (uint32_t k = 0u; k < count; k++) {
-        if (of[k + 1u].cost < GIVEN_UP) { /* else dropped: nobody looks after its memory */
-            column->s = column->s + (of[k + 1u].weight * of[k + 1u].soc);
-            column->v1 = column->v1 + (of[k + 1u].weight * of[k + 1u].v1_V);
-            column->v2 = column->v2 + (of[k + 1u].weight * of[k + 1u].v2_V);
-            column->v3 = column->v3 + (of[k + 1u].weight * of[k + 1u].v3_V);
-            column->h = column->h + (of[k + 1u].weight * of[k + 1u].h);
-        }
+    b->spread = 0u;
+    b->likeliest = 1u;
+    b->looks = NEVER_LOOKED;
+    b->since = 0.0f;
+    b->next_look = 0.0f;
+    b->mean_A = 0.0f;
+    b->looked_A = 0.0f;
+    b->mismatch = 1.0f;
+    if ((count > 1u) && (of[0u].ss > WIDE_VARIANCE)) {
+        spread_out(b, of, count);
     }
-    column->variance = 0.0f;
 }
 
-/* A state at the mean, with no covariance yet. */
-static void take_mean(cellwise_state *x, const cellwise_column *mean)
+/* No mean and no covariance yet: what it goes on to collect. */
+static void clear(cellwise_state *x)
 {
-    x->soc = mean->s;
-    x->v1_V = mean->v1;
-    x->v2_V = mean->v2;
-    x->v3_V = mean->v3;
-    x->h = mean->h;
-    x->soc_carry = 0.0f;
-    x->v3_carry_V = 0.0f;
+    x->soc = 0.0f;
+    x->v1_V = 0.0f;
+    x->v2_V = 0.0f;
+    x->v3_V = 0.0f;
+    x->h = 0.0f;
     x->ss = 0.0f;
     x->s1 = 0.0f;
     x->s2 = 0.0f;
@@ -110,44 +102,61 @@ static void take_mean(cellwise_state *x, const cellwise_column *mean)
     x->p33 = 0.0f;
     x->p3h = 0.0f;
     x->phh = 0.0f;
-    x->ss_carry = 0.0f;
     x->persistent = 0.0f;
-    x->in_bank = ALONE;
+    stand_alone(x);
+}
+
+/* What a component adds to the mean. */
+static void collect_mean(cellwise_state *x, cellwise_state *a)
+{
+    x->soc = x->soc + (a->weight * a->soc);
+    x->v1_V = x->v1_V + (a->weight * a->v1_V);
+    x->v2_V = x->v2_V + (a->weight * a->v2_V);
+    x->v3_V = x->v3_V + (a->weight * a->v3_V);
+    x->h = x->h + (a->weight * a->h);
 }
 
 /* What a component adds to the covariance of the state `x` at the mean. */
 static void collect(cellwise_state *x, cellwise_state *a)
 {
     const float aways = a->soc - x->soc;
+    const float shares = a->weight * aways;
     const float away1 = a->v1_V - x->v1_V;
+    const float share1 = a->weight * away1;
     const float away2 = a->v2_V - x->v2_V;
+    const float share2 = a->weight * away2;
     const float away3 = a->v3_V - x->v3_V;
+    const float share3 = a->weight * away3;
     const float awayh = a->h - x->h;
-    x->ss = x->ss + (a->weight * (a->ss + (aways * aways)));
-    x->s1 = x->s1 + (a->weight * (a->s1 + (aways * away1)));
-    x->s2 = x->s2 + (a->weight * (a->s2 + (aways * away2)));
-    x->s3 = x->s3 + (a->weight * (a->s3 + (aways * away3)));
-    x->sh = x->sh + (a->weight * (a->sh + (aways * awayh)));
-    x->p11 = x->p11 + (a->weight * (a->p11 + (away1 * away1)));
-    x->p12 = x->p12 + (a->weight * (a->p12 + (away1 * away2)));
-    x->p13 = x->p13 + (a->weight * (a->p13 + (away1 * away3)));
-    x->p1h = x->p1h + (a->weight * (a->p1h + (away1 * awayh)));
-    x->p22 = x->p22 + (a->weight * (a->p22 + (away2 * away2)));
-    x->p23 = x->p23 + (a->weight * (a->p23 + (away2 * away3)));
-    x->p2h = x->p2h + (a->weight * (a->p2h + (away2 * awayh)));
-    x->p33 = x->p33 + (a->weight * (a->p33 + (away3 * away3)));
-    x->p3h = x->p3h + (a->weight * (a->p3h + (away3 * awayh)));
-    x->phh = x->phh + (a->weight * (a->phh + (awayh * awayh)));
+    const float shareh = a->weight * awayh;
+    x->ss = (x->ss + (a->weight * a->ss)) + (shares * aways);
+    x->s1 = (x->s1 + (a->weight * a->s1)) + (shares * away1);
+    x->s2 = (x->s2 + (a->weight * a->s2)) + (shares * away2);
+    x->s3 = (x->s3 + (a->weight * a->s3)) + (shares * away3);
+    x->sh = (x->sh + (a->weight * a->sh)) + (shares * awayh);
+    x->p11 = (x->p11 + (a->weight * a->p11)) + (share1 * away1);
+    x->p12 = (x->p12 + (a->weight * a->p12)) + (share1 * away2);
+    x->p13 = (x->p13 + (a->weight * a->p13)) + (share1 * away3);
+    x->p1h = (x->p1h + (a->weight * a->p1h)) + (share1 * awayh);
+    x->p22 = (x->p22 + (a->weight * a->p22)) + (share2 * away2);
+    x->p23 = (x->p23 + (a->weight * a->p23)) + (share2 * away3);
+    x->p2h = (x->p2h + (a->weight * a->p2h)) + (share2 * awayh);
+    x->p33 = (x->p33 + (a->weight * a->p33)) + (share3 * away3);
+    x->p3h = (x->p3h + (a->weight * a->p3h)) + (share3 * awayh);
+    x->phh = (x->phh + (a->weight * a->phh)) + (shareh * awayh);
     x->persistent = x->persistent + (a->weight * a->persistent);
 }
 
 /* The estimate: mean and covariance of the whole bank; the rest is the likeliest one's. */
 static void gather(cellwise_bank *b, cellwise_state *of, uint32_t count)
 {
-    cellwise_column mean;
-    mean_of(of, count, &mean);
     of[0u] = of[b->likeliest];
-    take_mean(&of[0u], &mean);
+    clear(&of[0u]);
+    for (uint32_t k = 0u; k < count; k++) {
+        if (of[k + 1u].cost < GIVEN_UP) { /* else dropped: nobody looks after its memory */
+            collect_mean(&of[0u], &of[k + 1u]);
+        }
+    }
     hold_within(&of[0u]);
     for (uint32_t k = 0u; k < count; k++) {
         if (of[k + 1u].cost < GIVEN_UP) {

@@ -20,6 +20,7 @@ static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cel
         x->in_bank = CONTRADICTED;
         x->evidence = FIRST_VOLTAGE;
         open_up(c, x, p, seen);
+        forget_offset(x);
     }
     return status;
 }
@@ -68,6 +69,7 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
         if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
             contradict(c, x, w, s, i->one_V2, innovation);
         }
+        ask_for_offset(x, i, innovation, inverse);
     }
     x->rejections = 0u;
     if (x->evidence < FIRST_VOLTAGE) {
@@ -97,6 +99,7 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
         move(x, &i->column, used.inverse, used.off_V);
         narrow(x, &i->column, used.inverse);
         persist(c, x, p, w->slope_V, i->column.s * used.inverse);
+        ask_for_offset(x, i, used.off_V, used.inverse);
     }
     if (x->evidence < FIRST_VOLTAGE) {
         x->evidence = FIRST_VOLTAGE;
@@ -115,7 +118,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         use_in_bank(c, x, p, w, s, i, innovation);
     } else {
         if (s->news == INTERVAL) {
-            const float ratio = at_most(square / i->variance_V2, c->mismatch_cap);
+            const float own_V2 = i->explained_V2 + i->one_V2;
+            const float ratio = at_most(square / own_V2, c->mismatch_cap);
             x->mismatch = lately_shown(x->mismatch, ratio, c->lately);
         }
         if (POSITIVE_ABOVE(square, most)) {

@@ -65,6 +65,16 @@ typedef struct {
     float swings; /* of the voltage while the current repeats itself; last one's sign */
     uint32_t no_current; /* steps without a valid one */
     uint32_t no_voltage; /* steps without one that could be used */
+    float reach; /* SOC that an offset of one deviation has put it too low, */
+    float score; /* what is known of the offset: mean over variance, */
+    float information; /* one over the variance, */
+    float believed; /* mean and variance with the chance of none, */
+    float unsure;
+    float d1_V;
+    float d2_V;
+    float d3_V;
+    float rest; /* steps that the current has stood still near zero, -1: used, */
+    float rest_A; /* and at what */
     float cost; /* minus the logarithm of its likelihood, beside the likeliest */
     float weight; /* share of the bank */
     float error_V2; /* variance of one voltage that all components share */
@@ -85,7 +95,6 @@ typedef struct {
     float temperature_C; /* now; read only where CELLWISE_NEEDS_TEMPERATURE */
     uint32_t sequence; /* counts time steps, wraps */
 } cellwise_input;
-
 typedef struct {
     float soc;
     float soc_variance;
@@ -110,9 +119,9 @@ typedef struct {
     float mismatch; /* running mean of squared innovation over variance */
     uint32_t spread; /* 1: the components are stepped, 0: the estimate alone */
     uint32_t likeliest; /* which component, from 1 on */
-    uint32_t since; /* steps since the start */
+    float since; /* steps since the start */
     uint32_t looks; /* how often the past has been looked at */
-    uint32_t next_look; /* when it is next */
+    float next_look; /* when it is next */
     uint32_t sequence; /* of the last sample */
 } cellwise_bank;
 
@@ -133,7 +142,6 @@ typedef struct {
     float charge_W; /* what it can take, without sign, */
     float charge_low_W; /* and sustains with 95 % */
 } cellwise_capability;
-
 /* What the cell can give and take for the horizon that the tables hold; nothing is changed. The largest constant
  * currents that keep voltage, current and SOC within their limits to the end of the horizon, times the voltage then.
  * Zero throughout for a state that is not sound. */
@@ -148,7 +156,6 @@ typedef struct {
     float energy_low_J;
     float energy_high_J;
 } cellwise_outlook;
-
 /* Time and energy until a load reaches the cutoff, or the cell is empty; nothing is changed. `load_A` is held, or
  * with `holds_power` what it gives now. One below C/50 counts as that. The SOC down to empty is gone through in
  * equal parts; temperature stays. The band of two deviations holds the SOC's, the voltage's along the way, and those
@@ -161,7 +168,6 @@ typedef struct {
     float seconds; /* that it lasts */
     float load; /* current [A], or power [W], positive on discharge */
 } cellwise_phase;
-
 typedef struct {
     float soc; /* at the plan's end */
     float soc_low; /* two deviations less */
@@ -172,7 +178,6 @@ typedef struct {
     float failed_s; /* when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan */
     float chance; /* to end at the SOC asked for or more, above the cutoff all the way */
 } cellwise_landing;
-
 /* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The phases follow each
  * other; a load is a current [A], or with `holds_power` a power [W], of one cell, positive on discharge. Temperature
  * stays. The bands of two deviations hold those of the SOC, of the voltage along the way and of the capacity, by
@@ -203,7 +208,6 @@ typedef struct {
     uint32_t rejections; /* in a row */
     uint32_t status; /* of the last sample: bits */
 } cellwise_pack_cell;
-
 typedef struct {
     float soc;
     float soc_variance;

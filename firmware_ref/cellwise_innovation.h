@@ -14,13 +14,16 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
  * `explained_V2` what the state and `one_V2` what the voltage brings to it; `polarisation_V` how much of the voltage
- * is current's doing. */
+ * is current's doing. One deviation of an offset moves the voltage by `of_offset_V`, all that is believed of it has
+ * moved it by `followed_V`. */
 typedef struct {
     float voltage_V;
     float variance_V2;
     float explained_V2;
     float one_V2;
     float polarisation_V;
+    float of_offset_V;
+    float followed_V;
     cellwise_column column;
 } cellwise_innovation;
 
@@ -92,6 +95,55 @@ static float extrapolated(const cellwise_constants *c, const cellwise_state *x, 
     return (share * polarisation_V) + moved_V;
 }
 
+/* How far an offset leads over one interval: the count, where there was one, and the branches. What is believed of
+ * it moves the SOC. */
+static void count_offset(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                         const cellwise_reading *s, uint32_t missing)
+{
+    float counted = 1.0f;
+    if ((missing != 0u) || (s->unmeasured_A2 > 0.0f)) {
+        counted = 0.0f;
+    }
+    const float moved = counted * c->drift_soc;
+    x->reach = at_most(x->reach + moved, REACH_MOST);
+    add(&x->soc, &x->soc_carry, x->believed * moved);
+    x->d1_V = x->d1_V + (p->gain1 * ((p->r1_ohm * c->offset_A) - x->d1_V));
+    x->d2_V = x->d2_V + (p->gain2 * ((p->r2_ohm * c->offset_A) - x->d2_V));
+    x->d3_V = x->d3_V + (p->gain3 * ((p->r3_ohm * c->offset_A) - x->d3_V));
+    cellwise_standstill now;
+    rest_after(x->rest, x->rest_A, s->current, counted, c->rate_A, c->rest_steps, &now);
+    x->rest = now.lasts;
+    x->rest_A = now.current_A;
+    if ((now.weight > 0.0f) && (c->offset_A > 0.0f) && (x->information < (INFORMATION_MOST - now.weight))) {
+        x->information = x->information + now.weight;
+        x->score = x->score + ((now.weight * s->current) / c->offset_A);
+    }
+}
+
+/* By what one deviation of an offset puts the drop over R0 and branches too high [V]. */
+static float dropped_by_offset(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p)
+{
+    const float dropped_V = (((p->r0_ohm * c->offset_A) + x->d1_V) + x->d2_V) + x->d3_V;
+    return dropped_V;
+}
+
+/* What a voltage that has moved the state says of an offset, and where that moves the SOC. */
+static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float inverse)
+{
+    const float gain = i->column.s * inverse;
+    const float before = x->believed * x->reach;
+    const float own_V = innovation + i->followed_V;
+    cellwise_offset now;
+    offset_after(x->score, x->information, i->of_offset_V, own_V, inverse, &now);
+    x->reach = x->reach - (gain * i->of_offset_V);
+    x->score = now.score;
+    x->information = now.information;
+    x->believed = now.believed;
+    x->unsure = now.unsure;
+    const float more = (gain * i->followed_V) + ((x->believed * x->reach) - before);
+    add(&x->soc, &x->soc_carry, more);
+}
+
 /* Predicted voltage, and the variances of what is measured about it. */
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
                      const cellwise_slopes *w, const cellwise_reading *s, cellwise_innovation *innovation)
@@ -107,6 +159,15 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     column_of(x, p, w->slope_V, &innovation->column);
     innovation->explained_V2 = bent_variance(innovation->column.variance, w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
+    innovation->of_offset_V = 0.0f;
+    innovation->followed_V = 0.0f;
+    /* What is believed of an offset has moved the drop, too; what is not known of it may have. */
+    const float dropped_V = dropped_by_offset(c, x, p);
+    innovation->of_offset_V = (w->slope_V * x->reach) + dropped_V;
+    innovation->followed_V = x->believed * innovation->of_offset_V;
+    innovation->voltage_V = innovation->voltage_V + (x->believed * dropped_V);
+    innovation->variance_V2 = innovation->variance_V2 +
+        ((innovation->of_offset_V * innovation->of_offset_V) * x->unsure);
 }
 
 #endif

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_LOOKUP_H
 #define CELLWISE_LOOKUP_H
 
-#include "cellwise_likelihood.h"
+#include "cellwise_offset.h"
 
 /* Where a temperature lies between two tables, and what it does to every resistance. `lag` is the SOC that the
  * particles' surface is below the mean. */

@@ -72,7 +72,7 @@ typedef struct {
     float least_use_A; /* a use takes no longer from full to empty */
     float fades; /* of samples that share one model error, those whose error fades, */
     float stays; /* and the share of the error that does not */
-    uint32_t look_steps; /* until the past of a start under load is looked at */
+    float look_steps; /* until the past of a start under load is looked at */
     float charge_efficiency;
     float leak_soc; /* SOC that self-discharge takes in one step */
     float skew_share; /* of the previous current in what the voltage has seen */
@@ -84,6 +84,9 @@ typedef struct {
     float hysteresis_per_A; /* e-folds of h in one step at 1 A */
     float persistent; /* share of the slow error that comes back at the same SOC */
     float drift_soc; /* that a current which is off moves in one step */
+    float offset_A; /* deviation of an offset of the current beforehand */
+    float rate_A; /* 1C */
+    float rest_steps; /* of a current that stands still, until it shows an offset */
     float contradicted_share; /* dt / 600 s */
     float heat_K_per_W;
     float heat_gain; /* 1 - exp(-dt / thermal time constant) */

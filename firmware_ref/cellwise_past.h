@@ -36,7 +36,7 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     past_of(p.r3_ohm, gone, mean_A, before, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    const float variance = d.variance + past.variance_V2;
+    const float variance = a->p33 + past.variance_V2;
     const float off = past.held_V - a->v3_V;
     const float inverse = 1.0f / variance;
     a->cost = a->cost + cost_of_past(off, variance);
@@ -61,26 +61,48 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    move(a, &d, 1.0f / at_least(d.variance, past.variance_V2), (1.0f - gone) * more);
+    move(a, &d, 1.0f / at_least(a->p33, past.variance_V2), (1.0f - gone) * more);
+    hold_within(a);
 }
 
-/* The mean of the load since a start under load, and what it says of the past, three times. */
-static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
-                      const cellwise_input *sample)
+/* What flowed for hours no first sample shows; it is looked at once more is known. */
+static void open_slow_branch(const cellwise_model *m, cellwise_state *a)
 {
-    const cellwise_constants *const c = &m->constant;
-    const uint32_t elapsed = sample->sequence - b->sequence;
-    b->sequence = sample->sequence;
-    if ((b->looks < LOOKS) && (elapsed == 1u)) {
-        b->since = b->since + 1u;
-        b->mean_A = b->mean_A + ((of[b->likeliest].current_A - b->mean_A) / (float)b->since);
+    cellwise_place place;
+    place_now(m, a, &place);
+    cellwise_point p;
+    look_up(m, &place, a->soc, a->current_A, &p);
+    const float wide_V = m->constant.bank_A * p.r3_ohm;
+    a->p33 = a->p33 + (wide_V * wide_V);
+}
+
+/* The mean of the load since a start under load, and what it says of the past, three times. `elapsed` since the last
+ * sample, 0 for a repeated one; `lost` where more may have flowed. */
+static NOINLINE void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state *of, uint32_t count,
+                               float elapsed, bool lost)
+{
+    const float current_A = of[b->likeliest].current_A;
+    if (b->looks == NEVER_LOOKED) {
+        b->looks = LOOKS;
+        if (!SIZE_BELOW(current_A, m->constant.rest_A)) {
+            b->looks = 0u;
+            b->next_look = m->constant.look_steps;
+            for (uint32_t k = 0u; k < count; k++) {
+                open_slow_branch(m, &of[k + 1u]);
+            }
+        }
+    } else if (lost) { /* nobody knows what flowed */
+        b->looks = LOOKS;
+    } else if ((b->looks < LOOKS) && (elapsed > 0.0f)) {
+        b->since = b->since + elapsed;
+        b->mean_A = b->mean_A + ((current_A - b->mean_A) * (elapsed / b->since));
         if (b->since >= b->next_look) {
             for (uint32_t k = 0u; k < count; k++) {
                 if (of[k + 1u].cost < GIVEN_UP) {
                     if (b->looks == 0u) {
-                        know_past(m, &of[k + 1u], (float)b->since, b->mean_A);
+                        know_past(m, &of[k + 1u], b->since, b->mean_A);
                     } else {
-                        know_past_better(m, &of[k + 1u], (float)b->since, b->mean_A, b->looked_A);
+                        know_past_better(m, &of[k + 1u], b->since, b->mean_A, b->looked_A);
                     }
                 }
             }
@@ -88,16 +110,7 @@ static void look_back(const cellwise_model *m, cellwise_bank *b, cellwise_state 
             b->looks = b->looks + 1u;
             b->next_look = b->next_look * LOOK_FACTOR;
         }
-    } else if (elapsed > 1u) { /* nobody knows what flowed */
-        b->looks = LOOKS;
     } else { /* as before */
-    }
-    if (b->looks == NEVER_LOOKED) {
-        b->looks = 0u;
-        b->next_look = c->look_steps;
-        if (SIZE_BELOW(of[b->likeliest].current_A, c->rest_A)) {
-            b->looks = LOOKS;
-        }
     }
 }
 

@@ -143,7 +143,8 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
 /* What is stated of the SOC beside P's variance `known`; LARGE where it is no number. */
 static float variance_of(const cellwise_state *x, float known)
 {
-    const float stated = stated_variance(known, x->mismatch, x->persistent, x->contradicted);
+    const float sure = known + ((x->reach * x->reach) * x->unsure);
+    const float stated = stated_variance(sure, x->mismatch, x->persistent, x->contradicted);
     return NOT_NEGATIVE(stated, LARGE) ? stated : LARGE;
 }
 

@@ -24,6 +24,13 @@ static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
     if (!(SIZE_WITHIN(x->contradicted, 1.0f) && SIZE_WITHIN(x->persistent, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->voltage_V, LARGE) && SIZE_WITHIN(x->frozen_A, LARGE))) { return false; }
     if (!(SIZE_WITHIN(x->swings, SWINGS_MOST) && NOT_NEGATIVE(x->repeats, FOUND_FROZEN))) { return false; }
+    if (!(SIZE_WITHIN(x->reach, REACH_MOST) && SIZE_WITHIN(x->score, SCORE_MOST))) { return false; }
+    if (!POSITIVE_WITHIN(x->information, 1.0f, INFORMATION_MOST)) { return false; }
+    if (!(SIZE_WITHIN(x->believed, REACH_MOST) && NOT_NEGATIVE(x->unsure, LARGE))) { return false; }
+    if (!(WITHIN(x->rest, REST_USED, SCORE_MOST) && SIZE_WITHIN(x->rest_A, LARGE))) { return false; }
+    if (!SIZE_WITHIN(x->d1_V, REACH_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->d2_V, REACH_MOST)) { return false; }
+    if (!SIZE_WITHIN(x->d3_V, REACH_MOST)) { return false; }
     if (!POSITIVE_WITHIN(x->per_capacity, 1.0f / MOST_SHARE, 1.0f / LEAST_SHARE)) { return false; }
     if (!POSITIVE_WITHIN(x->resistance_scale, LEAST_SCALE, MOST_SCALE)) { return false; }
     if (!SIZE_WITHIN(x->mean_V, LARGE)) { return false; }
@@ -42,6 +49,21 @@ uint32_t cellwise_set_health(const cellwise_model *m, cellwise_state *x, float c
         status = 0u;
     }
     return status;
+}
+
+/* Nothing counted yet, nothing known of an offset. */
+static void forget_offset(cellwise_state *x)
+{
+    x->reach = 0.0f;
+    x->score = 0.0f;
+    x->information = 1.0f;
+    x->believed = 0.0f;
+    x->unsure = CHANCE;
+    x->d1_V = 0.0f;
+    x->d2_V = 0.0f;
+    x->d3_V = 0.0f;
+    x->rest = 0.0f;
+    x->rest_A = 0.0f;
 }
 
 /* A cell at rest; its branches are guessed at the first sample. */
@@ -69,6 +91,7 @@ static NOINLINE void start(const cellwise_constants *c, cellwise_state *x, float
     x->swings = 0.0f;
     x->no_current = 0u;
     x->no_voltage = 0u;
+    forget_offset(x);
     x->per_capacity = 1.0f;
     x->resistance_scale = 1.0f;
     x->cost = 0.0f;
@@ -98,10 +121,48 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     x->v3_V = p->r3_ohm * before.flow_A;
     x->v3_carry_V = 0.0f;
     x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
-    if ((x->in_bank == COMPONENT) && !SIZE_BELOW(current, c->rest_A)) {
-        /* What flowed for hours no first sample shows; it is looked at once more is known. */
-        const float wide_V = c->bank_A * p->r3_ohm;
-        x->p33 = x->p33 + (wide_V * wide_V);
+}
+
+/* Whether it has seen no sample yet. */
+static bool is_new(const cellwise_state *x)
+{
+    return x->evidence == NOT_BEGUN;
+}
+
+/* Whether it has used a voltage. */
+static bool has_voltage(const cellwise_state *x)
+{
+    return x->evidence >= FIRST_VOLTAGE;
+}
+
+/* What rounding has kept from the sums is dropped: they are set. */
+static void forget_rounding(cellwise_state *x)
+{
+    x->soc_carry = 0.0f;
+    x->v3_carry_V = 0.0f;
+    x->ss_carry = 0.0f;
+}
+
+/* A component of a bank, whose numbers are set. */
+static void stand_in_bank(cellwise_state *x)
+{
+    forget_rounding(x);
+    x->in_bank = COMPONENT;
+}
+
+/* The estimate of one, whose numbers are. */
+static void stand_alone(cellwise_state *x)
+{
+    forget_rounding(x);
+    x->in_bank = ALONE;
+}
+
+/* SOC held within 0..1. */
+static void hold_within(cellwise_state *x)
+{
+    if (!NOT_NEGATIVE(x->soc, 1.0f)) {
+        x->soc = within_one(x->soc);
+        x->soc_carry = 0.0f;
     }
 }
 

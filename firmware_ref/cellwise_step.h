@@ -60,6 +60,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     if (s.news == INTERVAL) {
         predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
         heat(c, x, p.r0_ohm, s.seen, s.flow);
+        count_offset(c, x, &p, &s, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &s);
     status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, out);

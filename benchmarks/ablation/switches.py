@@ -16,7 +16,9 @@ from cellwise.cell.plausibility.validity_kernels import EVERYWHERE, ValidityScal
 
 ESTIMATE = "cellwise.estimate"
 START = f"{ESTIMATE}.filters.predict_kernels"
-BANK = f"{ESTIMATE}.filters.bank_kernels"
+BANK = f"{ESTIMATE}.equations.bank"
+AGAIN = f"{ESTIMATE}.filters.bank_kernels"
+OFFSET = f"{ESTIMATE}.equations.offset"
 NEVER = 10**9
 
 
@@ -52,7 +54,7 @@ SWITCHES = (
     Switch("chords", names=((f"{ESTIMATE}.slopes_kernels", "WIDE_VARIANCE", math.inf),)),
     Switch(
         "components for a start",
-        names=((BANK, "WIDE_VARIANCE", math.inf), (BANK, "SPREAD_VARIANCE", math.inf)),
+        names=((BANK, "WIDE_VARIANCE", math.inf), (AGAIN, "SPREAD_VARIANCE", math.inf)),
     ),
     Switch("what a load has left before the start", names=((BANK, "LOOKS", 0),)),
     Switch("hypothesis of an offset, contradicted", noise={"offset_share": 0.0}),
@@ -60,13 +62,13 @@ SWITCHES = (
         "hypothesis of an offset",
         names=(
             (f"{ESTIMATE}.filters.drift_kernels", "CHANCE", 0.0),
-            (f"{ESTIMATE}.filters.drift_kernels", "ODDS", 0.0),
+            (OFFSET, "ODDS", 0.0),
             (f"{ESTIMATE}.noise", "WANDERS", 1.0),
         ),
     ),
     Switch(
         "a rest shows the hypothesis its offset",
-        names=((f"{ESTIMATE}.filters.drift_kernels", "SHOWN", 0.0),),
+        names=((OFFSET, "REST_SHOWS", 0.0),),
     ),
     Switch("gate and recovery", noise={"gate": 1e6}),
     Switch("recovery", noise={"recovery_after": NEVER}),

@@ -75,9 +75,9 @@ static void any_bank(cellwise_bank *b, cellwise_state *of)
     b->looked_A = any_float;
     b->mismatch = any_float;
     b->likeliest = any_integer;
-    b->since = any_integer;
+    b->since = any_float;
     b->looks = any_integer;
-    b->next_look = any_integer;
+    b->next_look = any_float;
     b->sequence = any_integer;
     /*@ loop unroll COMPONENTS + 1; */
     for (uint32_t k = 0u; k <= COMPONENTS; k++) {

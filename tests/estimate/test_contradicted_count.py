@@ -9,6 +9,7 @@ import pytest
 
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
 from cellwise.estimate.adaptive import Adaptive, AdaptiveSettings
 from cellwise.estimate.filters.coulomb import Coulomb
 from cellwise.estimate.filters.kalman import Ekf, Ukf
@@ -25,6 +26,11 @@ DT_S = 2.0
 def fixed_step(model, noise):
     """What a target computes, with the watch over its sensors."""
     return FixedStep(model, noise, dt_s=DT_S)
+
+
+def asking_fixed_step(model, noise):
+    """The same with the hypothesis of an offset."""
+    return FixedStep(model, noise, dt_s=DT_S, offset=True)
 
 
 FILTERS = (Ekf, Ukf, fixed_step)
@@ -164,3 +170,21 @@ def test_on_a_linear_cell_what_is_free_is_one_more_state_of_a_filter(filter_):
     # Its branches begin 5 mV unsure, which the matrices leave out.
     np.testing.assert_allclose(np.linalg.inv(information), p[1:, 1:], rtol=0.1, atol=1e-3)
     assert state.soc - believed + mean @ reach == pytest.approx(x[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("offset_share", [-0.03, 0.03])
+def test_what_a_target_asks_of_an_offset_is_what_the_ekf_asks(offset_share):
+    """Estimate and band to two hundredths of a point; without the hypothesis it is off by more."""
+    log, truth = driven()
+    off = replace(log, current_A=log.current_A + offset_share * MODEL.capacity_Ah)
+    told = Noise.of_model(MODEL)
+    ekf, asks, does_not = (f(MODEL, told).run(off, 0.9, 0.005)
+                           for f in (Ekf, asking_fixed_step, fixed_step))  # fmt: skip
+    np.testing.assert_allclose(asks.soc, ekf.soc, atol=2e-4)
+    np.testing.assert_allclose(asks.soc_std, ekf.soc_std, atol=2e-4)
+    assert np.std(asks.soc - truth) < 0.5 * np.std(does_not.soc - truth)
+
+
+def test_a_lean_step_asks_for_no_offset():
+    with pytest.raises(InputError, match="lean"):
+        FixedStep(MODEL, dt_s=DT_S, wide=False, offset=True)

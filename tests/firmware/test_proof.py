@@ -51,6 +51,7 @@ OF_CELLS = ",cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_s
 BUILDS = {
     "lean": {"model": curved_cell(5), "wide": False},
     "three states": {"model": curved_cell(5)},
+    "offset": {"model": curved_cell(5), "offset": True},
     "slow": {"model": curved_cell(5, effects=(SlowDiffusion(r3_ohm=0.015, tau3_s=1500.0),))},
     "hysteresis": {"model": curved_cell(5, effects=(Hysteresis(m_V=0.02, gamma=40.0),))},
     "transfer": {"model": curved_cell(5, effects=(ChargeTransfer(60.0),)), "wide": False},

@@ -259,6 +259,18 @@ def test_the_memory_of_a_component_that_was_dropped_moves_nothing(plain):
     assert first.tobytes() == second.tobytes()
 
 
+@needs_gcc
+def test_a_bank_looks_at_the_past_whatever_its_first_number_is():
+    """A target that has run for an hour numbers its first sample 3600."""
+    slow = HostLibrary(tables_of("slow"))
+    looks = []
+    for start in (0, 3600):
+        bank, of = slow.start_bank(5, 0.5, 0.0225)
+        slow.bank_rows(bank, of, rows(80, 1.5, 3.7, start=start))
+        looks.append(int(bank["looks"][0]))
+    assert looks == [1, 1]
+
+
 def in_c():
     """The numbers that stand in the C, printed or by hand."""
     files = [*firmware_folder().glob("*.c"), *firmware_folder().glob("*.h")]

@@ -56,9 +56,9 @@ def tables_of(name, dt_s=1.0):
     """Tables by a model's name, behind it which functions beside the step: `full pack`."""
     kind, _, more = name.partition(" ")
     model = full_model() if kind == "full" else curved_cell(**CHANGED.get(kind, {}))
-    asked = {}
+    asked = {"offset": kind in ("full", "offset")}
     if more:  # pack, beside
-        asked = {"power": power_asked(model), "health": True, "cells": CellSettings()}
+        asked |= {"power": power_asked(model), "health": True, "cells": CellSettings()}
     if more == "beside":
         asked["remaining_V"] = cutoff_asked(model)
     return fixed_step_tables(model, dt_s, wide=kind != "lean", **asked)

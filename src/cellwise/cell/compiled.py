@@ -95,6 +95,12 @@ def part(function: Callable[P, R]) -> Callable[P, R]:
     return _part(function, PART)
 
 
+def noinline(function: Callable[P, R]) -> Callable[P, R]:
+    """Mark what few fixed steps need: out of the others' registers and stack."""
+    function.noinline = True  # type: ignore[attr-defined]
+    return function
+
+
 def _part(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
     compiled: Any = _compiled(function, options)
     is_compiled = isinstance(compiled, CPUDispatcher)

@@ -12,7 +12,9 @@ from typing import Any, Protocol, TypeVar, get_type_hints
 
 import numpy as np
 from numba import config, types
+from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from cellwise.typing import FloatArray
 
@@ -39,6 +41,15 @@ def numbers_of(record: Any) -> Iterator[float]:
             yield from numbers_of(value)
         else:
             yield value
+
+
+def names_of(kind: type) -> Iterator[str]:
+    """What the numbers of a record are called, in order."""
+    for name, field in zip(kind._fields, fields_of(kind), strict=True):  # type: ignore[attr-defined]
+        if field is float:
+            yield name
+        else:
+            yield from names_of(field)
 
 
 def place_of(kind: type, path: str) -> int:
@@ -107,11 +118,41 @@ def _pointers(
     context: Any, builder: Any, signature: Any, arguments: Any, row: int
 ) -> Iterator[Any]:
     """Pointers to the numbers of one record, in order."""
-    array = context.make_array(signature.args[row])(context, builder, arguments[row])
+    if isinstance(signature.args[row], types.Record):
+        number = context.get_value_type(types.float64).as_pointer()
+        data = builder.bitcast(arguments[row], number)
+    else:
+        data = context.make_array(signature.args[row])(context, builder, arguments[row]).data
     at, step = arguments[row + 1], arguments[row + 2]
     while True:
-        yield builder.gep(array.data, [at])
+        yield builder.gep(data, [at])
         at = builder.add(at, step)
+
+
+def _records_in(typing: Any, kind: Any, rows: Any) -> Any:
+    """The rows of an array of numbers as records of a NumPy type; compiled code only.
+
+    What is set in one of them is set in the array.
+    """
+    records = types.Array(kind.dtype, 1, "A")
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        made = context.make_array(records)(context, builder)
+        parts: Any = cgutils.unpack_tuple
+        populate: Any = populate_array
+        populate(
+            made,
+            data=builder.bitcast(array.data, made.data.type),
+            shape=parts(builder, array.shape)[:1],
+            strides=parts(builder, array.strides)[:1],
+            itemsize=context.get_constant(types.intp, kind.dtype.size),
+            meminfo=array.meminfo,
+            parent=array.parent,
+        )
+        return made._getvalue()
+
+    return records(kind, rows), build
 
 
 def _changed(typing: Any, record: Any, name: Any, value: Any) -> Any:
@@ -144,3 +185,5 @@ changed: Changed = replaced if jit_is_off else compiled
 # Typed by numba alone: (kind, row, at, step) -> record and (row, at, step, record, puts).
 record_at: Any = intrinsic(_record_at)
 put_record: Any = intrinsic(_put_record)
+# (NumPy type, rows) -> array of records
+records_in: Any = intrinsic(_records_in)

@@ -18,7 +18,7 @@ from cellwise.estimate.filters.kalman import BankState
 from cellwise.files import write_atomically
 from cellwise.typing import FloatArray
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 MAY_BE_MISSING = {"temperature_C", "voltage_V", "current_A"}  # not measured yet
 
 

@@ -18,6 +18,7 @@ FLOATS = {
     **{f"{s.option.capitalize()}Float": s.option.upper() for s in CELL if s.option},
     "WarmFloat": "WARM",
     "SurfaceFloat": "SURFACE",
+    "OffsetFloat": "OFFSET",
 }
 
 

@@ -81,6 +81,7 @@ PARTS = {
     "sensors": "Readings that a sensor cannot have meant, and a charge that nobody counted.",
     "start": "What branches may hold that nobody has seen before.",
     "likelihood": "What a voltage and the past say against one of several filters.",
+    "offset": "What rests and voltages say of a current that is off all the time.",
     "lookup": "Tables at one SOC, temperature and current.",
     "covariance": "What a step does to P, and to the state through it.",
     "state": "Whether a state is sound, where it starts, what an interval does to it.",
@@ -101,6 +102,7 @@ FIRST = {
     "components.py": "likelihood",
     "step.py": "correction", "begin_at": "step",
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
+    "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power",
 }  # fmt: skip

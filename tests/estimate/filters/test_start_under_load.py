@@ -14,6 +14,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
+from cellwise.estimate.equations.bank import know_past, know_past_better, left_by_load
 from cellwise.estimate.equations.components import past_of
 from cellwise.estimate.equations.constants import (
     LEAST_PAST_V2,
@@ -23,12 +24,12 @@ from cellwise.estimate.equations.constants import (
     START_BRANCH_V,
     TAIL,
 )
-from cellwise.estimate.filters.bank_kernels import (
-    RECORD,
-    BankRecord,
-    know_past,
-    know_past_better,
-    left_by_load,
+from cellwise.estimate.filters.bank_kernels import BANK_FIELDS, RECORD
+from cellwise.estimate.filters.component_kernels import (
+    STATE,
+    BankModel,
+    ComponentPlace,
+    bank_constants,
     new_share,
 )
 from cellwise.estimate.filters.filter_state import EkfState
@@ -66,6 +67,21 @@ def component(soc: float, v3: float, variances: tuple[float, float, float]) -> E
     return state._replace(cell=state.cell._replace(v3_V=v3), p=p)
 
 
+def bank_model(model: CellModel) -> BankModel:
+    """What the functions of a bank are handed, at one sample a second."""
+    ekf, tables = Ekf(model), model.parameters()
+    noise = ekf.noise.scalars(model)
+    constant = bank_constants(tables.cell, noise, 1.0)
+    return BankModel(constant, tables, noise, None, ekf.start(0.5))
+
+
+def in_memory(state: EkfState) -> np.ndarray:
+    """A component as a bank holds it, shape (1,)."""
+    memory = np.zeros(1, STATE)
+    memory.view(float)[: state.row().size] = state.row()
+    return memory
+
+
 def test_what_is_known_of_the_past_is_a_measurement_of_the_slow_branch():
     """Against the normal equations of two unknowns; components compare by its evidence."""
     model = linear()
@@ -78,15 +94,17 @@ def test_what_is_known_of_the_past_is_a_measurement_of_the_slow_branch():
     for soc, v3 in ((0.5, 0.05), (0.5, -0.02)):
         p = np.array([[0.01, -3e-4], [-3e-4, 4e-4]])
         state = component(soc, v3, (p[0, 0], p[1, 1], p[0, 1]))
-        after, cost = know_past(model.parameters(), state, 25.0, since_s, mean_A)
+        memory = in_memory(state)
+        know_past(bank_model(model), memory[0], since_s, mean_A)
+        after, cost = memory[0], float(memory["cost"][0])
         one = spread**2 + LEAST_PAST_V2
         gain = p[:, 1] / (p[1, 1] + one)
         np.testing.assert_allclose(
-            (after.cell.soc, after.cell.v3_V), (soc, v3) + gain * (held - v3), rtol=1e-3
+            (after["soc"], after["v3_V"]), (soc, v3) + gain * (held - v3), rtol=1e-3
         )
         left_over = p - np.outer(gain, p[1])
         np.testing.assert_allclose(
-            (after.p.ss, after.p.s3, after.p.p33),
+            (after["ss"], after["s3"], after["p33"]),
             (left_over[0, 0], left_over[0, 1], left_over[1, 1]), rtol=1e-3,
         )  # fmt: skip
         costs.append(cost)
@@ -129,7 +147,7 @@ def test_what_flows_after_the_start_is_in_the_branch_whatever_was_before():
 @pytest.mark.parametrize(("mean_A", "soc"), [(2.0, 0.995), (-2.0, 0.005)])
 def test_near_the_end_that_a_load_comes_from_a_slow_branch_holds_nothing(mean_A, soc):
     """A charge from empty has just begun near empty: the OCV alone is the level there."""
-    left = left_by_load(linear().parameters(), mean_A, soc, 25.0, 0.0)
+    left = left_by_load(bank_model(linear()), ComponentPlace(25.0, 0.0), mean_A, soc)
     assert abs(left) < 0.2 * R3_OHM * 2.0
 
 
@@ -144,7 +162,7 @@ def left_after(mean_A: float, soc: float) -> float:
 @pytest.mark.parametrize("mean_A", [0.3, 1.5, 3.0])
 def test_a_past_of_constant_load_is_what_its_equation_says(mean_A):
     model = linear(tau3_s=HOURS_S)
-    left = left_by_load(model.parameters(), mean_A, 0.4, 25.0, 0.0)
+    left = left_by_load(bank_model(model), ComponentPlace(25.0, 0.0), mean_A, 0.4)
     assert left == pytest.approx(left_after(mean_A, 0.4), rel=0.03)
 
 
@@ -152,7 +170,9 @@ def test_another_mean_load_is_another_past():
     model = linear(tau3_s=HOURS_S)
     since_s, looked_A, mean_A = 960.0, 0.3, 1.5
     state = component(0.4, 0.03, (0.01, 4e-4, 1e-3))
-    after = know_past_better(model.parameters(), state, 25.0, since_s, mean_A, looked_A)
+    memory = in_memory(state)
+    know_past_better(bank_model(model), memory[0], since_s, mean_A, looked_A)
+    after = EkfState.of_row(memory.view(float)[: state.row().size])
     left = np.exp(-since_s / HOURS_S)
     more = left * (left_after(mean_A, 0.4) - left_after(looked_A, 0.4))
     assert after.cell.v3_V - state.cell.v3_V == pytest.approx(more, rel=0.03)
@@ -216,7 +236,7 @@ def test_cut_out_of_a_use_the_band_holds_the_truth_and_closes(kind, wrong):
 
 def looks_of(state: EkfState) -> float:
     """How often the past has been looked at; LOOKS: nothing more is to come."""
-    return state.bank[RECORD, BankRecord._fields.index("looks")]
+    return state.bank[RECORD, BANK_FIELDS.index("looks")]
 
 
 def test_a_start_that_is_known_or_at_rest_is_not_looked_at():

@@ -191,3 +191,13 @@ def test_step_is_run():
     log = CellLog(np.arange(50.0), np.ones(50), np.full(50, 3.9))
     trace = filter_.run(log, 0.8, 0.1)
     assert [i.soc for i in infos] == trace.soc.tolist()
+
+
+def test_what_the_past_says_drives_no_component_below_empty():
+    """It would be no sound state, and the whole bank would begin again."""
+    stepper = numba_stepper(tables_of("slow"))
+    state = start_state(stepper, 1e-4, 0.05)
+    state["p33"], state["s3"] = 1e-4, -4e-4  # a slow branch that holds more means a lower SOC
+    stepper.call("know_past_better", state, 240.0, 2.0, 0.3)
+    assert state["v3_V"][0] > 0.0
+    assert state["soc"][0] == 0.0

@@ -99,10 +99,13 @@ def test_no_number_stands_in_both_rooms():
     assert not of_fixed & of_kernels
 
 
-# Numbers of an equation that a room reads as well: what marks a state, what sizes a loop,
-# what a lean step does without the equation.
-MARKS = {"FOUND_FROZEN", "GIVEN_UP", "PAST_PART"}
-READ_IN_C = {"SQUARE_MOST", "START_LOAD_SHARE", "SWINGS_MOST"}
+# Numbers of an equation that a room reads as well: what marks a state, where chords begin, what a
+# lean step does without the equation, what a sound state holds.
+MARKS = {"FOUND_FROZEN", "WIDE_VARIANCE"}
+READ_IN_C = {
+    *("GIVEN_UP", "SQUARE_MOST", "START_LOAD_SHARE", "SWINGS_MOST"),
+    *("INFORMATION_MOST", "REST_USED"),
+}
 
 
 def read_in(paths: list[Path]) -> set[str]:

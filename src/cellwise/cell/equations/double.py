@@ -33,3 +33,27 @@ def root(square: float) -> float:
 def log_of_more(z: float) -> float:
     """ln(1 + z) for z >= 0."""
     return math.log1p(z)
+
+
+@inline
+def size_below(x: float, limit: float) -> bool:
+    """Whether the absolute value is below the limit; false for NaN."""
+    return math.fabs(x) < limit
+
+
+@inline
+def positive_within(x: float, low: float, high: float) -> bool:
+    """Within low..high, both of them positive; false for NaN."""
+    return low <= x <= high
+
+
+@inline
+def risen(z: float) -> float:
+    """1 - exp(-z) for z >= 0."""
+    return -math.expm1(-z)
+
+
+@inline
+def vanishing(z: float) -> float:
+    """exp(-z) for z >= 0."""
+    return math.exp(-z)

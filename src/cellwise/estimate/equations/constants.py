@@ -54,10 +54,25 @@ BANK_RATE = 0.5  # what a slow branch may hold where a bank begins under load
 
 # What flowed before a start under load.
 LOOK_S = 60.0  # of the load until it is looked at
-LOOK_FACTOR = 4  # and each time so much longer
+LOOK_FACTOR = 4.0  # and each time so much longer
 LOOKS = 3  # times
+NEVER_LOOKED = 0xFFFFFFFF  # before the first sample
 PAST_PART = 1.0 / 32.0  # of the SOC: the way of a load before the start goes in such parts
 PAST_SPREAD = 0.5  # of what a load has left before the start may be otherwise
 PAST_RATE = 0.05  # may have flowed before beside it
 LEAST_USE_RATE = 0.02  # a use takes no longer from full to empty, or back
 LEAST_PAST_V2 = 1e-6  # a millivolt of what it has left is always open
+
+# An offset of the current.
+CHANCE = 0.2  # of one, before any data, as in the adaptive filter
+ODDS = 0.25  # the same, over the chance of none
+PER_FREEDOM = 1.0 / 31.0
+SURE_SQUARE = 1000.0  # of a mean over its variance: more says nothing
+INFORMATION_MOST = 1048576.0  # an offset is known better than any sensor has it
+# A rest: the current stands still near zero, as shares of 1C.
+OFFSET_REST_S = 120.0
+REST_LIMIT = 0.04
+REST_BAND = 0.01  # within which it stands still; as near zero nobody takes it for a load
+REST_USED = -1.0  # in place of how long it lasts
+REST_SHOWS = 25.0  # by a rest, as one over the variance
+MAY_BE_LOAD = 1.0

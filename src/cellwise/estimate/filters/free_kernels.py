@@ -20,8 +20,9 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
+from cellwise.estimate.equations.offset import student
 from cellwise.estimate.evidence_kernels import Verdict
-from cellwise.estimate.filters.drift_kernels import Drift, student
+from cellwise.estimate.filters.drift_kernels import Drift
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import CheckedReading
 from cellwise.estimate.status import CURRENT_INVALID

@@ -12,7 +12,7 @@ from cellwise.arguments import check_kind, number
 from cellwise.cell.compiled import announce, for_kernel
 from cellwise.cell.description import CELL
 from cellwise.cell.model import CellModel
-from cellwise.cell.packed import row_of
+from cellwise.cell.packed import row_of, size_of
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.cell.point_kernels import M
 from cellwise.cell.simulate import check_soc0, check_soc0_std
@@ -20,7 +20,6 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters.bank_kernels import (
     COMPONENTS,
-    FIELDS,
     RECORD,
     empty_bank,
 )
@@ -41,6 +40,7 @@ from cellwise.logs.checks.units import check_is_log
 from cellwise.typing import FloatArray
 
 STATES = len(CELL)
+FIELDS = size_of(EkfState)
 MOST_COMPONENTS = 101
 
 

@@ -11,8 +11,8 @@ from cellwise.cell.packed import put_record, record_at, size_of
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.filters.bank_kernels import (
     begin_again,
-    begin_bank,
     is_spread,
+    open_bank,
     state_in,
     step_bank,
 )
@@ -67,7 +67,7 @@ def bank_or_alone(
     """One step of a bank in memory: of its components, or of the estimate alone."""
     state = state_in(bank, 0)
     if not is_spread(bank) and state.watch.evidence_s == NOT_BEGUN_S:
-        begin_bank(bank, state)
+        open_bank(bank, state)
     if is_spread(bank):
         info = step_bank(tables, noise, sigma, start, bank, reading)
         state = state_in(bank, 0)
@@ -168,7 +168,7 @@ def filter_rows(
 ) -> None:
     """Every row of a log through one step each, from ``first``; ``bank`` is their memory."""
     state, free = ekf_start(first, log.current_A[0]), nothing_known(rules)
-    begin_bank(bank, state)
+    open_bank(bank, state)
     spread = is_spread(bank)
     offset_A = noise.offset_soc_per_s * tables.cell.charge_As
     for k in range(log.dt_s.size):

@@ -12,11 +12,11 @@ lookup, covariance, state, sensing, innovation, step, rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
+from cellwise.cell.compiled import noinline as noinline
 from cellwise.cell.equations import BEYOND as GOES_ON
 from cellwise.cell.equations.scalar import at_least as at_least
 from cellwise.cell.equations.scalar import at_most as at_most
@@ -49,6 +49,7 @@ SlowFloat: TypeAlias = Any
 HysteresisFloat: TypeAlias = Any
 WarmFloat: TypeAlias = Any
 SurfaceFloat: TypeAlias = Any
+OffsetFloat: TypeAlias = Any
 
 # Options: what is compiled in. They are known when numba compiles and when C is printed.
 SLOW = HYSTERESIS = 0  # states
@@ -60,6 +61,7 @@ VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its tempera
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
 BANK = 0  # components for a start that nobody knows
+OFFSET = 0  # the hypothesis of a current that is off
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
@@ -85,7 +87,6 @@ ALONE = U(0)  # a state that stands for itself,
 COMPONENT = U(1)  # one of a bank,
 CONTRADICTED = U(2)  # one whose voltages have contradicted it for long,
 UNCOUNTED = U(3)  # and one of whose charge a part is not known
-NEVER_LOOKED = U(0xFFFFFFFF)
 LN_2 = F(math.log(2.0))
 FURTHEST = F(2000.0)  # beyond it exp(-z) is nothing
 POWER_TRIALS = U(8)
@@ -106,15 +107,9 @@ LEAST_SHARE, MOST_SHARE = F(0.1), F(2.0)  # of the capacity that a history gives
 LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 COUNT_MOST = U(2_000_000_000)
-
-Step = TypeVar("Step", bound=Callable[..., Any])
-
-
-def noinline(function: Step) -> Step:
-    """Mark what few steps need: not inlined, out of the others' registers and stack."""
-    function.noinline = True  # type: ignore[attr-defined]
-    return function
-
+REACH_MOST = F(1024.0)  # of an offset: SOC, deviations, and volts
+SCORE_MOST = F(1e9)  # of what is known of an offset
+SINCE_MOST = F(1e9)  # steps, until the past is looked at
 
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
 

@@ -29,6 +29,7 @@ from cellwise.estimate.equations.constants import (
     LEAST_USE_RATE,
     LOOK_S,
     LOST_RATE,
+    OFFSET_REST_S,
     PAST_RATE,
     PERSISTENT_MOST,
     RECOVERY_RATE,
@@ -38,7 +39,7 @@ from cellwise.estimate.equations.constants import (
     START_REST_RATE,
 )
 from cellwise.estimate.fixed.options import CellSettings, Options
-from cellwise.estimate.noise import Noise
+from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.typing import FloatArray
 
@@ -82,12 +83,14 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
     early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
     stays = min(noise.lasting_share, PERSISTENT_MOST) if slow_s > 0.0 else 0.0
     adapts = noise.mismatch_cap > 0 and slow_s > 0
+    wanders = WANDERS if options.offset and noise.offset_share > 0.0 else 1.0
     heating = model.effect(SelfHeating)
     surface = model.effect(SurfaceSoc)
     lost_A = LOST_RATE * model.capacity_Ah
     return {
         "soc_per_A": per_A,
-        "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
+        "soc_walk": wanders**2 * noise.soc_per_sqrt_h**2 / 3600.0 * dt_s
+        + (per_A * noise.current_A) ** 2,
         "capacity_walk": noise.capacity_share**2 * per_A,
         "current_variance_A2": noise.current_A**2,
         "lost_A2": lost_A**2,
@@ -119,7 +122,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "least_use_A": LEAST_USE_RATE * model.capacity_Ah,
         "fades": (1.0 - stays) * shared,
         "stays": stays,
-        "look_steps": int(np.ceil(LOOK_S / dt_s)),
+        "look_steps": np.ceil(LOOK_S / dt_s),
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
@@ -134,6 +137,9 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
         "persistent": float(np.sqrt(noise.lasting_share)),
         "drift_soc": noise.offset_share * dt_s / 3600.0,
+        "offset_A": noise.offset_share * model.capacity_Ah,
+        "rate_A": model.capacity_Ah,
+        "rest_steps": np.ceil(OFFSET_REST_S / dt_s),
         "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),

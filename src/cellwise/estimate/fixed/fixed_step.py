@@ -41,7 +41,7 @@ class FixedStep:
     noise : Noise or None       None: from the model's own validation error
     dt_s : float or None        time step [s]; None: the median interval of the log that is run
     asked                       fields of :class:`~cellwise.estimate.fixed.options.Asked`: an offset
-                                as a state, power, remaining time, a history, cells of a pack
+                                of the current, power, remaining time, a history, cells of a pack
     """
 
     name = "fixed-step"

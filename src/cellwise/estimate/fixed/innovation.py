@@ -13,6 +13,7 @@ from cellwise.estimate.equations.evidence import (
     shared_evidence,
     voltage_variance,
 )
+from cellwise.estimate.equations.offset import offset_after, rest_after
 from cellwise.estimate.equations.sensors import repeats_after, swings_after
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import Column, column_of
@@ -37,6 +38,8 @@ class Innovation(NamedTuple):
 
     ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state and ``one_V2``
     what the voltage brings to it; ``polarisation_V`` how much of the voltage is current's doing.
+    One deviation of an offset moves the voltage by ``of_offset_V``, all that is believed of it has
+    moved it by ``followed_V``.
     """
 
     voltage_V: float
@@ -44,6 +47,8 @@ class Innovation(NamedTuple):
     explained_V2: float
     one_V2: float
     polarisation_V: float
+    of_offset_V: OffsetFloat
+    followed_V: OffsetFloat
     column: Column
 
 
@@ -110,6 +115,52 @@ def extrapolated(c: Constants, x: State, seen: float, polarisation_V: float) -> 
 
 
 @unrolled_by_option
+def count_offset(c: Constants, x: State, p: Point, s: Reading, missing: int) -> None:
+    """How far an offset leads over one interval: the count, where there was one, and the branches.
+
+    What is believed of it moves the SOC.
+    """
+    counted = 1.0
+    if missing != U(0) or s.unmeasured_A2 > 0.0:
+        counted = 0.0
+    moved = counted * c.drift_soc
+    x.reach = at_most(x.reach + moved, REACH_MOST)
+    x.soc, x.soc_carry = add(x.soc, x.soc_carry, x.believed * moved)
+    for i in BRANCHES:
+        x.d[i] = x.d[i] + (p.gain[i] * ((p.r[i] * c.offset_A) - x.d[i]))
+    now = rest_after(x.rest, x.rest_A, s.current, counted, c.rate_A, c.rest_steps)
+    x.rest = now.lasts
+    x.rest_A = now.current_A
+    if now.weight > 0.0 and c.offset_A > 0.0 and x.information < INFORMATION_MOST - now.weight:
+        x.information = x.information + now.weight
+        x.score = x.score + ((now.weight * s.current) / c.offset_A)
+
+
+@unrolled_by_option
+def dropped_by_offset(c: Constants, x: State, p: Point) -> float:
+    """By what one deviation of an offset puts the drop over R0 and branches too high [V]."""
+    dropped_V = p.r0_ohm * c.offset_A
+    for i in BRANCHES:
+        dropped_V = dropped_V + x.d[i]
+    return F(dropped_V)
+
+
+def ask_for_offset(x: State, i: Innovation, innovation: float, inverse: float) -> None:
+    """What a voltage that has moved the state says of an offset, and where that moves the SOC."""
+    gain = i.column.s * inverse
+    before = x.believed * x.reach
+    own_V = innovation + i.followed_V
+    now = offset_after(x.score, x.information, i.of_offset_V, own_V, inverse)
+    x.reach = x.reach - (gain * i.of_offset_V)
+    x.score = now.score
+    x.information = now.information
+    x.believed = now.believed
+    x.unsure = now.unsure
+    more = (gain * i.followed_V) + ((x.believed * x.reach) - before)
+    x.soc, x.soc_carry = add(x.soc, x.soc_carry, more)
+
+
+@unrolled_by_option
 def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
     drop = p.r0_ohm * s.seen
@@ -126,4 +177,22 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     column = column_of(x, p, w.slope_V)
     explained_V2 = bent_variance(column.variance, w.bend_V)
     variance_V2 = explained_V2 + one_V2
-    return Innovation(voltage_V, variance_V2, explained_V2, one_V2, polarisation_V, column)
+    of_offset_V = 0.0
+    followed_V = 0.0
+    if OFFSET:
+        # What is believed of an offset has moved the drop, too; what is not known of it may have.
+        dropped_V = dropped_by_offset(c, x, p)
+        of_offset_V = (w.slope_V * x.reach) + dropped_V
+        followed_V = x.believed * of_offset_V
+        voltage_V = voltage_V + (x.believed * dropped_V)
+        variance_V2 = variance_V2 + ((of_offset_V * of_offset_V) * x.unsure)
+    return Innovation(
+        voltage_V,
+        variance_V2,
+        explained_V2,
+        one_V2,
+        polarisation_V,
+        of_offset_V,
+        followed_V,
+        column,
+    )

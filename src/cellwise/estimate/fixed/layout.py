@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwise.cell.description import BRANCHES, CARRIED, SOC, State, carry, entry, triangle
 from cellwise.cell.description import CELL as STATES
+from cellwise.cell.unrolled import CALLED
 from cellwise.estimate.fixed.options import Options, flags_of
 
 
@@ -89,7 +90,7 @@ CONSTANTS = (
     Field("least_use_A", "a use takes no longer from full to empty", "BANK"),
     Field("fades", "of samples that share one model error, those whose error fades,", "BANK"),
     Field("stays", "and the share of the error that does not", "BANK"),
-    Field("look_steps", "until the past of a start under load is looked at", "BANK", "u4"),
+    Field("look_steps", "until the past of a start under load is looked at", "BANK"),
     Field("charge_efficiency", "", "EFFICIENCY"),
     Field("leak_soc", "SOC that self-discharge takes in one step", "LEAK"),
     Field("skew_share", "of the previous current in what the voltage has seen", "SKEW"),
@@ -102,6 +103,9 @@ CONSTANTS = (
     Field("hysteresis_per_A", "e-folds of h in one step at 1 A", "HYSTERESIS"),
     Field("persistent", "share of the slow error that comes back at the same SOC", "WIDE"),
     Field("drift_soc", "that a current which is off moves in one step", "WIDE"),
+    Field("offset_A", "deviation of an offset of the current beforehand", "OFFSET"),
+    Field("rate_A", "1C", "OFFSET"),
+    Field("rest_steps", "of a current that stands still, until it shows an offset", "OFFSET"),
     Field("contradicted_share", "dt / 600 s", "WIDE"),
     Field("heat_K_per_W", "", "HEATING"),
     Field("heat_gain", "1 - exp(-dt / thermal time constant)", "HEATING"),
@@ -181,6 +185,14 @@ def _state() -> tuple[Field, ...]:
         Field("swings", "of the voltage while the current repeats itself; last one's sign", "WIDE"),
         Field("no_current", "steps without a valid one", "WIDE", "u4"),
         Field("no_voltage", "steps without one that could be used", "WIDE", "u4"),
+        Field("reach", "SOC that an offset of one deviation has put it too low,", "OFFSET"),
+        Field("score", "what is known of the offset: mean over variance,", "OFFSET"),
+        Field("information", "one over the variance,", "OFFSET"),
+        Field("believed", "mean and variance with the chance of none,", "OFFSET"),
+        Field("unsure", "", "OFFSET"),
+        *(Field(CALLED["d"](s), "", "OFFSET and SLOW" if s.option else "OFFSET") for s in BRANCHES),
+        Field("rest", "steps that the current has stood still near zero, -1: used,", "OFFSET"),
+        Field("rest_A", "and at what", "OFFSET"),
         Field("cost", "minus the logarithm of its likelihood, beside the likeliest", "BANK"),
         Field("weight", "share of the bank", "BANK"),
         Field("error_V2", "variance of one voltage that all components share", "BANK"),
@@ -206,9 +218,9 @@ RECORDS = {
         Field("mismatch", "running mean of squared innovation over variance"),
         Field("spread", "1: the components are stepped, 0: the estimate alone", "", "u4"),
         Field("likeliest", "which component, from 1 on", "", "u4"),
-        Field("since", "steps since the start", "", "u4"),
+        Field("since", "steps since the start"),
         Field("looks", "how often the past has been looked at", "", "u4"),
-        Field("next_look", "when it is next", "", "u4"),
+        Field("next_look", "when it is next"),
         Field("sequence", "of the last sample", "", "u4"),
     ),
     "Sample": (

@@ -91,7 +91,7 @@ class Options:
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
-    components for a start that nobody knows.
+    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off.
     """
 
     points: int
@@ -115,6 +115,7 @@ class Options:
     health: int = 0
     cells: int = 0
     bank: int = 0
+    offset: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -148,6 +149,8 @@ class Asked:
     health : bool                   take capacity and resistance from a history
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
     components : int          filters side by side while the SOC is not known; 1: one alone
+    offset : bool             ask rests and voltages whether the current is off all the time, as the
+                              float64 filters do
     """
 
     points: int | None = None
@@ -157,10 +160,22 @@ class Asked:
     health: bool = False
     cells: CellSettings | None = None
     components: int = COMPONENTS
+    offset: bool = False
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
-    """What a model and a wish need; an effect at its neutral value needs nothing."""
+    """What a model and a wish need; an effect at its neutral value needs nothing.
+
+    Raises
+    ------
+    InputError        the hypothesis of an offset in a lean step
+    """
+    if asked.offset and not asked.wide:
+        raise InputError(
+            "an offset of the current in a lean step, which states no chance of it",
+            "one of the two",
+            "Leave `lean` or `offset` out.",
+        )
     needed = {option: int(not is_neutral(model.effect(e))) for option, e in OPTION_OF.items()}
     arrhenius = ARRHENIUS_POINTS if model.effect(TemperatureDependence).activation_K != 0.0 else 0
     activated = needed["surface"] and model.effect(SurfaceSoc).activation_K != 0.0
@@ -182,6 +197,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         health=int(asked.health),
         cells=int(asked.cells is not None),
         bank=int(asked.wide and asked.components > 1),
+        offset=int(asked.offset),
     )
 
 

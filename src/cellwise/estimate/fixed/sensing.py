@@ -149,7 +149,10 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
 
 def variance_of(x: State, known: float) -> float:
     """What is stated of the SOC beside P's variance ``known``; LARGE where it is no number."""
-    stated = stated_variance(known, x.mismatch, x.persistent, x.contradicted)
+    sure = known
+    if OFFSET:
+        sure = known + ((x.reach * x.reach) * x.unsure)
+    stated = stated_variance(sure, x.mismatch, x.persistent, x.contradicted)
     return stated if not_negative(stated, LARGE) else LARGE
 
 

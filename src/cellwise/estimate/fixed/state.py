@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, V3, H
+from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.evidence import unknown_square
 from cellwise.estimate.equations.sensors import unseen_variance
@@ -21,7 +21,7 @@ from cellwise.estimate.fixed.covariance import (
     tilt,
 )
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import Point, Slopes
+from cellwise.estimate.fixed.lookup import Point, Slopes, within_one
 from cellwise.estimate.status import OUT_OF_RANGE
 
 
@@ -55,6 +55,18 @@ def is_sound(c: Constants, x: State) -> bool:
         return False
     if WIDE and not (size_within(x.swings, SWINGS_MOST) and not_negative(x.repeats, FOUND_FROZEN)):
         return False
+    if OFFSET and not (size_within(x.reach, REACH_MOST) and size_within(x.score, SCORE_MOST)):
+        return False
+    if OFFSET and not positive_within(x.information, 1.0, INFORMATION_MOST):
+        return False
+    if OFFSET and not (size_within(x.believed, REACH_MOST) and not_negative(x.unsure, LARGE)):
+        return False
+    if OFFSET and not (within(x.rest, REST_USED, SCORE_MOST) and size_within(x.rest_A, LARGE)):
+        return False
+    if OFFSET:
+        for i in BRANCHES:
+            if not size_within(x.d[i], REACH_MOST):
+                return False
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
@@ -80,6 +92,20 @@ def set_health(m: Model, x: State, capacity_share: float, resistance_scale: floa
         x.resistance_scale = resistance_scale
         status = U(0)
     return status
+
+
+@unrolled_by_option
+def forget_offset(x: State) -> None:
+    """Nothing counted yet, nothing known of an offset."""
+    x.reach = 0.0
+    x.score = 0.0
+    x.information = 1.0
+    x.believed = 0.0
+    x.unsure = CHANCE
+    for i in BRANCHES:
+        x.d[i] = 0.0
+    x.rest = 0.0
+    x.rest_A = 0.0
 
 
 @noinline
@@ -112,6 +138,8 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
         x.swings = 0.0
         x.no_current = U(0)
         x.no_voltage = U(0)
+    if OFFSET:
+        forget_offset(x)
     if HEALTH:
         x.per_capacity = 1.0
         x.resistance_scale = 1.0
@@ -149,11 +177,44 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
             x.state[i] = p.r[i] * flow
             held_V = spread * p.r[i]
             x.p[i, i] = rested_V2 + (held_V * held_V)
-    if BANK and x.in_bank == COMPONENT and not size_below(current, c.rest_A):
-        # What flowed for hours no first sample shows; it is looked at once more is known.
-        for i in (V3,):
-            wide_V = c.bank_A * p.r[i]
-            x.p[i, i] = x.p[i, i] + (wide_V * wide_V)
+
+
+def is_new(x: State) -> bool:
+    """Whether it has seen no sample yet."""
+    return x.evidence == NOT_BEGUN  # type: ignore[no-any-return]
+
+
+def has_voltage(x: State) -> bool:
+    """Whether it has used a voltage."""
+    return x.evidence >= FIRST_VOLTAGE  # type: ignore[no-any-return]
+
+
+@unrolled_by_option
+def forget_rounding(x: State) -> None:
+    """What rounding has kept from the sums is dropped: they are set."""
+    for i in CARRIED:
+        x.carry[i] = 0.0
+    if WIDE:
+        x.ss_carry = 0.0
+
+
+def stand_in_bank(x: State) -> None:
+    """A component of a bank, whose numbers are set."""
+    forget_rounding(x)
+    x.in_bank = COMPONENT
+
+
+def stand_alone(x: State) -> None:
+    """The estimate of one, whose numbers are."""
+    forget_rounding(x)
+    x.in_bank = ALONE
+
+
+def hold_within(x: State) -> None:
+    """SOC held within 0..1."""
+    if not not_negative(x.soc, 1.0):
+        x.soc = within_one(x.soc)
+        x.soc_carry = 0.0
 
 
 @unrolled_by_option

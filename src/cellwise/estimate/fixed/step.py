@@ -18,6 +18,8 @@ from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
     Innovation,
+    ask_for_offset,
+    count_offset,
     innovate,
     outside,
     shared_by,
@@ -39,6 +41,7 @@ from cellwise.estimate.fixed.lookup import (
 from cellwise.estimate.fixed.sensing import Reading, count_charge, finish, follow, see
 from cellwise.estimate.fixed.state import (
     cross_gap,
+    forget_offset,
     guess_branches,
     heat,
     is_sound,
@@ -73,6 +76,8 @@ def reject(c: Constants, x: State, p: Point, seen: float) -> int:
             x.in_bank = CONTRADICTED
         x.evidence = FIRST_VOLTAGE
         open_up(c, x, p, seen)
+        if OFFSET:
+            forget_offset(x)
     return status
 
 
@@ -119,6 +124,8 @@ def fuse(
             persist(c, x, p, w.slope_V, i.column.s * inverse)
         if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
             contradict(c, x, w, s, i.one_V2, innovation)
+        if OFFSET:
+            ask_for_offset(x, i, innovation, inverse)
     x.rejections = U(0)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
@@ -145,6 +152,8 @@ def use_in_bank(
         move(x, i.column, used.inverse, used.off_V)
         narrow(x, i.column, used.inverse)
         persist(c, x, p, w.slope_V, i.column.s * used.inverse)
+        if OFFSET:
+            ask_for_offset(x, i, used.off_V, used.inverse)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
 
@@ -160,7 +169,8 @@ def weigh(
         use_in_bank(c, x, p, w, s, i, innovation)
     else:
         if s.news == INTERVAL:
-            ratio = at_most(square / i.variance_V2, c.mismatch_cap)
+            own_V2 = i.explained_V2 + i.one_V2
+            ratio = at_most(square / own_V2, c.mismatch_cap)
             x.mismatch = lately_shown(x.mismatch, ratio, c.lately)
         if positive_above(square, most):
             status = reject(c, x, p, s.seen)
@@ -258,6 +268,8 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         predict(c, x, p, w, s.flow, s.unmeasured_A2)
         if HEATING:
             heat(c, x, p.r0_ohm, s.seen, s.flow)
+        if OFFSET:
+            count_offset(c, x, p, s, charge.missing)
     beyond = outside(c, x, s) if VALIDITY else U(0)
     status = U(charge.status | correct(c, x, p, w, s, sample.voltage_V, out))
     status = U(status | finish(x, s, charge.missing, sample.sequence, out))

@@ -22,7 +22,8 @@ from cellwise.cell.compiled import BY, cached
 from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
-from cellwise.estimate.equations import components, constants, evidence, sensors
+from cellwise.estimate.equations import bank as whole_bank
+from cellwise.estimate.equations import components, constants, evidence, offset, sensors
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
@@ -72,12 +73,14 @@ STEP_MODULES = (
     sensors,
     whole_start,
     components,
+    offset,
     lookup,
     covariance,
     state,
     sensing,
     innovation,
     whole_step,
+    whole_bank,
     bank,
     fixed_power,
     fixed_remaining,
@@ -162,11 +165,19 @@ def specialised(options: Options) -> dict[str, Any]:
     absent = set() if options.power or options.remaining or options.cells else {fixed_power}
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
-    absent |= set() if options.bank else {bank}
+    absent |= set() if options.bank else {whole_bank, bank}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
-            scope = {**f.__globals__, **columns, **flags_of(options), **SINGLE, **made}
+            scope = {
+                **f.__globals__,
+                **columns,
+                **flags_of(options),
+                **SINGLE,
+                **made,
+                "F": F,
+                "U": U,
+            }
             own = FunctionType(_single(f.__code__), scope, f.__name__)
             made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
     return made

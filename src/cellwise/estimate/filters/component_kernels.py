@@ -1,0 +1,275 @@
+"""A component of a bank in float64: its memory, its step, what the bank asks of its state.
+
+The bank itself is :mod:`cellwise.estimate.equations.bank`, for float64 and for C.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from cellwise.cell.compiled import inline, part
+from cellwise.cell.description import CELL, V3, triangle
+from cellwise.cell.equations import CellState, CellTables, loaded
+from cellwise.cell.equations.scalar import clip
+from cellwise.cell.packed import names_of, place_of, put_record, record_at
+from cellwise.cell.point_kernels import CellScalars
+from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.estimate.equations.components import component_update, evidence_share
+from cellwise.estimate.equations.constants import (
+    BANK_RATE,
+    LEAST_USE_RATE,
+    LOOK_S,
+    PAST_RATE,
+    PERSISTENT_MOST,
+    REST_RATE,
+)
+from cellwise.estimate.equations.evidence import as_shown
+from cellwise.estimate.evidence_kernels import InnovationSources, Verdict, repeated_evidence
+from cellwise.estimate.filters.covariance_kernels import (
+    Column,
+    Covariance,
+    corrected,
+    moved,
+    scaled,
+)
+from cellwise.estimate.filters.filter_state import EkfStart, EkfState
+from cellwise.estimate.filters.sigma_kernels import SigmaScalars
+from cellwise.estimate.filters.step_kernels import innovate, predict, say
+from cellwise.estimate.filters.update_kernels import counted, update
+from cellwise.estimate.noise import NoiseScalars
+from cellwise.estimate.sensing_kernels import (
+    NOT_BEGUN_S,
+    CheckedReading,
+    watch_on,
+    watch_voltage,
+)
+from cellwise.estimate.status import VOLTAGE_INVALID
+
+# A state of a bank in memory, number by number: behind a state stand its cost, minus the logarithm
+# of its likelihood beside the likeliest's, its weight, and the variance of one voltage.
+OF_BANK = ("cost", "weight", "error_V2")
+STATE = np.dtype([(name, np.float64) for name in (*names_of(EkfState), *OF_BANK)])
+P_AT = place_of(EkfState, "p")
+State: TypeAlias = Any  # one such record
+Out: TypeAlias = Any
+
+
+class BankConstants(NamedTuple):
+    """What a bank reads of cell and noise, for one interval; fields as of the fixed step."""
+
+    rest_A: float
+    bank_A: float
+    past_A: float
+    least_use_A: float
+    soc_per_A: float
+    look_steps: float
+    gate_square: float
+    mismatch_cap: float
+    lately: float
+    voltage_low_V: float
+    voltage_high_V: float
+
+
+class BankModel(NamedTuple):
+    """What the components of a bank are steps of."""
+
+    constant: BankConstants
+    tables: CellTables
+    noise: NoiseScalars
+    sigma: SigmaScalars | None
+    start: EkfStart
+
+
+@inline
+def bank_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> BankConstants:
+    """Rates as currents, times in seconds."""
+    rate_A = cell.charge_As / 3600.0
+    adapts = noise.mismatch_cap > 0.0 and noise.slow_s > 0.0
+    return BankConstants(
+        REST_RATE * rate_A,
+        BANK_RATE * rate_A,
+        PAST_RATE * rate_A,
+        LEAST_USE_RATE * rate_A,
+        1.0 / cell.charge_As,
+        LOOK_S,
+        noise.gate * noise.gate,
+        noise.mismatch_cap,
+        min(dt_s * noise.per_slow_s, 1.0) if adapts else 0.0,
+        noise.voltage_low_V,
+        noise.voltage_high_V,
+    )
+
+
+class SlowBranch(NamedTuple):
+    """The slow branch at one SOC: resistance, and one over its time constant."""
+
+    r3_ohm: float
+    gain3: float
+
+
+class ComponentPlace(NamedTuple):
+    """Where a component is within its tables, beside its SOC."""
+
+    temperature_C: float
+    slow_A: float
+
+
+@inline
+def place_now(m: BankModel, a: State) -> ComponentPlace:
+    """The cell's temperature and what its particles' surface has followed."""
+    warm_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
+    return ComponentPlace(warm_C + a.heat_K, a.slow_A)
+
+
+@part
+def look_up(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
+    """The slow branch at a SOC under a current."""
+    at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
+    return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)
+
+
+@inline
+def is_new(a: State) -> bool:
+    """Whether it has seen no sample yet."""
+    return bool(a.evidence_s == NOT_BEGUN_S)
+
+
+@inline
+def has_voltage(a: State) -> bool:
+    """Whether it has used a voltage."""
+    return bool(a.evidence_s >= 0.0)
+
+
+@inline
+def stand_in_bank(a: State) -> None:
+    """In float64 a component is known by its place in memory, and rounding keeps nothing."""
+
+
+@inline
+def stand_alone(a: State) -> None:
+    """So is the estimate."""
+
+
+@inline
+def hold_within(a: State) -> None:
+    """SOC held within 0..1."""
+    a.soc = clip(a.soc, 0.0, 1.0)
+
+
+@inline
+@unrolled
+def forget_correlations(x: State) -> None:
+    """Only the diagonal stays."""
+    for i, j in triangle(CELL):
+        if i != j:
+            x.p[i, j] = 0.0
+
+
+@inline
+@unrolled
+def column_of_slow_branch(x: State) -> Column:
+    """P H' where the slow branch itself is measured."""
+    return Column(*(x.p[i, V3] for i in CELL))
+
+
+@inline
+def move(x: State, d: Column, inverse: float, innovation_V: float) -> None:
+    """State + K innovation."""
+    old: CellState = record_at(CellState, x, 0, 1)
+    put_record(x, 0, 1, moved(old, scaled(d, inverse), innovation_V), True)
+
+
+@inline
+def narrow(x: State, d: Column, inverse: float) -> None:
+    """P - K d'."""
+    old: Covariance = record_at(Covariance, x, P_AT, 1)
+    put_record(x, P_AT, 1, corrected(old, scaled(d, inverse), d), True)
+
+
+class Seen(NamedTuple):
+    """What a component makes of a sample: how the voltage weighs, what it says against it."""
+
+    verdict: Verdict
+    cost: float
+
+
+@inline
+def new_share(noise: NoiseScalars, since_s: float) -> float:
+    """How much of a voltage's evidence is new, ``since_s`` after the first."""
+    if noise.slow_s <= 0.0:
+        return 1.0
+    stays = min(noise.persistent * noise.persistent, PERSISTENT_MOST)
+    shared_s = 2.0 * noise.slow_s
+    return evidence_share((1.0 - stays) * shared_s, stays, shared_s, max(since_s, 0.0))
+
+
+@inline
+def use_in_bank(
+    cell: CellScalars,
+    noise: NoiseScalars,
+    state: EkfState,
+    s: CheckedReading,
+    evidence_s: float,
+    i: InnovationSources,
+    error_V2: float,
+    mismatch: float,
+) -> Seen:
+    """A voltage to a component: none is rejected, each moves by what the gate lets pass.
+
+    The variance of a voltage is that of the likeliest component, for all: one whose tables state
+    a larger error must not explain everything.
+    """
+    variance = i.state_variance + (i.one + i.free_variance)
+    innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
+    last, swings, frozen = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
+    used = math.isfinite(innovation_V) and frozen == 0
+    inverse, cost, ratio = 0.0, 0.0, math.nan
+    if used:
+        ratio = square / variance * noise.per_gate2
+        resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
+        shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
+        weight = as_shown(error_V2 * shared.above, mismatch)
+        innovation_V, inverse, cost = component_update(
+            innovation_V, variance, noise.gate * noise.gate,
+            i.state_variance, weight, shared.below, new_share(noise, evidence_s),
+        )  # fmt: skip
+        evidence_s = max(evidence_s, 0.0)
+    if evidence_s >= 0.0:
+        evidence_s += s.dt_s
+    after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, last, swings)
+    status = frozen | away
+    if not math.isfinite(innovation_V):
+        status |= VOLTAGE_INVALID
+    # fmt: off
+    v = Verdict(
+        used, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
+    )
+    # fmt: on
+    return Seen(v, cost)
+
+
+@part
+def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
+    """A component over an interval: its status; ``out`` is what it has predicted."""
+    noise = m.noise
+    old: EkfState = record_at(EkfState, a, 0, 1)
+    now = predict(m.tables, noise, m.sigma, None, m.start, old, None, s)
+    i, seen = innovate(m.tables, noise, m.sigma, s, now)
+    if not (a.error_V2 > 0.0):
+        a.error_V2 = i.one
+    # fmt: off
+    used = use_in_bank(
+        m.tables.cell, noise, now.state, s, now.evidence_s, i, a.error_V2, a.mismatch
+    )
+    # fmt: on
+    v = used.verdict
+    e = update(noise, None, s, now, seen, i, v) if v.accepted else counted(now)
+    after, info = say(i, v, e, s.status | now.status | v.status)
+    put_record(a, 0, 1, after, True)
+    a.cost += used.cost
+    out.voltage_V = info.voltage_V
+    out.innovation_variance_V2 = info.innovation_variance_V2
+    return info.status
