@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks.measured_data import HOW, data_folder
 from cellwise import InputError
-from cellwise.cell.initial_soc.pauses import simulate
+from cellwise.cell.initial_soc.gaps import simulate
 from cellwise.cell.stock import scaled_model, stock_model
 from cellwise.estimate.replay import replay
 from cellwise.identify import CellTests, IdentifySettings, identify_cell

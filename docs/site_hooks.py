@@ -29,7 +29,7 @@ GROUPS = {
     "Estimators": "cellwise.estimate",
     "Forecast": "cellwise.forecast",
     "Diagnosis": "cellwise.diagnose",
-    "Life": "cellwise.history",
+    "AgeingHistory": "cellwise.history",
     "Packs": "cellwise.pack",
     "Streams": "cellwise.live",
     "Export": "cellwise.export",

@@ -177,7 +177,7 @@ typedef struct {
     float energy_J; /* given */
     float failed_s; /* when the voltage is at the cutoff, or the cell empty; 1e9: not in the plan */
     float chance; /* to end at the SOC asked for or more, above the cutoff all the way */
-} cellwise_landing;
+} cellwise_plan_result;
 /* Where a plan of loads ends, and the chance to end at `above` or more; nothing is changed. The phases follow each
  * other; a load is a current [A], or with `holds_power` a power [W], of one cell, positive on discharge. Temperature
  * stays. The bands of two deviations hold those of the SOC, of the voltage along the way and of the capacity, by
@@ -185,7 +185,7 @@ typedef struct {
  * cutoff: at most as large as the two together. Zero throughout for a phase that is none and a state that is not
  * sound. */
 void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases, uint32_t count,
-                   bool holds_power, float above, cellwise_landing *out);
+                   bool holds_power, float above, cellwise_plan_result *out);
 
 /* What a history says of the cell beside the model: its capacity, and all its resistances. Kept in the state.
  * Returns 0, or CELLWISE_OUT_OF_RANGE where nothing is taken: a share outside 0.1..2, a scale outside 0.1..20, a

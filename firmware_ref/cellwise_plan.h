@@ -88,7 +88,7 @@ static NOINLINE float normal(float deviations)
 }
 
 void cellwise_plan(const cellwise_model *m, const cellwise_state *x, const cellwise_phase *phases, uint32_t count,
-                   bool holds_power, float above, cellwise_landing *out)
+                   bool holds_power, float above, cellwise_plan_result *out)
 {
     const cellwise_constants *const c = &m->constant;
     out->soc = 0.0f;

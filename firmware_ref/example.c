@@ -17,7 +17,7 @@ int main(void)
     uint32_t newest;
     cellwise_output out;
 #if CELLWISE_REMAINING
-    cellwise_landing landing;
+    cellwise_plan_result landing;
 #endif
     unsigned wrong = 0u;
     unsigned k;
@@ -38,7 +38,7 @@ int main(void)
 #if CELLWISE_REMAINING /* a plan of powers, and the chance to end it above a SOC */
     cellwise_plan(&cellwise_cell, &state, cellwise_plan_phases, CELLWISE_PLAN_PHASES, true,
                   CELLWISE_PLAN_ABOVE, &landing);
-    wrong += memcmp(&landing, &cellwise_plan_landing, sizeof landing) != 0;
+    wrong += memcmp(&landing, &cellwise_plan_end, sizeof landing) != 0;
 #endif
     memset(slot, 0xFF, sizeof slot); /* erased */
     newest = cellwise_newest_slot(&slot[0], &slot[1]);

@@ -57,7 +57,7 @@ def carries_unit(name: str) -> bool:
     return not QUANTITIES.match(name) or name.endswith((*UNITS, *PURE)) or name in OF_SOC
 
 
-def test_dir_is_all():
+def test_dir_of_the_package_is_its_all():
     assert dir(cellwise) == cellwise.__all__
     assert len(set(cellwise.__all__)) == len(cellwise.__all__)
 

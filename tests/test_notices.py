@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 
 from cellwise.cli.common.printing import in_command, rendered
 from cellwise.errors import not_installed
-from cellwise.notices import Code, Notice, Severity, from_json, graves_first, texts, to_json
+from cellwise.notices import Code, Notice, Severity, critical_first, from_json, texts, to_json
 from cellwise.wording import Option, in_python, place
 
 SOURCE = Path(__file__).parents[1] / "src" / "cellwise"
@@ -34,8 +34,8 @@ def test_a_notice_states_what_an_option_and_a_link_are_made_of():
     assert (SIGN.argument, SIGN.value) == ("sign", "charge-positive")
     assert (LONG.argument, LONG.value, LONG.rows) == ("series", None, range(4, 7))
     assert (WRONG.argument, WRONG.value, WRONG.rows) == ("", None, None)
-    assert LONG.severity is Severity.GRAVE
-    assert not SIGN.is_grave
+    assert LONG.severity is Severity.CRITICAL
+    assert not SIGN.is_critical
 
 
 def test_the_same_text_for_python_and_for_a_command():
@@ -82,7 +82,7 @@ def test_a_notice_comes_back_from_a_file_and_another_process(notice):
 
 
 def test_the_grave_ones_come_first_each_once():
-    assert graves_first([SIGN, WRONG, SIGN]) == [WRONG, SIGN]
+    assert critical_first([SIGN, WRONG, SIGN]) == [WRONG, SIGN]
 
 
 def test_a_notice_of_one_of_several_logs_begins_with_its_name():

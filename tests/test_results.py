@@ -11,7 +11,7 @@ import pytest
 
 import cellwise as cw
 from cellwise.estimate.tune_noise import NoiseTuning
-from cellwise.history.life import Life, LogOfLife
+from cellwise.history.ageing import AgeingHistory, AgeingRecord
 from cellwise.history.trend import Trend
 from cellwise.pack.pack_estimate import UNKNOWN, CellsEstimate, PackEstimate
 from cellwise.plotting import Plottable
@@ -34,9 +34,9 @@ def replayed():
 
 
 def life():
-    one = LogOfLife(drive(), 3.0, 0.1, 1.0, 0.01, 0.0, 0.0, 1.1, 0.02, 1.0, 0.1, True, "counted")
+    one = AgeingRecord(drive(), 3.0, 0.1, 1.0, 0.01, 0.0, 0.0, 1.1, 0.02, 1.0, 0.1, True, "counted")
     trend = Trend(np.array([1.0, 0.97]), np.array([0.002, 0.01]), None)
-    return Life(curved_cell(), (one, one), "days", np.array([0.0, 30.0]), trend)
+    return AgeingHistory(curved_cell(), (one, one), "days", np.array([0.0, 30.0]), trend)
 
 
 def pack():

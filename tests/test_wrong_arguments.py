@@ -41,7 +41,7 @@ CALLS = {
         "no name": lambda: cw.named_model(None),
         "a path": lambda: cw.Ekf(Path("m.json")),
         "a dict": lambda: cw.simulate({"capacity_Ah": 3.0}, LOG),
-        "life_of, inverted": lambda: cw.life_of([LOG], MODEL),
+        "ageing_history, inverted": lambda: cw.ageing_history([LOG], MODEL),
     },
     "sample": {
         "a voltage": lambda: cw.LiveFilter(MODEL).take(3.7),
@@ -66,8 +66,8 @@ CALLS = {
     "sensor": {"text": lambda: cw.replay(MODEL, LOG, sensor="car")},
     "power": {"text": lambda: cw.replay(MODEL, LOG, "ekf", 0.8, power="yes")},
     "logs": {
-        "a name in a list": lambda: cw.life_of(MODEL, ["a.csv"]),
-        "none": lambda: cw.life_of(MODEL, None),
+        "a name in a list": lambda: cw.ageing_history(MODEL, ["a.csv"]),
+        "none": lambda: cw.ageing_history(MODEL, None),
         "of a pack": lambda: cw.estimate_pack(MODEL, LOG),
         "of a pack, in a list": lambda: cw.estimate_pack(MODEL, [LOG]),
     },

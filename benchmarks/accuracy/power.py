@@ -27,8 +27,8 @@ from cellwise import (
     power_settings,
 )
 from cellwise.cell.model import CellModel
-from cellwise.estimate.power.along import presents_along
 from cellwise.estimate.power.limit_kernels import present_at
+from cellwise.estimate.power.power_along_log import presents_along
 from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.identify.hppc.pulses import find_pulses
 from cellwise.logs import CellLog

@@ -156,7 +156,7 @@ void eva_any_plan(void)
 {
     cellwise_state x;
     cellwise_phase phases[2];
-    cellwise_landing end;
+    cellwise_plan_result end;
     const float above = any_float;
     const bool holds_power = (any_integer & 1u) != 0u;
     for (unsigned k = 0u; k < 2u; k++) {

@@ -145,7 +145,7 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
 #define whole_step cellwise_step
 #elif defined(MEASURE_PLAN)
 static const cellwise_phase phases[4] = {{60.0f, 30.0f}, {600.0f, 12.0f}, {90.0f, 0.0f}, {60.0f, 25.0f}};
-static cellwise_landing landing;
+static cellwise_plan_result landing;
 
 static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
                                                         const cellwise_input *in,

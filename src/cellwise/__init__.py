@@ -6,7 +6,7 @@ TYPE_CHECKING = False  # `typing` takes longer than all that stands here
 if TYPE_CHECKING:
     from typing import Any
 
-    from cellwise.cell.initial_soc.pauses import simulate as simulate
+    from cellwise.cell.initial_soc.gaps import simulate as simulate
     from cellwise.cell.metrics import ErrorMetrics as ErrorMetrics
     from cellwise.cell.model import CellModel as CellModel
     from cellwise.cell.model_error import ModelError as ModelError
@@ -35,11 +35,14 @@ if TYPE_CHECKING:
     from cellwise.export.package import export_firmware as export_firmware
     from cellwise.forecast import forecast as forecast
     from cellwise.forecast.remaining import (
-        Flight as Flight,
+        ForecastTrace as ForecastTrace,
         Forecast as Forecast,
         forecast_at as forecast_at,
     )
-    from cellwise.history.life import Life as Life, life_of as life_of
+    from cellwise.history.ageing import (
+        AgeingHistory as AgeingHistory,
+        ageing_history as ageing_history,
+    )
     from cellwise.identify import (
         Identification as Identification,
         IdentifySettings as IdentifySettings,
@@ -73,7 +76,7 @@ if TYPE_CHECKING:
 
 # Loaded on first use: importing cellwise must not wait for compilers.
 _NAMES = {
-    "cellwise.cell.initial_soc.pauses": "simulate",
+    "cellwise.cell.initial_soc.gaps": "simulate",
     "cellwise.cell.metrics": "ErrorMetrics",
     "cellwise.cell.model": "CellModel",
     "cellwise.cell.model_error": "ModelError",
@@ -99,7 +102,7 @@ _NAMES = {
     "cellwise.export.package": "export_firmware",
     "cellwise.forecast": "forecast",
     "cellwise.forecast.remaining": "Flight Forecast forecast_at",
-    "cellwise.history.life": "Life life_of",
+    "cellwise.history.ageing": "AgeingHistory ageing_history",
     "cellwise.identify": "Identification IdentifySettings CellTests identify_cell",
     "cellwise.live": "LiveFilter Sample",
     "cellwise.logs": "CellLog Stated inspect_log read_log write_log",

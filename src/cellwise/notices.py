@@ -17,30 +17,30 @@ from cellwise.wording import Option, Piece, RowPlace, Text, Value, in_python, pi
 class Severity(StrEnum):
     """How much of what else is said rests on what a notice says."""
 
-    GRAVE = "grave"  # a channel cannot be what it is taken for: every other figure is nonsense
+    CRITICAL = "critical"  # a channel cannot be what it is taken for: no other figure means much
     WARNING = "warning"  # figures are to be read with it
     NOTE = "note"  # what was done, and needs no answer
 
 
-GRAVE, WARNING, NOTE = Severity
+CRITICAL, WARNING, NOTE = Severity
 
 
 class Code(Enum):
-    """Every kind of notice: a stable word, how grave it is, what it means."""
+    """Every kind of notice: a stable word, how critical it is, what it means."""
 
     # ---- reading a log: what makes every figure about it nonsense
-    SIGN_CONTRADICTED = "sign-contradicted", GRAVE, "the voltage rises as the cell discharges"
-    SIGN_UNCONFIRMED = "sign-unconfirmed", GRAVE, "the tester's counter runs against the current"
-    NO_SIGN = "no-sign", GRAVE, "a current of one sign flows while the voltage rises and falls"
-    TIME_UNIT = "time-unit", GRAVE, "one load empties the cell within seconds"
-    TIME_REPEATS = "time-repeats", GRAVE, "many rows have the time of the row before"
-    CHANNEL_MISSING = "channel-missing", GRAVE, "many rows are without current or voltage"
-    CURRENT_ZERO = "current-zero", GRAVE, "the current is 0 throughout"
-    IMPOSSIBLE_VALUE = "impossible-value", GRAVE, "values that no cell has"
-    VOLTAGE_STUCK = "voltage-stuck", GRAVE, "the voltage stands still while the current moves"
-    VOLTAGE_OF_PACK = "voltage-of-pack", GRAVE, "the voltage is that of several cells in series"
-    VOLTAGE_UNIT = "voltage-unit", GRAVE, "the voltage of a pack's cell is none of a cell"
-    CURRENT_UNIT = "current-unit", GRAVE, "the current moves more charge than a cell holds"
+    SIGN_CONTRADICTED = "sign-contradicted", CRITICAL, "the voltage rises as the cell discharges"
+    SIGN_UNCONFIRMED = "sign-unconfirmed", CRITICAL, "the tester's counter runs against the current"
+    NO_SIGN = "no-sign", CRITICAL, "a current of one sign flows while the voltage rises and falls"
+    TIME_UNIT = "time-unit", CRITICAL, "one load empties the cell within seconds"
+    TIME_REPEATS = "time-repeats", CRITICAL, "many rows have the time of the row before"
+    CHANNEL_MISSING = "channel-missing", CRITICAL, "many rows are without current or voltage"
+    CURRENT_ZERO = "current-zero", CRITICAL, "the current is 0 throughout"
+    IMPOSSIBLE_VALUE = "impossible-value", CRITICAL, "values that no cell has"
+    VOLTAGE_STUCK = "voltage-stuck", CRITICAL, "the voltage stands still while the current moves"
+    VOLTAGE_OF_PACK = "voltage-of-pack", CRITICAL, "the voltage is that of several cells in series"
+    VOLTAGE_UNIT = "voltage-unit", CRITICAL, "the voltage of a pack's cell is none of a cell"
+    CURRENT_UNIT = "current-unit", CRITICAL, "the current moves more charge than a cell holds"
     # ---- reading a log: sign
     SIGN_ASSUMED = "sign-assumed", WARNING, "nothing says what the sign means"
     SIGN_UNDETERMINED = "sign-undetermined", NOTE, "the data do not show what the sign means"
@@ -211,9 +211,9 @@ class Notice:
         return self.code.severity
 
     @property
-    def is_grave(self) -> bool:
+    def is_critical(self) -> bool:
         """A channel cannot be what it is taken for."""
-        return self.severity is Severity.GRAVE
+        return self.severity is Severity.CRITICAL
 
     @property
     def argument(self) -> str:
@@ -304,9 +304,9 @@ def from_json(data: Mapping[str, Any]) -> Notice:
     return Notice(Code[data["code"]], said, rows=rows, option=option, **known)
 
 
-def graves_first(notices: Iterable[Notice]) -> list[Notice]:
-    """The same notices, the grave ones first, each once."""
-    return sorted(dict.fromkeys(notices), key=lambda notice: not notice.is_grave)
+def critical_first(notices: Iterable[Notice]) -> list[Notice]:
+    """The same notices, the critical ones first, each once."""
+    return sorted(dict.fromkeys(notices), key=lambda notice: not notice.is_critical)
 
 
 def coded(notices: Iterable[Notice], *codes: Code) -> list[Notice]:

@@ -37,7 +37,7 @@ def seen(fault, log, capacity=3.0, seed=0):
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=lambda f: f.name)
-def test_the_truth_stays(fault, log):
+def test_a_fault_changes_what_is_read_and_never_the_truth(fault, log):
     after = seen(fault, log)
     np.testing.assert_array_equal(after.charge_Ah, log.charge_Ah)
     np.testing.assert_array_equal(after.time_s, log.time_s)

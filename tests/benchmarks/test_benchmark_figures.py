@@ -23,7 +23,7 @@ from benchmarks.figures import (
     [(39.9, False, True), (40.0, False, True), (40.1, False, False), (None, False, False),
      (40.1, True, True), (39.9, True, False), (float("nan"), False, False)],
 )  # fmt: skip
-def test_verdict(value, at_least, met):
+def test_a_figure_passes_on_the_right_side_of_its_target(value, at_least, met):
     assert Figure("g", "w", value, "ns", target=40.0, at_least=at_least).passed is met
 
 

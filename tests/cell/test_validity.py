@@ -98,7 +98,7 @@ def test_bounds_carry_the_tolerance_and_are_infinite_where_nothing_is_known():
     assert np.all(np.isinf(Validity().bounds()))
 
 
-def test_what_rows_cover():
+def test_covered_is_the_range_of_finite_rows_less_outliers():
     rows = np.array([3.0, np.nan, -1.0, 2.0, 50.0])
     assert covered(rows) == (-1.0, 50.0)
     assert covered(rows, 1) == (2.0, 3.0)

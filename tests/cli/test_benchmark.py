@@ -86,7 +86,7 @@ def test_other_estimators_on_the_same_suite(arguments, capsys):
     assert told["resumed"] > 0
 
 
-def test_the_list(capsys):
+def test_benchmark_lists_every_suite(capsys):
     assert main(["benchmark", "--list", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     names = {s["name"] for s in told["suites"]}

@@ -54,7 +54,7 @@ def conforms(found: dict[str, Any], schema: dict[str, Any], where: str = "") -> 
             assert not isinstance(found[key], bool)
 
 
-def test_inspect(run_json, drive):
+def test_inspect_prints_the_keys_of_the_contract(run_json, drive):
     found = run_json("inspect", drive)
     conforms(found, INSPECT)
     assert found["sign"] in ("verified", "contradicted", "undetermined")
@@ -68,7 +68,7 @@ def test_inspect_of_a_log_without_temperature(run_json, tmp_path):
     assert found["sign"] == "undetermined"
 
 
-def test_identify(identified):
+def test_identify_prints_the_keys_of_the_contract(identified):
     conforms(identified.printed, IDENTIFY)
     assert all(isinstance(v, float) for v in identified.printed["capacities"].values())
     assert identified.printed["capacity_choice"] in identified.printed["capacities"]
@@ -82,7 +82,7 @@ def test_the_capacity_choice_is_taken(run_json, tmp_path):
     assert (found["capacity_Ah"], found["capacity_choice"]) == (5.0, "nominal")
 
 
-def test_the_model_file(identified):
+def test_the_model_file_names_its_schema_version_and_logs(identified):
     model = json.loads(identified.path.read_text())
     assert isinstance(model["schema_version"], int)
     assert model["capacity_Ah"] == identified.printed["capacity_Ah"]
@@ -91,7 +91,7 @@ def test_the_model_file(identified):
     assert model["provenance"]["cellwise_version"]
 
 
-def test_simulate(run_json, model, drive):
+def test_simulate_prints_the_keys_of_the_contract(run_json, model, drive):
     found = run_json("simulate", "--model", model, drive)
     conforms(found, SIMULATE)
     assert found["rmse_V"] ** 2 == pytest.approx(
@@ -113,7 +113,7 @@ def judged(estimator="ekf", soc0="0.7"):
 
 
 @pytest.mark.parametrize("estimator", ["ekf", pytest.param("filterpy-ekf", marks=pytest.mark.slow)])
-def test_replay(run_json, model, drive, estimator):
+def test_replay_prints_the_keys_of_the_contract(run_json, model, drive, estimator):
     found = run_json("replay", "--model", model, drive, *judged(estimator))
     conforms(found, REPLAY)
     assert found["estimator"] == estimator
@@ -147,7 +147,9 @@ def test_the_reference_never_uses_the_filters_current_nor_the_models_capacity(
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
-def test_rows_of_a_simulation(run_json, model, drive, tmp_path, suffix):
+def test_rows_of_a_simulation_have_the_columns_of_the_contract(
+    run_json, model, drive, tmp_path, suffix
+):
     out = tmp_path / f"rows{suffix}"
     found = run_json("simulate", "--model", model, drive, "-o", str(out))
     rows = pd.read_parquet(out) if suffix == ".parquet" else pd.read_csv(out)
@@ -159,7 +161,7 @@ def test_rows_of_a_simulation(run_json, model, drive, tmp_path, suffix):
     assert rows.soc[0] == pytest.approx(found["soc0"]["value"])
 
 
-def test_rows_of_a_replay(run_json, model, drive, tmp_path):
+def test_rows_of_a_replay_have_the_columns_of_the_contract(run_json, model, drive, tmp_path):
     out = tmp_path / "rows.parquet"
     found = run_json("replay", "--model", model, drive, *judged(), "-o", str(out))
     rows = pd.read_parquet(out)
@@ -181,7 +183,7 @@ def test_rows_without_a_reference_have_no_column_of_it(run_json, model, drive, t
     assert "reference_soc" not in pd.read_csv(out).columns
 
 
-def test_an_even_step(run_json, model, drive, tmp_path):
+def test_replay_at_an_even_step_writes_even_rows(run_json, model, drive, tmp_path):
     out = tmp_path / "rows.parquet"
     found = run_json("replay", "--model", model, drive, *judged(), "--dt", "2.5", "-o", str(out))
     time = pd.read_parquet(out)["time_s"]
@@ -212,7 +214,7 @@ def test_a_log_under_load_from_its_first_row(run_json, model, drive, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
-def test_convert_and_back(run_json, drive, tmp_path, suffix):
+def test_a_converted_log_reads_back_to_the_bit(run_json, drive, tmp_path, suffix):
     out = tmp_path / f"tidy{suffix}"
     found = run_json("convert", drive, "-o", str(out))
     assert found["output"] == str(out)

@@ -33,7 +33,7 @@ def test_data_list_names_everything_with_its_licence(run_json):
         assert entry["licence"]
 
 
-def test_data_list_for_people(capsys):
+def test_data_list_names_every_data_set(capsys):
     assert main(["data", "list"]) == 0
     text = capsys.readouterr().out
     for name in ("nmc_hppc", "lfp_cdc", "panasonic_18650pf"):
@@ -55,7 +55,7 @@ def test_an_unknown_data_set_lists_those_there_are():
 
 
 @pytest.mark.slow
-def test_papers(run_json):
+def test_papers_prints_the_tables_of_both_papers(run_json):
     # What stands in the tables is tested with the benchmarks; here: both papers, as one object.
     found = run_json("papers")
     assert {"lfp", "ncr18650b", "seconds"} <= set(found)
@@ -65,7 +65,7 @@ def test_papers(run_json):
 
 
 @pytest.mark.slow
-def test_demo(capsys, tmp_path):
+def test_demo_writes_a_page_that_needs_no_network(capsys, tmp_path):
     out = tmp_path / "demo"
     assert main(["demo", "-o", str(out)]) == 0
     text = capsys.readouterr().out

@@ -116,7 +116,7 @@ def test_a_life_in_the_order_of_its_files(real_data, run_json):
     assert np.sqrt(np.mean((share - truth / truth[0]) ** 2)) < 0.015
 
 
-def test_lipo_fade_at_4c(real_data, run_json):
+def test_history_finds_the_measured_fade_of_a_lipo_at_4c(real_data, run_json):
     files = [str(real_data / "lipo_5450" / f"c4_cycle{k:02d}.csv.gz") for k in (1, 2, 3, 25, 48)]
     found = run_json("history", "--model", "lipo-pouch", *files)
     fade = 100.0 * (1.0 - found["trend"]["capacity_share"][-1])

@@ -21,7 +21,7 @@ def logs(tmp_path):
     return place
 
 
-def test_replay_one_object(model, logs, tmp_path, run_json):
+def test_fleet_replay_prints_one_object_and_resumes(model, logs, tmp_path, run_json):
     more = (str(logs), "-o", str(tmp_path / "out"), "--scheduler", "local", "--workers", "1",
             "--cache", str(tmp_path / "cache"))  # fmt: skip
     found = run_json("fleet", "replay", "--model", model, *more)

@@ -74,7 +74,7 @@ def test_a_first_try_gives_a_model_within_bounds(
     assert found["rmse_above_10pct_V"] < most_V
 
 
-def test_the_page_of_a_flight(real_data, tmp_path, run_json):
+def test_a_flight_is_predicted_within_its_band_by_its_own_model(real_data, tmp_path, run_json):
     """Its own model: predicted within its band, and time left that is no guess."""
     flight = str(real_data / "native" / "ardupilot_dronekit-la_log171.bin")
     model, page = str(tmp_path / "flight.json"), tmp_path / "flight.html"

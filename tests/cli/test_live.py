@@ -129,7 +129,7 @@ def test_one_object_at_the_end_with_json(model, drive, stream_file, run_json, tm
     assert len(out.read_text().splitlines()) == len(rows) + 1500  # added, never overwritten
 
 
-def test_a_bus_with_soc_back(model, lines, tmp_path, run_json):
+def test_live_writes_the_soc_back_to_the_bus(model, lines, tmp_path, run_json):
     can = pytest.importorskip("can")
     cantools = pytest.importorskip("cantools")
     from streams import DBC

@@ -45,7 +45,7 @@ def test_identify_prints_and_writes_it(identified):
 
 
 @pytest.mark.parametrize("command", ["simulate", "replay"])
-def test_a_whole_log(command, model, cold, run_json):
+def test_rows_outside_the_model_s_temperatures_are_said_first(command, model, cold, run_json):
     notices = run_json(command, "--model", model, cold)["notices"]
     assert SAID in notices[0]
     assert "25 % of the rows are below" in notices[0]
@@ -77,7 +77,7 @@ def test_a_stream_says_so_once(model, logs, tmp_path, capsys):
     assert all(b >= 0.999 * a for a, b in pairwise(widths[:50]))
 
 
-def test_a_fleet_s_row(model, cold, tmp_path, run_json):
+def test_a_fleet_s_row_says_what_lies_outside_the_model(model, cold, tmp_path, run_json):
     pytest.importorskip("distributed")
     import pyarrow.parquet
 

@@ -55,7 +55,7 @@ def test_a_lineage_that_is_left_out_is_said(run_json, flight, tmp_path):
     assert found["posterior"]["prior"].endswith("without lmo-pouch, nmc-18650")
 
 
-def test_data_list_shows_them(run_json):
+def test_data_list_shows_every_stock_model(run_json):
     listed = {e["name"]: e for e in run_json("data", "list")["stock"]}
     assert set(listed) == set(stock_names())
     assert json.dumps(listed["lfp-26650"]["window_V"]) == "[2.0, 3.6]"

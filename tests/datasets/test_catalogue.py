@@ -83,7 +83,7 @@ LISTS = ("window_V", "tests", "temperatures_C", "flaws")
 
 
 @pytest.mark.parametrize("original", ORIGINALS, ids=[entry["name"] for entry in ORIGINALS])
-def test_entry_is_complete(original):
+def test_every_catalogue_entry_is_complete(original):
     assert original.get("listing", "https://").startswith("https://")
     assert set(original) - {"listing"} == {*TEXTS, *LISTS, "nominal_Ah", "used_by_tests"}
     assert all(isinstance(original[key], str) and original[key] for key in TEXTS)
@@ -94,7 +94,7 @@ def test_entry_is_complete(original):
     assert original["doi"].startswith("10.") or original["doi"] in ("none", "not verified")
 
 
-def test_names_are_unique():
+def test_names_of_data_sets_are_unique():
     names = [entry["name"] for entry in ORIGINALS]
     assert len(set(names)) == len(names)
 

@@ -35,7 +35,7 @@ LOG = CellLog(np.arange(400.0), np.sin(np.arange(400.0) / 9.0), np.full(400, 3.7
         ((CELL, LOG), {"reference_capacity_Ah": "x"}, "reference_capacity_Ah = 'x'"),
     ],
 )
-def test_one_clear_error(arguments, options, word):
+def test_bad_input_to_diagnose_gets_one_error(arguments, options, word):
     with pytest.raises(InputError) as said:
         diagnose(*arguments, **options)
     assert word in said.value.found

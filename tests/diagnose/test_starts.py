@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellwise.cell.initial_soc.gaps import simulate
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import simulate
 from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.diagnose import diagnose

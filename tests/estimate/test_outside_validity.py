@@ -90,7 +90,7 @@ def test_without_the_widening_the_cold_is_believed_too_much():
     assert run(BEFORE, log, alone).coverage_2sigma < 0.8
 
 
-def test_the_colder_the_wider():
+def test_the_stated_deviation_grows_with_the_cold():
     stds = []
     for warm in (25.0, 21.5, 10.0, 0.0, -15.0):
         trace = Ekf(MODEL).run(measured(BEFORE, drive(warm)), 0.7, 0.2)

@@ -81,7 +81,7 @@ def test_coverage_where_every_cell_has_an_offset_of_its_own(share, least, most):
 
 
 @pytest.mark.parametrize("gain", [-0.02, 0.02, 5.0])
-def test_no_gain_amplifies_it(gain):
+def test_no_gain_amplifies_a_persistent_error(gain):
     """The gain of a SOC that hangs on a slow branch can be negative for many rows."""
     persistent = 0.0
     for _ in range(2000):

@@ -284,7 +284,7 @@ class TestReplay:
         with pytest.raises(InputError, match="from 0 to 1"):
             replay(MODEL, drive(100), soc0=70.0)
 
-    def test_repr_is_for_people(self):
+    def test_repr_names_the_estimator_and_its_settled_error(self):
         r = replay(MODEL, drive(100), soc0=0.8, reference_soc0=0.8, reference_capacity_Ah=3.0)
         assert "ekf" in repr(r)
         assert "settled RMSE" in repr(r)

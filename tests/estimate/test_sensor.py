@@ -84,7 +84,7 @@ def test_a_wrong_file_says_what_to_write(tmp_path, text, said):
     assert said in str(refused.value)
 
 
-def test_no_file_is_said(tmp_path):
+def test_a_missing_sensor_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="no sensor's specification"):
         read_sensor(tmp_path / "missing.toml")
 

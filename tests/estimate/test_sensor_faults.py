@@ -203,7 +203,7 @@ def test_a_lost_voltage_leaves_counting_and_says_so(make):
 
 
 @FILTERS
-def test_the_clock_may_jitter(make):
+def test_a_jittering_clock_costs_less_than_two_points(make):
     """Rows that come up to half a second early or late: the interval is what was measured."""
     log, truth = driven(CURVED, jitter=1.0)
     assert np.ptp(log.interval_s[1:]) > 0.5

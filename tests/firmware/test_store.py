@@ -137,7 +137,7 @@ WRAP = """
 """
 
 
-def test_generations_wrap(tmp_path):
+def test_the_newest_slot_is_found_where_generations_wrap(tmp_path):
     """CW-012."""
     ran(tables_of("lean"), tmp_path, WRAP)
 

@@ -78,7 +78,7 @@ def test_three_states_stay_within_the_room_there_is(core, instructions, text, st
         ),
     ],
 )  # fmt: skip
-def test_under_stress_too(core, instructions):
+def test_stress_samples_stay_within_the_bound_of_instructions(core, instructions):
     run = run_on_target(
         tables_of("lean"), core, stress_samples(4000), 0.9, 1e-2, measure_every=1
     ).cost

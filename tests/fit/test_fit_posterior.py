@@ -101,7 +101,7 @@ def carrying(posterior: Posterior):
     return replace(named_model("nmc-18650", 3.0), posterior=posterior)
 
 
-def test_the_file_keeps_it(known, tmp_path):
+def test_the_model_file_keeps_the_posterior(known, tmp_path):
     model = carrying(known[2])
     write_model(model, tmp_path / "model.json")
     read = read_model(tmp_path / "model.json")

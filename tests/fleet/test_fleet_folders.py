@@ -16,7 +16,7 @@ from cellwise.cli import main
 from cellwise.errors import InputError, MachineError
 from cellwise.fleet import HistoryTask, PackTask, run_fleet
 from cellwise.fleet.store import read_prepared
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.history.log_health import changed_model
 from cellwise.logs import CellLog, read_log, write_log
 from cellwise.logs.reading import read_pack
@@ -70,7 +70,7 @@ def test_a_cells_row_is_its_life(lives, tmp_path):
     assert (told.logs, told.done, told.failed) == (2, 2, 0)
     assert set(rows) == {"good", "bad"}
     names = [lives / "bad" / f"cycle{k}.parquet" for k in (2, 10)]
-    life = life_of(FRESH, [read_log(path) for path in names])
+    life = ageing_history(FRESH, [read_log(path) for path in names])
     assert rows["bad"]["capacity_share"] == pytest.approx(float(life.trend.share[-1]), rel=1e-12)
     assert rows["bad"]["capacity_share"] < 0.93 < rows["good"]["capacity_share"]
     assert rows["bad"]["logs"] == 2
@@ -128,7 +128,7 @@ def test_a_packs_row_is_its_estimate(packs, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_commands(lives, packs, tmp_path, capsys):
+def test_fleet_history_and_pack_take_folders(lives, packs, tmp_path, capsys):
     model = tmp_path / "m.json"
     write_model(FRESH, model)
     for action, place in (("history", lives), ("pack", packs)):

@@ -57,7 +57,7 @@ def test_a_constant_power_takes_longer_and_longer_currents():
     assert power.remaining_s < current.remaining_s
 
 
-def test_why_it_ends():
+def test_a_forecast_says_whether_voltage_or_charge_ends_it():
     model = curved_cell()
     log, truth = discharge(model, np.full(600, 3.0), 0.9)
     known = known_replay(log, truth.soc)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.stock import stock_model
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.logs import read_log
 
 pytestmark = pytest.mark.slow
@@ -53,7 +53,7 @@ def told_Ah(fresh, logs):
 def judged(fresh, logs, given):
     """Whether the capacity to use lies between both referees, and whether its band covers them."""
     low, high = told_Ah(fresh, logs)
-    use = life_of(fresh, [logs[n] for n in given]).to_dict()["trend"]["use"]
+    use = ageing_history(fresh, [logs[n] for n in given]).to_dict()["trend"]["use"]
     capacity, std = use["capacity_Ah"], use["capacity_std_Ah"]
     return low < capacity < high, capacity - 2.0 * std < low and high < capacity + 2.0 * std
 

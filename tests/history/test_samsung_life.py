@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.stock import stock_model
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.logs import read_log
 
 pytestmark = pytest.mark.slow
@@ -49,12 +49,12 @@ def window(log):
 
 def judged(given, truth):
     """RMSE of the trend and the share of logs within two standard deviations."""
-    trend = life_of(stock_model("nca-18650"), given).trend
+    trend = ageing_history(stock_model("nca-18650"), given).trend
     off = trend.share - truth
     return float(np.sqrt(np.mean(off**2))), float(np.mean(np.abs(off) < 2.0 * trend.std))
 
 
-def test_complete_discharges(discharges, truth):
+def test_complete_discharges_give_the_capacity_within_its_band(discharges, truth):
     rmse, inside = judged(discharges, truth)
     assert rmse < MOST_RMSE
     assert 0.90 <= inside <= 0.99

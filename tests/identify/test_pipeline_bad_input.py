@@ -221,7 +221,7 @@ def test_missing_voltages_in_the_middle(hppc):
 
 
 @pytest.mark.parametrize("counter", [True, False])
-def test_a_gap_is_not_bridged(hppc, counter):
+def test_two_hours_without_a_row_do_not_move_the_parameters(hppc, counter):
     # Two hours without a row in a rest: the cell rested on, or the counter says what flowed.
     time = hppc.time_s.copy()
     row = int(np.flatnonzero(hppc.current_A == 0.0)[3000])

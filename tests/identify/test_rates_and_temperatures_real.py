@@ -46,6 +46,6 @@ SHORT_OF_IT = pytest.mark.xfail(
     ("name", "most_V"),
     [pytest.param("n10_601", 0.040, marks=SHORT_OF_IT), ("n20_610", 0.060)],
 )
-def test_us_06_in_the_cold(lg, name, most_V):
+def test_us06_in_the_cold_is_simulated_within_its_bound(lg, name, most_V):
     found, log = lg
     assert simulate(found.model, log(f"drive_us06_{name}"), 1.0).rmse_above_10pct_V < most_V

@@ -36,7 +36,7 @@ def test_missing_file_names_the_near_ones(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_unreadable_file(tmp_path):
+def test_a_file_without_permission_is_refused(tmp_path):
     path = write_csv(tmp_path / "log.csv", pulse_channels())
     path.chmod(0)
     assert "cannot be read" in refusal(path).found
@@ -141,7 +141,7 @@ def test_time_running_backwards(tmp_path):
     assert "split" in error.action
 
 
-def test_mostly_without_time(tmp_path):
+def test_a_log_mostly_without_time_is_refused(tmp_path):
     columns = pulse_channels(600)
     columns["time_s"][::3] = np.nan
     assert "without a time" in refusal(write_csv(tmp_path / "log.csv", columns)).found

@@ -40,7 +40,7 @@ def test_the_callers_arrays_stay_writeable_and_the_logs_do_not():
      ({"current_meaning": "end"}, "current_meaning 'end'"),
      *(({"soc0": soc0}, "soc0") for soc0 in (-0.1, 1.1, np.nan))],
 )  # fmt: skip
-def test_what_is_no_log(changes, says):
+def test_channels_that_are_no_log_are_refused(changes, says):
     channels = {"time_s": np.arange(3.0), "current_A": np.ones(3), "voltage_V": np.ones(3)}
     with pytest.raises(InputError, match=says):
         CellLog(**channels | changes)

@@ -50,7 +50,7 @@ print(json.dumps({
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak from /proc")
 @pytest.mark.parametrize("form", ["tidy-csv", "arbin-csv", "bdf-parquet"])
-def test_ten_million_rows(form, tmp_path):
+def test_ten_million_rows_read_within_two_gigabytes(form, tmp_path):
     rng = np.random.default_rng(0)
     time = np.round(np.arange(ROWS) * 0.1, 3)
     current = np.round(5 * np.sin(time / 500) + rng.normal(0, 0.1, ROWS), 4)

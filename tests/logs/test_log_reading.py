@@ -26,7 +26,7 @@ def check(log: CellLog, columns: dict[str, np.ndarray] = CHANNELS) -> None:
     np.testing.assert_array_equal(log.charge_Ah, columns["ampere_hours"])
 
 
-def test_csv(tmp_path):
+def test_a_tidy_csv_reads_as_it_stands(tmp_path):
     log = read_log(write_csv(tmp_path / "a_drive.csv", CHANNELS))
     check(log)
     assert log.format == "tidy-csv"
@@ -193,7 +193,7 @@ def test_units_that_the_name_tells(tmp_path, name):
 
 
 @pytest.mark.parametrize("make", [dict, pd.DataFrame, pa.table])
-def test_from_table(make):
+def test_a_table_in_memory_reads_as_a_log(make):
     log = CellLog.from_table(make(CHANNELS), name="mine")
     check(log)
     assert log.name == "mine"

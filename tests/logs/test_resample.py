@@ -93,6 +93,6 @@ def test_a_row_that_begins_its_interval_is_turned_round():
 
 
 @pytest.mark.parametrize("dt", [0.0, -1.0, float("nan"), float("inf"), 1e9, 1e-9])
-def test_refused_steps(dt):
+def test_a_step_that_is_not_above_zero_is_refused(dt):
     with pytest.raises(InputError, match="step"):
         resample(uneven_log(), dt)

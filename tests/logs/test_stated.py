@@ -47,7 +47,7 @@ def test_what_cannot_be_stated(text):
         Stated.parse(text)
 
 
-def test_per_cent_are_named():
+def test_a_stated_soc_in_per_cent_is_refused():
     with pytest.raises(InputError, match="Divide by 100"):
         Stated.parse("a.csv@soc0=95")
 

@@ -11,9 +11,9 @@ from cellwise.errors import InputError
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.notices import texts
 from cellwise.pack.differences import RESISTANCE
+from cellwise.pack.outlier_cells import CAUSES, named
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
-from cellwise.pack.suspicion import CAUSES, named
 from emulated_packs import Fault, emulated_pack, with_cells
 
 SIZES = (4, 16, pytest.param(96, marks=pytest.mark.slow))

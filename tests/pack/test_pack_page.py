@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellwise.cell.stock import stock_model
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.logs import CellLog
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.report import history_page, pack_page
@@ -57,7 +57,7 @@ def test_a_life_is_drawn_from_its_logs(tmp_path):
         CellLog(time, rng.uniform(0.0, 3.0, time.size), rng.normal(3.8, 0.02, time.size))
         for _ in range(3)
     ]
-    text = history_page(life_of(model, logs), tmp_path / "life.html").read_text()
+    text = history_page(ageing_history(model, logs), tmp_path / "life.html").read_text()
     assert text.count("<figure") == 2
     assert "complete discharge" in text
     # Three drives of a model's own noise: a loss within its deviation cannot be determined.

@@ -59,7 +59,7 @@ def test_sentences_keep_their_order(python, c):
     assert c in found
 
 
-def test_files_stay_short():
+def test_no_printed_file_is_longer_than_250_lines():
     """A part is read in one go: it is printed apart where it grows, by `FIRST`."""
     for name, text in print_files(EVERYTHING).items():
         assert text.count("\n") <= 250, name
@@ -79,7 +79,7 @@ def test_lines_keep_the_width_and_their_words():
     assert all(len(p) <= WIDTH for p in comment("word " * 60, 8))
 
 
-def test_literals_are_exact():
+def test_printed_literals_read_back_to_the_bit():
     values = np.random.default_rng(1).integers(0, 2**31, 2000).astype(np.uint32).view(np.float32)
     for value in [*values[np.isfinite(values)], *np.float32([0.5, 120, 1e-6, 2000, 0.015625, 0])]:
         text = float_literal(value).removesuffix("f")

@@ -283,12 +283,12 @@ def test_log_with_missing_values_and_gaps(tmp_path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_very_short_logs(tmp_path):
+def test_pages_of_five_rows_are_written(tmp_path):
     log = hppc().part(0, 5)
     written(lambda s, path: replay_page([replay(log)], path, s), tmp_path, [simulation(log)])
 
 
-def test_no_replay_is_refused(tmp_path):
+def test_a_page_without_a_replay_is_refused(tmp_path):
     with pytest.raises(InputError, match="no replay"):
         replay_page([], tmp_path / "page.html")
 

@@ -116,6 +116,6 @@ def test_equation_8_follows_the_rests_less_closely_than_the_spline(as_dict):
     assert 3.0 < ocv["a"] + ocv["b"] * np.log(0.5 + ocv["c"]) + 0.5 * ocv["d"] < 3.4, "LFP"
 
 
-def test_missing_log_is_named(tmp_path):
+def test_a_missing_log_of_a_paper_is_named(tmp_path):
     with pytest.raises(InputError, match=r"lfp/hppc\.parquet"):
         paper_tables(tmp_path)

@@ -65,6 +65,6 @@ def test_tables_and_reasons_for_people(capsys):
         (["--judge", "drive.csv"], "reference capacity"),
     ],
 )
-def test_refusals(arguments, said, capsys):
+def test_wrong_arguments_of_the_capacity_study_are_refused(arguments, said, capsys):
     assert main(["capacity-study", *arguments]) == 2
     assert said in capsys.readouterr().err

@@ -109,7 +109,7 @@ def test_nothing_is_foreseen_of_a_log_that_is_far_off_unless_asked(log):
     assert found.far is not None
     assert found.flight is None
     assert found.power is None
-    assert found.grave[-1].code is found.far.code
+    assert found.critical[-1].code is found.far.code
     assert [n.code for n in found.notices] == [n.code for n in found.replay.notices]
     withheld = coded(found.notices, found.far.code)[0]
     assert withheld != found.far

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cellwise.benchmark.adapter import is_adapter, load_adapter, short_name
 from cellwise.benchmark.figures import COLUMNS
-from cellwise.benchmark.kept_rows import KeptRows, key_of
 from cellwise.benchmark.known_logs import file_digest
 from cellwise.benchmark.leaderboard import (
     LEADERBOARD,
@@ -34,6 +33,7 @@ from cellwise.benchmark.package_rows import (
     environment,
     row_digest,
 )
+from cellwise.benchmark.row_store import KeptRows, key_of
 from cellwise.benchmark.standings import by_estimator, latex, standings
 from cellwise.benchmark.suite import Suite
 from cellwise.benchmark.suite_logs import check_files, has_own_files, judged_log, locate

@@ -35,7 +35,7 @@ from cellwise.errors import InputError
 from cellwise.files import made_folder
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
-from cellwise.notices import graves_first
+from cellwise.notices import critical_first
 
 SHOWN = 6
 
@@ -63,14 +63,14 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         )
     seconds = time.perf_counter() - began
     written = _write(found, arguments)
-    notices = graves_first(
+    notices = critical_first(
         [*found.notices, *(n for log in (*logs, *holdout, *baseline) for n in log.notices)]
     )
     if arguments.json:
         said = {"seconds": seconds, "notices": printing.rendered(notices)}
         printing.print_json({**found.to_dict(), **written, **said})
         return
-    printing.say_notices(n for n in notices if n.is_grave)
+    printing.say_notices(n for n in notices if n.is_critical)
     print_diagnosis(found)
     for name, place in written.items():
         for path in place if isinstance(place, list) else [place] if place else []:

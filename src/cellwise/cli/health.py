@@ -34,7 +34,7 @@ from typing import Any
 
 from cellwise.cell.model_file import write_model
 from cellwise.cli.common import log_options, options, page_options, printing
-from cellwise.history.life import Life, life_of
+from cellwise.history.ageing import AgeingHistory, ageing_history
 from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
@@ -117,7 +117,7 @@ def run_history(arguments: argparse.Namespace) -> None:
     model = options.read_model(arguments)
     logs = log_options.read_cut(arguments.logs, arguments)
     with printing.working("comparing"):
-        found = life_of(model, logs, anyway=arguments.anyway)
+        found = ageing_history(model, logs, anyway=arguments.anyway)
     if arguments.output:
         write_columns(found.columns(), Path(arguments.output))
     if arguments.save_model and found.withheld:
@@ -127,7 +127,7 @@ def run_history(arguments: argparse.Namespace) -> None:
     page_options.hand_over(arguments, found, history_page, print_life, data_of_life(found))
 
 
-def data_of_life(found: Life) -> dict[str, Any]:
+def data_of_life(found: AgeingHistory) -> dict[str, Any]:
     """A life as JSON, with notices in a command's words."""
     data = found.to_dict()
     for row, one in zip(data["logs"], found.logs, strict=True):
@@ -135,7 +135,7 @@ def data_of_life(found: Life) -> dict[str, Any]:
     return {**data, "notices": printing.rendered(found.notices)}
 
 
-def said_of_change(found: Life) -> str:
+def said_of_change(found: AgeingHistory) -> str:
     """Whether the logs show that the capacity changed."""
     change = found.change
     size = f"{100.0 * change.share:+.1f} +- {200.0 * change.std:.1f} % of the new cell's capacity"
@@ -144,7 +144,7 @@ def said_of_change(found: Life) -> str:
     return f"no change of the capacity shown ({size}): what to use is of all logs together"
 
 
-def print_life(found: Life) -> None:
+def print_life(found: AgeingHistory) -> None:
     """A life for people."""
     data = found.to_dict()
     printing.say_notices(found.far_off)

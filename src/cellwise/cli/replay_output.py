@@ -7,7 +7,7 @@ from typing import Any
 
 from cellwise.cli.common import printing
 from cellwise.cli.common.printing import band
-from cellwise.estimate.power.along import PowerTrace
+from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.sensor import assumed_text
 from cellwise.forecast.remaining import Forecast
@@ -24,7 +24,7 @@ def data_of(run: ReplayAndForecast) -> dict[str, Any]:
 
 def print_runs(runs: Sequence[ReplayAndForecast], *, sure: bool) -> None:
     """Replays for people: the figures, and what is ahead of the last one's end."""
-    first = [notice for run in runs for notice in run.grave]
+    first = [notice for run in runs for notice in run.critical]
     printing.say_notices(first)
     last = runs[-1]
     if len(runs) > 1:

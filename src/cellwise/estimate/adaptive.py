@@ -17,8 +17,8 @@ from cellwise.estimate.filters import filter_state as layout
 from cellwise.estimate.filters import kalman
 from cellwise.estimate.filters import kalman_kernels as kernels
 from cellwise.estimate.filters.bank_kernels import COMPONENTS, empty_bank
+from cellwise.estimate.filters.capacity_kernels import FreeRules, ResistanceRules
 from cellwise.estimate.filters.filter_state import TraceArrays
-from cellwise.estimate.filters.free_kernels import FreeRules, ResistanceRules
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState, adaptive_rows
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.trace import Trace

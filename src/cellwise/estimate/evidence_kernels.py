@@ -27,7 +27,7 @@ from cellwise.estimate.equations.evidence import (
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     CheckedReading,
-    Watch,
+    SensorMonitor,
     watch_on,
     watch_voltage,
 )
@@ -149,7 +149,7 @@ class InnovationSources(NamedTuple):
     followed_V: float
 
 
-class Verdict(NamedTuple):
+class GateResult(NamedTuple):
     """What becomes of a voltage.
 
     ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts.
@@ -163,7 +163,7 @@ class Verdict(NamedTuple):
     ratio: float
     rejections: float
     mismatch: float
-    watch: Watch
+    watch: SensorMonitor
     status: int
 
 
@@ -171,13 +171,13 @@ class Verdict(NamedTuple):
 def gate(
     cell: CellScalars,
     noise: NoiseScalars,
-    watch: Watch,
+    watch: SensorMonitor,
     s: CheckedReading,
     evidence_s: float,
     rejections: float,
     mismatch: float,
     i: InnovationSources,
-) -> Verdict:
+) -> GateResult:
     """Gate, count, and weigh one innovation."""
     status = 0
     innovation_V = i.innovation_V
@@ -221,7 +221,7 @@ def gate(
     after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, last, swings)
     status |= away
     # fmt: off
-    return Verdict(
+    return GateResult(
         accepted, used, inverse, innovation_V, variance, ratio, rejections,
         mismatch, after, status,
     )

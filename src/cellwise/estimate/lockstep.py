@@ -38,7 +38,6 @@ from cellwise.estimate.equations.constants import WIDE_VARIANCE
 from cellwise.estimate.evidence_kernels import gate
 from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
-from cellwise.estimate.filters.drift_kernels import counted_on
 from cellwise.estimate.filters.filter_state import (
     OUT_INNOVATION,
     OUT_RATIO,
@@ -54,6 +53,7 @@ from cellwise.estimate.filters.filter_state import (
 )
 from cellwise.estimate.filters.kalman import BankState, Ekf, check_state
 from cellwise.estimate.filters.kalman_kernels import bank_or_alone
+from cellwise.estimate.filters.offset_kernels import counted_on
 from cellwise.estimate.filters.predict_kernels import PredictedInterval, with_noise
 from cellwise.estimate.filters.step_kernels import innovate, say
 from cellwise.estimate.filters.update_kernels import Predicted, update

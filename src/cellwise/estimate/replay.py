@@ -29,7 +29,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import Estimator, OnlineFilter, estimator_of
 from cellwise.estimate.noise import Noise
-from cellwise.estimate.power.along import PowerTrace, power_along
+from cellwise.estimate.power.power_along_log import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
 from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step

@@ -33,7 +33,7 @@ NOT_BEGUN_S = -2.0  # evidence_s before the first sample
 NO_VOLTAGE_YET_S = -1.0  # evidence_s until the first voltage
 
 
-class Watch(NamedTuple):
+class SensorMonitor(NamedTuple):
     """What is remembered of the sensors from one sample to the next.
 
     ``evidence_s`` is the time since the first voltage, or since a recovery: the model's error is
@@ -91,14 +91,18 @@ class CheckedReading(NamedTuple):
 
 
 @inline
-def first_watch(current_A: float) -> Watch:
+def first_watch(current_A: float) -> SensorMonitor:
     """Nothing seen yet but a current to hold."""
-    return Watch(current_A, math.nan, NOT_BEGUN_S, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0)
+    return SensorMonitor(current_A, math.nan, NOT_BEGUN_S, 0.0, 0.0, math.nan, 0.0, 0.0, -1.0, 0.0)
 
 
 @inline
 def read_sample(
-    tables: CellTables, noise: NoiseScalars, watch: Watch, default_C: float, reading: MeasuredSample
+    tables: CellTables,
+    noise: NoiseScalars,
+    watch: SensorMonitor,
+    default_C: float,
+    reading: MeasuredSample,
 ) -> CheckedReading:
     """Readings that are missing or impossible replaced, and flagged in the status."""
     status = 0
@@ -156,7 +160,7 @@ def read_sample(
 
 
 @inline
-def watch_current(noise: NoiseScalars, watch: Watch, s: CheckedReading) -> float:
+def watch_current(noise: NoiseScalars, watch: SensorMonitor, s: CheckedReading) -> float:
     """How often the voltage has gone up and down under a current that repeats itself bit by bit."""
     after = swings_after(watch.swings, s.voltage_V - watch.voltage_V, noise.frozen_V)
     return after if s.current_A == watch.current_A else 0.0
@@ -164,7 +168,7 @@ def watch_current(noise: NoiseScalars, watch: Watch, s: CheckedReading) -> float
 
 @inline
 def watch_voltage(
-    noise: NoiseScalars, watch: Watch, s: CheckedReading, innovation_V: float, r0_ohm: float
+    noise: NoiseScalars, watch: SensorMonitor, s: CheckedReading, innovation_V: float, r0_ohm: float
 ) -> tuple[HeldVoltage, float, int]:
     """Is the voltage frozen? Its last reading, swings, status bits."""
     last, status = HeldVoltage(watch.voltage_V, watch.frozen_A, watch.repeats), 0
@@ -187,12 +191,12 @@ def watch_on(
     no_voltage_s: float,
     last: HeldVoltage,
     swings: float,
-) -> tuple[Watch, int]:
+) -> tuple[SensorMonitor, int]:
     """The watch after a sample, and the bit of a voltage that has been away for long."""
     away = 0.0
     if not used:
         away = no_voltage_s + (0.0 if s.gap else s.dt_s)
-    watch = Watch(
+    watch = SensorMonitor(
         s.current_A, s.temperature_C, evidence_s, s.no_current_s, away,
         last.voltage_V, last.since_A, last.repeats, s.no_warm_s, swings,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.fixed_step import samples_of
-from cellwise.estimate.fixed.layout import LANDING, PHASE, hex_float, state_type
+from cellwise.estimate.fixed.layout import PHASE, PLAN_RESULT, hex_float, state_type
 from cellwise.estimate.fixed.stepper import Stepper, numba_stepper
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.export.c_tables import comment, filled, firmware_folder, initialiser
@@ -80,7 +80,7 @@ def vector(model: CellModel, tables: FixedStepTables) -> tuple[NDArray[Any], ...
         return inputs, outputs
     cell_W = 3.7 * model.capacity_Ah
     plan = np.array([(seconds, share * cell_W) for seconds, share in PLAN], dtype=PHASE)
-    landing = stepper.answer("plan", LANDING, state, plan, plan.size, True, VECTOR.above)
+    landing = stepper.answer("plan", PLAN_RESULT, state, plan, plan.size, True, VECTOR.above)
     return inputs, outputs, plan, landing
 
 
@@ -105,7 +105,7 @@ def vector_text(
         "@COUNT@": str(0 if plan is None else plan.size),
         "@ABOVE@": hex_float(VECTOR.above),
         "@PHASES@": lines(plan),
-        "@LANDING@": "{0}" if landing is None else initialiser(landing[0]),
+        "@PLAN_RESULT@": "{0}" if landing is None else initialiser(landing[0]),
     }
     return filled((firmware_folder() / "test_vector.h.in").read_text(encoding="utf-8"), marks)
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.fit.beginnings import TRIALS
+from cellwise.fit.log_starts import TRIALS
 from cellwise.fit.problem import Problem
 from cellwise.fit.solve import FitResult
 from cellwise.fit.solver import Prior

@@ -19,7 +19,7 @@ from cellwise.errors import InputError, MachineError
 from cellwise.estimate.estimators import Estimator, make_estimator
 from cellwise.estimate.replay import Replay, replay
 from cellwise.fleet.store import BY_LOG, DIAGNOSE, HISTORY, PACK, REPLAY, failure, read_prepared
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import verify_sign
 from cellwise.logs.packs.pack_log import PackLog
@@ -366,7 +366,7 @@ class HistoryTask(FolderTask):
     def columns_of(self, given: tuple[dict[str, Any], list[CellLog]]) -> dict[str, Any]:
         """The life of one cell."""
         row, logs = given
-        found = life_of(self.model, logs).to_dict()
+        found = ageing_history(self.model, logs).to_dict()
         days = [one["start"] for one in found["logs"] if one["start"] is not None]
         trend = found["trend"]
         of_logs = (n for one in found["logs"] for n in one["notices"])

@@ -6,9 +6,9 @@ import sys
 from inspect import signature
 from types import ModuleType
 
-from cellwise.forecast.remaining import Flight, Forecast, forecast
+from cellwise.forecast.remaining import Forecast, ForecastTrace, forecast
 
-__all__ = ["Flight", "Forecast", "forecast"]
+__all__ = ["Forecast", "ForecastTrace", "forecast"]
 
 
 class _CallableForecast(ModuleType):

@@ -8,8 +8,14 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.along_kernels import WINDOW_S, LoadAhead
-from cellwise.forecast.remaining import Flight, at_most, flight_of, present_load, warms_unseen
+from cellwise.forecast.log_kernels import WINDOW_S, LoadAhead
+from cellwise.forecast.remaining import (
+    ForecastTrace,
+    at_most,
+    flight_of,
+    present_load,
+    warms_unseen,
+)
 from cellwise.typing import FloatArray
 
 CHARGER_S = 30.0  # a charge that lasts; regenerative braking does not
@@ -140,7 +146,7 @@ def forecast_charge(
     *,
     limit_V: float | None = None,
     taper_A: float | None = None,
-) -> Flight | None:
+) -> ForecastTrace | None:
     """Time and energy to full along a replay, wherever the cell is being charged.
 
     The charger is taken to hold the mean current of the last minute until the voltage is its own,

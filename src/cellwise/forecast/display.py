@@ -16,7 +16,7 @@ from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.charging import HELD_V
-from cellwise.forecast.remaining import Flight
+from cellwise.forecast.remaining import ForecastTrace
 from cellwise.typing import FloatArray
 
 CATCH_UP = 0.1
@@ -157,7 +157,10 @@ class Displayed:
 
 
 def display_along(
-    how: PercentageDisplay, replay: Replay, flight: Flight | None, charge: Flight | None
+    how: PercentageDisplay,
+    replay: Replay,
+    flight: ForecastTrace | None,
+    charge: ForecastTrace | None,
 ) -> FloatArray:
     """Percentage at every row of a replay, shape (n,), with what its forecasts say of the ends."""
     log = replay.log
@@ -168,7 +171,7 @@ def display_along(
     return 100.0 * out
 
 
-def _held(time_s: FloatArray, forecasts: Flight | None, before: float) -> FloatArray:
+def _held(time_s: FloatArray, forecasts: ForecastTrace | None, before: float) -> FloatArray:
     """SOC at the end by the last forecast, at every time; ``before`` the first one."""
     if forecasts is None:
         return np.full(time_s.size, before)

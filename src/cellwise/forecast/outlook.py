@@ -13,9 +13,9 @@ from cellwise.cell.model import CellModel
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.status import CURRENT_INVALID, INNOVATION_REJECTED, OUT_OF_RANGE
-from cellwise.forecast.ahead_kernels import NEVER, Going, with_ends
-from cellwise.forecast.along_kernels import WINDOW_S, ocv_and_error, parts_of
 from cellwise.forecast.charging import BOTH_FACTOR, ChargerSeen, limit_of, taper_of
+from cellwise.forecast.forecast_kernels import NEVER, LoadScenario, with_ends
+from cellwise.forecast.log_kernels import WINDOW_S, ocv_and_error, parts_of
 from cellwise.forecast.remaining import check_load, uncertain_of, warms_unseen
 from cellwise.forecast.warming_kernels import NOTHING_SEEN, observed, thermal_of
 
@@ -183,7 +183,9 @@ class Outlook:
         end_V, taper_A = self._cutoff_V, 0.0
         if load_A < 0.0:
             end_V, taper_A = self._charger.limit_V, self._charger.taper_A
-        go = Going(load_A, True, power_W, offset_V, share, end_V, temperature_C, lump, taper_A)
+        go = LoadScenario(
+            load_A, True, power_W, offset_V, share, end_V, temperature_C, lump, taper_A
+        )
         end = with_ends(self._tables, at, soc_std, go, self._uncertain)
         never = end.usual.reason == NEVER
         return ForecastNow(

@@ -20,8 +20,8 @@ from cellwise.cell.equations import CellState
 from cellwise.cell.model import CellModel
 from cellwise.errors import InputError
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.ahead_kernels import Away, Going, Uncertain, through
-from cellwise.forecast.along_kernels import FilteredRows, LoadAhead, moment
+from cellwise.forecast.forecast_kernels import LoadScenario, SigmaOffset, Uncertain, through
+from cellwise.forecast.log_kernels import FilteredRows, LoadAhead, moment
 from cellwise.forecast.remaining import (
     cutoff_of,
     filtered_rows,
@@ -246,12 +246,12 @@ def forecast_plan(
 
 def state_at(
     model: CellModel, replay: Replay, row: int, cutoff_V: float
-) -> tuple[CellState, Going, float]:
+) -> tuple[CellState, LoadScenario, float]:
     """The cell's state at a row of a replay, what it goes on with, and its SOC's deviation."""
     rows = FilteredRows(*(x[: row + 1] for x in filtered_rows(model, replay)))
     load = LoadAhead(rows.current_A, np.nan, rows.soc < 0.0, True, cutoff_V, warms_unseen(model))
     state, go = moment(model.parameters(), start_state(rows), rows, load, uncertain_of(model))
-    return CellState(*state), Going(*go), float(rows.soc_std[-1])
+    return CellState(*state), LoadScenario(*go), float(rows.soc_std[-1])
 
 
 def mean_powers(plans: Sequence[Plan], share: FloatArray) -> FloatArray | None:
@@ -274,7 +274,7 @@ def _responses(
     model: CellModel,
     begins: tuple[CellState, float, Uncertain],
     plan: Plan,
-    go: Going,
+    go: LoadScenario,
     draws: FloatArray,
     ratio: FloatArray | None,
 ) -> FloatArray:
@@ -289,7 +289,7 @@ def _responses(
         soc, voltage, warmth, capacity = deviations.tolist()
         charge_As = tables.cell.charge_As * math.exp(uncertain.capacity_std * capacity)
         cell = tables._replace(cell=tables.cell._replace(charge_As=charge_As))
-        away = Away(soc, voltage, warmth)
+        away = SigmaOffset(soc, voltage, warmth)
         end = through(cell, state, soc_std, (plan.dt_s, times * plan.load), go, uncertain, away)
         return np.array(end, dtype=np.float64)
 

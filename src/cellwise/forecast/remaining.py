@@ -19,14 +19,14 @@ from cellwise.cell.simulate import known_temperature_C, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.estimate.power.limits import LEAST_LOAD_C
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.ahead_kernels import (
+from cellwise.forecast.forecast_kernels import (
     BY_VOLTAGE,
     NEVER,
     USUAL_MEMORY_SOC,
     ForecastOutcome,
     Uncertain,
 )
-from cellwise.forecast.along_kernels import (
+from cellwise.forecast.log_kernels import (
     WINDOW_S,
     FilteredRows,
     LoadAhead,
@@ -81,7 +81,7 @@ class Forecast(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Flight(Plottable, Tabular):
+class ForecastTrace(Plottable, Tabular):
     """Forecasts along a log; arrays have shape (moments,), bands (moments, 2).
 
     ``load_A`` is the mean current of the last minute, the present load; a moment without a
@@ -116,7 +116,7 @@ class Flight(Plottable, Tabular):
     end_voltage_V_band: FloatArray
     end_soc: FloatArray
     by_voltage: BoolArray
-    typical: Flight | None = None
+    typical: ForecastTrace | None = None
     given: Forecast | None = None
     taper_A: float = 0.0
     validity: Validity = UNKNOWN
@@ -213,7 +213,7 @@ def forecast(
     *,
     cutoff_V: float | None = None,
     hold: Hold = "power",
-) -> Flight | None:
+) -> ForecastTrace | None:
     """Remaining time and energy along a replay, at the load of each moment.
 
     From the filter's SOC, with the branch voltages that the log's current left, the model goes on
@@ -333,7 +333,9 @@ def check_load(load: float, hold: str) -> None:
         )
 
 
-def flight_of(model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatArray) -> Flight:
+def flight_of(
+    model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatArray
+) -> ForecastTrace:
     """The wanted rows through the kernel; ``load_W`` is what is said of the load's power.
 
     An end that never comes is infinite.
@@ -350,7 +352,7 @@ def flight_of(model: CellModel, replay: Replay, load: LoadAhead, load_W: FloatAr
     time_s_band, energy_Wh_band = found("time_s", 2), found("energy_J", 2) / 3600.0
     never = found("usual.reason") == NEVER
     time_s[never] = energy_Wh[never] = time_s_band[never, 1] = energy_Wh_band[never, 1] = np.inf
-    return Flight(
+    return ForecastTrace(
         name=log.name,
         cutoff_V=load.cutoff_V,
         hold="power" if load.hold_power else "current",

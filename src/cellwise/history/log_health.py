@@ -14,8 +14,8 @@ from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FAR_OFF
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
-from cellwise.fit.beginnings import thinned
 from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
+from cellwise.fit.log_starts import thinned
 from cellwise.fit.model_error import LEAST_LOG
 from cellwise.fit.population import ModelPrior, prior_of
 from cellwise.fit.posterior import whole_resistance

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwise.cell.plausibility.notice import RANGE_V
 from cellwise.cell.posterior import POINTS, Posterior
-from cellwise.fit.beginnings import TRIALS
+from cellwise.fit.log_starts import TRIALS
 from cellwise.identify.checked_logs import CheckedLogs
 from cellwise.identify.identification import OwnLog
 from cellwise.notices import Code, Notice

@@ -14,8 +14,8 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.posterior import Posterior
 from cellwise.cell.simulate import start_hysteresis
 from cellwise.errors import InputError
-from cellwise.fit.beginnings import TRIALS, Beginning, find_beginning
 from cellwise.fit.capacity import TRIED, at_open_capacity
+from cellwise.fit.log_starts import TRIALS, Beginning, find_beginning
 from cellwise.fit.population import CellPrior, ModelPrior, cell_classes, class_of, prior_of
 from cellwise.fit.posterior import posterior_of
 from cellwise.fit.problem import Problem

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cellwise.cell.plausibility.notice import FarOffStream, outside_moment, withheld
-from cellwise.estimate.power.along import PowerFollower
+from cellwise.estimate.power.power_along_log import PowerFollower
 from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.estimate.status import Status
 from cellwise.forecast.display import Displayed

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks import faults, grave, units
+from cellwise.logs.checks import critical, faults, units
 from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.gaps import Gap, run_edges
-from cellwise.notices import Code, Notice, coded, graves_first
+from cellwise.notices import Code, Notice, coded, critical_first
 from cellwise.typing import BoolArray, FloatArray
 from cellwise.wording import RowPlace
 
@@ -130,7 +130,7 @@ def inspect_log(log: CellLog) -> Inspection:
         if (values := getattr(log, field)) is not None
     }
     notices = [
-        *graves_first([*log.notices, *grave.grave_notices(log)]),
+        *critical_first([*log.notices, *critical.critical_notices(log)]),
         *_sign_notices(log, check),
         *_time_notices(log),
         *_channel_notices(log, missing, stuck, faults.find_spikes(possible).size, mismatch),

@@ -96,7 +96,7 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedPro
     pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
     settled = {Code.NO_SIGN, Code.SIGN_CONTRADICTED}  # by what else is stated of the log
     settled |= {Code.VOLTAGE_OF_PACK, Code.VOLTAGE_UNIT} if pack else set()
-    if any(n.is_grave and n.code not in settled for n in log.notices):
+    if any(n.is_critical and n.code not in settled for n in log.notices):
         return None
     check = verify_sign(log)
     if log.typical_voltage_V < LEAST_V or not check.follows:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cellwise.cell.initial_soc.gaps import stretches
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError

@@ -17,8 +17,7 @@ from cellwise.notices import Code, Notice, texts
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, pack_days, periods
 from cellwise.pack.evidence import PackEvidence, period_evidence
-from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
-from cellwise.pack.suspicion import (
+from cellwise.pack.outlier_cells import (
     LEAK,
     Suspicion,
     also_drifting,
@@ -29,6 +28,7 @@ from cellwise.pack.suspicion import (
     suspicions,
     with_exchanged,
 )
+from cellwise.pack.pack_state import CellDeltas, PackState, drift_between, spread_between
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.threads import one_blas_thread
 from cellwise.typing import FloatArray
@@ -114,7 +114,7 @@ class PackEstimate(Plottable, Tabular):
     def far_off(self) -> Notice | None:
         """What is said first where most rows are of logs that are wrong or far off the model."""
         means = [day.mean for day in self.days]
-        graves = (next((n for n in m.log.notices if n.is_grave), None) for m in means)
+        graves = (next((n for n in m.log.notices if n.is_critical), None) for m in means)
         said = [
             g or far_off(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
             for g, m in zip(graves, means, strict=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.arguments import check_kind
-from cellwise.history.life import Life
+from cellwise.history.ageing import AgeingHistory
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
 from cellwise.report.page.numerals import SPACE, percent, plural, significant
@@ -18,14 +18,14 @@ from cellwise.report.page.section import Section, write_page
 UNITS = {"days": "days since the first log", "throughput_Ah": "charge moved in these logs [Ah]"}
 
 
-def history_page(found: Life, path: str | Path, *, figures: Figures = None) -> Path:
+def history_page(found: AgeingHistory, path: str | Path, *, figures: Figures = None) -> Path:
     """Write the page of a life.
 
     Raises
     ------
     InputError        matplotlib is missing; the path cannot be written
     """
-    check_kind("found", found, Life, "Pass what life_of(model, logs) gives.")
+    check_kind("found", found, AgeingHistory, "Pass what ageing_history(model, logs) gives.")
     data = found.to_dict()
     use = data["trend"]["use"]
     now, now_std = found.resistance_scale, found.resistance_std
@@ -74,7 +74,7 @@ def _next(test: str) -> str:
     return f"No reference test is needed: {why}." if none == "none" else f"Next test: {test}."
 
 
-def _now(found: Life) -> str:
+def _now(found: AgeingHistory) -> str:
     """The share of the new cell's capacity at the last log, the same everywhere."""
     if found.withheld:
         return "unknown"
@@ -82,7 +82,7 @@ def _now(found: Life) -> str:
     return f"{100.0 * share:.1f} ± {200.0 * std:.1f}{SPACE}%"
 
 
-def _first_line(found: Life) -> str:
+def _first_line(found: AgeingHistory) -> str:
     """What was lost, where the logs show it: beyond two standard deviations; else the capacity."""
     if found.withheld:
         return "Far off this model: neither capacity nor resistance can be said"
@@ -106,7 +106,7 @@ def _first_line(found: Life) -> str:
     "from whatever part of the range it covers. The line is the trend, its band what the next "
     "complete test would show in 95 of 100 cases.",
 )
-def capacity_picture(found: Life) -> style.Figure:
+def capacity_picture(found: AgeingHistory) -> style.Figure:
     """Share of the new cell's capacity over the life."""
     figure, axes = style.new_axes(2.8)
     counted = np.array([one.counted for one in found.logs])
@@ -140,7 +140,7 @@ def capacity_picture(found: Life) -> style.Figure:
     "Times the model's, at each log's own temperature and load. Logs of unlike loads scatter by "
     "more than their bars: believe the run of the dots, not one of them.",
 )
-def resistance_picture(found: Life) -> style.Figure:
+def resistance_picture(found: AgeingHistory) -> style.Figure:
     """Resistance over the life."""
     figure, axes = style.new_axes(2.8)
     scale = np.array([one.resistance_scale for one in found.logs])
@@ -152,7 +152,7 @@ def resistance_picture(found: Life) -> style.Figure:
     return figure
 
 
-def _table(found: Life) -> Markup:
+def _table(found: AgeingHistory) -> Markup:
     return record_table(
         list(zip(found.logs, found.trend.share, found.trend.std, strict=True)),
         ("log", lambda one: one[0].log.name),

@@ -12,8 +12,8 @@ from typing import Any
 from cellwise.cell.initial_soc.initial_soc import STATED_STD
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import FarOffStream
-from cellwise.estimate.power.along import PowerFollower
 from cellwise.estimate.power.limits import LEAST_LOAD_C
+from cellwise.estimate.power.power_along_log import PowerFollower
 from cellwise.estimate.power.state_of_power import PowerSettings
 from cellwise.estimate.sensor import Sensor, SensorReadings, assumed, seen_by
 from cellwise.forecast.display import Displayed

@@ -17,7 +17,7 @@ from cellwise.cell.plausibility.notice import ends_forecasts, withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.estimate.adaptive import AdaptiveTrace
 from cellwise.estimate.estimators import make_estimator
-from cellwise.estimate.power.along import PowerTrace
+from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.power.state_of_power import Hold, PowerSettings
 from cellwise.estimate.replay import Replay, expected_convergence_s, replay
 from cellwise.estimate.sensor import Sensor, seen_by
@@ -25,8 +25,8 @@ from cellwise.forecast.charging import forecast_charge, limit_of, taper_of
 from cellwise.forecast.display import PercentageDisplay, display_along, display_of
 from cellwise.forecast.plan import Plan, PlanOutcome, forecast_plan
 from cellwise.forecast.remaining import (
-    Flight,
     Forecast,
+    ForecastTrace,
     check_load,
     cutoff_of,
     forecast,
@@ -128,9 +128,9 @@ class ReplayAndForecast:
     expected_s: float | None
     began: InitialSoc | None
     far: Notice | None
-    flight: Flight | None = None
+    flight: ForecastTrace | None = None
     at_load: Forecast | None = None
-    charge: Flight | None = None
+    charge: ForecastTrace | None = None
     plan: PlanOutcome | None = None
     displayed_percent: FloatArray | None = None
     hold: Hold = "power"
@@ -145,7 +145,7 @@ class ReplayAndForecast:
         return tuple(withheld(n) if n == self.far else n for n in self.replay.notices)
 
     @property
-    def grave(self) -> tuple[Notice, ...]:
+    def critical(self) -> tuple[Notice, ...]:
         """Those up to the one for which nothing is foreseen; none where something is."""
         if self.far is None:
             return ()
@@ -225,7 +225,7 @@ def replay_and_forecast(
     ----------
     model : CellModel
     log : CellLog         without a pause that nobody counted (`replay_each` cuts there)
-    asked, ahead : Asked, Ahead    how it is replayed, what is foreseen; None: as their defaults
+    asked, ahead : ReplayRequest, ForecastRequest    how to replay and forecast; None: defaults
     begins : bool         what is asked of the start holds; behind a pause it does not
 
     Returns
@@ -306,7 +306,7 @@ def replay_each(
     Parameters
     ----------
     logs : sequence of CellLog
-    asked, ahead : Asked, Ahead
+    asked, ahead : ReplayRequest, ForecastRequest
     follow : callable     what is done, and how many of how many stretches are
 
     Raises

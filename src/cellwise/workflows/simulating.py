@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from typing import Any, NamedTuple
 
+from cellwise.cell.initial_soc.gaps import simulate_stretches
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
-from cellwise.cell.initial_soc.pauses import simulate_stretches
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation, simulate
 from cellwise.logs.cell_log import CellLog

@@ -218,7 +218,7 @@ def test_a_folder_that_was_changed_is_refused(folder, tmp_path, capsys, name, ol
     assert found in err
 
 
-def test_limits_are_shares():
+def test_a_limit_above_one_and_no_cell_are_refused():
     with pytest.raises(InputError, match="fraction"):
         Limits(rmse=3.0)
     with pytest.raises(InputError, match="one cell at least"):

@@ -44,7 +44,7 @@ def test_under_load_from_the_first_row(soc0, load_A):
     assert "under load" in found.how
 
 
-def test_as_given():
+def test_a_given_soc_is_taken_with_its_deviation():
     model = curved_cell()
     log = log_of(model, 0.4, rest_then_load(100))
     found = initial_soc(model, log, 0.7, given_std=0.2)

@@ -129,7 +129,7 @@ def test_a_log_without_a_battery_lists_what_it_has(name, refused, tmp_path):
 @pytest.mark.parametrize(
     "database", ["", "no database", DBC.replace("256", "257").replace("512", "513")]
 )
-def test_the_wrong_database(name, database, files, refused, tmp_path):
+def test_a_can_log_with_another_database_is_refused(name, database, files, refused, tmp_path):
     dbc = write_dbc(tmp_path / "other.dbc", database)
     for command in commands(files[0][name], tmp_path, "--dbc", str(dbc)):
         refused(*command)

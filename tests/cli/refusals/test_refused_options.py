@@ -155,7 +155,9 @@ def cases():
 
 
 @pytest.mark.parametrize(("line", "says"), list(cases()))
-def test_it_is_refused(line, says, model, drive, refused, tmp_path, monkeypatch):
+def test_a_wrong_option_is_refused_with_what_to_do(
+    line, says, model, drive, refused, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("CELLWISE_DATA", raising=False)
     inputs = tmp_path.with_name(f"{tmp_path.name}_inputs")

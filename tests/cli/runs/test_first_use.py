@@ -79,7 +79,7 @@ def test_after_it_the_usual_kernels_are_compiled(tmp_path):
         "from cellwise.cell.compiled import is_compiled, others_compile\n"
         "from cellwise.estimate.filters.kalman_kernels import adaptive_rows\n"
         "from cellwise.estimate.filters.kalman_kernels import kalman_rows\n"
-        "from cellwise.forecast.along_kernels import forecast_rows\n"
+        "from cellwise.forecast.log_kernels import forecast_rows\n"
         "kernels = adaptive_rows, kalman_rows, forecast_rows\n"
         "print(*(is_compiled(k) for k in kernels), others_compile().exists())\n"
     )

@@ -62,7 +62,7 @@ def test_inspect_and_convert_understand_it(run_json, middle, tmp_path):
     assert any("soc0=0.6" in n for n in found["notices"])
 
 
-def test_live_begins_there(run_json, model, middle, tmp_path):
+def test_live_begins_at_the_soc_stated_behind_its_source(run_json, model, middle, tmp_path):
     stream = tmp_path / "stream.json"
     rows = [{"time_s": k, "current_A": 1.0, "voltage_V": 3.7} for k in range(5)]
     stream.write_text("\n".join(json.dumps(r) for r in rows) + "\n")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from cellwise.estimate.adaptive import AdaptiveSettings
-from cellwise.estimate.filters.drift_kernels import no_drift
-from cellwise.estimate.filters.free_kernels import (
+from cellwise.estimate.filters.capacity_kernels import (
     forgotten,
     likelihood,
     nothing_known,
     weighed,
 )
+from cellwise.estimate.filters.offset_kernels import no_drift
 
 RULES = AdaptiveSettings().rules()
 ODDS = np.array([RULES.offset_odds, RULES.capacity_odds])

@@ -13,7 +13,7 @@ from cellwise.estimate.fixed.fixed_step import FixedStep
 from cellwise.estimate.fixed.tables import fixed_step_tables
 from cellwise.estimate.power.limits import OperatingLimits
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
-from cellwise.forecast.ahead_kernels import Going, with_ends
+from cellwise.forecast.forecast_kernels import LoadScenario, with_ends
 from cellwise.forecast.remaining import uncertain_of
 from cellwise.forecast.warming_kernels import STEADY
 from example_cells import curved_cell, lfp_cell, linear_cell
@@ -66,7 +66,7 @@ def test_remaining_time_is_the_float64_s(make, hold):
     for soc in (0.9, 0.5, 0.2):
         for load_A in (0.6, 3.0, 9.0):
             found = fixed.remaining(fixed.init(soc, 0.01), load_A, hold)[0]
-            go = Going(load_A, hold == "power", math.nan, 0.0, 0.0, cutoff_V, 25.0, STEADY)
+            go = LoadScenario(load_A, hold == "power", math.nan, 0.0, 0.0, cutoff_V, 25.0, STEADY)
             at = CellState(soc, 0.0, 0.0, 0.0, -1.0)
             exact = with_ends(model.parameters(), at, 0.01, go, uncertain_of(model))
             assert found["time_low_s"] <= found["time_s"] <= found["time_high_s"]

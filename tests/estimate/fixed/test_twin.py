@@ -31,7 +31,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
     records = {
         "state": layout.state_type(o), "constants": layout.constant_type(o),
         "row": layout.row_type(o), "input": layout.INPUT, "output": layout.OUTPUT,
-        "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK, "landing": layout.LANDING,
+        "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK, "plan_result": layout.PLAN_RESULT,
         "pack_cell": layout.CELL, "cell_output": layout.CELL_OUTPUT,
         **({"bank": layout.BANK} if o.bank else {}),
     }  # fmt: skip
@@ -84,7 +84,7 @@ def said(twins, state, cells, load_A, rng):
     for name, kind, handed, count in (
         ("power", layout.CAPABILITY, (state,), 1),
         ("remaining", layout.OUTLOOK, (state, load_A, holds_power), 1),
-        ("plan", layout.LANDING, (state, phases, phases.size, holds_power, 0.4), 1),
+        ("plan", layout.PLAN_RESULT, (state, phases, phases.size, holds_power, 0.4), 1),
         ("pack_power", layout.CAPABILITY, (state, cells, CELLS), 1),
         ("cells_of", layout.CELL_OUTPUT, (state, cells, CELLS), CELLS),
     ):

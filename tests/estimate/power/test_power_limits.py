@@ -15,7 +15,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limit_kernels import Question, largest_load
 from cellwise.estimate.power.limits import OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import AS_MODEL, Present
+from cellwise.estimate.power.load_kernels import AS_MODEL, OperatingPoint
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell, random_model
 
@@ -143,7 +143,7 @@ def test_of_draws_of_the_soc_95_of_100_sustain_the_lower_bound(side):
     """The closed form of each draw says whether it holds."""
     right = ModelError.of_white_and_slow(white_V=1e-6, slow_V=(0.0,), resistance_share=0.0)
     model = linear_cell(error=right)
-    now = Present(LOADED, 0.02**2, WARM_C, AS_MODEL)
+    now = OperatingPoint(LOADED, 0.02**2, WARM_C, AS_MODEL)
     limits = operating_limits(model, LIMITS).scalars()
     noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0).scalars(model)
     asked = Question(model.parameters(), noise, limits, now, False, 10.0, side, 1.6449)
@@ -179,7 +179,7 @@ def test_factors_and_bias_act_as_they_would_in_the_model():
         (aged, LOADED._replace(v1_V=0.04, v2_V=0.06), AS_MODEL._replace(common=1.0, tail=1.0)),
         (lower, LOADED, AS_MODEL._replace(bias_V=-0.05)),
     ):
-        corrected = settings.of(Present(LOADED, 0.0, WARM_C, but))
+        corrected = settings.of(OperatingPoint(LOADED, 0.0, WARM_C, but))
         known = power_limits(other, state, limits=LIMITS)
         for a, b in zip(corrected, known, strict=True):
             assert a.discharge.power_W == pytest.approx(b.discharge.power_W, rel=1e-5)

@@ -9,12 +9,12 @@ import pytest
 
 from cellwise.cell.equations import advance, empty_state
 from cellwise.cell.simulate import simulate
-from cellwise.estimate.power.along import CorrectionMemory, no_memory, remembered
 from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
     correction_variance,
     fast_factor,
 )
+from cellwise.estimate.power.power_along_log import CorrectionMemory, no_memory, remembered
 from cellwise.estimate.sensing_kernels import MeasuredSample
 from cellwise.logs.cell_log import CellLog
 from example_cells import curved_cell

@@ -79,7 +79,7 @@ def test_what_is_no_rate_is_refused(text):
         parse_rate(text)
 
 
-def test_choosing_by_name():
+def test_a_capacity_is_chosen_by_its_name():
     choices = capacity_choices(LFP_TESTS, 40.0)
     assert choose_capacity(choices, "rate:0.5C") == choose_capacity(choices, "rate:C/2")
     assert choose_capacity(choices, "nominal") == ("nominal", 40.0)

@@ -181,7 +181,7 @@ PUBLISHED = [
 
 
 @pytest.mark.parametrize(("path", "capacity_Ah", "rounds"), PUBLISHED)
-def test_published_capacities(real_data, path, capacity_Ah, rounds):
+def test_measured_capacities_are_those_published(real_data, path, capacity_Ah, rounds):
     tests = measure_capacities([read_log(real_data / f"{path}.csv.gz")])
     assert len(tests) == rounds
     assert all(t.complete for t in tests)

@@ -160,7 +160,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_pulses(real_data, name):
+def test_pulse_fits_are_no_worse_than_the_swarm_on_measured_pulses(real_data, name):
     """Never worse than the swarm; each R0 near the line through its neighbours'.
 
     Within 6 %, and 10 % where the OCV bends within the window (Panasonic at 61 %): a pulse alone

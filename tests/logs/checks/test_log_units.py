@@ -82,7 +82,7 @@ def test_a_pack_is_reported_as_such(cells, says):
     assert says in notices(scaled("voltage_V", cells))
 
 
-def test_voltage_below_zero():
+def test_a_voltage_below_zero_is_said():
     columns = pulse_channels()
     columns["voltage_V"][30] = -0.5
     assert "below zero" in notices(columns)

@@ -69,7 +69,7 @@ def test_a_time_of_dates_needs_no_unit(tmp_path, suffix):
     np.testing.assert_allclose(read_log(path).time_s, PULSES["time_s"], atol=1e-6)
 
 
-def test_a_stated_sign_stands(tmp_path):
+def test_a_stated_sign_goes_before_what_the_voltage_says(tmp_path):
     path = written(tmp_path, *NAMED["German"])
     log = read_log(path, sign="charge-positive")
     np.testing.assert_allclose(log.current_A, -PULSES["current_A"], rtol=1e-9)

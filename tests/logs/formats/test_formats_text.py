@@ -488,7 +488,7 @@ def test_the_advice_for_odd_headers_reads_them_in_their_units(names, factors, tm
         ("1-00:00:01", 86401.0),
     ],
 )
-def test_clocks(text, seconds, tmp_path):
+def test_clock_times_of_testers_become_seconds(text, seconds, tmp_path):
     rows = f"1\t{text}\t1\t3.9\tD\n2\t{clock(seconds + 5, day=True)}\t1\t3.8\tD\n"
     path = tmp_path / "m.txt"
     path.write_text("Rec\tTestTime\tCurrent [A]\tVoltage [V]\tMd\n" + rows)

@@ -99,7 +99,7 @@ class Seq:
 
 
 @pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
-def test_a_bag_is_a_log(kind, tmp_path, store):
+def test_a_ros_bag_of_any_storage_reads_alike(kind, tmp_path, store):
     place = tmp_path / f"robot.{kind}"
     path = {"mcap": lambda: mcap(place, store, battery={}), "db3": lambda: database(place, store),
             "bag": lambda: bag1(place)}[kind]()  # fmt: skip

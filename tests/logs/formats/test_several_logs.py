@@ -197,7 +197,7 @@ def session(time, current, voltage):
     return out
 
 
-def test_blackbox_recordings(tmp_path):
+def test_every_recording_of_a_blackbox_file_is_a_log(tmp_path):
     pytest.importorskip("orangebox")
     time, current, voltage = TESTS[2]
     path = tmp_path / "flight.bbl"

@@ -134,7 +134,7 @@ def test_the_figures_for_machines_are_the_diagnosis(written):
     assert [g["used"] for g in data["logs"]] == ["fit", "holdout"]
 
 
-def test_every_part_is_there(written):
+def test_a_diagnosis_page_has_every_part(written):
     _, _, page, folder = written
     assert {"before-after", "causes", "evidence", "anatomy", "logs"} <= set(page.ids)
     names = {p.name for p in folder.iterdir()}

@@ -75,7 +75,7 @@ def untrue(pictures):
     ]
 
 
-def test_pages_by_hand(drawn, tmp_path):
+def test_captions_of_pages_made_by_hand_are_true(drawn, tmp_path):
     every_page(tmp_path, diagnosis("current_offset"))
     every_page(tmp_path, diagnosis())
     identify_page(identification(refined=False), tmp_path / "plain.html")

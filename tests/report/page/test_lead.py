@@ -29,6 +29,6 @@ def test_many_alerts_leave_no_line_and_nothing_is_lost():
     assert all(one in text for one in (*alerts, "line"))
 
 
-def test_few_leave_no_more():
+def test_without_more_to_say_nothing_is_folded():
     assert "<details>" not in lead_of((), TILES, ["line"])
     assert lead_of((), TILES) == TILES

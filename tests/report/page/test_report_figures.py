@@ -60,7 +60,7 @@ def test_every_picture_has_a_title_with_a_number_and_a_key_of_its_own(pictures):
     assert all(re.fullmatch(r"[a-z0-9-]+", key) for key in keys)
 
 
-def test_files_of_every_kind(tmp_path, pictures):
+def test_figures_are_written_as_png_svg_and_pdf(tmp_path, pictures):
     for one in (pictures[0], pictures[-1]):  # a plot over time, a picture
         figure = one.figure
         assert save_figure(figure, tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -72,7 +72,7 @@ def test_files_of_every_kind(tmp_path, pictures):
         save_figure(figure, tmp_path / "a.bmp")
 
 
-def test_folder_of_figures(tmp_path, pictures):
+def test_figures_go_to_a_new_folder_and_not_into_a_file(tmp_path, pictures):
     made = save_figures(pictures[-1:], tmp_path / "new" / "folder", (".png",))
     assert [path.stem for path in made] == [pictures[-1].key]
     (tmp_path / "file").write_text("")

@@ -41,5 +41,5 @@ def plain(said):
 
 
 @pytest.mark.parametrize(("say", "values", "said"), CASES)
-def test_a_number_reads(say, values, said):
+def test_numbers_are_printed_to_what_their_deviation_shows(say, values, said):
     assert plain(say(*values)) == said

@@ -31,7 +31,7 @@ from cellwise.benchmark.certify.lives import (
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
 from cellwise.benchmark.certify.virtual_cells import START_STD
-from cellwise.benchmark.kept_rows import KeptRows, key_of
+from cellwise.benchmark.row_store import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
 from cellwise.errors import InputError, MachineError, not_installed
 from cellwise.estimate.fixed.fixed_step import samples_of

@@ -44,9 +44,9 @@ def in_order(found: Iterable[Notice], of_reading: Sequence[Notice] = ()) -> tupl
     A channel that cannot be what it is taken for, such as a current of the wrong sign, comes before
     all: it turns every other figure into nonsense.
     """
-    grave = [n for n in of_reading if n.is_grave]
+    critical = [n for n in of_reading if n.is_critical]
     by_size = sorted(found, key=lambda n: -n.size_V)
-    return tuple(dict.fromkeys((*grave, *by_size, *of_reading)))
+    return tuple(dict.fromkeys((*critical, *by_size, *of_reading)))
 
 
 class FarOff(NamedTuple):
@@ -212,12 +212,12 @@ class FarOffStream:
 
 def ends_forecasts(far: Notice | None, log: CellLog) -> Notice | None:
     """Why nothing is foreseen from a log: a channel is not what it is taken for, or far off."""
-    return next((n for n in log.notices if n.is_grave), far)
+    return next((n for n in log.notices if n.is_critical), far)
 
 
 def withheld(far: Notice) -> Notice:
     """What is far off, and what is therefore not said."""
-    begin = "; r" if far.is_grave else " R"  # one without a full stop, the other with one
+    begin = "; r" if far.is_critical else " R"  # one without a full stop, the other with one
     return far.followed_by(begin + WITHHELD, Option("anyway", True), " gives them)")
 
 

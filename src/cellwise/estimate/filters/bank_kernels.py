@@ -25,8 +25,8 @@ from cellwise.estimate.equations.start import held_variance
 from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.component_kernels import STATE, BankModel, bank_constants
 from cellwise.estimate.filters.covariance_kernels import Branches, uncorrelated
-from cellwise.estimate.filters.drift_kernels import drift_variance, no_drift
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState
+from cellwise.estimate.filters.offset_kernels import drift_variance, no_drift
 from cellwise.estimate.filters.predict_kernels import RESTED_V2
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.noise import NoiseScalars

@@ -27,7 +27,7 @@ from cellwise.estimate.equations.constants import (
     REST_RATE,
 )
 from cellwise.estimate.equations.evidence import as_shown
-from cellwise.estimate.evidence_kernels import InnovationSources, Verdict, repeated_evidence
+from cellwise.estimate.evidence_kernels import GateResult, InnovationSources, repeated_evidence
 from cellwise.estimate.filters.covariance_kernels import (
     Column,
     Covariance,
@@ -192,7 +192,7 @@ def narrow(x: State, d: Column, inverse: float) -> None:
 class Seen(NamedTuple):
     """What a component makes of a sample: how the voltage weighs, what it says against it."""
 
-    verdict: Verdict
+    verdict: GateResult
     cost: float
 
 
@@ -244,7 +244,7 @@ def use_in_bank(
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
     # fmt: off
-    v = Verdict(
+    v = GateResult(
         used, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
     )
     # fmt: on

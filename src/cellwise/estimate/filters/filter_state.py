@@ -10,8 +10,8 @@ from cellwise.cell.compiled import kernel
 from cellwise.cell.equations import CellState, at_rest
 from cellwise.estimate.evidence_kernels import stated_deviation
 from cellwise.estimate.filters.covariance_kernels import Covariance, no_branches, uncorrelated
-from cellwise.estimate.filters.drift_kernels import Drift, drift_variance, no_drift
-from cellwise.estimate.sensing_kernels import Watch, first_watch
+from cellwise.estimate.filters.offset_kernels import Drift, drift_variance, no_drift
+from cellwise.estimate.sensing_kernels import SensorMonitor, first_watch
 from cellwise.typing import BoolArray, FloatArray, IntArray
 
 
@@ -42,7 +42,7 @@ class EkfState(NamedTuple):
     persistent: float
     contradicted: float
     drift: Drift
-    watch: Watch
+    watch: SensorMonitor
 
     @property
     def soc(self) -> float:
@@ -77,7 +77,7 @@ class EkfState(NamedTuple):
         return cls._make((
             CellState._make(v[:P_AT]), Covariance._make(v[P_AT:COUNTS_AT]),
             *v[COUNTS_AT:DRIFT_AT], Drift._make(v[DRIFT_AT:WATCH_AT]),
-            Watch._make(v[WATCH_AT:]),
+            SensorMonitor._make(v[WATCH_AT:]),
         ))
         # fmt: on
 

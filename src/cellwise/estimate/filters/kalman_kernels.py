@@ -16,6 +16,7 @@ from cellwise.estimate.filters.bank_kernels import (
     state_in,
     step_bank,
 )
+from cellwise.estimate.filters.capacity_kernels import Free, FreeRules, nothing_known, waiting
 from cellwise.estimate.filters.filter_state import (
     OUT_CHARGE,
     OUT_CHARGE_FREE,
@@ -41,7 +42,6 @@ from cellwise.estimate.filters.filter_state import (
     TraceArrays,
     ekf_start,
 )
-from cellwise.estimate.filters.free_kernels import Free, FreeRules, nothing_known, waiting
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import filter_step
 from cellwise.estimate.noise import NoiseScalars

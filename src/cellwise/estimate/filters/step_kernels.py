@@ -28,20 +28,13 @@ from cellwise.cell.equations import (
 )
 from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.evidence_kernels import (
+    GateResult,
     InnovationSources,
-    Verdict,
     gate,
     stated_deviation,
     variance_about,
 )
-from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
-from cellwise.estimate.filters.drift_kernels import (
-    counted_on,
-    drift_variance,
-    dropped_by_offset,
-)
-from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
-from cellwise.estimate.filters.free_kernels import (
+from cellwise.estimate.filters.capacity_kernels import (
     Free,
     FreeRules,
     capacity_soc,
@@ -50,6 +43,13 @@ from cellwise.estimate.filters.free_kernels import (
     counted_capacity,
     nothing_known,
     watched_resistances,
+)
+from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
+from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
+from cellwise.estimate.filters.offset_kernels import (
+    counted_on,
+    drift_variance,
+    dropped_by_offset,
 )
 from cellwise.estimate.filters.predict_kernels import SOC_HIGH, SOC_LOW, by_tangents, over_interval
 from cellwise.estimate.filters.sigma_kernels import (
@@ -149,7 +149,7 @@ def innovate(
 
 
 @inline
-def say(i: InnovationSources, v: Verdict, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
+def say(i: InnovationSources, v: GateResult, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
     """SOC held within 0..1, and what there is to report."""
     soc = e.x.soc
     if soc < SOC_LOW or soc > SOC_HIGH:

@@ -9,10 +9,16 @@ from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.equations.evidence import persistent_step
 from cellwise.estimate.evidence_kernels import (
+    GateResult,
     InnovationSources,
-    Verdict,
     contradicted_after,
     lasting_V,
+)
+from cellwise.estimate.filters.capacity_kernels import (
+    Free,
+    FreeRules,
+    capacity_soc,
+    informed_capacity,
 )
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
@@ -20,14 +26,8 @@ from cellwise.estimate.filters.covariance_kernels import (
     moved,
     scaled,
 )
-from cellwise.estimate.filters.drift_kernels import Drift, drift_step
 from cellwise.estimate.filters.filter_state import EkfState
-from cellwise.estimate.filters.free_kernels import (
-    Free,
-    FreeRules,
-    capacity_soc,
-    informed_capacity,
-)
+from cellwise.estimate.filters.offset_kernels import Drift, drift_step
 from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import CheckedReading
@@ -84,7 +84,7 @@ def update(
     now: Predicted,
     seen: Voltage,
     i: InnovationSources,
-    v: Verdict,
+    v: GateResult,
 ) -> Estimate:
     """After an accepted voltage."""
     old, slope = now.state, seen.slope_V

@@ -14,7 +14,7 @@ from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.filters.kalman import check_components, known_start, one_reading
-from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, LANDING, OUTLOOK, PHASE
+from cellwise.estimate.fixed.layout import CAPABILITY, INPUT, OUTLOOK, PHASE, PLAN_RESULT
 from cellwise.estimate.fixed.options import Asked, CellSettings
 from cellwise.estimate.fixed.stepper import (
     Stepper,
@@ -148,7 +148,7 @@ class FixedStep:
         hold: Literal["current", "power"] = "power",
         above: float = 0.0,
     ) -> NDArray[Any]:
-        """Where a plan of loads ends: one record of ``layout.LANDING``.
+        """Where a plan of loads ends: one record of ``layout.PLAN_RESULT``.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class FixedStep:
         stepper = self._need_stepper().need("remaining")
         _check_hold(hold)
         pairs = np.ascontiguousarray(phases, dtype=np.float32).reshape(-1, 2).view(PHASE)[:, 0]
-        return stepper.answer("plan", LANDING, state, pairs, pairs.size, hold == "power", above)
+        return stepper.answer("plan", PLAN_RESULT, state, pairs, pairs.size, hold == "power", above)
 
     def set_health(
         self, state: NDArray[Any], capacity_share: float, resistance_scale: float

@@ -255,7 +255,7 @@ RECORDS = {
         Field("seconds", "that it lasts"),
         Field("load", "current [A], or power [W], positive on discharge"),
     ),
-    "Landing": (
+    "PlanResult": (
         Field("soc", "at the plan's end"),
         Field("soc_low", "two deviations less"),
         Field("soc_high", "two deviations more"),
@@ -319,7 +319,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, LANDING, CELL, CELL_OUTPUT = (
+BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT = (
     _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
 )
 

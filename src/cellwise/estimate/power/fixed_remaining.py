@@ -211,7 +211,7 @@ def plan(
     count: int,
     holds_power: bool,
     above: float,
-    out: Landing,
+    out: PlanResult,
 ) -> None:
     """Where a plan of loads ends, and the chance to end at ``above`` or more; nothing is changed.
 

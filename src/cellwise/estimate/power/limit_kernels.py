@@ -9,7 +9,13 @@ from cellwise.cell.compiled import kernel, part, rows
 from cellwise.cell.equations import CellTables, with_soc
 from cellwise.cell.packed import changed, record_at
 from cellwise.estimate.noise import NoiseScalars
-from cellwise.estimate.power.load_kernels import LoadedState, Present, end_variance, held, moment_of
+from cellwise.estimate.power.load_kernels import (
+    LoadedState,
+    OperatingPoint,
+    end_variance,
+    held,
+    moment_of,
+)
 from cellwise.typing import FloatArray
 
 # Which limit a load reaches first.
@@ -53,7 +59,7 @@ class Question(NamedTuple):
     tables: CellTables
     noise: NoiseScalars
     limits: LimitScalars
-    now: Present
+    now: OperatingPoint
     power: bool
     horizon_s: float
     side: float
@@ -205,9 +211,9 @@ def largest_load(q: Question, guess: float) -> Capability:
 
 
 @kernel
-def present_at(values: FloatArray, k: int) -> Present:
+def present_at(values: FloatArray, k: int) -> OperatingPoint:
     """One row as it was put."""
-    now: Present = record_at(Present, values[k], 0, 1)
+    now: OperatingPoint = record_at(OperatingPoint, values[k], 0, 1)
     return now
 
 
@@ -222,7 +228,7 @@ def power_rows(
     guess: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Power of every row, shape (rows, horizons, ways, 5), from rows that hold a `Present` each.
+    """Power of every row, shape (rows, horizons, ways, 5), from rows of an `OperatingPoint` each.
 
     On discharge and on charge the power, its lower bound, current and voltage at the horizon's end
     and what limits it. ``guess``, of the shape of a row, holds loads to begin at; it is written.

@@ -66,7 +66,7 @@ AS_MODEL = Correction(0.0, 0.0, 0.0, 0.0, UNSEEN)
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 
 
-class Present(NamedTuple):
+class OperatingPoint(NamedTuple):
     """What is known of a cell now.
 
     ``soc_variance`` is that of the SOC with what a persistent model error may have brought into it.
@@ -78,7 +78,7 @@ class Present(NamedTuple):
     but: Correction
 
 
-class Moment(NamedTuple):
+class LoadPoint(NamedTuple):
     """A load at one instant: tables, current, terminal voltage, what the current takes off."""
 
     point: CellPoint
@@ -92,7 +92,7 @@ class LoadedState(NamedTuple):
     """A load after a horizon; ``lowest_V`` and ``highest_V`` from its first moment on."""
 
     end: CellState
-    now: Moment
+    now: LoadPoint
     lowest_V: float
     highest_V: float
     largest_A: float
@@ -155,7 +155,7 @@ def drop_of(
 @part
 def moment_of(
     tables: CellTables, x: CellState, load: float, power: bool, warm_C: float, but: Correction
-) -> Moment:
+) -> LoadPoint:
     r"""A state under a load, at once: a current, or a power.
 
     .. math:: v = \tfrac12 \left( E + \sqrt{E^2 - 4 R_0 P} \right), \quad I = P / v
@@ -180,7 +180,7 @@ def moment_of(
     factor = fast_factor(tables.cell, but, current)
     drop = drop_of(point, x, current, factor, but)
     voltage = loaded_voltage(point.ocv_V, point.m_V, x.h, drop) + but.bias_V
-    return Moment(point, current, voltage, drop, possible)
+    return LoadPoint(point, current, voltage, drop, possible)
 
 
 @part
@@ -216,7 +216,11 @@ def held(
 
 @part
 def end_variance(
-    tables: CellTables, noise: NoiseScalars, known: Present, load: LoadedState, slope_V: float
+    tables: CellTables,
+    noise: NoiseScalars,
+    known: OperatingPoint,
+    load: LoadedState,
+    slope_V: float,
 ) -> float:
     """Variance of the voltage at the end of a load [V^2].
 

@@ -19,7 +19,7 @@ from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.noise import Noise, noise_for
 from cellwise.estimate.power.limit_kernels import power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, Present
+from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, OperatingPoint
 from cellwise.typing import FloatArray
 
 Hold = Literal["power", "current"]
@@ -73,7 +73,7 @@ class PowerSettings(NamedTuple):
     def rows(self, present: FloatArray) -> FloatArray:
         """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
 
-        ``present`` are Presents in rows, shape (rows, numbers of a Present).
+        ``present`` are operating points in rows, shape (rows, numbers of an OperatingPoint).
         """
         announce(power_rows, "the state of power")
         out = np.empty((len(present), len(self.horizons_s), 2, len(PowerLimit._fields)))
@@ -93,7 +93,7 @@ class PowerSettings(NamedTuple):
         pairs = zip(self.horizons_s, row, strict=True)
         return tuple(StateOfPower(horizon_s, *map(limit, ways)) for horizon_s, ways in pairs)
 
-    def of(self, now: Present) -> tuple[StateOfPower, ...]:
+    def of(self, now: OperatingPoint) -> tuple[StateOfPower, ...]:
         """State of power of one moment, at every horizon."""
         return self.states(self.rows(row_of(now)[None])[0])
 
@@ -182,8 +182,8 @@ def power_limits(
 
 def present_of(
     state: EkfState | AdaptiveState | CellState, temperature_C: float, seen: Correction = AS_MODEL
-) -> Present:
+) -> OperatingPoint:
     """A filter's state, or a cell's that is known exactly, as the kernels take it."""
     if isinstance(state, CellState):
-        return Present(state, 0.0, temperature_C, seen)
-    return Present(state.cell, state.soc_std**2, temperature_C, seen)
+        return OperatingPoint(state, 0.0, temperature_C, seen)
+    return OperatingPoint(state.cell, state.soc_std**2, temperature_C, seen)

@@ -23,7 +23,7 @@ import numpy as np
 from cellwise.arguments import shown
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks import grave, units
+from cellwise.logs.checks import critical, units
 from cellwise.logs.checks.faults import possible_part
 from cellwise.logs.checks.sign import contradiction, verify_sign
 from cellwise.logs.checks.unsigned import emptied_too_fast, signed_by_loads
@@ -32,7 +32,7 @@ from cellwise.logs.files.format import Format, SignConvention
 from cellwise.logs.files.source import FROM_FILE, RawLog
 from cellwise.logs.files.tables import table_channels
 from cellwise.logs.files.times import DAY_S
-from cellwise.notices import Code, Notice, coded, graves_first
+from cellwise.notices import Code, Notice, coded, critical_first
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 from cellwise.wording import Option, arg
 
@@ -291,10 +291,10 @@ def assemble(
     own_sign = known.sign if known is not None and raw.signed else "discharge-positive"
     channels = dict(raw.channels)
     notices = list(raw.notices)
-    grave.check_time_moves(channels["time_s"], where)
+    critical.check_time_moves(channels["time_s"], where)
     channels["time_s"], noted = units.time_from_start(channels["time_s"])
     notices += noted
-    grave.check_time_possible(channels["time_s"], where)
+    critical.check_time_possible(channels["time_s"], where)
     if of_tester:
         notices += units.volts_of_millivolts(channels)
     temperature = channels.get("temperature_C")
@@ -320,7 +320,7 @@ def assemble(
         series=raw.series,
         parallel=raw.parallel,
     )
-    log, noted = grave.without_impossible(log)
+    log, noted = critical.without_impossible(log)
     notices += noted
     current, no_sign = signed_by_loads(log) if BY_STATE not in notices else (None, None)
     if current is not None:
@@ -331,7 +331,7 @@ def assemble(
         log, noted = _signed_by_voltage(log)
         notices += noted
     notices += emptied_too_fast(log)
-    notices += grave.grave_notices(log)
+    notices += critical.critical_notices(log)
     of_pack = bool(coded(raw.notices, Code.PACK_DIVIDED))
     notices += units.check_voltage(log, where, of_pack=of_pack)
     log, counter, noted = units.checked_counter(log, where)
@@ -339,10 +339,10 @@ def assemble(
     notices += units.check_charge(possible_part(log))
     opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
     if not (check_sign or opposite):
-        return log.with_notices(graves_first(notices))
+        return log.with_notices(critical_first(notices))
     way_out = "charge-positive" if read_as != "charge-positive" else "discharge-positive"
     log, noted = _with_checked_sign(log, sign, way_out, opposite=opposite)
-    return log.with_notices(graves_first([*noted, *notices]))
+    return log.with_notices(critical_first([*noted, *notices]))
 
 
 def log_of_table(table: NamedColumns, sign: str, name: str, source: str) -> CellLog:

@@ -10,10 +10,10 @@ import numpy as np
 from cellwise.arguments import several
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
-from cellwise.estimate.power.along import PowerTrace
+from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
-from cellwise.forecast.remaining import Flight, Forecast
+from cellwise.forecast.remaining import Forecast, ForecastTrace
 from cellwise.notices import Code, coded
 from cellwise.plotting import Line, Panel
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
@@ -63,7 +63,7 @@ FORECAST_EXPLAINED = (
 )
 
 
-def flight_finding(flight: Flight) -> str:
+def flight_finding(flight: ForecastTrace) -> str:
     """The first line of a flight's page: remaining time at the usual load, with its band."""
     now = (flight.typical or flight).last
     energy = f", {_pack_energy(now, flight.cells)} in the pack" if flight.cells > 1 else ""
@@ -75,13 +75,13 @@ def _left(now: Forecast) -> str:
     return duration_between(now.remaining_s, *now.remaining_s_band)
 
 
-def _load(flight: Flight) -> str:
+def _load(flight: ForecastTrace) -> str:
     """The load that is forecast; before the log has a usual one, that of its last minute."""
     what = "the usual" if flight.typical else "the last minute's"
     return f"{what} {significant((flight.typical or flight).last.load_A)}{SPACE}A"
 
 
-def flight_section(flights: Sequence[Flight]) -> Section:
+def flight_section(flights: Sequence[ForecastTrace]) -> Section:
     """Plot and figures of the last flight; of several a row for each."""
     now = flights[-1]
     several = len(flights) > 1
@@ -102,7 +102,7 @@ def flight_section(flights: Sequence[Flight]) -> Section:
     return Section("left", "Remaining time and energy", blocks)
 
 
-def flight_content(flight: Flight, *, several: bool) -> Markup:
+def flight_content(flight: ForecastTrace, *, several: bool) -> Markup:
     """The last moment of a flight at its usual load, that of its last minute and a given one."""
     ways = {
         "usual load": flight.typical.last if flight.typical else None,
@@ -153,7 +153,7 @@ FLIGHT_CAPTION = (
 )
 
 
-def flight_plot(flight: Flight, of_log: str = "") -> Plot:
+def flight_plot(flight: ForecastTrace, of_log: str = "") -> Plot:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
     scale, unit = time_unit(float(shown.time_s[-1]) or 1.0)
@@ -250,7 +250,7 @@ def replay_page(
     path: str | Path,
     simulations: Sequence[Simulation] = (),
     *,
-    flights: Sequence[Flight] = (),
+    flights: Sequence[ForecastTrace] = (),
     figures: Figures = None,
 ) -> Path:
     """Write the page of one or more replays, and of simulations beside them.
@@ -302,9 +302,9 @@ def replay_page(
 
 def warning(replay: Replay) -> str | None:
     """What makes all else on the page useless, as its first line; None: nothing does."""
-    grave = next((n for n in replay.log.notices if n.is_grave), None)
-    if grave is not None:
-        return f"{capitalised(grave.text)}."
+    critical = next((n for n in replay.log.notices if n.is_critical), None)
+    if critical is not None:
+        return f"{capitalised(critical.text)}."
     far = replay.far_off
     return None if far is None else f"{far.head}: neither SOC nor time can be used."
 
@@ -338,14 +338,16 @@ def beyond_its_statement(replay: Replay) -> str | None:
 
 
 def noticed(
-    replays: Sequence[Replay], simulations: Sequence[Simulation], flights: Sequence[Flight] = ()
+    replays: Sequence[Replay],
+    simulations: Sequence[Simulation],
+    flights: Sequence[ForecastTrace] = (),
 ) -> tuple[list[Markup], list[Markup]]:
     """What a reader should know of how far the model is off, and of how the logs were read.
 
     Rows are links to where they are drawn.
     """
     runs: list[Replay | Simulation] = [*replays, *simulations]
-    read = {n for one in runs for n in one.log.notices if not n.is_grave}
+    read = {n for one in runs for n in one.log.notices if not n.is_critical}
     every = [(n, escape(n.text)) for f in flights for n in f.notices]
     every += [(n, linked(n, one.log)) for one in runs for n in one.notices]
     of_model, of_reading = ([m for n, m in every if (n in read) == side] for side in (False, True))

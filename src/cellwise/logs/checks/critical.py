@@ -24,7 +24,7 @@ from cellwise.wording import Piece, RowPlace, arg, place
 MOST_NAMED = 3  # rows, in a notice
 
 
-class Grave(NamedTuple):
+class CriticalLimits(NamedTuple):
     """From where on a log is said to be wrong before anything else.
 
     ``repeated`` and ``missing`` are shares of the rows. A spike is so many times what the rest of
@@ -40,7 +40,7 @@ class Grave(NamedTuple):
     longest_s: float = 1e10
 
 
-GRAVE = Grave()
+CRITICAL = CriticalLimits()
 
 
 def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
@@ -51,15 +51,15 @@ def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
     limits = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
     found = {}
     for field in ("current_A", "voltage_V", "charge_Ah"):
-        values, limit = getattr(log, field), limits.get(field, GRAVE.impossible)
+        values, limit = getattr(log, field), limits.get(field, CRITICAL.impossible)
         if values is None or not max(np.fmax.reduce(values), -np.fmin.reduce(values)) > limit:
             continue
         size = np.abs(values)
         usual = float(np.nanpercentile(size, 99.0))
-        wrong = size > max(limit, GRAVE.spike * usual)
-        if np.count_nonzero(wrong) > max(1.0, GRAVE.spike_rows * size.size):
+        wrong = size > max(limit, CRITICAL.spike * usual)
+        if np.count_nonzero(wrong) > max(1.0, CRITICAL.spike_rows * size.size):
             wrong = np.zeros(size.size, dtype=bool)
-        if runs := runs_of(wrong | (size > GRAVE.impossible)):
+        if runs := runs_of(wrong | (size > CRITICAL.impossible)):
             found[field] = runs
     notices = [_impossible(log, name, runs) for name, runs in found.items()]
     return without(log, found), [n.followed_by("; taken as missing") for n in notices]
@@ -72,8 +72,8 @@ def check_time_possible(time_s: FloatArray, where: str) -> None:
     ------
     InputError        it is
     """
-    if time_s.size and np.max(np.abs(time_s)) > GRAVE.longest_s:
-        row = int(np.argmax(np.abs(time_s) > GRAVE.longest_s))
+    if time_s.size and np.max(np.abs(time_s)) > CRITICAL.longest_s:
+        row = int(np.argmax(np.abs(time_s) > CRITICAL.longest_s))
         raise InputError(
             f"a time of {time_s[row]:.3g} s from the log's start in row {row + 1} of {where}",
             "a log of less than 300 years",
@@ -98,12 +98,12 @@ def check_time_moves(time_s: FloatArray, where: str) -> None:
         )
 
 
-def grave_notices(log: CellLog) -> list[Notice]:
+def critical_notices(log: CellLog) -> list[Notice]:
     """What would turn every figure about this log into nonsense."""
     notices = []
     rows = len(log)
     repeated = log.repeated_stamps
-    if repeated > GRAVE.repeated * rows:
+    if repeated > CRITICAL.repeated * rows:
         text = (
             f"the time LOOKS WRONG: {repeated} of {rows} rows repeat the time of the row before; "
             "what flowed in them counts for no time"
@@ -111,7 +111,7 @@ def grave_notices(log: CellLog) -> list[Notice]:
         notices.append(Notice(Code.TIME_REPEATS, text))
     for field in ("current_A", "voltage_V"):
         missing = int(np.count_nonzero(np.isnan(getattr(log, field))))
-        if missing > GRAVE.missing * rows:
+        if missing > CRITICAL.missing * rows:
             name = field.partition("_")[0]
             text = f"the {name} LOOKS WRONG: {missing} of {rows} rows are without it"
             notices.append(Notice(Code.CHANNEL_MISSING, text))

@@ -16,7 +16,7 @@ from cellwise.cell.equations import (
     with_soc,
 )
 from cellwise.cell.packed import put_record
-from cellwise.forecast.ahead_kernels import Going, Uncertain, with_ends
+from cellwise.forecast.forecast_kernels import LoadScenario, Uncertain, with_ends
 from cellwise.forecast.warming_kernels import NOTHING_SEEN, Warming, observed, thermal_of
 from cellwise.typing import BoolArray, FloatArray
 
@@ -123,11 +123,11 @@ def going_of(
     load_A: float,
     load: LoadAhead,
     uncertain: Uncertain,
-) -> Going:
+) -> LoadScenario:
     """What goes on from a row at a load."""
     offset, of_held = parts_of(uncertain, now.error_V, now.bias_V, now.held_V)
     lump = thermal_of(now.warming, tables.cell.charge_As, warm_C, load.warms_unseen)
-    return Going(
+    return LoadScenario(
         load_A, load.hold_power, load.power_W, offset, of_held, load.cutoff_V, warm_C, lump,
         load.taper_A,
     )  # fmt: skip
@@ -136,7 +136,7 @@ def going_of(
 @rows
 def moment(
     tables: CellTables, start: CellState, log: FilteredRows, load: LoadAhead, uncertain: Uncertain
-) -> tuple[CellState, Going]:
+) -> tuple[CellState, LoadScenario]:
     """The state at the last row of a log, and what goes on from there, with no load yet."""
     now = FollowedCell(start, log.current_A[0], 0.0, 0.0, False, NOTHING_SEEN, 0.0)
     for k in range(log.soc.size):

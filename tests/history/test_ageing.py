@@ -14,7 +14,7 @@ from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.cli.health import print_life
 from cellwise.errors import InputError
-from cellwise.history.life import life_of
+from cellwise.history.ageing import ageing_history
 from cellwise.history.log_health import changed_model, log_health
 from cellwise.history.trend import FADE, Deviations, change_of, trend_of
 from cellwise.logs import CellLog, write_log
@@ -57,17 +57,17 @@ def of_own(std):
 
 
 def test_complete_discharges_are_counted():
-    life = life_of(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
+    life = ageing_history(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
     assert all(one.counted for one in life.logs)
     np.testing.assert_allclose([one.share for one in life.logs], SHARES, atol=0.004)
     np.testing.assert_allclose(life.trend.share, SHARES, atol=0.006)
     percent = f"{100 * life.trend.share[-1]:.1f} +- "
-    assert repr(life).startswith(f"Life({len(SHARES)} logs: {percent}")
+    assert repr(life).startswith(f"AgeingHistory({len(SHARES)} logs: {percent}")
     assert len(repr(life)) < 200
 
 
 def test_a_picture_of_a_life_shows_every_bar_whole_and_its_legend_beside_them():
-    life = life_of(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
+    life = ageing_history(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
     figure = capacity_picture(life).figure
     (axes,) = figure.axes
     assert axes.get_legend() is None
@@ -83,7 +83,7 @@ def test_a_picture_of_a_life_shows_every_bar_whole_and_its_legend_beside_them():
 def test_windows_are_compared_with_the_first_complete_discharge():
     logs = [discharge(1.0)]
     logs += [discharge(s, window=(0.8, 0.2), seed=k) for k, s in enumerate(SHARES[1:])]
-    life = life_of(FRESH, logs)
+    life = ageing_history(FRESH, logs)
     assert [one.counted for one in life.logs] == [True, False, False, False]
     off = np.array([one.share for one in life.logs]) - SHARES
     std = np.array([one.share_std for one in life.logs])
@@ -92,7 +92,7 @@ def test_windows_are_compared_with_the_first_complete_discharge():
 
 
 def test_more_resistance_is_no_less_capacity():
-    life = life_of(FRESH, [discharge(1.0), discharge(1.0, scale=1.3, window=(0.8, 0.2))])
+    life = ageing_history(FRESH, [discharge(1.0), discharge(1.0, scale=1.3, window=(0.8, 0.2))])
     aged = life.logs[1]
     assert abs(aged.share - 1.0) < min(2.0 * aged.share_std, 0.02)
     assert life.logs[1].resistance_scale == pytest.approx(1.3, abs=0.1)
@@ -100,7 +100,9 @@ def test_more_resistance_is_no_less_capacity():
 
 def test_another_rate_is_no_age():
     """The first discharge at another rate says nothing of ageing, however much less it gives."""
-    life = life_of(FRESH, [discharge(1.0), discharge(1.0, rate=1.0), discharge(0.95, rate=1.0)])
+    life = ageing_history(
+        FRESH, [discharge(1.0), discharge(1.0, rate=1.0), discharge(0.95, rate=1.0)]
+    )
     assert life.logs[1].share == pytest.approx(1.0, abs=0.002)
     assert life.logs[1].capacity_Ah < 0.99 * life.logs[0].capacity_Ah
     assert life.logs[2].share == pytest.approx(0.95, abs=0.006)
@@ -198,14 +200,14 @@ def test_a_change_that_the_logs_show_is_claimed():
 
 
 def test_what_to_use_is_of_all_logs_where_they_show_no_change(capsys):
-    life = life_of(FRESH, [drive(0.9, seed=k) for k in range(3)])
+    life = ageing_history(FRESH, [drive(0.9, seed=k) for k in range(3)])
     assert not life.change.shown
     assert life.share == (life.change.level, life.change.level_std)
     assert life.to_dict()["trend"]["use"]["capacity_Ah"] == life.capacity_Ah
     assert abs(life.capacity_Ah - 0.9 * FRESH.capacity_Ah) < 2.0 * life.capacity_std_Ah
     print_life(life)
     assert "no change of the capacity shown" in capsys.readouterr().out
-    aged = life_of(FRESH, [discharge(share, seed=k) for k, share in enumerate(SHARES)])
+    aged = ageing_history(FRESH, [discharge(share, seed=k) for k, share in enumerate(SHARES)])
     assert aged.change.shown
     assert aged.share == (aged.trend.share[-1], aged.trend.std[-1])
 
@@ -220,23 +222,23 @@ def test_a_knee_is_found_where_there_is_one(bends, expected):
 
 
 def test_one_log_is_a_life_too():
-    life = life_of(FRESH, [drive(0.95)])
+    life = ageing_history(FRESH, [drive(0.95)])
     assert life.trend.share.shape == (1,)
     assert "complete discharge" in life.next_reference
 
 
 def test_no_log_and_logs_that_say_nothing_are_refused():
     with pytest.raises(InputError, match="no log"):
-        life_of(FRESH, [])
+        ageing_history(FRESH, [])
     short = discharge(1.0).part(0, 5)
     with pytest.raises(InputError, match="none of which"):
-        life_of(FRESH, [short])
+        ageing_history(FRESH, [short])
 
 
 def test_days_that_run_backwards_are_refused():
     logs = [discharge(1.0, name="d_2024-05-02"), discharge(0.99, name="d_2024-05-01")]
     with pytest.raises(InputError, match="Sort them"):
-        life_of(FRESH, logs)
+        ageing_history(FRESH, logs)
 
 
 def test_the_command_prints_the_contract_and_saves_the_aged_model(tmp_path, capsys):
@@ -264,14 +266,14 @@ def test_the_command_prints_the_contract_and_saves_the_aged_model(tmp_path, caps
     assert "Sort them" in capsys.readouterr().err
 
 
-def test_lipo_fade_at_4c(real_data):
+def test_a_lipo_s_fade_at_4c_is_within_three_tenths_of_a_point(real_data):
     """5.147 to 5.026 Ah over 48 cycles: within 0.3 points, better than no change and than a line
     through the first three cycles."""
     from cellwise.logs import read_log
 
     cycles = np.array([1.0, 2.0, 3.0, 25.0, 48.0])
     logs = [read_log(real_data / "lipo_5450" / f"c4_cycle{int(k):02d}.csv.gz") for k in cycles]
-    life = life_of(stock_model("lipo-pouch"), logs)
+    life = ageing_history(stock_model("lipo-pouch"), logs)
     fade = 100.0 * (1.0 - life.trend.share[-1])
     measured = 100.0 * (1.0 - 5.026 / 5.147)
     off = abs(fade - measured)
@@ -293,7 +295,7 @@ def test_how_well_the_first_log_is_known_stays_in_the_band():
 
 
 def test_the_capacity_to_use_is_no_surer_than_the_new_cells():
-    life = life_of(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
+    life = ageing_history(FRESH, [discharge(s, seed=k) for k, s in enumerate(SHARES)])
     assert life.logs[0].counted
     use = life.to_dict()["trend"]["use"]
     least = SHARES[-1] * FRESH.capacity_std_Ah
@@ -321,7 +323,7 @@ def test_complete_discharges_in_one_file_are_each_a_log():
         np.full(sum(map(len, parts)), 25.0),
         name="cycles",
     )
-    life = life_of(FRESH, [together])
+    life = ageing_history(FRESH, [together])
     assert [one.log.name for one in life.logs] == [f"cycles, cycle {k}" for k in (1, 2, 3, 4)]
     np.testing.assert_allclose([one.share for one in life.logs], SHARES, atol=0.005)
     assert any("4 complete half cycles" in n for n in texts(life.logs[0].log.notices))

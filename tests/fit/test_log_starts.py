@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.fit.beginnings import find_beginning, thinned
+from cellwise.fit.log_starts import find_beginning, thinned
 from cellwise.fit.population import cell_classes
 from cellwise.fit.rows import ROWS, FitLog
 from measured_models import missed

@@ -1,6 +1,6 @@
 r"""What is free in the adaptive filter alone: a capacity or the sensor's gain, resistances.
 
-A capacity is estimated as an offset is (:mod:`cellwise.estimate.filters.drift_kernels`): how far
+A capacity is estimated as an offset is (:mod:`cellwise.estimate.filters.offset_kernels`): how far
 one standard deviation of it would have moved the SOC is carried, and what the voltages then say
 of it. The filter's own estimate stays that of the model's capacity. With an offset beside it there
 are four hypotheses, and in units of the deviations beforehand, with the information L and the
@@ -21,8 +21,8 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.packed import changed
 from cellwise.cell.point_kernels import CellScalars
 from cellwise.estimate.equations.offset import student
-from cellwise.estimate.evidence_kernels import Verdict
-from cellwise.estimate.filters.drift_kernels import Drift
+from cellwise.estimate.evidence_kernels import GateResult
+from cellwise.estimate.filters.offset_kernels import Drift
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import CheckedReading
 from cellwise.estimate.status import CURRENT_INVALID
@@ -315,7 +315,7 @@ def watched_resistances(
     noise: NoiseScalars,
     s: CheckedReading,
     drop_V: float,
-    v: Verdict,
+    v: GateResult,
     soc_variance: float,
 ) -> Free | None:
     """What moves with the load, R0 I + v1 as the model's, says what the resistances are.

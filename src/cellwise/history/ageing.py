@@ -16,7 +16,7 @@ from cellwise.cell.plausibility.notice import withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.history.log_health import PER_KELVIN, LogHealth, changed_model, log_health
-from cellwise.history.stretches import (
+from cellwise.history.segments import (
     ComparedSegments,
     CurrentSegment,
     compare,
@@ -45,7 +45,7 @@ TESTED = _CapacityTests()
 
 
 @dataclass(frozen=True, eq=False)
-class LogOfLife:
+class AgeingRecord:
     """One log: what it says of the cell, at its own load and temperature.
 
     ``share`` is its capacity over the new cell's, from the first one at the same load on. Its
@@ -109,7 +109,7 @@ class LogOfLife:
 
 
 @dataclass(frozen=True, eq=False)
-class Life(Plottable, Tabular):
+class AgeingHistory(Plottable, Tabular):
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
     ``model`` is that of the new cell. ``far_off`` names the logs that were left out for it.
@@ -117,7 +117,7 @@ class Life(Plottable, Tabular):
     """
 
     model: CellModel
-    logs: tuple[LogOfLife, ...]
+    logs: tuple[AgeingRecord, ...]
     over: str
     way: FloatArray
     trend: Trend
@@ -126,12 +126,12 @@ class Life(Plottable, Tabular):
 
     def __repr__(self) -> str:
         if self.withheld:
-            return f"Life({len(self.logs)} logs, FAR OFF this model)"
+            return f"AgeingHistory({len(self.logs)} logs, FAR OFF this model)"
         scale, std = self.resistance_scale, self.resistance_std
         share, share_std = self.share
         return (
-            f"Life({len(self.logs)} logs: {100 * share:.1f} +- {200 * share_std:.1f} % of the "
-            f"capacity, {'' if self.change.shown else 'no change shown, '}"
+            f"AgeingHistory({len(self.logs)} logs: {100 * share:.1f} +- {200 * share_std:.1f} % of "
+            f"the capacity, {'' if self.change.shown else 'no change shown, '}"
             f"resistance {scale:.2f} +- {2 * std:.2f} of the model's)"
         )
 
@@ -277,11 +277,11 @@ class Life(Plottable, Tabular):
             "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[Notice]) -> Life:
+    def without_health(self, far_off: Sequence[Notice]) -> AgeingHistory:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
-            k: np.nan for k in LogOfLife.__dataclass_fields__ if k.startswith(health)
+            k: np.nan for k in AgeingRecord.__dataclass_fields__ if k.startswith(health)
         }
         nothing = np.full(len(self.logs), np.nan)
         return replace(
@@ -316,7 +316,9 @@ class Life(Plottable, Tabular):
         )
 
 
-def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) -> Life:
+def ageing_history(
+    model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False
+) -> AgeingHistory:
     """A life from logs in order.
 
     Stretches of constant current are compared with the first of the same current and temperature:
@@ -335,11 +337,11 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
     InputError        no log; none that says anything; days that run backwards
     """
     check_is_model(model)
-    logs = several("logs", logs, CellLog, "Write life_of(model, [read_log('a.csv')]).")
+    logs = several("logs", logs, CellLog, "Write ageing_history(model, [read_log('a.csv')]).")
     if not logs:
         raise InputError("no log", "logs of one cell in order", "Name them.")
-    found: list[LogOfLife] = []
-    references: list[tuple[CurrentSegment, LogOfLife | None]] = []
+    found: list[AgeingRecord] = []
+    references: list[tuple[CurrentSegment, AgeingRecord | None]] = []
     far_off: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
@@ -353,7 +355,7 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         if one is not None:
             found.append(one)
     if not found and far_off:
-        return life_of(model, logs, anyway=True).without_health(far_off)
+        return ageing_history(model, logs, anyway=True).without_health(far_off)
     if not found:
         raise InputError(
             f"{len(logs)} log(s), none of which moves enough charge or has enough voltages",
@@ -372,10 +374,10 @@ def life_of(model: CellModel, logs: Sequence[CellLog], *, anyway: bool = False) 
         Deviations(*np.array([one.deviations for one in found]).T),
         _start_std(model, found),
     )
-    return Life(model, tuple(found), over, way, trend, tuple(far_off))
+    return AgeingHistory(model, tuple(found), over, way, trend, tuple(far_off))
 
 
-def _start_std(model: CellModel, logs: Sequence[LogOfLife]) -> float:
+def _start_std(model: CellModel, logs: Sequence[AgeingRecord]) -> float:
     """How far from one the share of a life may have begun."""
     return FADE.start_std if logs[0].counted else model.capacity_std_Ah / model.capacity_Ah
 
@@ -383,9 +385,9 @@ def _start_std(model: CellModel, logs: Sequence[LogOfLife]) -> float:
 def _by_stretch(
     model: CellModel,
     log: CellLog,
-    references: list[tuple[CurrentSegment, LogOfLife | None]],
-    before: Sequence[LogOfLife],
-) -> LogOfLife | None:
+    references: list[tuple[CurrentSegment, AgeingRecord | None]],
+    before: Sequence[AgeingRecord],
+) -> AgeingRecord | None:
     """By its stretch of constant current; None: it has none, or none to be compared with.
 
     A reference is the first stretch at a load and the log before it, which says how far the cell
@@ -411,7 +413,7 @@ def _by_stretch(
     known_C = reference.temperature_C
     away_K = 0.0 if warm is None or known_C is None else abs(warm - known_C)
     added_std = PER_KELVIN.resistance * away_K + 0.005
-    return LogOfLife(
+    return AgeingRecord(
         log=log,
         capacity_Ah=reference.moved_Ah * result.capacity,
         capacity_std_Ah=reference.moved_Ah * result.capacity_std,
@@ -428,8 +430,8 @@ def _by_stretch(
     )
 
 
-def _by_fit(model: CellModel, log: CellLog, fit: LogHealth) -> LogOfLife:
-    return LogOfLife(
+def _by_fit(model: CellModel, log: CellLog, fit: LogHealth) -> AgeingRecord:
+    return AgeingRecord(
         log=log,
         capacity_Ah=fit.capacity_Ah,
         capacity_std_Ah=fit.capacity_std_Ah,

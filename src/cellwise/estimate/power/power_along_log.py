@@ -33,7 +33,7 @@ from cellwise.estimate.power.load_kernels import (
     FACTOR_VARIANCE,
     Correction,
     CorrectionCovariance,
-    Present,
+    OperatingPoint,
     falling_share,
     moment_of,
 )
@@ -206,12 +206,12 @@ def carried_rows(
     status: IntArray,
     out: FloatArray,
 ) -> None:
-    """What is known at every row of a log, shape (rows, numbers of a Present)."""
+    """What is known at every row of a log, shape (rows, numbers of an OperatingPoint)."""
     now = start
     for k in range(log.dt_s.size):
         now = carried_on(tables, now, reading_of(log, k), soc[k], status[k])
         variance = soc_std[k] * soc_std[k]
-        known = Present(now.cell, variance, log.temperature_C[k], now.memory.but)
+        known = OperatingPoint(now.cell, variance, log.temperature_C[k], now.memory.but)
         put_record(out[k], 0, 1, known, True)
 
 
@@ -279,8 +279,8 @@ def power_along(settings: PowerSettings, log: CellLog, trace: Trace) -> PowerTra
 
 
 def presents_along(settings: PowerSettings, log: CellLog, trace: Trace) -> FloatArray:
-    """What the power of every row is computed from, shape (rows, numbers of a Present)."""
-    present = np.zeros((len(log), size_of(Present)))
+    """What the power of every row is computed from, shape (rows, numbers of an OperatingPoint)."""
+    present = np.zeros((len(log), size_of(OperatingPoint)))
     arrays = LogArrays(
         np.ascontiguousarray(log.known_current_A()), np.array(log.voltage_V),
         known_temperature_C(settings.model, log), log.interval_s, log.gap_rows,

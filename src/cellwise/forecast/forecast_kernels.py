@@ -45,7 +45,7 @@ class Uncertain(NamedTuple):
     capacity_std: float
 
 
-class Going(NamedTuple):
+class LoadScenario(NamedTuple):
     """What goes on, from one moment.
 
     Parameters
@@ -72,7 +72,7 @@ class Going(NamedTuple):
     taper_A: float = 0.0
 
 
-class Away(NamedTuple):
+class SigmaOffset(NamedTuple):
     """By how many deviations a forecast goes away from the usual one in SOC, voltage, warmth."""
 
     soc: float
@@ -80,7 +80,7 @@ class Away(NamedTuple):
     warmth: float
 
 
-USUAL = Away(0.0, 0.0, 0.0)
+USUAL = SigmaOffset(0.0, 0.0, 0.0)
 
 
 class Remaining(NamedTuple):
@@ -115,7 +115,7 @@ class ForecastOutcome(NamedTuple):
     load_A: float
 
 
-class Landing(NamedTuple):
+class PlanResult(NamedTuple):
     """Where a plan ends: SOC, lowest voltage of the way, energy given."""
 
     soc: float
@@ -123,7 +123,7 @@ class Landing(NamedTuple):
     energy_J: float
 
 
-class Ahead(NamedTuple):
+class ForecastState(NamedTuple):
     """A cell on its way after an interval: state, current, terminal voltage, temperature.
 
     ``ocv_V``, ``error_V`` and ``held_V`` are the OCV, the model's slow error there and the
@@ -144,13 +144,15 @@ class Ahead(NamedTuple):
 
 
 @part
-def gone(tables: CellTables, was: Ahead, current_A: float, dt_s: float, go: Going) -> Ahead:
+def gone(
+    tables: CellTables, was: ForecastState, current_A: float, dt_s: float, go: LoadScenario
+) -> ForecastState:
     """An interval of constant current; temperature and what is not known of the voltage stay."""
     cell, point = advance(tables, was.cell, current_A, dt_s, was.here_C)
     model_V = voltage_of(point, cell, current_A)
     held_V = point.ocv_V - model_V
     voltage_V = model_V + go.offset_V + go.of_polarisation * held_V + was.shift_V
-    return Ahead(
+    return ForecastState(
         cell, current_A, voltage_V, point.ocv_V, point.error_V, held_V,
         was.warmth, was.here_C, was.known_V, was.shift_V,
     )  # fmt: skip
@@ -158,8 +160,13 @@ def gone(tables: CellTables, was: Ahead, current_A: float, dt_s: float, go: Goin
 
 @part
 def settled(
-    now: Ahead, dt_s: float, begun_soc: float, go: Going, uncertain: Uncertain, away: Away
-) -> Ahead:
+    now: ForecastState,
+    dt_s: float,
+    begun_soc: float,
+    go: LoadScenario,
+    uncertain: Uncertain,
+    away: SigmaOffset,
+) -> ForecastState:
     """The temperature at an interval's end, and what the voltage may have come to be off by.
 
     What the model is off by outside its validity is in its present error already; what nobody has
@@ -184,23 +191,27 @@ def settled(
             known_soc_V = soc_extrapolation_V(valid, begun_soc)
             off_V += max(soc_extrapolation_V(valid, now.cell.soc) - known_soc_V, 0.0)
         shift_V = away.voltage * off_V
-    return Ahead(
+    return ForecastState(
         now.cell, now.current_A, now.voltage_V, now.ocv_V, now.error_V, now.held_V,
         warmth, here_C, known_V, shift_V,
     )  # fmt: skip
 
 
 @part
-def begun(tables: CellTables, state: CellState, soc_std: float, go: Going, away: Away) -> Ahead:
+def begun(
+    tables: CellTables, state: CellState, soc_std: float, go: LoadScenario, away: SigmaOffset
+) -> ForecastState:
     """The first moment under the load, from deviations beside the state."""
     at = with_soc(state, min(max(state.soc + away.soc * soc_std, 0.0), 1.0))
     warmth = Warmth(go.temperature_C - go.lump.origin_C, 0.0, 0.0, 0.0)
-    here = Ahead(at, go.load_A, 0.0, 0.0, 0.0, 0.0, warmth, go.temperature_C, math.nan, 0.0)
+    here = ForecastState(at, go.load_A, 0.0, 0.0, 0.0, 0.0, warmth, go.temperature_C, math.nan, 0.0)
     return gone(tables, here, go.load_A, 0.0, go)
 
 
 @part
-def at_limit(tables: CellTables, was: Ahead, over: Ahead, dt_s: float, go: Going) -> Ahead:
+def at_limit(
+    tables: CellTables, was: ForecastState, over: ForecastState, dt_s: float, go: LoadScenario
+) -> ForecastState:
     """An interval at the charger's voltage: the voltage is nearly linear in the current."""
     less = gone(tables, was, TRIED * over.current_A, dt_s, go)
     slope = (over.voltage_V - less.voltage_V) / (less.current_A - over.current_A)
@@ -210,7 +221,11 @@ def at_limit(tables: CellTables, was: Ahead, over: Ahead, dt_s: float, go: Going
 
 @part
 def until_end(
-    tables: CellTables, first: Ahead, go: Going, uncertain: Uncertain, away: Away
+    tables: CellTables,
+    first: ForecastState,
+    go: LoadScenario,
+    uncertain: Uncertain,
+    away: SigmaOffset,
 ) -> Remaining:
     """Go on with a load until its cutoff or the charge's end, with a charger until it ends.
 
@@ -283,7 +298,7 @@ def ends(usual: float, sides: tuple[Ends, Ends, Ends], share: float) -> Ends:
 
 
 @part
-def with_current(tables: CellTables, state: CellState, go: Going) -> Going:
+def with_current(tables: CellTables, state: CellState, go: LoadScenario) -> LoadScenario:
     """The same with the current at which the load has its power now.
 
     A power beyond what the cell can give has none: the voltage is then below any cutoff.
@@ -302,9 +317,9 @@ def remaining_at(
     tables: CellTables,
     state: CellState,
     soc_std: float,
-    go: Going,
+    go: LoadScenario,
     uncertain: Uncertain,
-    away: Away,
+    away: SigmaOffset,
 ) -> Remaining:
     """A forecast from deviations beside the state."""
     return until_end(tables, begun(tables, state, soc_std, go, away), go, uncertain, away)
@@ -312,19 +327,19 @@ def remaining_at(
 
 @rows
 def with_ends(
-    tables: CellTables, state: CellState, soc_std: float, asked: Going, uncertain: Uncertain
+    tables: CellTables, state: CellState, soc_std: float, asked: LoadScenario, uncertain: Uncertain
 ) -> ForecastOutcome:
     """A forecast from a state, and its ends: by what is not known of SOC, voltage and capacity."""
     go = with_current(tables, state, asked) if asked.power_W == asked.power_W else asked
     usual = remaining_at(tables, state, soc_std, go, uncertain, USUAL)
-    low = remaining_at(tables, state, soc_std, go, uncertain, Away(-2.0, 0.0, 0.0))
-    high = remaining_at(tables, state, soc_std, go, uncertain, Away(2.0, 0.0, 0.0))
-    lower = remaining_at(tables, state, soc_std, go, uncertain, Away(0.0, -2.0, 0.0))
-    higher = remaining_at(tables, state, soc_std, go, uncertain, Away(0.0, 2.0, 0.0))
+    low = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(-2.0, 0.0, 0.0))
+    high = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(2.0, 0.0, 0.0))
+    lower = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(0.0, -2.0, 0.0))
+    higher = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(0.0, 2.0, 0.0))
     cold = warm = usual
     if go.lump.heats:
-        cold = remaining_at(tables, state, soc_std, go, uncertain, Away(0.0, 0.0, -2.0))
-        warm = remaining_at(tables, state, soc_std, go, uncertain, Away(0.0, 0.0, 2.0))
+        cold = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(0.0, 0.0, -2.0))
+        warm = remaining_at(tables, state, soc_std, go, uncertain, SigmaOffset(0.0, 0.0, 2.0))
     by_time = (
         Ends(low.time_s, high.time_s), Ends(lower.time_s, higher.time_s),
         Ends(cold.time_s, warm.time_s),
@@ -339,7 +354,9 @@ def with_ends(
         # A voltage that is higher ends the constant current earlier and the constant voltage later:
         # the longest charge lies between the ends.
         for share in (0.5, 1.0, 1.5):
-            between = remaining_at(tables, state, soc_std, go, uncertain, Away(0.0, share, 0.0))
+            between = remaining_at(
+                tables, state, soc_std, go, uncertain, SigmaOffset(0.0, share, 0.0)
+            )
             time_s = Ends(min(time_s.low, between.time_s), max(time_s.high, between.time_s))
     if usual.tail_s > 0.0:
         less, more = usual.tail_s * (1.0 - 1.0 / TAIL_FACTOR), usual.tail_s * (TAIL_FACTOR - 1.0)
@@ -358,10 +375,10 @@ def through(
     state: CellState,
     soc_std: float,
     plan: tuple[FloatArray, FloatArray],
-    go: Going,
+    go: LoadScenario,
     uncertain: Uncertain,
-    away: Away,
-) -> Landing:
+    away: SigmaOffset,
+) -> PlanResult:
     """Carry a cell through a plan; deviations away from the usual as in a forecast at one load.
 
     Below the cutoff a power is limited to its current at the cutoff.
@@ -384,4 +401,4 @@ def through(
         now = settled(then, dt_s[k], begun_soc, go, uncertain, away)
         energy_J += dt_s[k] * now.current_A * now.voltage_V
         least_V = min(least_V, now.voltage_V)
-    return Landing(now.cell.soc, least_V, energy_J)
+    return PlanResult(now.cell.soc, least_V, energy_J)
