@@ -31,7 +31,8 @@ def test_layouts_are_the_compilers(case, tmp_path):
     records = {
         "state": layout.state_type(o), "constants": layout.constant_type(o),
         "row": layout.row_type(o), "input": layout.INPUT, "output": layout.OUTPUT,
-        "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK, "plan_result": layout.PLAN_RESULT,
+        "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK,
+        "plan_result": layout.PLAN_RESULT,
         "pack_cell": layout.CELL, "cell_output": layout.CELL_OUTPUT,
         **({"bank": layout.BANK} if o.bank else {}),
     }  # fmt: skip
