@@ -72,9 +72,8 @@ def tables(kept: Path) -> Iterator[str]:
             yield f"#### {part.title}\n"
             yield "\n".join(markdown(page_table(part)))
             yield fill(choice_of(part.found), WIDTH, break_on_hyphens=False) + "\n"
-        about = {e["row"]["estimator"]: e["about"] for e in entries if e.get("about")}
-        said = [f"- **{name}**: {what}." for name, what in about.items()]
-        said += [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]
+        yield f"What each row is: `about` in its file of `docs/leaderboard/{folder.name}`.\n"
+        said = [f"- **{one.name}**, not run: {one.why}." for one in suite.not_run]
         yield from (
             fill(line, WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in said
         )

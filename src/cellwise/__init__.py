@@ -101,7 +101,7 @@ _NAMES = {
     "cellwise.estimate.tune_noise": "tune_noise",
     "cellwise.export.package": "export_firmware",
     "cellwise.forecast": "forecast",
-    "cellwise.forecast.remaining": "Flight Forecast forecast_at",
+    "cellwise.forecast.remaining": "Forecast ForecastTrace forecast_at",
     "cellwise.history.ageing": "AgeingHistory ageing_history",
     "cellwise.identify": "Identification IdentifySettings CellTests identify_cell",
     "cellwise.live": "LiveFilter Sample",

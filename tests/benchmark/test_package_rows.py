@@ -10,7 +10,7 @@ import pytest
 
 from cellwise.benchmark.package_rows import HERE, PackageRow, RowError, environment
 from cellwise.benchmark.run_suite import run_suite
-from cellwise.benchmark.suite import read_suite, with_estimators
+from cellwise.benchmark.suite import GAUGES, read_suite, with_estimators
 from cellwise.cell.model_file import write_model
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
@@ -151,7 +151,12 @@ def test_runs_are_taken_over_until_the_adapter_changes(folder, found):
 def test_without_the_adapters_package_rows_are_not_run(folder, tmp_path):
     suite = read_suite(folder / "suite.toml")
     left = run_suite(suite, tmp_path / "out", page=False, adapters=tmp_path)
-    assert {r["estimator"] for r in left.rows} == {"ekf", "coulomb", "rest-ocv"}
+    assert {r["estimator"] for r in left.rows} == {
+        "ekf",
+        "coulomb",
+        "rest-ocv",
+        *(name.rpartition(":")[2] for name in GAUGES),
+    }
     assert [one.name for one in left.suite.not_run] == ["theirs", "theirs, every 10 s", "broken"]
 
 

@@ -161,7 +161,7 @@ def forecast_charge(
 
     Returns
     -------
-    Flight or None            of negative loads; None where the log holds no charging of C/50 or
+    ForecastTrace or None     of negative loads; None where the log holds no charging of C/50 or
                               more
 
     Raises

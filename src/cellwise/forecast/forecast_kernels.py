@@ -387,7 +387,7 @@ def through(
     ----------
     plan : (n,), (n,)     length of each step [s], its power [W], or its current [A] where ``go``
                           holds no power; positive on discharge
-    go : Going            with no load yet
+    go : LoadScenario     with no load yet
     """
     dt_s, load = plan
     now = begun(tables, state, soc_std, go, away)

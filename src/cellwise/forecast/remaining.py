@@ -202,8 +202,9 @@ class ForecastTrace(Plottable, Tabular):
     def __repr__(self) -> str:
         now = self.last
         return (
-            f"Flight({self.name or 'log'}: {now.remaining_s:.0f} s and {now.remaining_Wh:.3g} Wh "
-            f"remaining at {now.time_s:.0f} s, SOC {now.soc:.3f} +- {2 * now.soc_std:.3f})"
+            f"ForecastTrace({self.name or 'log'}: {now.remaining_s:.0f} s and "
+            f"{now.remaining_Wh:.3g} Wh remaining at {now.time_s:.0f} s, "
+            f"SOC {now.soc:.3f} +- {2 * now.soc_std:.3f})"
         )
 
 
@@ -232,7 +233,7 @@ def forecast(
 
     Returns
     -------
-    Flight or None            None where the log holds no load of C/50 or more
+    ForecastTrace or None     None where the log holds no load of C/50 or more
 
     Raises
     ------

@@ -21,7 +21,7 @@ from cellwise.wording import arg
 
 # What laboratories write before C or below it, beside powers of ten (below it whole numbers); a
 # measured rate within so much takes the nearest: a cell hardly ever has its nominal capacity.
-USUAL, NEAR = np.outer((1.0, 10.0, 100.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)), 0.12
+USUAL, NEAR = np.outer((1.0, 10.0, 100.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)), 0.1
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class CapacityRow:
 def rate_name(rate_C: float) -> str:
     """Name of a rate as it is spoken: ``C/20``, ``C/3``, ``1C``, ``2C``.
 
-    A measured rate takes the nearest usual name within 12 %, because cells hardly ever have
+    A measured rate takes the nearest usual name within a tenth, because cells hardly ever have
     their nominal capacity; else its own value, two digits.
     """
     over = rate_C if rate_C >= 1.0 else 1.0 / rate_C

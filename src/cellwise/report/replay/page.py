@@ -260,7 +260,7 @@ def replay_page(
     replays : of Replay           the last log's first one gives the page's first line: where the
                                   battery is now
     simulations : of Simulation   of the same or other logs
-    flights : of Flight           forecasts along them (`cellwise.forecast.remaining.forecast`)
+    flights : of ForecastTrace    forecasts along them (`cellwise.forecast.remaining.forecast`)
     path, figures : as of `write_page`, whose errors it raises
     """
     replays = several("replays", replays, Replay, "Write replay_page([replay(model, log)], path).")
