@@ -13,7 +13,7 @@
 #include "ticks.h"
 
 #define CHUNK 64u
-#define REPEATS 64u
+#define REPEATS 48u
 #define PAINTED 512u
 #define PAINT 0xA5A5A5A5u
 

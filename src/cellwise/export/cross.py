@@ -25,7 +25,7 @@ from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, put, write_s
 
 Measured = Literal["step", "bank", "power", "remaining", "plan"]
 COMPONENTS = 7  # of the bank that is measured, as in target_main.c
-REPEATS = 64  # as in target_main.c
+REPEATS = 48  # as in target_main.c
 OPTIMISE = "-Os"  # smaller than -O2, and here no slower: constants are loaded less often
 FINDINGS = struct.Struct("<8I")
 TIMEOUT_S = 1800.0

@@ -211,7 +211,7 @@ PAST_S = 600.0  # load that an unknown past is taken to be like [s]
 # How far a counter may run beyond full or empty: at once, and of all that it has moved. Testers'
 # counters are up to a hundredth of what they moved off after a discharge and a charge.
 BEYOND, DRIFT = 0.01, 0.01
-TRIED = 41  # starts over 0..1, then around the likeliest
+COARSE, FINE = 51, 41  # starts tried over 0..1, then around the likeliest
 NORMAL = np.linspace(-3.0, 3.0, 25)  # of an unknown past, in deviations
 
 
@@ -256,12 +256,12 @@ def likeliest_soc(
     Parameters as of `ln_likelihood_of_starts`; ``candidates`` are tried besides full, empty and the
     grid: what is found is at least as likely as each of them.
     """
-    step = 1.0 / (TRIED - 1)
+    step = 1.0 / (COARSE - 1)
     of_starts = partial(_ln_likelihood, model, log, past, before, other_resistance)
-    tried = np.union1d(np.linspace(0.0, 1.0, TRIED), candidates)
+    tried = np.union1d(np.linspace(0.0, 1.0, COARSE), candidates)
     sums = _sums_of_errors(model, log, tried)
     best = float(tried[np.argmax(of_starts(tried, sums))])
-    near = np.linspace(max(0.0, best - step), min(1.0, best + step), TRIED)
+    near = np.linspace(max(0.0, best - step), min(1.0, best + step), FINE)
     near = np.setdiff1d(near, tried)
     soc = np.concatenate((tried, near))
     order = np.argsort(soc)
