@@ -37,6 +37,7 @@ Landing: TypeAlias = Any
 Phase: TypeAlias = Any
 Cell: TypeAlias = Any
 Bank: TypeAlias = Any
+Sketch: TypeAlias = Any
 CellOutput: TypeAlias = Any
 States: TypeAlias = Any  # arrays: of states, cells, floats, phases, samples, outputs
 Cells: TypeAlias = Any
@@ -60,6 +61,7 @@ VALIDITY = THERMAL = 0  # beyond the model's SOC and current, beyond its tempera
 POWER = REMAINING = 0  # state of power, time and energy to empty: functions beside the step
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
 BANK = 0  # components for a start that nobody knows
+SKETCH = 0  # sums of the residual, for a diagnosis
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
@@ -106,6 +108,13 @@ LEAST_SHARE, MOST_SHARE = F(0.1), F(2.0)  # of the capacity that a history gives
 LEAST_SCALE, MOST_SCALE = F(0.1), F(20.0)  # of the resistances
 SUSTAINED = F(1.6449)  # one-sided 95 % of a normal distribution
 COUNT_MOST = U(2_000_000_000)
+# Where the sums of a sketch have a cause: the sensor of the current, of the voltage,
+OF_OFFSET, OF_GAIN, OF_VOLTAGE, OF_LATE = U(0), U(1), U(2), U(3)
+OF_OHMIC, OF_RESISTANCE, OF_SLOWER = U(4), U(5), U(6)  # resistances: R0, all, the slow branches,
+OF_DIFFUSION, OF_REVERSAL, OF_CAPACITY = U(7), U(8), U(9)  # a branch, a hysteresis, the capacity
+SKETCH_BLOCK = U(1024)  # voltages: more would lose terms in the sum of one block
+ASIDE = F(0.02)  # of SOC, to which tables are compared for their slope
+SUM_MOST = F(1e30)  # what no sound sum of a sketch reaches
 
 Step = TypeVar("Step", bound=Callable[..., Any])
 

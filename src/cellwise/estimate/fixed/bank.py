@@ -112,6 +112,8 @@ def take_mean(x: State, mean: Column) -> None:
     x.ss_carry = 0.0
     x.persistent = 0.0
     x.in_bank = ALONE
+    if SKETCH:
+        no_gain(x)
 
 
 @unrolled_by_option

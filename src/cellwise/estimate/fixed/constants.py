@@ -37,6 +37,7 @@ from cellwise.estimate.equations.constants import (
     START_LOAD_RATE,
     START_REST_RATE,
 )
+from cellwise.estimate.fixed.arithmetic import SKETCH_BLOCK
 from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
@@ -49,6 +50,11 @@ BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on bot
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 LEAST_CUTOFF_V = 0.1
 MONTH_S = 30.0 * 86_400.0
+SKETCH_EVERY_S = 5.0  # from one voltage that a sketch weighs to the next
+SKETCH_AGE_S = MONTH_S  # by which what a sketch has seen counts a third
+# The shapes that a sketch looks for, as a diagnosis begins with them: a polarisation that is slower
+# than the model's, a hysteresis, and a voltage that comes late by up to a second.
+DIFFUSION_S, REVERSALS, SKETCH_LAG_S = 1000.0, 30.0, 1.0
 # Rejected voltages until a cell's SOC is taken for unknown.
 FEWEST_TURNS, RECOVERY_S = 10, 60.0
 # An error of a cell's voltage lasts for much longer than a sample: a cell is looked at every so
@@ -85,6 +91,7 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
     heating = model.effect(SelfHeating)
     surface = model.effect(SurfaceSoc)
     lost_A = LOST_RATE * model.capacity_Ah
+    every = max(round(SKETCH_EVERY_S / dt_s), 1)
     return {
         "soc_per_A": per_A,
         "soc_walk": noise.soc_per_sqrt_h**2 / 3600.0 * dt_s + (per_A * noise.current_A) ** 2,
@@ -139,8 +146,28 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
         "heat_rate": dt_s / heating.thermal_s,
         "temperature_C": model.usual_temperature_C,
+        "sketch_every": every,
+        "sketch_past": float(np.exp(-every * dt_s / slow_s)) if slow_s > 0.0 else 0.0,
+        **_sketch_error(model, slow_s, noise.voltage_V),
+        "sketch_keep": float(np.exp(-float(SKETCH_BLOCK) * every * dt_s / SKETCH_AGE_S)),
+        "sketch_lag": min(dt_s / SKETCH_LAG_S, 1.0),
+        "sketch_slow": -np.expm1(-dt_s / DIFFUSION_S),
+        "sketch_turn": REVERSALS * per_A,
+        "sketch_hours": dt_s / 3600.0,
+        "sketch_limit": TARGET.endless,
         **_temperature_tables(model, options),
         **_validity(model, noise),
+    }
+
+
+def _sketch_error(model: CellModel, slow_s: float, voltage_V: float) -> dict[str, Any]:
+    """The model's quick errors: what a voltage does not share with one seconds before."""
+    error = model.error
+    quick = [k for k, scale_s in enumerate(error.scales_s) if scale_s < slow_s]
+    size_V2 = [float(np.mean(np.square(error.std_V[k]))) for k in quick]
+    return {
+        "sketch_new_V2": voltage_V**2 + sum(size_V2),
+        "sketch_new_share": sum(error.share[k] ** 2 for k in quick),
     }
 
 

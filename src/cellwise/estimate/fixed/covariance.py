@@ -193,3 +193,23 @@ def narrow(x: State, d: Column, inverse: float) -> None:
                 x.p[i, j] = at_least(x.p[i, j] - (k * d.row[j]), 0.0)
             else:
                 x.p[i, j] = x.p[i, j] - (k * d.row[j])
+
+
+def keep_gain(x: State, d: Column, inverse: float) -> None:
+    """What the last voltage moved, per volt: the gain, and the weight that it was given."""
+    x.inverse = inverse
+    x.gain_s = d.s * inverse
+    x.gain_v1 = d.v1 * inverse
+    x.gain_v2 = d.v2 * inverse
+    if SLOW:
+        x.gain_v3 = d.v3 * inverse
+
+
+def no_gain(x: State) -> None:
+    """No voltage was used."""
+    x.inverse = 0.0
+    x.gain_s = 0.0
+    x.gain_v1 = 0.0
+    x.gain_v2 = 0.0
+    if SLOW:
+        x.gain_v3 = 0.0

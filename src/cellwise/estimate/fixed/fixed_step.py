@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -218,6 +219,30 @@ class FixedStep:
             test_ratio=innovation**2 / (self.noise.gate**2 * variance),
             status=out["status"].astype(np.int32),
         )
+
+    def sketch(
+        self, logs: Sequence[CellLog], soc0: float = 0.5, soc0_std: float = 0.3
+    ) -> NDArray[Any]:
+        """The sketch that a target would hold after these logs: one record, shape (1,).
+
+        Every log begins anew, at a SOC that nobody knows; the sums go on.
+
+        Raises
+        ------
+        InputError        no logs; not asked for when this was made
+        """
+        if not logs:
+            raise InputError("no logs", "at least one", "Give a list of logs.")
+        dt_s = median_interval_s(logs[0]) if self.dt_s is None else self.dt_s
+        stepper = self.stepper(dt_s).need("sketch")
+        kept = stepper.start_sketch()
+        for log in logs:
+            check_is_log(log)
+            first = start_state(stepper, soc0, soc0_std)[0]
+            bank = stepper.start_bank(self._asked.components, first["soc"], first["ss"])
+            kept["begun"] = 0
+            stepper.sketch_rows(*bank, kept, samples_of(self.model, log, dt_s).records)
+        return kept
 
     @property
     def cell_settings(self) -> CellSettings | None:

@@ -139,6 +139,16 @@ CONSTANTS = (
     Field("cell_least_soc2", "what a sensor's offset leaves unknown of a cell's SOC", "CELLS"),
     Field("cell_turns", "samples in which every cell has its turn once", "CELLS", "u4"),
     Field("cell_recovery", "rejections in a row, then a cell's SOC is unknown", "CELLS", "u4"),
+    Field("sketch_keep", "of the sums of a sketch, by their age, in one block", "SKETCH"),
+    Field("sketch_every", "steps from one voltage that is weighed to the next", "SKETCH", "u4"),
+    Field("sketch_past", "of the slow error, what is left of it after so many", "SKETCH"),
+    Field("sketch_new_V2", "of the error that lasts for seconds,", "SKETCH"),
+    Field("sketch_new_share", "and of the drop, in squares", "SKETCH"),
+    Field("sketch_lag", "dt over the second by which a late voltage is looked for", "SKETCH"),
+    Field("sketch_slow", "1 - exp(-dt / time constant of slow diffusion)", "SKETCH"),
+    Field("sketch_turn", "e-folds of a hysteresis in one step at 1 A", "SKETCH"),
+    Field("sketch_hours", "one step", "SKETCH"),
+    Field("sketch_limit", "no temperature is beyond", "SKETCH"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
     Field("arrhenius_low_C", "", "ARRHENIUS"),
@@ -185,6 +195,11 @@ def _state() -> tuple[Field, ...]:
         Field("weight", "share of the bank", "BANK"),
         Field("error_V2", "variance of one voltage that all components share", "BANK"),
         Field("in_bank", "0: alone, 1: a component, 2: contradicted, 3: not counted", "BANK", "u4"),
+        Field("inverse", "weight of the last voltage, 0: not used,", "SKETCH"),
+        Field("gain_s", "and what it moved, per volt", "SKETCH"),
+        Field("gain_v1", "", "SKETCH"),
+        Field("gain_v2", "", "SKETCH"),
+        Field("gain_v3", "", "SKETCH and SLOW"),
         Field("per_capacity", "inverse of the share of the capacity that is left", "HEALTH"),
         Field("resistance_scale", "of the resistances since", "HEALTH"),
         Field("mean_V", "of the cells at their last sample,", "CELLS"),
@@ -210,6 +225,35 @@ RECORDS = {
         Field("looks", "how often the past has been looked at", "", "u4"),
         Field("next_look", "when it is next", "", "u4"),
         Field("sequence", "of the last sample", "", "u4"),
+    ),
+    "Sketch": (
+        Field("soc", "by how much one unit of a cause has moved the SOC,", "", "f4", "sketch"),
+        Field("v1", "and the branches", "", "f4", "sketch"),
+        Field("v2", "", "", "f4", "sketch"),
+        Field("v3", "", "SLOW", "f4", "sketch"),
+        Field("seen", "and the last voltage", "", "f4", "sketch"),
+        Field("held", "what the slow error has taken of it", "", "f4", "sketch"),
+        Field("score_now", "sums of a block,", "", "f4", "sketch"),
+        Field("score", "and of all blocks", "", "f4", "sketch"),
+        Field("information_now", "triangle, row by row", "", "f4", "sketch_pairs"),
+        Field("information", "", "", "f4", "sketch_pairs"),
+        Field("squares_now", "of the innovations over their variance"),
+        Field("squares"),
+        Field("count", "of voltages, faded alike"),
+        Field("hours", "of use that was taken"),
+        Field("charge_Ah", "moved in them, either way"),
+        Field("error_V", "slow error of the model, as the voltages show it,"),
+        Field("error_V2", "and its variance"),
+        Field("before_A", "current of the step before"),
+        Field("lag_A", "current a second ago"),
+        Field("slow_A", "current that slow diffusion follows"),
+        Field("turned", "where a hysteresis is, -1 to 1"),
+        Field("warmest_C", "", "WARM"),
+        Field("coldest_C", "", "WARM"),
+        Field("count_now", "", "", "u4"),
+        Field("until", "steps until the next is weighed", "", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+        Field("begun", "0: no sample yet", "", "u4"),
     ),
     "Sample": (
         Field("current_A", "mean over the interval that ends now, positive on discharge"),
@@ -308,7 +352,8 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
 
 
 BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, LANDING, CELL, CELL_OUTPUT = (
-    _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
+    _record_type(fields, Options(points=3)) for kind, fields in [*RECORDS.items()][2:]
+    if kind != "Sketch"  # of an array for each cause
 )
 
 
@@ -320,6 +365,11 @@ def row_names(options: Options) -> list[str]:
 def state_type(options: Options) -> np.dtype[Any]:
     """Record type of the state."""
     return _record_type(RECORDS["State"], options)
+
+
+def sketch_type(options: Options) -> np.dtype[Any]:
+    """Record type of the sketch."""
+    return _record_type(RECORDS["Sketch"], options)
 
 
 def constant_type(options: Options) -> np.dtype[Any]:

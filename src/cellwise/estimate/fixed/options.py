@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 MOST_CELLS = 1000
+SKETCH_CAUSES = 10  # of `arithmetic`: what a sketch keeps sums of
 ARRHENIUS_POINTS = 161  # of each table over temperature
 # An option, and the effect that needs it.
 OPTION_OF = {
@@ -91,7 +92,8 @@ class Options:
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
-    components for a start that nobody knows.
+    components for a start that nobody knows; ``sketch`` is the number of causes of which sums of
+    the residual are kept.
     """
 
     points: int
@@ -115,6 +117,12 @@ class Options:
     health: int = 0
     cells: int = 0
     bank: int = 0
+    sketch: int = 0
+
+    @property
+    def sketch_pairs(self) -> int:
+        """Entries of the triangle of a sketch's information."""
+        return self.sketch * (self.sketch + 1) // 2
 
     @property
     def needs_temperature(self) -> bool:
@@ -129,7 +137,8 @@ class Options:
 
     def defines(self) -> dict[str, int]:
         """The values as the C preprocessor sees them."""
-        return {f"CELLWISE_{f.name.upper()}": int(getattr(self, f.name)) for f in fields(self)}
+        names = [*(f.name for f in fields(self)), "sketch_pairs"]
+        return {f"CELLWISE_{name.upper()}": int(getattr(self, name)) for name in names}
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,7 @@ class Asked:
     health : bool                   take capacity and resistance from a history
     cells : CellSettings or None    follow the cells of a pack beside the mean cell
     components : int          filters side by side while the SOC is not known; 1: one alone
+    sketch : bool             keep sums of the residual, from which `diagnose` names causes
     """
 
     points: int | None = None
@@ -157,6 +167,7 @@ class Asked:
     health: bool = False
     cells: CellSettings | None = None
     components: int = COMPONENTS
+    sketch: bool = False
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -182,6 +193,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         health=int(asked.health),
         cells=int(asked.cells is not None),
         bank=int(asked.wide and asked.components > 1),
+        sketch=SKETCH_CAUSES if asked.sketch else 0,
     )
 
 

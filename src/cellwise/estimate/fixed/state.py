@@ -16,6 +16,7 @@ from cellwise.estimate.fixed.covariance import (
     fade_hysteresis,
     forget_correlations,
     forget_hysteresis,
+    no_gain,
     relax,
     start_covariance,
     tilt,
@@ -58,6 +59,8 @@ def is_sound(c: Constants, x: State) -> bool:
     if HEALTH and not positive_within(x.per_capacity, 1.0 / MOST_SHARE, 1.0 / LEAST_SHARE):
         return False
     if HEALTH and not positive_within(x.resistance_scale, LEAST_SCALE, MOST_SCALE):
+        return False
+    if SKETCH and not size_within(x.inverse, LARGEST_FLOAT):
         return False
     if CELLS and not size_within(x.mean_V, LARGE):
         return False
@@ -120,6 +123,8 @@ def start(c: Constants, x: State, soc: float, soc_variance: float) -> None:
         x.weight = 1.0
         x.error_V2 = 0.0
         x.in_bank = ALONE
+    if SKETCH:
+        no_gain(x)
     if CELLS:
         x.mean_V = 0.0
         x.cells_at = U(0)

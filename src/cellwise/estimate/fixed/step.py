@@ -15,7 +15,7 @@ from cellwise.estimate.equations.evidence import (
     persistent_V,
 )
 from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.covariance import move, narrow
+from cellwise.estimate.fixed.covariance import keep_gain, move, narrow, no_gain
 from cellwise.estimate.fixed.innovation import (
     Innovation,
     innovate,
@@ -115,6 +115,8 @@ def fuse(
         inverse = inverse_weight(i.explained_V2, weight, shared.below)
         move(x, i.column, inverse, innovation)
         narrow(x, i.column, inverse)
+        if SKETCH:
+            keep_gain(x, i.column, inverse)
         if WIDE:
             persist(c, x, p, w.slope_V, i.column.s * inverse)
         if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
@@ -237,6 +239,8 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         status = U(STATE_RESET)
         if BANK:
             x.in_bank = CONTRADICTED
+    if SKETCH:
+        no_gain(x)
     s = see(c, x, sample, status)
     place = place_of(m, s.temperature_C) if WARM else place_of(m, 0.0)
     charge = count_charge(c, x, s)

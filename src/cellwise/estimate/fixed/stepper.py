@@ -33,6 +33,7 @@ from cellwise.estimate.fixed import (
     innovation,
     lookup,
     sensing,
+    sketch,
     state,
 )
 from cellwise.estimate.fixed import step as whole_step
@@ -40,8 +41,17 @@ from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.bank import step_bank
 from cellwise.estimate.fixed.fixed_cells import cell_of, mean_voltage, step_cells
 from cellwise.estimate.fixed.layout import BANK as BANK_TYPE
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT, ROW, Model, row_names, state_type
+from cellwise.estimate.fixed.layout import (
+    INPUT,
+    OUTPUT,
+    ROW,
+    Model,
+    row_names,
+    sketch_type,
+    state_type,
+)
 from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.fixed.sketch import step_sketch
 from cellwise.estimate.fixed.step import step
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.noise import Noise
@@ -57,6 +67,7 @@ MADE_WITH = {
     ),
     "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
+    "sketch": ("sketch of the residual", "FixedStep(..., sketch=True)"),
 }
 
 
@@ -79,6 +90,7 @@ STEP_MODULES = (
     innovation,
     whole_step,
     bank,
+    sketch,
     fixed_power,
     fixed_remaining,
     fixed_cells,
@@ -116,6 +128,22 @@ def bank_rows(
         step_bank(m, b, of, count, samples[k], outputs[k])
 
 
+def sketch_rows(
+    m: Model,
+    b: Bank,
+    of: States,
+    count: int,
+    k: Sketch,
+    samples: Samples,
+    outputs: Outputs,
+    steps: int,
+) -> None:
+    """Step every sample by a bank, and take what was made of it into a sketch."""
+    for n in range(steps):
+        step_bank(m, b, of, count, samples[n], outputs[n])
+        step_sketch(m, of[0], k, samples[n], outputs[n])
+
+
 def pack_rows(
     m: Model,
     x: State,
@@ -150,7 +178,7 @@ def entry(constants: Any, table: Any, *handed: Any) -> Any:
 ARRAYS = ("States", "Cells", "Floats", "Phases", "Samples", "Outputs")
 FUNCTIONS = {
     f.__name__: f for module in STEP_MODULES for f in functions_of(module)
-} | {f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of)}  # fmt: skip
+} | {f.__name__: f for f in (rows, bank_rows, sketch_rows, pack_rows, cells_of)}  # fmt: skip
 
 
 @lru_cache
@@ -163,6 +191,7 @@ def specialised(options: Options) -> dict[str, Any]:
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     absent |= set() if options.bank else {bank}
+    absent |= set() if options.sketch else {sketch}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
@@ -260,6 +289,28 @@ class Stepper:
             samples = np.ascontiguousarray(samples, dtype=INPUT)
             count = states.size - 1
             self.call("bank_rows", one, states, count, samples, outputs, samples.size)
+        return outputs
+
+    def start_sketch(self) -> NDArray[Any]:
+        """An empty sketch."""
+        one = np.zeros(1, dtype=sketch_type(self.tables.options))
+        self.call("start_sketch", one)
+        return one
+
+    def sketch_rows(
+        self,
+        one: NDArray[Any],
+        states: NDArray[Any],
+        sketch: NDArray[Any],
+        samples: NDArray[Any],
+    ) -> NDArray[Any]:
+        """Step every sample by a bank and into a sketch: records of OUTPUT, shape (samples,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            samples = np.ascontiguousarray(samples, dtype=INPUT)
+            count = states.size - 1
+            handed = one, states, count, sketch, samples, outputs
+            self.call("sketch_rows", *handed, samples.size)
         return outputs
 
     def pack_rows(
