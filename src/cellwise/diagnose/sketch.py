@@ -233,6 +233,11 @@ def own_error(model: CellModel, baseline: Sequence[SketchSums] = ()) -> FloatArr
     std[[VOLTAGE, REVERSAL]] = error_V
     std[[RESISTANCE, SLOWER]] = share
     std[[OHMIC, DIFFUSION]] = share * typical_ohm
+    # Loads that last, which no test showed.
+    slow_ohm = float(np.median(sum(np.asarray(r) for r in (model.r1_ohm, model.r2_ohm)))) + typical_ohm
+    lasting = model.error.hidden_share()
+    std[SLOWER] = math.hypot(std[SLOWER], 2.0 * lasting)
+    std[DIFFUSION] = math.hypot(std[DIFFUSION], lasting * slow_ohm)
     std[[GAIN, CAPACITY]] = charge
     stated = np.diag(std**2)
     if not baseline:
