@@ -1,8 +1,7 @@
 """Laboratory tests to a model.
 
 cellwise identify: laboratory tests to a model
-    requires -o, and one test at least: pulses with an OCV test, or drives with --prior; or
-        --voltage-only
+    requires -o, and pulses with an OCV test, or drives with --prior, or --voltage-only
     $ identify --hppc hppc.csv --ocv c20.csv --nominal-ah 2.9 -o cell.json
     $ identify --drive flight.bin --series 4 --prior lipo-pouch --nominal-ah 5.2 -o cell.json
 <tests>
