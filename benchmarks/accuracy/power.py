@@ -44,7 +44,7 @@ SAMSUNG = "samsung_30q_ageing"
 SAMSUNG_TAGS = {20.0: "p20", 30.0: "p30", 40.0: "p40"}
 RATES = ("0p5c", "1c", "2c")
 START_STD = 0.02
-BEYOND_V = 1.0  # beyond every pulse of these tests: the other limit is out of the way
+BEYOND_V, HIGHEST_V = 1.0, 5.0  # beyond every pulse: the other limit is out of the way
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def pulse_powers(
     last = max(p.relax_stop for p in pulses)
     part = log.part(0, last)
     trace = estimator(model).run(part, soc0, START_STD)
-    wide = power_settings(model, limits=OperatingLimits(BEYOND_V, 4.0 + BEYOND_V))
+    wide = power_settings(model, limits=OperatingLimits(BEYOND_V, HIGHEST_V))
     present = presents_along(wide, part, trace)
     found = []
     for pulse in pulses:
@@ -101,7 +101,7 @@ def pulse_powers(
             continue
         end_V = float(log.voltage_V[end])
         discharged = pulse.current_A > 0.0
-        ends = (end_V, end_V + BEYOND_V) if discharged else (end_V - BEYOND_V, end_V)
+        ends = (end_V, HIGHEST_V) if discharged else (BEYOND_V, end_V)
         asked = power_settings(
             model, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3), hold="current"
         )
