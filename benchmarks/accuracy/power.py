@@ -101,6 +101,8 @@ def pulse_powers(
             continue
         end_V = float(log.voltage_V[end])
         discharged = pulse.current_A > 0.0
+        if not discharged and end_V <= float(np.min(model.ocv_V)):
+            continue  # charged from below the model's empty cell: its power is not defined
         ends = (end_V, HIGHEST_V) if discharged else (BEYOND_V, end_V)
         asked = power_settings(
             model, horizons_s=(horizon_s,), limits=OperatingLimits(*ends, 1e3, 1e3), hold="current"
