@@ -61,7 +61,7 @@ SWITCHES = (
     Switch(
         "hypothesis of an offset",
         names=(
-            (f"{ESTIMATE}.filters.drift_kernels", "CHANCE", 0.0),
+            (f"{ESTIMATE}.filters.offset_kernels", "CHANCE", 0.0),
             (OFFSET, "ODDS", 0.0),
             (f"{ESTIMATE}.noise", "WANDERS", 1.0),
         ),

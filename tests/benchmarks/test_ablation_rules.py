@@ -1,4 +1,4 @@
-"""A rule of the identification that is switched off by name is there."""
+"""A rule of identification or filter that is switched off by name is there."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from importlib import import_module
 import pytest
 from benchmarks.ablation.identify_rules import RULES
 from benchmarks.ablation.joint_fit import RULES as RULES_OF_THE_FIT
+from benchmarks.ablation.switches import SWITCHES as SWITCHES_OF_THE_FILTER
 
 SWITCHES = [
     *((rule.name, rule.names) for rule in RULES),
     *((rule.name, rule.places) for rule in RULES_OF_THE_FIT),
+    *((switch.name, switch.names) for switch in SWITCHES_OF_THE_FILTER if switch.names),
 ]
 
 
