@@ -175,13 +175,17 @@ def _aged_window(
     left = electrodes.lithium * (1.0 - lithium)
     u_n, u_p = NEGATIVE[electrodes.negative][0], POSITIVE[electrodes.positive][0]
 
+    def in_positive(x: float) -> float:
+        # At the end of the span it is 0 to the last bit, and may be below: no power of that exists.
+        return min(max((left - q_n * x) / q_p, 0.0), 1.0)
+
     def voltage(x: float) -> float:
-        return _value(u_p, (left - q_n * x) / q_p) - _value(u_n, x)
+        return _value(u_p, in_positive(x)) - _value(u_n, x)
 
     span = (max(0.0, (left - q_p) / q_n), min(1.0, left / q_n))
     empty_V, full_V = electrodes.ocv(np.array([0.0, 1.0]))
     x0, x1 = (_crossing(voltage, float(v), span) for v in (empty_V, full_V))
-    return x0, x1, (left - q_n * x0) / q_p, (left - q_n * x1) / q_p
+    return x0, x1, in_positive(x0), in_positive(x1)
 
 
 def _value(half_cell: HalfCell, x: float) -> float:
