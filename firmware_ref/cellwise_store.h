@@ -101,7 +101,7 @@ uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwis
 #define CELLWISE_OLD_PATCH 32u
 #define CELLWISE_BEYOND_BOUNDS 64u
 
-/* What was learnt of one cell and its current sensor since the tables were made; the exporting machine writes it. */
+/* What is known of one cell and its current sensor beside the tables; `cellwise.export.patch` writes it. */
 typedef struct {
     uint32_t magic;
     uint32_t layout;
@@ -117,8 +117,8 @@ typedef struct {
 /* Begin without a patch; `taken` stays beside the state. */
 void cellwise_no_patch(cellwise_patch *taken);
 
-/* Take a block for all steps that follow, again after cellwise_init. 0, or why it was refused: then state and
- * `taken` are as they were. */
+/* Take a block for all steps that follow; `taken` itself again after cellwise_init, cellwise_restore and a step that
+ * says CELLWISE_STATE_RESET. 0, or why it was refused: then state and `taken` are as they were. */
 uint32_t cellwise_take_patch(const cellwise_model *m, cellwise_state *x, cellwise_patch *taken,
                              const cellwise_patch *from);
 

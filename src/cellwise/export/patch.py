@@ -1,4 +1,4 @@
-"""What was learnt of one cell in the field, as a block that its firmware takes without new tables.
+"""What is known of one cell in the field, as a block that its firmware takes without new tables.
 
 36 bytes: capacity, all resistances, offset and gain of the current sensor. `cellwise_take_patch`
 checks it and refuses what is damaged, older, of other tables or beyond its bounds; the fixed step
@@ -30,7 +30,7 @@ MAGIC, LAYOUT = 0x50573031, 1
 MOST_GENERATION = 2**32 - 1
 
 
-class Bounds(NamedTuple):
+class PatchBounds(NamedTuple):
     """What a target takes, ends included: of the capacity, of the resistances, of the gain."""
 
     capacity_share: tuple[float, float] = (0.1, 2.0)
@@ -52,7 +52,7 @@ class Patch:
 
     Raises
     ------
-    InputError        outside :class:`Bounds`
+    InputError        outside :class:`PatchBounds`
     """
 
     generation: int
@@ -62,7 +62,7 @@ class Patch:
     gain: float = 1.0
 
     def __post_init__(self) -> None:
-        limits = {"generation": (1, MOST_GENERATION), **Bounds()._asdict()}
+        limits = {"generation": (1, MOST_GENERATION), **PatchBounds()._asdict()}
         for name, (least, most) in limits.items():
             if not least <= getattr(self, name) <= most:
                 raise _refused(f"{name} = {getattr(self, name)}", f"{least:g} to {most:g}")
@@ -101,14 +101,12 @@ class Patch:
         return np.asarray((shown - np.float32(self.offset_A)) * np.float32(1.0 / self.gain))
 
 
-def patch_of(
-    causes: Mapping[str, Mapping[str, float]], model: CellModel, generation: int
-) -> Patch:
+def patch_of(causes: Mapping[str, Mapping[str, float]], model: CellModel, generation: int) -> Patch:
     """A patch of the causes that a diagnosis named.
 
     Parameters
     ----------
-    causes : mapping    name of a cause to its parameters: ``{c.name: c.parameters for c in causes}``
+    causes : mapping    of names to parameters: ``{c.name: c.parameters for c in found.causes}``
     model : CellModel   that the target has
 
     Raises

@@ -115,6 +115,7 @@ needs_c = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-ge
 def test_a_patch_is_whole_newer_possible_and_of_these_tables_or_changes_nothing(
     tables, tmp_path, program
 ):
+    """CW-020."""
     ran(tables, tmp_path, program)
 
 
