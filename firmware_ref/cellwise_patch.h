@@ -2,6 +2,9 @@
 #ifndef CELLWISE_PATCH_H
 #define CELLWISE_PATCH_H
 
+#include "cellwise_crc.h"
+#include "cellwise_store.h"
+
 #define PATCH_MAGIC 0x50573031u /* "PW01" */
 #define PATCH_LAYOUT 1u
 #define LEAST_PER_GAIN 0.5f /* a sensor further off is another one */
