@@ -5,15 +5,56 @@
 
 #include "cellwise_lookup.h"
 
-/* P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains. */
+/* P H', the covariance of every state with the voltage, or a gain. */
 typedef struct {
-    float variance;
     float s;
     float v1;
     float v2;
     float v3;
     float h;
 } cellwise_column;
+
+/* P H' with H = [slope, -1, -1, -1, m]. */
+static void column_of(const cellwise_state *x, float slope_V, float m_V, cellwise_column *column)
+{
+    column->s = ((((slope_V * x->ss) - x->s1) - x->s2) - x->s3) + (m_V * x->sh);
+    column->v1 = ((((slope_V * x->s1) - x->p11) - x->p12) - x->p13) + (m_V * x->p1h);
+    column->v2 = ((((slope_V * x->s2) - x->p12) - x->p22) - x->p23) + (m_V * x->p2h);
+    column->v3 = ((((slope_V * x->s3) - x->p13) - x->p23) - x->p33) + (m_V * x->p3h);
+    column->h = ((((slope_V * x->sh) - x->p1h) - x->p2h) - x->p3h) + (m_V * x->phh);
+}
+
+/* H P H', the variance of the voltage that the state explains [V^2]. */
+static float explained(const cellwise_column *d, float slope_V, float m_V)
+{
+    const float variance = ((((slope_V * d->s) - d->v1) - d->v2) - d->v3) + (m_V * d->h);
+    return (variance > 0.0f) ? variance : 0.0f;
+}
+
+/* P H' where the slow branch itself is measured. */
+static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
+{
+    column->s = x->s3;
+    column->v1 = x->p13;
+    column->v2 = x->p23;
+    column->v3 = x->p33;
+    column->h = x->p3h;
+}
+
+/* Only the diagonal stays. */
+static void forget_correlations(cellwise_state *x)
+{
+    x->s1 = 0.0f;
+    x->s2 = 0.0f;
+    x->s3 = 0.0f;
+    x->sh = 0.0f;
+    x->p12 = 0.0f;
+    x->p13 = 0.0f;
+    x->p1h = 0.0f;
+    x->p23 = 0.0f;
+    x->p2h = 0.0f;
+    x->p3h = 0.0f;
+}
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
 static void add_variance(cellwise_state *x, float value)
@@ -40,21 +81,6 @@ static bool covariance_is_sound(const cellwise_state *x)
     if (!SIZE_WITHIN(x->p3h, LARGE)) { return false; }
     if (!NOT_NEGATIVE(x->phh, LARGE)) { return false; }
     return true;
-}
-
-/* Only the diagonal stays. */
-static void forget_correlations(cellwise_state *x)
-{
-    x->s1 = 0.0f;
-    x->s2 = 0.0f;
-    x->s3 = 0.0f;
-    x->sh = 0.0f;
-    x->p12 = 0.0f;
-    x->p13 = 0.0f;
-    x->p1h = 0.0f;
-    x->p23 = 0.0f;
-    x->p2h = 0.0f;
-    x->p3h = 0.0f;
 }
 
 /* SOC known with a variance, branches at rest, nothing known of hysteresis. */
@@ -132,30 +158,6 @@ static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slop
     x->s2 = x->s2 + (f2 * x->ss);
     x->p3h = x->p3h + (f3 * x->sh);
     x->s3 = x->s3 + (f3 * x->ss);
-}
-
-/* The column, and the innovation variance that the state explains. */
-static void column_of(const cellwise_state *x, const cellwise_point *p, float slope, cellwise_column *column)
-{
-    column->s = ((((slope * x->ss) - x->s1) - x->s2) - x->s3) + (p->m_V * x->sh);
-    column->v1 = ((((slope * x->s1) - x->p11) - x->p12) - x->p13) + (p->m_V * x->p1h);
-    column->v2 = ((((slope * x->s2) - x->p12) - x->p22) - x->p23) + (p->m_V * x->p2h);
-    column->v3 = ((((slope * x->s3) - x->p13) - x->p23) - x->p33) + (p->m_V * x->p3h);
-    column->h = ((((slope * x->sh) - x->p1h) - x->p2h) - x->p3h) + (p->m_V * x->phh);
-    column->variance = ((((slope * column->s) - column->v1) - column->v2) - column->v3) + (p->m_V * column->h);
-    column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
-}
-
-/* The same where the slow branch itself is measured. */
-static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
-{
-    column->variance = 0.0f;
-    column->s = x->s3;
-    column->v1 = x->p13;
-    column->v2 = x->p23;
-    column->v3 = x->p33;
-    column->h = x->p3h;
-    column->variance = x->p33;
 }
 
 /* State + K innovation. */

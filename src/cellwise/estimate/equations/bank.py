@@ -49,10 +49,9 @@ from cellwise.estimate.equations.constants import (
     PAST_PART,
     WIDE_VARIANCE,
 )
+from cellwise.estimate.equations.covariance import column_of_slow_branch, forget_correlations
 from cellwise.estimate.equations.evidence import lately_shown
 from cellwise.estimate.filters.component_kernels import (
-    column_of_slow_branch,
-    forget_correlations,
     has_voltage,
     hold_within,
     is_new,

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from cellwise.cell.compiled import inline, part
-from cellwise.cell.description import CELL, V3, triangle
 from cellwise.cell.equations import CellState, CellTables, loaded
 from cellwise.cell.equations.scalar import clip
 from cellwise.cell.packed import names_of, place_of, put_record, record_at
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.unrolled import ByState, unrolled
+from cellwise.cell.unrolled import ByState
 from cellwise.estimate.equations.components import component_update, evidence_share
 from cellwise.estimate.equations.constants import (
     BANK_RATE,
@@ -26,10 +25,10 @@ from cellwise.estimate.equations.constants import (
     PERSISTENT_MOST,
     REST_RATE,
 )
+from cellwise.estimate.equations.covariance import Column
 from cellwise.estimate.equations.evidence import as_shown
 from cellwise.estimate.evidence_kernels import GateResult, InnovationSources, repeated_evidence
 from cellwise.estimate.filters.covariance_kernels import (
-    Column,
     Covariance,
     corrected,
     moved,
@@ -157,22 +156,6 @@ def stand_alone(a: State) -> None:
 def hold_within(a: State) -> None:
     """SOC held within 0..1."""
     a.soc = clip(a.soc, 0.0, 1.0)
-
-
-@inline
-@unrolled
-def forget_correlations(x: State) -> None:
-    """Only the diagonal stays."""
-    for i, j in triangle(CELL):
-        if i != j:
-            x.p[i, j] = 0.0
-
-
-@inline
-@unrolled
-def column_of_slow_branch(x: State) -> Column:
-    """P H' where the slow branch itself is measured."""
-    return Column(*(x.p[i, V3] for i in CELL))
 
 
 @inline

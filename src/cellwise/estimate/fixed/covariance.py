@@ -6,29 +6,14 @@ option of its states (:mod:`cellwise.cell.unrolled`).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, V3, H, triangle
-from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, H, triangle
+from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.covariance import Column, forget_correlations
 from cellwise.estimate.equations.evidence import covariance_by_soc
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
-
-
-class Column(NamedTuple):
-    """P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains."""
-
-    variance: float
-    s: float
-    v1: float
-    v2: float
-    v3: SlowFloat
-    h: HysteresisFloat
-
-    @property
-    def row(self) -> dict[Any, float]:
-        """By the state."""
-        return dict(zip(CELL, self[1:], strict=True))
 
 
 def add_variance(x: State, value: float) -> None:
@@ -54,14 +39,6 @@ def covariance_is_sound(x: State) -> bool:
             if not size_within(x.p[i, j], LARGE):
                 return False
     return True
-
-
-@unrolled_by_option
-def forget_correlations(x: State) -> None:
-    """Only the diagonal stays."""
-    for i, j in triangle(CELL):
-        if i != j:
-            x.p[i, j] = 0.0
 
 
 @unrolled_by_option
@@ -135,37 +112,6 @@ def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
         for j in (H,):
             x.p[i, j] = x.p[i, j] + (f[i] * x.p[SOC, j])
         x.p[SOC, i] = x.p[SOC, i] + (f[i] * x.ss)
-
-
-@unrolled_by_option
-def column_of(x: State, p: Point, slope: float) -> Column:
-    """The column, and the innovation variance that the state explains."""
-    c: dict[Any, float] = {}
-    for i in CELL:
-        c[i] = (slope * x.p[SOC, i]) if THERE else 0.0
-        for j in BRANCHES:
-            c[i] = c[i] - x.p[i, j]
-        for j in (H,):
-            c[i] = c[i] + (p.m_V * x.p[i, j])
-    variance = slope * c[SOC]
-    for j in BRANCHES:
-        variance = variance - c[j]
-    for j in (H,):
-        variance = variance + (p.m_V * c[j])
-    variance = variance if variance > 0.0 else 0.0
-    return Column(variance, *(c[i] for i in CELL))
-
-
-@unrolled_by_option
-def column_of_slow_branch(x: State) -> Column:
-    """The same where the slow branch itself is measured."""
-    c: dict[Any, float] = {}
-    variance = 0.0
-    for i in CELL:
-        c[i] = x.p[i, V3] if THERE else 0.0
-    for i in (V3,):
-        variance = x.p[i, i]
-    return Column(variance, *(c[i] for i in CELL))
 
 
 @unrolled_by_option
