@@ -128,9 +128,8 @@ static float dropped_by_offset(const cellwise_constants *c, const cellwise_state
 }
 
 /* What a voltage that has moved the state says of an offset, and where that moves the SOC. */
-static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float inverse)
+static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float gain, float inverse)
 {
-    const float gain = i->column.s * inverse;
     const float before = x->believed * x->reach;
     const float own_V = innovation + i->followed_V;
     cellwise_offset now;

@@ -38,10 +38,11 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     column_of_slow_branch(a, &d);
     const float variance = a->p33 + past.variance_V2;
     const float off = past.held_V - a->v3_V;
-    const float inverse = 1.0f / variance;
+    cellwise_column k;
+    scaled(&d, 1.0f / variance, &k);
     a->cost = a->cost + cost_of_past(off, variance);
-    move(a, &d, inverse, off);
-    narrow(a, &d, inverse);
+    move(a, &k, off);
+    narrow(a, &k, &d);
     hold_within(a);
 }
 
@@ -61,7 +62,9 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    move(a, &d, 1.0f / at_least(a->p33, past.variance_V2), (1.0f - gone) * more);
+    cellwise_column k;
+    scaled(&d, 1.0f / at_least(a->p33, past.variance_V2), &k);
+    move(a, &k, (1.0f - gone) * more);
     hold_within(a);
 }
 

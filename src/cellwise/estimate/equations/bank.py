@@ -49,7 +49,11 @@ from cellwise.estimate.equations.constants import (
     PAST_PART,
     WIDE_VARIANCE,
 )
-from cellwise.estimate.equations.covariance import column_of_slow_branch, forget_correlations
+from cellwise.estimate.equations.covariance import (
+    column_of_slow_branch,
+    forget_correlations,
+    scaled,
+)
 from cellwise.estimate.equations.evidence import lately_shown
 from cellwise.estimate.filters.component_kernels import (
     has_voltage,
@@ -228,10 +232,10 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
         d = column_of_slow_branch(a)
         variance = a.p[i, i] + past.variance_V2
         off = past.held_V - a.state[i]
-        inverse = 1.0 / variance
+        k = scaled(d, 1.0 / variance)
         a.cost = a.cost + cost_of_past(off, variance)
-        move(a, d, inverse, off)
-        narrow(a, d, inverse)
+        move(a, k, off)
+        narrow(a, k, d)
     hold_within(a)
 
 
@@ -251,7 +255,8 @@ def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: 
         gone = risen(since * p.gain[i])
         past = past_of(p.r[i], gone, 0.0, taken, m.constant.past_A)
         d = column_of_slow_branch(a)
-        move(a, d, 1.0 / at_least(a.p[i, i], past.variance_V2), (1.0 - gone) * more)
+        k = scaled(d, 1.0 / at_least(a.p[i, i], past.variance_V2))
+        move(a, k, (1.0 - gone) * more)
     hold_within(a)
 
 

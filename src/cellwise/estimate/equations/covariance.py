@@ -60,6 +60,13 @@ def explained(d: Column, slope_V: float, m_V: HysteresisFloat) -> float:
 
 @inline
 @unrolled_by_option
+def scaled(d: Column, factor: float) -> Column:
+    """A column times a number: a gain."""
+    return Column(*((d.row[i] * factor) if THERE else 0.0 for i in CELL))
+
+
+@inline
+@unrolled_by_option
 def column_of_slow_branch(x: State) -> Column:
     """P H' where the slow branch itself is measured."""
     c: dict[Any, float] = {}

@@ -32,7 +32,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
     corrected,
     moved,
-    scaled,
 )
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
@@ -159,17 +158,17 @@ def hold_within(a: State) -> None:
 
 
 @inline
-def move(x: State, d: Column, inverse: float, innovation_V: float) -> None:
+def move(x: State, k: Column, innovation_V: float) -> None:
     """State + K innovation."""
     old: CellState = record_at(CellState, x, 0, 1)
-    put_record(x, 0, 1, moved(old, scaled(d, inverse), innovation_V), True)
+    put_record(x, 0, 1, moved(old, k, innovation_V), True)
 
 
 @inline
-def narrow(x: State, d: Column, inverse: float) -> None:
+def narrow(x: State, k: Column, d: Column) -> None:
     """P - K d'."""
     old: Covariance = record_at(Covariance, x, P_AT, 1)
-    put_record(x, P_AT, 1, corrected(old, scaled(d, inverse), d), True)
+    put_record(x, P_AT, 1, corrected(old, k, d), True)
 
 
 class Seen(NamedTuple):

@@ -95,7 +95,8 @@ def driven_by_soc(p: Covariance, f: Branches) -> Covariance:
             if i == SOC
             else p[i, j] + f.row[i] * p[SOC, j]
             if j not in BRANCHES
-            else p[i, j] + covariance_by_soc(f.row[i], f.row[j], p[SOC, i], p[SOC, j], p.ss)
+            else p[i, j]
+            + covariance_by_soc(f.row[i], f.row[j], p[SOC, i], p[SOC, j] + f.row[j] * p.ss)
             for i, j in triangle(CELL)
         )
     )
@@ -129,13 +130,6 @@ def with_outer(p: Covariance, c: Column, share: float, e: Column) -> Covariance:
             for i, j in triangle(CELL)
         )
     )
-
-
-@inline
-@unrolled
-def scaled(d: Column, factor: float) -> Column:
-    """A column times a number: a gain."""
-    return Column(*(d.row[i] * factor for i in CELL))
 
 
 @inline

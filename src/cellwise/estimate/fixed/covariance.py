@@ -104,38 +104,39 @@ def forget_hysteresis(x: State) -> None:
 def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
     """A SOC that is off drives the branches by the resistances' slopes."""
     f: dict[Any, float] = {}
+    after: dict[Any, float] = {}
     for i in BRANCHES:
         f[i] = (w.rise[i] * p.gain[i]) * flow
+        after[i] = x.p[SOC, i] + (f[i] * x.ss)
     for i, j in triangle(BRANCHES):
-        x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], x.p[SOC, j], x.ss)
+        x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], after[j])
     for i in BRANCHES:
         for j in (H,):
             x.p[i, j] = x.p[i, j] + (f[i] * x.p[SOC, j])
-        x.p[SOC, i] = x.p[SOC, i] + (f[i] * x.ss)
+        x.p[SOC, i] = after[i]
 
 
 @unrolled_by_option
-def move(x: State, d: Column, inverse: float, innovation: float) -> None:
+def move(x: State, k: Column, innovation: float) -> None:
     """State + K innovation."""
     for i in CELL:
         if i in CARRIED:
-            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], (d.row[i] * inverse) * innovation)
+            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], k.row[i] * innovation)
         else:
-            x.state[i] = x.state[i] + ((d.row[i] * inverse) * innovation)
+            x.state[i] = x.state[i] + (k.row[i] * innovation)
     for i in (H,):
         x.state[i] = clip(x.state[i], -1.0, 1.0)
 
 
 @unrolled_by_option
-def narrow(x: State, d: Column, inverse: float) -> None:
+def narrow(x: State, k: Column, d: Column) -> None:
     """P - K d', row by row."""
     for i in CELL:
-        k = d.row[i] * inverse
         for j in CELL[CELL.index(i) :]:
             if i == j == SOC:
-                add_variance(x, -(k * d.s))
+                add_variance(x, -(k.s * d.s))
                 x.ss = clip(x.ss, VARIANCE_FLOOR, LARGE) if WIDE else at_least(x.ss, VARIANCE_FLOOR)
             elif i == j:
-                x.p[i, j] = at_least(x.p[i, j] - (k * d.row[j]), 0.0)
+                x.p[i, j] = at_least(x.p[i, j] - (k.row[i] * d.row[j]), 0.0)
             else:
-                x.p[i, j] = x.p[i, j] - (k * d.row[j])
+                x.p[i, j] = x.p[i, j] - (k.row[i] * d.row[j])

@@ -145,9 +145,8 @@ def dropped_by_offset(c: Constants, x: State, p: Point) -> float:
     return F(dropped_V)
 
 
-def ask_for_offset(x: State, i: Innovation, innovation: float, inverse: float) -> None:
+def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inverse: float) -> None:
     """What a voltage that has moved the state says of an offset, and where that moves the SOC."""
-    gain = i.column.s * inverse
     before = x.believed * x.reach
     own_V = innovation + i.followed_V
     now = offset_after(x.score, x.information, i.of_offset_V, own_V, inverse)
