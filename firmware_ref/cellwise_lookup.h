@@ -54,6 +54,20 @@ static void look_up(const cellwise_model *m, const cellwise_place *place, float 
     point->r3_ohm = under.r3_ohm;
 }
 
+/* What a load at a SOC does to the slow branch. */
+static void slow_branch(const cellwise_model *m, const cellwise_place *place, float soc, float current,
+                        cellwise_slowbranch *slowbranch)
+{
+    const cellwise_row *const low = m->row[place->low];
+    const cellwise_row *const high = m->row[place->low + 1u];
+    cellwise_socplace z;
+    soc_place(place, CELLWISE_POINTS, soc, &z);
+    cellwise_loaded under;
+    resistances_at(m, place, &z, current, &under);
+    slowbranch->gain3 = 1.0f / READ(z.at, lag3, z.share);
+    slowbranch->r3_ohm = under.r3_ohm;
+}
+
 /* SOC is well known: the OCV's tangent, and nothing else. */
 static void no_slopes(const cellwise_point *p, cellwise_slopes *slopes)
 {

@@ -13,8 +13,8 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
     const float steps = PAST_PART / (m->constant.soc_per_A * size);
     const uint32_t parts = (uint32_t)parts_before(soc, mean_A);
     for (uint32_t k = 0u; k < parts; k++) {
-        cellwise_point p;
-        look_up(m, place, soc_on_way((float)(k + 1u), mean_A), mean_A, &p);
+        cellwise_slowbranch p;
+        slow_branch(m, place, soc_on_way((float)(k + 1u), mean_A), mean_A, &p);
         const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
         before = before + (risen(steps * p.gain3) * (end - before));
     }
@@ -28,8 +28,8 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, mean_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, mean_A, &p);
     const float before = left_by_load(m, &place, mean_A, a->soc);
     const float gone = risen(since * p.gain3);
     cellwise_past past;
@@ -53,8 +53,8 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, mean_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, mean_A, &p);
     const float taken = left_by_load(m, &place, before_A, a->soc);
     const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
     const float gone = risen(since * p.gain3);
@@ -73,8 +73,8 @@ static void open_slow_branch(const cellwise_model *m, cellwise_state *a)
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, a->current_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, a->current_A, &p);
     const float wide_V = m->constant.bank_A * p.r3_ohm;
     a->p33 = a->p33 + (wide_V * wide_V);
 }

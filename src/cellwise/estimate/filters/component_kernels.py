@@ -123,7 +123,7 @@ def place_now(m: BankModel, a: State) -> ComponentPlace:
 
 
 @part
-def look_up(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
+def slow_branch(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
     """The slow branch at a SOC under a current."""
     at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
     return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)

@@ -82,6 +82,23 @@ class Loaded(NamedTuple):
         return dict(zip(BRANCHES, self[1:], strict=True))
 
 
+class SlowBranch(NamedTuple):
+    """The slow branch at one SOC, for what the past has left in it."""
+
+    r3_ohm: SlowFloat
+    gain3: SlowFloat
+
+    @property
+    def r(self) -> dict[Any, float]:
+        """Its resistance, by the branch."""
+        return {V3: self.r3_ohm}
+
+    @property
+    def gain(self) -> dict[Any, float]:
+        """Its gain, by the branch."""
+        return {V3: self.gain3}
+
+
 class Slopes(NamedTuple):
     """Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches.
 
@@ -280,6 +297,17 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
         *(under.r[i] for i in BRANCHES),
         *(gain[i] for i in BRANCHES),
     )
+
+
+@unrolled_by_option
+def slow_branch(m: Model, place: Place, soc: float, current: float) -> SlowBranch:
+    """What a load at a SOC does to the slow branch."""
+    z = soc_place(place, U(m.row.shape[1]), soc)
+    under = resistances_at(m, place, z, current)
+    gain: dict[Any, float] = {}
+    for i in (V3,):
+        gain[i] = 1.0 / read(m, place, z.at, LAG[i], z.share) if THERE else 0.0
+    return SlowBranch(*(under.r[i] for i in (V3,)), *(gain[i] for i in (V3,)))
 
 
 def no_slopes(p: Point) -> Slopes:
