@@ -47,12 +47,6 @@ typedef struct {
     float r3_ohm;
 } cellwise_loaded;
 
-/* The slow branch at one SOC, for what the past has left in it. */
-typedef struct {
-    float r3_ohm;
-    float gain3;
-} cellwise_slowbranch;
-
 /* Slopes over SOC, while it is badly known: of the voltage, the OCV's bend, of the branches. `spread` is the
  * standard deviation of SOC, 0 while it is well known. */
 typedef struct {

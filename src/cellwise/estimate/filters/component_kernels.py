@@ -15,8 +15,7 @@ from cellwise.cell.equations import CellState, CellTables, loaded
 from cellwise.cell.equations.scalar import clip
 from cellwise.cell.packed import names_of, place_of, put_record, record_at
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.unrolled import ByState
-from cellwise.estimate.equations.components import component_update, evidence_share
+from cellwise.estimate.equations.components import SlowBranch, component_update, evidence_share
 from cellwise.estimate.equations.constants import (
     BANK_RATE,
     LEAST_USE_RATE,
@@ -101,13 +100,6 @@ def bank_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> BankC
     )
 
 
-class SlowBranch(NamedTuple):
-    """The slow branch at one SOC: resistance, and one over its time constant."""
-
-    r3_ohm: float
-    gain3: float
-
-
 class ComponentPlace(NamedTuple):
     """Where a component is within its tables, beside its SOC."""
 
@@ -123,7 +115,7 @@ def place_now(m: BankModel, a: State) -> ComponentPlace:
 
 
 @part
-def slow_branch(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
+def slow_branch(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> SlowBranch:
     """The slow branch at a SOC under a current."""
     at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
     return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.components import SlowBranch
 from cellwise.estimate.equations.evidence import chord_of, error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
@@ -80,23 +81,6 @@ class Loaded(NamedTuple):
     def r(self) -> dict[Any, float]:
         """By the branch."""
         return dict(zip(BRANCHES, self[1:], strict=True))
-
-
-class SlowBranch(NamedTuple):
-    """The slow branch at one SOC, for what the past has left in it."""
-
-    r3_ohm: SlowFloat
-    gain3: SlowFloat
-
-    @property
-    def r(self) -> dict[Any, float]:
-        """Its resistance, by the branch."""
-        return {V3: self.r3_ohm}
-
-    @property
-    def gain(self) -> dict[Any, float]:
-        """Its gain, by the branch."""
-        return {V3: self.gain3}
 
 
 class Slopes(NamedTuple):
