@@ -23,7 +23,7 @@ from cellwise.estimate.replay import reference_soc, replay, soc_errors
 from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.logs.cell_log import CellLog
-from cellwise.studies.published import LFP_ERRORS, NCA_RESIDUALS
+from cellwise.studies.published import LFP, NCR18650B
 from cellwise.typing import FloatArray
 
 STUDIED = ("coulomb", "ekf", "ukf", "adaptive")
@@ -309,18 +309,16 @@ def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> floa
 NMC_RATES = {"rate:C/20": "c20", "rate:C/5": "c5", "rate:C/3": "c3"}
 NMC_DRIVES = ("nmc_drive_b", "nmc_drive_c")
 # The LFP paper's choices over what its cell gave with CC and CV.
-LFP_WHOLE_AH = LFP_ERRORS["cc-cv-average"].capacity_Ah
-PAPER_RATIOS = {
-    f"as {row.capacity_Ah:g} of {LFP_WHOLE_AH:g}": row.capacity_Ah / LFP_WHOLE_AH
-    for row in LFP_ERRORS.values()
-    if row.capacity_Ah != LFP_WHOLE_AH
-}
+LFP_CHOICES_AH = {name: row["capacity_Ah"] for name, row in LFP["errors"].items()}
+LFP_WHOLE_AH = LFP_CHOICES_AH.pop("cc-cv-average")
+PAPER_RATIOS = {f"as {q:g} of {LFP_WHOLE_AH:g}": q / LFP_WHOLE_AH for q in LFP_CHOICES_AH.values()}
 
 
 def published_orders() -> dict[str, tuple[str, ...]]:
     """Choices of both papers from the smallest voltage RMSE to the largest."""
-    lfp = sorted(LFP_ERRORS, key=lambda name: LFP_ERRORS[name].rms_mV)
-    nca = sorted(NCA_RESIDUALS, key=lambda rate: NCA_RESIDUALS[rate].rmse_mV)
+    lfp = sorted(LFP["errors"], key=lambda name: LFP["errors"][name]["rms_mV"])
+    rates = NCR18650B["residuals"]
+    nca = sorted(rates, key=lambda rate: rates[rate]["rmse_mV"])
     return {"lfp": tuple(lfp), "ncr18650b": tuple(f"rate:{rate}" for rate in nca)}
 
 
