@@ -10,7 +10,7 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.sign import NEEDED, verify_sign
+from cellwise.logs.checks.sign import LEAST_CURRENT_A, verify_sign
 from cellwise.logs.checks.units import CELL
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import listed
@@ -102,5 +102,5 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedPro
     if log.typical_voltage_V < LEAST_V or not check.follows:
         return None
     peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
-    usual = bool(NEEDED.current_A <= peak < MOST_A and every_s < SLOWEST_S)
+    usual = bool(LEAST_CURRENT_A <= peak < MOST_A and every_s < SLOWEST_S)
     return TriedProposal(check.verdict != "undetermined", one_cell, usual)

@@ -17,17 +17,11 @@ from cellwise.report.page.picture import Figures, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
 
-
-class CellImage(NamedTuple):
-    """How the picture of the cells over time is divided."""
-
-    columns: int = 240
-    rows: int = 5  # of a log in a column, at least
-    labels: int = 12  # of days below the cells, at most
-    scale_mV: float = 3.0  # to either side of the mean, at least
-
-
-IMAGE = CellImage()
+# How the picture of the cells over time is divided.
+IMAGE_COLUMNS = 240
+IMAGE_ROWS = 5  # of a log in a column, at least
+IMAGE_LABELS = 12  # of days below the cells, at most
+IMAGE_MV = 3.0  # to either side of the mean, at least
 
 
 def pack_page(found: PackEstimate, path: str | Path, *, figures: Figures = None) -> Path:
@@ -140,14 +134,14 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     cells = len(found.names)
     figure, axes = style.new_axes(min(2.0 + 0.035 * cells, 5.5), style.WIDE_IN)
     usual = np.nanpercentile(np.abs(image), 97) if np.isfinite(image).any() else 0.0
-    scale = max(IMAGE.scale_mV, float(usual))
+    scale = max(IMAGE_MV, float(usual))
     drawn = axes.imshow(
         image, aspect="auto", cmap="RdBu", vmin=-scale, vmax=scale, interpolation="nearest",
         extent=(0.0, float(image.shape[1]), cells + 0.5, 0.5),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
+    shown = _far_enough(edges, image.shape[1] / IMAGE_LABELS)
     axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         style.note(
@@ -166,7 +160,7 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
     rows = sum(len(day.log) for day in found.days)
     parts, edges, names, at = [], [], [], 0
     for day in found.days:
-        count = max(1, min(len(day.log) // IMAGE.rows, round(IMAGE.columns * len(day.log) / rows)))
+        count = max(1, min(len(day.log) // IMAGE_ROWS, round(IMAGE_COLUMNS * len(day.log) / rows)))
         starts = np.linspace(0, len(day.log), count + 1).astype(np.int64)[:-1]
         values = day.log.difference_V
         known = np.isfinite(values)

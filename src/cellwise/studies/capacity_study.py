@@ -236,7 +236,7 @@ def judge(
         axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         ends.append(int(np.nanargmin(truth)))
         for name in estimators:
-            trace = replay(model, log, name, soc0=soc0, soc0_std=DRAWN.soc0_std).trace
+            trace = replay(model, log, name, soc0=soc0, soc0_std=START_STD).trace
             errors[name].append(np.asarray(trace.soc - truth))
     soc = {}
     for name in estimators:
@@ -251,15 +251,10 @@ def judge(
     return ChoiceResult(choice, model.capacity_Ah, fit_rmse_V, rmse_V, above_V, soc, kept)
 
 
-class StudyDraws(NamedTuple):
-    """How a study is judged: SOC's deviation at the start, blocks drawn from a log, the seed."""
-
-    soc0_std: float = 0.02
-    blocks: int = 20
-    seed: int = 1
-
-
-DRAWN = StudyDraws()
+# How a study is judged.
+START_STD = 0.02  # of SOC
+BLOCKS = 20  # drawn from a log
+SEED = 1
 
 
 def difference(
@@ -280,14 +275,14 @@ def difference(
     """
     errors = np.column_stack((np.concatenate(other), np.concatenate(best)))
     sums = np.column_stack((np.nan_to_num(errors) ** 2, np.isfinite(errors[:, 0])))
-    cuts = [np.arange(e.size) * DRAWN.blocks // max(e.size, 1) for e in other]
-    block = np.concatenate([DRAWN.blocks * k + cut for k, cut in enumerate(cuts)])
+    cuts = [np.arange(e.size) * BLOCKS // max(e.size, 1) for e in other]
+    block = np.concatenate([BLOCKS * k + cut for k, cut in enumerate(cuts)])
 
     def between(total: FloatArray) -> FloatArray:
         a, b = np.sqrt(total[..., :2] / total[..., 2:]).T
         return np.asarray(a - b)
 
-    drawn = between(drawn_sums(block, sums, DRAWN.seed if rng is None else rng))
+    drawn = between(drawn_sums(block, sums, SEED if rng is None else rng))
     low, high = np.quantile(drawn, (0.025, 0.975))
     return RmseDifference(float(between(sums.sum(axis=0))), float(low), float(high))
 

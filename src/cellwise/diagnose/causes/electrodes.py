@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
@@ -56,23 +56,13 @@ NEGATIVE, POSITIVE = (
 )
 
 
-class Windows(NamedTuple):
-    """How half cells are fitted to an OCV.
-
-    ``most_misfit_V``: samples of one chemistry lie so far apart, half cells that leave more are of
-    another one. ``soc``: between which they are fitted, since the steep ends say little about the
-    windows and much about how they were measured. ``least_capacity``: share of the old one that is
-    held at least, where losses leave no window. ``low`` and ``high`` bound x_0, x_100, y_0, y_100.
-    """
-
-    most_misfit_V: float = 0.010
-    soc: tuple[float, float] = (0.03, 0.98)
-    least_capacity: float = 1e-3
-    low: tuple[float, ...] = (0.0, 0.5, 0.56, 0.0)
-    high: tuple[float, ...] = (0.3, 1.0, 1.0, 0.55)
-
-
-WINDOWS = Windows()
+# Samples of one chemistry lie so far apart: half cells that leave more are of another one.
+MOST_MISFIT_V = 0.010
+# The steep ends say little about the windows and much about how they were measured.
+FITTED_SOC = (0.03, 0.98)
+LEAST_CAPACITY = 1e-3  # share of the old one that is held where losses leave no window
+LOWEST_WINDOW = (0.0, 0.5, 0.56, 0.0)  # x_0, x_100, y_0, y_100 of a fit, at least
+HIGHEST_WINDOW = (0.3, 1.0, 1.0, 0.55)  # at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +105,7 @@ class Electrodes:
         window = _aged_window(self, lithium, negative, positive)
         change = self._between(soc, window) - self.ocv(soc)
         held = self.capacities[0] * (1.0 - negative) * (window[1] - window[0])
-        return change, max(held, WINDOWS.least_capacity)
+        return change, max(held, LEAST_CAPACITY)
 
     def _between(self, soc: FloatArray, window: tuple[float, float, float, float]) -> FloatArray:
         x0, x1, y0, y1 = window
@@ -169,7 +159,7 @@ def electrodes_of(soc: FloatArray, ocv_V: FloatArray) -> Electrodes | None:
 @lru_cache(maxsize=32)
 def _electrodes_of(soc: tuple[float, ...], ocv_V: tuple[float, ...]) -> Electrodes | None:
     z, v = np.array(soc), np.array(ocv_V)
-    used = (z >= WINDOWS.soc[0]) & (z <= WINDOWS.soc[1])
+    used = (z >= FITTED_SOC[0]) & (z <= FITTED_SOC[1])
     z, v = z[used], v[used]
     best: Electrodes | None = None
     for negative in NEGATIVE:
@@ -177,7 +167,7 @@ def _electrodes_of(soc: tuple[float, ...], ocv_V: tuple[float, ...]) -> Electrod
             found = _fitted(z, v, negative, positive)
             if best is None or found.misfit_V < best.misfit_V:
                 best = found
-    return best if best is not None and best.misfit_V <= WINDOWS.most_misfit_V else None
+    return best if best is not None and best.misfit_V <= MOST_MISFIT_V else None
 
 
 def _fitted(soc: FloatArray, ocv_V: FloatArray, negative: str, positive: str) -> Electrodes:
@@ -191,6 +181,6 @@ def _fitted(soc: FloatArray, ocv_V: FloatArray, negative: str, positive: str) ->
     def off(window: FloatArray) -> FloatArray:
         return np.asarray(made(window).ocv(soc) - ocv_V)
 
-    found = least_squares(off, start, bounds=(WINDOWS.low, WINDOWS.high), max_nfev=60)
+    found = least_squares(off, start, bounds=(LOWEST_WINDOW, HIGHEST_WINDOW), max_nfev=60)
     misfit = float(np.sqrt(np.mean(found.fun**2)))
     return Electrodes(negative, positive, made(found.x).window, misfit)
