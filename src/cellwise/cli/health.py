@@ -39,7 +39,8 @@ from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
-from cellwise.report import history_page, pack_page
+from cellwise.report.history_page import history_page
+from cellwise.report.pack_page import pack_page
 
 SHOWN_CELLS = 6
 

@@ -85,7 +85,7 @@ def run_identify(arguments: argparse.Namespace) -> None:
         found = identify_cell(tests, settings, follow)
         with page_options.page_places(arguments) as pages:
             if pages is not None:
-                from cellwise.report import identify_page
+                from cellwise.report.identification.page import identify_page
 
                 follow("page")
                 identify_page(found, pages.page, figures=pages.figures)
