@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from cellwise.arguments import check_kind
 from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
-from cellwise.report.page.numerals import millivolt, percent, plural, significant
+from cellwise.report.page.numerals import banded, millivolt, percent, plural, significant
 from cellwise.report.page.picture import Figures, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
@@ -38,7 +38,7 @@ def pack_page(found: PackEstimate, path: str | Path, *, figures: Figures = None)
         + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
         for cause in data["causes"]
     ]
-    numbers = details("the numbers", _table(found))
+    numbers = details("the numbers", record_table(data["per_cell"], *CELL_COLUMNS))
     every: Blocks = (numbers,)
     if found.withheld is None:
         shown = [cells_figure(found, one) for one in figures_of(found)]
@@ -91,20 +91,16 @@ def _figures(found: PackEstimate) -> Markup:
     return Markup(f"{tiles(facts)}\n{text}")
 
 
-def _table(found: PackEstimate) -> Markup:
-    return record_table(
-        found.to_dict()["per_cell"],
-        ("cell", lambda row: row["name"]),
-        ("SOC", lambda row: percent(row["soc"], 2)),
-        ("±", lambda row: percent(2.0 * row["soc_std"], 2)),
-        ("capacity Ah", lambda row: significant(row["capacity_Ah"], 4)),
-        ("±", lambda row: significant(2.0 * row["capacity_std_Ah"], 2)),
-        ("resistance", lambda row: significant(row["resistance_scale"], 4)),
-        ("±", lambda row: significant(2.0 * row["resistance_std"], 2)),
-        ("offset mV", lambda row: millivolt(row["offset_V"])),
-        ("polled s", lambda row: significant(row["skew_s"], 2)),
-        ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
-    )
+# Of one cell among ``per_cell``: how it reads on a page and in a command.
+CELL_COLUMNS: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
+    ("cell", lambda row: row["name"]),
+    ("SOC", lambda row: f"{percent(row['soc'])} ± {percent(2.0 * row['soc_std'])}"),
+    ("capacity Ah", lambda row: banded(row["capacity_Ah"], row["capacity_std_Ah"])),
+    ("resistance", lambda row: banded(row["resistance_scale"], row["resistance_std"])),
+    ("offset mV", lambda row: millivolt(row["offset_V"])),
+    ("polled s", lambda row: significant(row["skew_s"], 2)),
+    ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
+)
 
 
 def named_cells(found: PackEstimate) -> list[int]:
