@@ -221,7 +221,7 @@ def _channel_notices(
     if spikes:
         text = f"{spikes} row(s) whose voltage jumps away and back without the current"
         notices.append(Notice(Code.SPIKES, text))
-    if mismatch is not None and mismatch > units.COUNTER.inspected_percent and not noted:
+    if mismatch is not None and mismatch > units.INSPECTED_PERCENT and not noted:
         notices.append(units.differing(mismatch))
     return notices
 

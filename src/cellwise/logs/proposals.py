@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.sign import LEAST_CURRENT_A, verify_sign
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import listed
 from cellwise.logs.files.source import LogSource
@@ -92,7 +92,7 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedPro
         log = read(source)
     except InputError:
         return None
-    one_cell = log.typical_voltage_V <= CELL.largest_V
+    one_cell = log.typical_voltage_V <= LARGEST_V
     pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
     settled = {Code.NO_SIGN, Code.SIGN_CONTRADICTED}  # by what else is stated of the log
     settled |= {Code.VOLTAGE_OF_PACK, Code.VOLTAGE_UNIT} if pack else set()

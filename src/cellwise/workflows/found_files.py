@@ -14,7 +14,7 @@ from cellwise.cell.plausibility.validity import FULL_V, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.stated import SUFFIXES, in_order
@@ -179,7 +179,7 @@ def _look_at_one(
         named = tuple(fitting.items())
         return [FoundFile(place, "unread", _to_do(error), instance=nth, channels=named)]
     series = 1
-    if log.typical_voltage_V > CELL.largest_V:
+    if log.typical_voltage_V > LARGEST_V:
         series = cells_in_series(log, FULL_V)
     found = _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
     return [replace(found, instance=nth)]

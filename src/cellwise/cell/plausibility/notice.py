@@ -49,20 +49,13 @@ def in_order(found: Iterable[Notice], of_reading: Sequence[Notice] = ()) -> tupl
     return tuple(dict.fromkeys((*critical, *by_size, *of_reading)))
 
 
-class FarOff(NamedTuple):
-    """When the model's statement of its error does not hold for a log: it is another cell's.
-
-    Half of its rows (of many, about so many ``rows``) are beyond so many of the model's own
-    standard ``deviations``: of a model that is right, half are within 0.7. Of a stream so many
-    ``looks`` count, one a second; before ``fewest`` a start that is off says nothing; its sign is
-    asked at every of so many ``sign_looks``.
-    """
-
-    deviations: float = 3.0
-    rows: int = 4000
-    looks: int = 3600
-    fewest: int = 30
-    sign_looks: int = 60
+# When the model's statement of its error does not hold for a log: it is another cell's. Half of its
+# rows are beyond so many of the model's own deviations; of a model that is right, within 0.7.
+FAR_DEVIATIONS = 3.0
+FAR_ROWS = 4000  # of many, about so many
+FAR_LOOKS = 3600  # at a stream that count, one a second
+FEWEST_LOOKS = 30  # before, a start that is off says nothing
+SIGN_LOOKS = 60  # its sign is asked at every of so many
 
 
 # Where notices stand that name no voltage, by a voltage in their place [V].
@@ -83,7 +76,6 @@ NO_MODEL_V = 0.2  # off by so much it says no SOC: a cell's goes over 0.5 to 1.5
 MOST_REJECTED = 0.1  # share of a filter's voltages
 
 
-FAR_OFF = FarOff()
 OTHER: tuple[Piece, ...] = (
     "a log of another cell, number of cells in series (",
     Option("series", letter="N"),
@@ -103,7 +95,7 @@ def times_stated(
     soc : (n,) float          where the model was
     """
     rows = np.flatnonzero(np.isfinite(error_V) & np.isfinite(soc))
-    rows = rows[:: max(rows.size // FAR_OFF.rows, 1)]
+    rows = rows[:: max(rows.size // FAR_ROWS, 1)]
     if rows.size == 0:
         return 0.0, 0.0
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)[rows]
@@ -127,7 +119,7 @@ def _said(
     what: str, times: float, typical_V: float, causes: tuple[Piece, ...] = OTHER
 ) -> Notice | None:
     little = typical_V < NO_MODEL_V  # else half as many deviations are enough
-    most = FAR_OFF.deviations if little else 0.5 * FAR_OFF.deviations
+    most = FAR_DEVIATIONS if little else 0.5 * FAR_DEVIATIONS
     if times <= most or not math.isfinite(times):
         return None
     text = (
@@ -150,10 +142,10 @@ class FarOffStream:
         other = Option("sign", self._other)
         self._causes: tuple[Piece, ...] = ("the sign of the current (", other, "), ", *OTHER)
         self._passed_s, self._looks = 0.0, 0
-        self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_OFF.looks)
+        self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_LOOKS)
         self._contradicted = False
         self._since_s = math.inf
-        self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_OFF.looks)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_LOOKS)
         self.notice: Notice | None = None
 
     def look(
@@ -180,7 +172,7 @@ class FarOffStream:
         stated_V = max(float(_stated_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
         looks = len(self._seen)
-        if looks >= FAR_OFF.fewest and self._looks % (1 + looks // FAR_OFF.sign_looks) == 0:
+        if looks >= FEWEST_LOOKS and self._looks % (1 + looks // SIGN_LOOKS) == 0:
             times, typical_V = np.median(self._seen, axis=0).tolist()
             said = _said("the stream", times, typical_V, self._causes)
             self.notice = contradiction(self._other) if self._contradicted else said
@@ -188,7 +180,7 @@ class FarOffStream:
     def _check_sign(self) -> None:
         """Ask what the sign of the last hour is, once a minute."""
         self._looks += 1
-        if self._looks % FAR_OFF.sign_looks:
+        if self._looks % SIGN_LOOKS:
             return
         time_s, current_A, voltage_V = np.array(self._measured).T
         if np.isfinite(current_A).any():
@@ -354,8 +346,8 @@ def error_notices(
         return []
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
     of_stated = error_V / np.maximum(stated_V, LEAST_V)
-    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF.deviations
-    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
+    everywhere = error_metrics(of_stated).rmse_V > FAR_DEVIATIONS
+    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_DEVIATIONS
     if not (everywhere or somewhere or all_rows.max_error_V >= NO_MODEL_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))

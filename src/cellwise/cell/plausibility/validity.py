@@ -11,7 +11,7 @@ import numpy as np
 from cellwise.arguments import numbers
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.typing import FloatArray
 from cellwise.wording import arg
 
@@ -22,18 +22,10 @@ if TYPE_CHECKING:
 Range: TypeAlias = tuple[float, float]
 
 
-class Tolerance(NamedTuple):
-    """A hair outside is inside: within these a model is as good as at the edge of its data.
-
-    ``share`` is one of the largest current in the data.
-    """
-
-    soc: float = 0.02
-    kelvin: float = 3.0
-    share: float = 0.1
-
-
-TOLERANCE = Tolerance()
+# A hair outside is inside: within these a model is as good as at the edge of its data.
+TOLERANCE_SOC = 0.02
+TOLERANCE_K = 3.0
+TOLERANCE_CURRENT = 0.1  # of the largest current in the data
 
 
 class Bounds(NamedTuple):
@@ -120,12 +112,12 @@ class Validity:
         """Where the model is taken to hold, tolerance included."""
         none = (-np.inf, np.inf)
         soc, warm, current = (getattr(self, name) or none for name in NAMES)
-        more_A = 0.0 if self.current_A is None else TOLERANCE.share * self.largest_A
+        more_A = 0.0 if self.current_A is None else TOLERANCE_CURRENT * self.largest_A
         return Bounds(
-            soc[0] - TOLERANCE.soc,
-            soc[1] + TOLERANCE.soc,
-            warm[0] - TOLERANCE.kelvin,
-            warm[1] + TOLERANCE.kelvin,
+            soc[0] - TOLERANCE_SOC,
+            soc[1] + TOLERANCE_SOC,
+            warm[0] - TOLERANCE_K,
+            warm[1] + TOLERANCE_K,
             current[0] - more_A,
             current[1] + more_A,
         )
@@ -204,8 +196,8 @@ def check_one_cell(log: CellLog) -> None:
     ------
     InputError        names the voltage and the number of cells in series that would fit
     """
-    if log.typical_voltage_V > CELL.largest_V:
-        expected = f"the voltage of one cell, at most {CELL.largest_V:g} V"
+    if log.typical_voltage_V > LARGEST_V:
+        expected = f"the voltage of one cell, at most {LARGEST_V:g} V"
         raise _several_cells(log, expected, FULL_V)
 
 

@@ -13,7 +13,7 @@ from cellwise.logs.checks.faults import (
     stuck_voltage,
     without,
 )
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import IMPOSSIBLE_A, STRING_V
 from cellwise.logs.gaps import RowRange, runs_of
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
@@ -36,7 +36,7 @@ def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
 
     The latter only where they are rare and far above the rest: else the channel is in another unit.
     """
-    limits = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
+    limits = {"current_A": IMPOSSIBLE_A, "voltage_V": STRING_V}
     found = {}
     for field in ("current_A", "voltage_V", "charge_Ah"):
         values, limit = getattr(log, field), limits.get(field, IMPOSSIBLE)

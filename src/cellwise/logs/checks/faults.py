@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import IMPOSSIBLE_A, POSSIBLE_C
 from cellwise.logs.gaps import RowRange, rows_between, run_edges, runs_of
 from cellwise.typing import BoolArray, FloatArray
 
@@ -63,7 +63,7 @@ def impossible_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Rows that are impossible, by channel; none where there are too many to be a fault."""
     found = {"voltage_V": _impossible_voltages(log), "current_A": _impossible_currents(log)}
     if log.temperature_C is not None:
-        low, high = CELL.temperature_C
+        low, high = POSSIBLE_C
         found["temperature_C"] = (log.temperature_C < low) | (log.temperature_C > high)
     few = {name: bad for name, bad in found.items() if 0 < bad.sum() <= MOST_IMPOSSIBLE * len(log)}
     return {name: runs_of(bad) for name, bad in few.items()}
@@ -117,7 +117,7 @@ def _impossible_currents(log: CellLog) -> BoolArray:
         return bad
     usual = float(np.percentile(finite, NEARLY_ALL))
     others = float(np.max(finite[finite <= CURRENT_TIMES * usual], initial=0.0))
-    bad = size > (CURRENT_TIMES * others if others > 0.0 else CELL.impossible_A)
+    bad = size > (CURRENT_TIMES * others if others > 0.0 else IMPOSSIBLE_A)
     if not bad.any():
         return bad
     runs, late = runs_of(bad), _late_rows(log)
@@ -128,7 +128,7 @@ def _impossible_currents(log: CellLog) -> BoolArray:
     largest = float(np.max(moved[elsewhere], initial=0.0))
     for first, last in runs:
         followed = np.max(moved[first : first + late + 1]) > FOLLOWED * largest
-        bad[first : last + 1] = size[first] > CELL.impossible_A or not followed
+        bad[first : last + 1] = size[first] > IMPOSSIBLE_A or not followed
     return np.asarray(bad)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import TYPICAL_V
 from cellwise.logs.gaps import run_edges
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
@@ -49,7 +49,7 @@ def _size(log: CellLog) -> FloatArray:
 
 def _scale(log: CellLog) -> float:
     """Cells that the voltage is of, one at least."""
-    return max(log.typical_voltage_V / CELL.typical_V, 1.0)
+    return max(log.typical_voltage_V / TYPICAL_V, 1.0)
 
 
 def _direction(log: CellLog, current: FloatArray, first: int, last: int) -> float:

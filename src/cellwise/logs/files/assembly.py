@@ -325,7 +325,7 @@ def assemble(
     log, counter, noted = units.checked_counter(log, where)
     notices += noted
     notices += units.check_charge(possible_part(log))
-    opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
+    opposite = counter is not None and counter.agreement < -units.OPPOSITE
     if not (check_sign or opposite):
         return log.with_notices(critical_first(notices))
     way_out = "charge-positive" if read_as != "charge-positive" else "discharge-positive"

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
 from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
 from cellwise.notices import Code, Notice
@@ -119,7 +120,7 @@ FlagKind = Literal["missing", "dead", "frozen", "balancing", "count"]
 
 
 # From where on a cell's voltage is not believed.
-POSSIBLE_V = (0.5, 6.0)  # of a cell
+POSSIBLE_V = (0.5, LARGEST_V)  # of a cell
 MILLIVOLTS = 500.0  # typical values above are in that unit
 # Of one value, while the mean cell moves, are frozen; as many last ones without a value, dead.
 REPEATED_ROWS = 50
