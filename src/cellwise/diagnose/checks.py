@@ -94,12 +94,10 @@ LEAST_DURATION_S = 300.0
 FEWEST_ROWS = 60  # with a voltage
 LEAST_CURRENT_C = 0.02  # in units of 1C
 
-
 # Beyond these the log is of another kind of cell, whatever its age.
 OTHER_CELL_V = 0.12
 OTHER_CELL_SOC = 0.25  # beyond 0 to 1
 OUTSIDE_K = 8.0  # of the model's temperatures: it was not measured at the log's
-
 
 RARE_ERROR = 1e-3  # an error that the claim would give in so many of all logs is beyond it
 # Row-to-row noise of another sensor than the data's is no error of the model up to this.

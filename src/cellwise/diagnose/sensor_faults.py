@@ -28,7 +28,6 @@ from cellwise.wording import RowPlace
 FEWEST_SPIKES = 3  # a single row may be bad in any log: so many are a sensor that fails
 LEAST_PART = 0.2  # of a log whose current was wrong in between: its longest part
 
-
 # What a channel did, for people.
 KINDS = {
     "impossible": "shows what no cell has",

@@ -55,10 +55,10 @@ def tried(
         return MissingColumnsError(
             refusal.found,
             refusal.expected,
-            "None of them was found to fit. If some do, name them with "
+            "No column was found to fit. Name those that do with "
             + arg("channels", letter="{...}")
-            + ". "
-            + refusal.action,
+            + ". Or: "
+            + within(refusal.action),
             refusal.missing,
         )
     passed, best = max(found, key=lambda one: one[0])

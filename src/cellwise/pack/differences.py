@@ -39,7 +39,6 @@ FEWEST_ROWS = 10  # between two pauses that nobody counted
 RATE_S = 2.0
 LONGEST_INTERVALS = 3.0  # of the usual length: over longer ones a rate says nothing
 
-
 PERIOD_DAYS = 30.0
 
 

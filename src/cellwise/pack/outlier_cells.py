@@ -30,11 +30,9 @@ CONFUSABLE = 3.0  # log likelihood within which two causes are
 TAIL_SHARES = (0.5, 0.8, 0.9, 0.94)
 FEWEST_CELLS = 3
 
-
 # When two cells have changed places.
 EXCHANGE_BETTER = 10.0  # log likelihood by which that is more probable than two changes
 EXCHANGE_REMAINING = 0.005  # share of two large misfits that may be left once it explains them
-
 
 # When a cell discharges itself; standard deviations are those of a drift in one period.
 BALANCING_PER_DAY = 3e-3  # what balancing may do to a cell's SOC, and more

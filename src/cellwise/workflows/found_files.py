@@ -38,7 +38,6 @@ OTHERS = {
 }
 MOST_IN_FILE = 12  # logs of one file that are looked at one by one
 
-
 # The last per cent of a low-rate test, its dither too.
 END_MOVED = 0.05  # of a whole discharge
 END_RATES = (0.01, 0.5)  # of that discharge

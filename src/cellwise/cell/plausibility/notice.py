@@ -57,12 +57,10 @@ FAR_LOOKS = 3600  # at a stream that count, one a second
 FEWEST_LOOKS = 30  # before, a start that is off says nothing
 SIGN_LOOKS = 60  # its sign is asked at every of so many
 
-
 # Where notices stand that name no voltage, by a voltage in their place [V].
 FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
 OUTSIDE_V = 100.0  # above each voltage of a cell, below what makes all figures meaningless
 ASSUMED_V = 0.01  # about what ten kelvin do at 1C
-
 
 # From where on something is said.
 FEWEST_ROWS = 3  # fewer are a sensor's spikes

@@ -42,18 +42,15 @@ START_TAU3_S = 600.0
 START_GAMMA = 30.0  # [1]
 START_HEATING_S = 600.0
 
-
 CAPACITY_RANGE = (0.3, 2.0)  # of the model's: another cell of its kind
 # Factor by which diffusion becomes slower, never faster: else it would take back from the slow
 # branches what one factor on all resistances has given them too much.
 MOST_SLOWED = 20.0
 
-
 # Steps of numerical derivatives, far above rounding.
 STEP_V_PER_K = 1e-7
 STEP_K = 1.0
 STEP = 1e-5  # in the coordinate's unit
-
 
 REFERENCE_C = 25.0
 

@@ -21,7 +21,6 @@ from cellwise.wording import Piece, RowPlace, arg, place
 
 MOST_NAMED = 3  # rows, in a notice
 
-
 # From where on a log is said to be wrong before anything else.
 MOST_REPEATED = 0.05  # share of the rows
 MOST_MISSING = 0.1  # share of the rows

@@ -26,7 +26,6 @@ NEARLY_ALL = 95.0  # per cent of them
 FOLLOWED = 3.0  # times: how far the voltage steps at the edge of such a current, over elsewhere
 MOST_IMPOSSIBLE = 0.25  # share of the rows: more are another unit or another battery, not a fault
 
-
 # When a channel that repeats its value has stopped measuring, or is at the end of its range: while
 # the other channel moves up and down.
 REPEATS = 19
@@ -36,11 +35,9 @@ MOVED_STEPS = 5.0  # of its usual ones
 LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
 LOST_ROWS = 20  # without a value: fewer are samples that were missed
 
-
 # When a channel is at the end of its range.
 HELD_ROWS = 3  # in a row
 HELD_VISITS = 3
-
 
 # When a single row is a spike.
 LEAST_SPIKE_V = 0.05

@@ -20,7 +20,6 @@ Verdict = Literal["verified", "contradicted", "undetermined"]
 WINDOWS_S = (1.0, 1000.0)  # from a step of the load to minutes of diffusion
 LARGEST_SERIES = 100_000  # rows; a longer log is first averaged down to this
 
-
 # What a log must show before it says anything of its sign.
 VARIANCE_RATIO = 20.0  # an F statistic: white noise reaches it less than once in a thousand windows
 LEAST_SCORE = 0.7  # lead of one sign over the other, weighed over all windows

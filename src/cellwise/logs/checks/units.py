@@ -156,11 +156,9 @@ STRING_V = 1500.0  # more is a number of millivolts
 POSSIBLE_C = (-100.0, 200.0)
 KELVIN_FROM = 200.0  # a temperature is in that unit
 
-
 # What a time in seconds cannot be.
 EPOCH_S = 1e8  # three years: one that begins later is counted from 1970 or so
 FAST_S = 0.02  # no tester logs as fast: the time is in hours
-
 
 # A counter over the summed current: what it counts, or in which unit something else is.
 COUNTERS = {1e3: "milliampere hours", 3600.0: "ampere seconds"}

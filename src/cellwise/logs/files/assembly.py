@@ -44,7 +44,6 @@ RESTARTED = 0.5  # of what a counter read before: more is its last digit
 UNTIMED = 0.01  # of the rows may lack a time
 STATED = 0.98  # of the rows under load that a column nobody vouches for must say
 
-
 BY_STATE = Notice(Code.SIGN_BY_STATE, "the current has no sign; the tester's state gave it one")
 
 

@@ -109,7 +109,7 @@ def flight_content(flight: ForecastTrace, *, several: bool) -> Markup:
 
 
 def forecasts_of(flight: ForecastTrace | None, given: Forecast | None) -> dict[str, Forecast]:
-    """The forecasts from a log's end by the load that goes on, the most telling one first."""
+    """The forecasts from a log's end by the load that goes on, the usual load first."""
     ways: dict[str, Forecast | None] = {}
     if flight is not None:
         ways["usual load"] = flight.typical.last if flight.typical else None

@@ -33,7 +33,6 @@ ESTIMATORS = {
 WIDE_NIS = 0.25  # below, the band of the innovations is far too wide
 CHANGED = 0.9  # probability from which a parameter is said not to be the model's
 
-
 CAPTION = (
     "The filter's state of charge with the band of two of its own standard deviations{reference}; "
     "the measured voltage (grey) and the one it predicted before the update (vermillion); their "
