@@ -11,7 +11,7 @@ from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.sensor import assumed_text
 from cellwise.report.page.numerals import NONE
-from cellwise.report.replay.page import forecast_table, forecasts_of
+from cellwise.report.replay.page import forecast_table, forecasts_of, power_table
 from cellwise.report.replay.replay_section import estimated_rows, replay_figures
 from cellwise.workflows.replaying import ReplayAndForecast
 
@@ -109,20 +109,10 @@ def print_forecasts(run: ReplayAndForecast) -> None:
 def print_power(power: PowerTrace, cells: int = 1) -> None:
     """The state of power at the log's end, for people."""
     known = power.known.limits
-    ways = [(f"{s.horizon_s:g} s, {name}", way)
-            for s in power.last
-            for name, way in (("discharge", s.discharge), ("charge", s.charge))]  # fmt: skip
-    of_pack = f"W of all {cells} cells", lambda one: f"{cells * one[1].power_W:.0f}"
-    printing.record_table(
+    printing.table(
         f"power of each cell at the end, {power.hold} held, {known.voltage_min_V:g} to "
         f"{known.voltage_max_V:g} V",
-        ways,
-        ("for", lambda one: one[0]),
-        ("W", lambda one: f"{one[1].power_W:.1f}"),
-        ("at least W (95 %)", lambda one: f"{one[1].power_low_W:.1f}"),
-        ("A", lambda one: f"{one[1].current_A:.1f}"),
-        ("limited by", lambda one: one[1].by),
-        *(of_pack,) * (cells > 1),
+        *power_table(power, cells),
     )
 
 

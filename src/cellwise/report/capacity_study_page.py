@@ -166,7 +166,7 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
 @pictured("capacity-study")
 def study_picture(study: CellStudy, kinds: Sequence[str]) -> style.Figure:
     """RMSE of the voltage, or of SOC by several estimators, over the capacity."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     found = sorted(study.choices, key=lambda c: c.capacity_Ah)
     capacity, of_voltage = [c.capacity_Ah for c in found], VOLTAGE in kinds
     scale = 1e3 if of_voltage else 100.0

@@ -114,7 +114,7 @@ def _first_line(found: AgeingHistory) -> str:
 )
 def capacity_picture(found: AgeingHistory) -> style.Figure:
     """Share of the new cell's capacity over the life."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     counted = np.array([one.counted for one in found.logs])
     share = 100.0 * np.array([one.share for one in found.logs])
     std = 100.0 * np.array([one.share_std for one in found.logs])
@@ -148,7 +148,7 @@ def capacity_picture(found: AgeingHistory) -> style.Figure:
 )
 def resistance_picture(found: AgeingHistory) -> style.Figure:
     """Resistance over the life."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     scale = np.array([one.resistance_scale for one in found.logs])
     std = np.array([one.resistance_std for one in found.logs])
     style.error_dots(axes, found.way, scale, std)

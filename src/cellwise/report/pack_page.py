@@ -218,7 +218,7 @@ def cells_figure(found: PackEstimate, one: CellFigure) -> Picture:
 
 @pictured("pack_cells")
 def _cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
-    figure, axes = style.new_axes(2.6)
+    figure, axes = style.new_axes()
     number = np.arange(1.0, one.values.size + 1.0)
     style.error_dots(axes, number, one.values, one.std, markersize=3.0, ecolor=style.MUTED)
     _point_at(axes, found, one.values)

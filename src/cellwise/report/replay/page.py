@@ -121,7 +121,7 @@ def forecasts_of(flight: ForecastTrace | None, given: Forecast | None) -> dict[s
 def forecast_table(
     forecasts: Mapping[str, Forecast], cells: int
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows: what is left, a column for each load; of all cells where there are several."""
+    """Head and rows: remaining time and energy, a column for each load."""
     columns = [_figures(now, cells) for now in forecasts.values()]
     head = (
         "load of a cell", "remaining time", "remaining energy of a cell",
@@ -196,18 +196,25 @@ def power_section(replays: Sequence[Replay]) -> Section:
 
 def power_content(replay: Replay, power: PowerTrace, *, several: bool) -> Markup:
     """The power at the log's end, at every horizon."""
+    name = f"{replay.estimator} on {clock_of(replay.log)}. " if several else ""
+    shown = power_table(power, replay.log.series * replay.log.parallel)
+    return table(*shown, caption=name + POWER_EXPLAINED.format(hold=power.hold))
 
-    def limits(way: PowerLimit) -> tuple[str, ...]:
-        current = f"{significant(way.current_A)} A"
-        return significant(way.power_W), significant(way.power_low_W), current, way.by
+
+def power_table(power: PowerTrace, cells: int) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Head and rows: a cell's limits, and the power of all, a column for each horizon."""
+    names = ["{} [W]", "at least (95 %) [W]", "current", "limited by"]
+    names += ["{} of all " + f"{cells} cells [W]"] * (cells > 1)
+
+    def limits(way: PowerLimit) -> list[str]:
+        current, of_all = f"{significant(way.current_A)} A", significant(cells * way.power_W)
+        shown = [significant(way.power_W), significant(way.power_low_W), current, way.by]
+        return shown + [of_all] * (cells > 1)
 
     columns = [(*limits(s.discharge), *limits(s.charge)) for s in power.last]
-    names = ("{} [W]", "at least (95 %) [W]", "current", "limited by")
     head = [name.format(way) for way in ("discharge", "charge") for name in names]
-    name = f"{replay.estimator} on {clock_of(replay.log)}. " if several else ""
     horizons = (f"{s.horizon_s:g} s" for s in power.last)
-    rows = zip(head, *columns, strict=True)
-    return table(("for", *horizons), rows, caption=name + POWER_EXPLAINED.format(hold=power.hold))
+    return ["for", *horizons], list(zip(head, *columns, strict=True))
 
 
 def usual(power: PowerTrace) -> int:
