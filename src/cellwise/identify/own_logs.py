@@ -8,7 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     NO_MODEL_V,
@@ -43,9 +43,9 @@ def simulate_back(
 ) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
-    The start is what every other command finds with this model; the fit's own, which knows what a
-    test begins with, where the found one errs twice as much on the rows compared. Beside it what
-    ``prior``, the model that was updated, leaves of the same rows from the start that it finds.
+    A laboratory test begins where the fit has it, which knows its role; a drive where every other
+    command finds it with this model, unless that errs twice as much on the rows compared. Beside it
+    what ``prior``, the model that was updated, leaves of the same rows from where it finds it.
     """
     starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = [
@@ -69,13 +69,14 @@ def _beside_prior(own: OwnLog, prior: CellModel) -> OwnLog:
 
 def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) -> OwnLog:
     of_log = own_model(model, start.capacity_scale)
-    begins = initial_soc(of_log, log, whole_log=True)
+    by_role = role != "drive" and log.soc0 is None and not start.left_out
+    begins = start.found if by_role else initial_soc(of_log, log, whole_log=True)
     simulation = simulate(of_log, log, begins.soc)
     if start.left_out:
         return OwnLog(role, False, simulation, begins, None, {}, start.left_out)
-    fits = simulate(of_log, log, start.soc0)
+    fits = simulation if by_role else simulate(of_log, log, start.soc0)
     if _rmse_V(simulation, start.rows) > WORSE * _rmse_V(fits, start.rows):
-        begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
+        begins, simulation = start.found, fits
     sides = directions(log) if role in ("ocv", "capacity") else {}
     rmse = {n: _rmse_V(simulation, x) for n, x in sides.items() if _known(simulation, x).size}
     away = start.capacity_scale - 1.0
