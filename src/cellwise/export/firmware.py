@@ -39,6 +39,9 @@ void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count,
                         const void *voltage_V, void *out, uint32_t samples);
 void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
                        void *out);
+void cellwise_keep(void *into, const void *x, const void *newest);
+uint32_t cellwise_newest_slot(const void *first, const void *second);
+uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
 extern const char cellwise_cell[];
@@ -124,7 +127,8 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
         text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"
-    sources = [str(folder / f"{prefix}_ekf.c"), *map(str, folder.glob("*cell_table.c"))]
+    parts = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c")
+    sources = [str(path) for part in parts for path in folder.glob(part)]
     command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
     compile_c([*command, str(folder / name)])
     return library

@@ -125,6 +125,7 @@ class Certificate:
                 "temperature": grouped(sorted(self.rows, key=_temperature), _climate),
                 "fault": grouped(sorted(self.rows, key=_temperature), lambda r: str(r["fault"])),
             },
+            "restart_loss": max(row["restart_loss"] for row in self.rows),
             "worst": [_case(row) for row in self.worst],
             "sources": self.sources,
             "instructions": {t["core"]: t["instructions_mean"] for t in targets},
@@ -310,8 +311,7 @@ def cause_blocks(data: Mapping[str, Any]) -> Blocks:
         return ()
     rest = (
         f"Its own error is {percent(data['own_error'])}, {percent(data['tuning'])} with all its "
-        "numbers made right at once: tuning, and what its model has not. Over a restart the error "
-        f"grew by {percent(data['restart_loss'])} at most beyond what flowed."
+        "numbers made right at once: tuning, and what its model has not."
     )
     failed = [f"{f['name']} ({f['fault']}): {f['problem']}" for f in data["failures"][:SHOWN]]
     return (
@@ -399,6 +399,8 @@ def _made(data: Mapping[str, Any]) -> Markup:
             *MADE,
             f"Measured logs: {', '.join(logs) or 'none'}.",
             f"As standard deviations, {assumed_text(settings['sensor'])}.",
+            f"Over a restart the error grew by {percent(data['restart_loss'])} at most beyond what "
+            "flowed since the last write.",
             f"Seed {settings['seed']}, time step {settings['dt_s']:g} s, model sha256 "
             f"{settings['model_sha256'][:16]}.",
             f"Instructions of a step: {cost or 'not counted, no cross compiler at the export'}.",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cellwise.benchmark.certify.gauge import RESTART, SAMPLE, Gauge, GaugeConfig, config_of
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.benchmark.certify.restarts import REST_C, power_events, restart_loss
-from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.estimate.fixed.fixed_step import Samples, samples_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
@@ -47,20 +47,28 @@ def live(
     """
     rows = samples_of(gauge.model, life.seen, gauge.dt_s)
     records, row_sample = rows.records, rows.row_sample
+    event, on, truth = life_events(life, rows, gauge.dt_s, seed, restarts)
+    handed = np.isfinite(records["current_A"]) & np.isfinite(records["voltage_V"]) & on
     number = records["sequence"].astype(np.int64)
-    handed = np.isfinite(records["current_A"]) & np.isfinite(records["voltage_V"])
-    load_A = _at_samples(life.log.current_A, row_sample, records.size)
-    loaded = np.abs(load_A) > REST_C * life.truth.capacity_Ah
-    rng = np.random.default_rng([seed, life.about["cell"], 5])
-    event, on = power_events(gauge.dt_s * (number - number[0]), loaded, rng, restarts)
-    handed &= on
     samples = _handed(records[handed], number[handed], event, handed, gauge.dt_s)
     config = config or config_of(gauge.model, life.about["started_at"])
     found = gauge.run(config, samples, config_of(life.truth, config.soc0))
     last = np.maximum(np.cumsum(handed) - 1, 0)[row_sample]  # a lost sample: the answer before it
-    truth = _at_samples(life.soc, row_sample, records.size)[handed]
-    lost = restart_loss(samples["event"], found.soc - truth, truth)
+    lost = restart_loss(samples["event"], found.soc - truth[handed], truth[handed])
     return Lived(found.soc[last], found.std[last], on[row_sample], lost, found.problem)
+
+
+def life_events(
+    life: CertifiedLife, rows: Samples, dt_s: float, seed: int, restarts: bool = True
+) -> tuple[NDArray[Any], BoolArray, FloatArray]:
+    """`power_events` at the samples of a life, and its true SOC there, each of shape (n,)."""
+    number = rows.records["sequence"].astype(np.int64)
+    at = np.searchsorted(rows.row_sample, np.arange(number.size), side="right") - 1
+    row = np.maximum(at, 0)  # the last one up to each sample
+    loaded = np.abs(life.log.current_A[row]) > REST_C * life.truth.capacity_Ah
+    rng = np.random.default_rng([seed, life.about["cell"], 5])
+    event, on = power_events(dt_s * (number - number[0]), loaded, rng, restarts)
+    return event, on, life.soc[row]
 
 
 def _handed(
@@ -75,12 +83,6 @@ def _handed(
     np.maximum.at(found["event"], at, event)
     found["dt_s"][found["event"] >= RESTART] = dt_s  # what it was off for it does not see
     return found
-
-
-def _at_samples(values: FloatArray, row_sample: NDArray[Any], samples: int) -> FloatArray:
-    """Values of rows at each sample: of the last row up to it."""
-    row = np.searchsorted(row_sample, np.arange(samples), side="right") - 1
-    return np.asarray(values[np.maximum(row, 0)])
 
 
 def is_split(fleet: Fleet, number: int) -> bool:
