@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from copy import copy
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,13 @@ class HostLibrary(Stepper):
             path = build_library(tables, Path(folder), compiler or host_compiler())
             self._ffi, self._library = load_library(path)
         self._model = self._library.cellwise_cell
+
+    def on(self, tables: FixedStepTables) -> HostLibrary:
+        """The same code on other tables of the same options and time step."""
+        found = copy(self)
+        Stepper.__init__(found, tables, found._call)
+        found._model = self._ffi.from_buffer(tables.to_bytes())
+        return found
 
     def model_bytes(self) -> bytes:
         """The model as it stands in the library's read-only memory."""

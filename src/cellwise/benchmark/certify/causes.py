@@ -84,7 +84,7 @@ def own_causes(
         others = [other for other in right if other[0] is not one]
         back = left if len(others) == len(right) else score(gauge, _moved(worlds, others))
         found.append(GaugeCause(one.name, 0.5 * (base - error + back - left), value, one.unit))
-    # Of the squares: what is left with everything else right.
+    # Of the squares: what remains with everything else right.
     tuning = base - math.sqrt(max(base**2 - left**2, 0.0))
     aged = score(gauge, _drawn(gauge, sensor, seed, AGED_ALIKE))
     found += [

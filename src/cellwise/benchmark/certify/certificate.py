@@ -292,7 +292,7 @@ OWN = (
     "On cells that are the model's, with a true start and, unless they are stated, perfect "
     "sensors: what each cause adds to the error, of which the first hour weighs as much as all "
     "that follows, and by how much the world had to be moved to make it right for the gauge. Age "
-    "is what aged cells add, restart what losses of power do; tuning what is left of the squares."
+    "is what aged cells add, restart what losses of power do; tuning what remains of the squares."
 )
 OF_FLEET = "On the certificate's fleet: how much smaller the error is with each cause made perfect."
 CAUSE_COLUMNS = (
