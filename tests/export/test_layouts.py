@@ -226,7 +226,12 @@ float_t SE_GetStateOfChargeFromVoltage(int16_t voltage_mV);
 #include <stdio.h>
 #include "os.h"
 #include "state_estimation.h"
-uint32_t SE_GetStateOfChargeStatus(uint8_t stringNumber);
+#include <string.h>
+#include "soc_cellwise.h"
+static unsigned char fram[2][2][4096];
+static void take(uint8_t s, uint8_t slot, void *to, uint32_t n) { memcpy(to, fram[s][slot], n); }
+static void keep(uint8_t s, uint8_t slot, const void *from, uint32_t n) {
+  memcpy(fram[s][slot], from, n); }
 static uint32_t now_ms = 0xFFFF0000u; /* it wraps within the hour */
 static int32_t current_mA = 0;
 uint32_t OS_GetTickCount(void) { return now_ms; }
@@ -240,6 +245,8 @@ void read_blocks(void *one, void *two) {
 }
 int main(void) {
   DATA_BLOCK_SOC_s soc;
+  const SOC_STORE_s store = {take, keep};
+  SE_SetStateOfChargeStore(&store);
   SE_InitializeStateOfCharge(&soc, false, 0u);
   SE_InitializeStateOfCharge(&soc, false, 1u);
   printf("%f %f\\n", soc.averageSoc_perc[0], soc.averageSoc_perc[1]);
@@ -248,7 +255,13 @@ int main(void) {
   printf("%f %f %f\\n", soc.averageSoc_perc[0], soc.averageSoc_perc[1], soc.minimumSoc_perc[1]);
   now_ms += 60000u;
   SE_CalculateStateOfCharge(&soc);
-  printf("%u\\n", SE_GetStateOfChargeStatus(1u));
+  printf("%u %d\\n", SE_GetStateOfChargeStatus(1u), SE_IsStateOfChargeValid(1u));
+  SE_InitializeStateOfCharge(&soc, false, 1u);
+  printf("%f\\n", soc.averageSoc_perc[1]);
+  fram[1][0][40] ^= 1u;
+  fram[1][1][40] ^= 1u;
+  SE_InitializeStateOfCharge(&soc, false, 1u);
+  printf("%f\\n", soc.averageSoc_perc[1]);
 }
 """,
 }
@@ -266,8 +279,9 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     run("gcc", *STRICT_FLAGS, *(f for f in WARNING_FLAGS if f != "-Wfloat-equal"), "-O2", "-I",
         tmp_path, "-I", place, *sources, "-c", cwd=tmp_path)  # fmt: skip
     run("gcc", "-std=gnu99", "-I", tmp_path, tmp_path / "main.c", *tmp_path.glob("*.o"), "-lm",
-        "-o", tmp_path / "app")  # fmt: skip
-    before, after, status = (line.split() for line in run(tmp_path / "app").splitlines())
+        "-I", place, "-o", tmp_path / "app")  # fmt: skip
+    lines = [line.split() for line in run(tmp_path / "app").splitlines()]
+    before, after, status, restored, damaged = lines
     model = curved_cell()
     assert float(before[0]) == pytest.approx(float(before[1]))
     assert 0 < float(before[0]) < 100
@@ -276,5 +290,8 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     assert taken == pytest.approx(100.0 / model.capacity_Ah, rel=1e-3)
     assert float(after[2]) < float(after[1])
     assert int(status[0]) & SEQUENCE_GAP
+    assert status[1] == "0"  # for an hour no cell voltage was valid
+    assert float(restored[0]) == pytest.approx(float(after[1]), abs=taken / 5.0)  # ten minutes
+    assert float(damaged[0]) == pytest.approx(float(before[1]))  # from the voltage again
     # The wscript is Python that waf calls with a build context.
     run(sys.executable, "-m", "py_compile", place / "wscript")

@@ -30,6 +30,7 @@ cellwise certify: an exported filter, or any gauge in C, over a virtual fleet: h
     $ certify --gauge gauge.c --model nmc-18650 -o certificate
     [EXPORT]  folder that `cellwise export` wrote
     --gauge SOURCE.c  a gauge behind gauge_init and gauge_step instead of an export
+    --ask TEXT  which sensor, tests, tables and step keep a limit: '5 % worst at -10 degC, 3 years'
     --gauge-dir FOLDER  of the gauge's own sources: compiled with it, its headers found
     --gauge-header OUT.h  write the declarations of the two functions, and no more
     --dt S=1  time step of the gauge [s]
@@ -72,6 +73,14 @@ from cellwise.benchmark.certify import (
     measured_log,
     read_export,
 )
+from cellwise.benchmark.certify.ask import (
+    FRONT_COLUMNS,
+    ask_data,
+    ask_finding,
+    ask_page,
+    find_designs,
+    parse_ask,
+)
 from cellwise.benchmark.certify.certificate import (
     CAUSE_COLUMNS,
     CORRECTION,
@@ -81,6 +90,7 @@ from cellwise.benchmark.certify.certificate import (
     certificate_page,
     groups_of,
 )
+from cellwise.benchmark.certify.designs import Design
 from cellwise.benchmark.certify.gauge import gauge_header
 from cellwise.benchmark.leaderboard import LEADERBOARD, TABLE, parts_of, read_entries, submit
 from cellwise.benchmark.page import division_table, divisions, standings_page
@@ -92,11 +102,11 @@ from cellwise.cell.model_file import read_model
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.errors import InputError
 from cellwise.estimate.sensor import assumed_text
-from cellwise.files import write_atomically
+from cellwise.files import made_folder, write_atomically
 
 MOST_PROCESSES = 64
 SUBMIT, SCORE = "submit", "score"
-JSON_FILE, PAGE_FILE = "certificate.json", "index.html"
+JSON_FILE, PAGE_FILE, ASK_FILE = "certificate.json", "index.html", "design.json"
 BEYOND = 1  # exit code where a limit of a certificate is not kept
 
 
@@ -261,6 +271,9 @@ def run_certify(arguments: argparse.Namespace) -> None:
         write_atomically(arguments.gauge_header, gauge_header())
         printing.say(f"written: {arguments.gauge_header}")
         return
+    if arguments.ask is not None:
+        run_ask(arguments)
+        return
     exported = judged_of(arguments)
     measured = [
         measured_log(exported.model, log, log.soc0, arguments.reference_capacity_ah)
@@ -294,6 +307,38 @@ def run_certify(arguments: argparse.Namespace) -> None:
     if found.beyond:
         sys.stdout.flush()
         raise SystemExit(BEYOND)
+
+
+def run_ask(arguments: argparse.Namespace) -> None:
+    """Search options that keep a limit on cells of a model.
+
+    Raises
+    ------
+    InputError        no model, or no limit
+    """
+    ask = parse_ask(arguments.ask)
+    if arguments.model is None:
+        raise InputError(
+            "--ask without --model", "the model of the cells", "Add --model nmc-18650, say."
+        )
+    model = options.read_model(arguments)
+    design = Design(model, ask, arguments.dt, arguments.hours, arguments.seed)
+    with printing.working("options") as follow:
+        found = find_designs(
+            design, arguments.cells, follow=lambda done, of: follow("options", done, of)
+        )
+    data = ask_data(design, found)
+    if arguments.output is not None:
+        place = made_folder(arguments.output, "the design")
+        text = json.dumps(printing.clean(data), indent=1, allow_nan=False) + "\n"
+        write_atomically(place / ASK_FILE, text)
+        ask_page(data, model.name, str(place / PAGE_FILE))
+    if arguments.json:
+        printing.print_json(data)
+        return
+    head = [name for name, _ in FRONT_COLUMNS]
+    rows = [[said(row) for _, said in FRONT_COLUMNS] for row in data["front"]]
+    printing.table(ask_finding(data), head, rows)
 
 
 def judged_of(arguments: argparse.Namespace) -> Exported | Gauge:

@@ -7,8 +7,8 @@ cellwise export: model to C sources and other programs' formats
 <model>
     --dt S  time step [s]
     -o, --output DIR  folder of C sources
-    --layout cmake|zephyr|platformio|arduino|esp-idf|foxbms  arrange the folder of -o as a module
-        of this tree
+    --layout cmake|zephyr|platformio|arduino|esp-idf|foxbms|px4|ardupilot  arrange the folder of -o
+        as a module of this tree
     --fmu OUT.fmu  FMI 3.0 co-simulation, with a binary for this machine
     --page OUT.html  a page that estimates in the browser [--dt 1]
     --pybamm OUT.py  parameters of PyBaMM's Thevenin model, or its JSON of them: OUT.json

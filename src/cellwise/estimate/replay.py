@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwise.arguments import check_kind, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
+from cellwise.cell.initial_soc.padding import padded_rows
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     ASSUMED_V,
@@ -32,7 +33,14 @@ from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.power_along_log import PowerTrace, power_along
 from cellwise.estimate.power.state_of_power import PowerSettings, power_settings
 from cellwise.estimate.sensor import Sensor, assumed, seen_by
-from cellwise.estimate.trace import MINUTE_S, Trace, long_innovation, nis_by_scale, soc_step
+from cellwise.estimate.trace import (
+    MINUTE_S,
+    Trace,
+    behind_rows,
+    long_innovation,
+    nis_by_scale,
+    soc_step,
+)
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Code, Notice
@@ -401,7 +409,7 @@ def replay(
     head = CellLog(log.time_s[:2], np.zeros(2), np.full(2, np.nanmean(log.voltage_V)))
     filter_.run(head, start.soc, start.std)
     began = time.perf_counter()
-    trace = filter_.run(log, start.soc, start.std)
+    trace = _run_measured(filter_, model, log, start)
     ns = 1e9 * (time.perf_counter() - began) / len(log)
     reference = None
     if reference_capacity_Ah is not None:
@@ -417,6 +425,17 @@ def replay(
         log, filter_.name, start, trace, ns, reference, model.validity, limits, model, sensor
     )
     # fmt: on
+
+
+def _run_measured(filter_: Estimator, model: CellModel, log: CellLog, start: InitialSoc) -> Trace:
+    """The rows that are measured: over those that somebody put before a log SOC is counted."""
+    rows = padded_rows(model, log)
+    if not rows:
+        return filter_.run(log, start.soc, start.std)
+    moved_As = np.cumsum(log.known_current_A()[: rows + 1] * log.interval_s[: rows + 1])
+    soc = np.clip(start.soc - (moved_As - moved_As[0]) / (3600.0 * model.capacity_Ah), 0.0, 1.0)
+    trace = filter_.run(log.part(rows, len(log)), float(soc[-1]), start.std)
+    return behind_rows(trace, log.time_s[:rows], soc[:-1], start.std)
 
 
 def expected_std(model: CellModel, replayed: Replay, estimator: Estimator) -> FloatArray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -147,6 +147,30 @@ def _starting(trace: Trace) -> BoolArray:
         return np.zeros(len(trace), dtype=np.bool_)
     wide = variance > STARTING**2 * float(np.nanmedian(variance[trace.used]))
     return np.asarray(np.logical_and.accumulate(wide))
+
+
+T = TypeVar("T", bound="Trace")
+
+
+def behind_rows(trace: T, time_s: FloatArray, soc: FloatArray, soc_std: float) -> T:
+    """A trace behind rows that no filter has seen: SOC counted, its start's deviation, no voltage.
+
+    Parameters
+    ----------
+    trace : Trace                 of the rows behind
+    time_s, soc : (n,) float      of the rows before
+    """
+    rows = time_s.size
+    before = {"time_s": time_s, "soc": soc, "soc_std": np.full(rows, soc_std)}
+    before["status"] = np.full(rows, VOLTAGE_INVALID)
+    found = {}
+    for field in fields(trace):
+        behind = getattr(trace, field.name)
+        if isinstance(behind, np.ndarray) and behind.shape[:1] == trace.time_s.shape:
+            unknown = np.full((rows, *behind.shape[1:]), np.nan)
+            first = before.get(field.name, unknown)
+            found[field.name] = np.concatenate([first, behind]).astype(behind.dtype)
+    return replace(trace, **found)
 
 
 def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, ...] | None:

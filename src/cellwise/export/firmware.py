@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from copy import copy
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,9 @@ void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count,
                         const void *voltage_V, void *out, uint32_t samples);
 void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
                        void *out);
+void cellwise_keep(void *into, const void *x, const void *newest);
+uint32_t cellwise_newest_slot(const void *first, const void *second);
+uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
 extern const char cellwise_cell[];
@@ -72,6 +76,13 @@ class HostLibrary(Stepper):
             path = build_library(tables, Path(folder), compiler or host_compiler())
             self._ffi, self._library = load_library(path)
         self._model = self._library.cellwise_cell
+
+    def on(self, tables: FixedStepTables) -> HostLibrary:
+        """The same code on other tables of the same options and time step."""
+        found = copy(self)
+        Stepper.__init__(found, tables, found._call)
+        found._model = self._ffi.from_buffer(tables.to_bytes())
+        return found
 
     def model_bytes(self) -> bytes:
         """The model as it stands in the library's read-only memory."""
@@ -124,7 +135,8 @@ def compile_rows(folder: Path, prefix: str, compiler: Sequence[str]) -> Path:
         text = prefixed({name: text, "cellwise_ekf.h": ""}, prefix)[f"port/{prefix}_host_rows.c"]
     put({name: text}, folder)
     library = folder / "librows.so"
-    sources = [str(folder / f"{prefix}_ekf.c"), *map(str, folder.glob("*cell_table.c"))]
+    parts = (f"{prefix}_ekf.c", f"{prefix}_store.c", "*cell_table.c")
+    sources = [str(path) for part in parts for path in folder.glob(part)]
     command = [*compiler, *STRICT_FLAGS, "-shared", "-fPIC", "-o", str(library), *sources]
     compile_c([*command, str(folder / name)])
     return library

@@ -48,6 +48,8 @@ MODEL_FILE = "cell.json"  # what the tables were made of, for `cellwise certify`
 # A drive's mean current over more than a minute says little of the voltage at its end: of a
 # measured US06 the SOC's error is 0.2 % at steps up to 10 s, 0.5 % at 30 s, 0.9 % at 60 s.
 LONGEST_STEP_S = 60.0
+GLUE = "cellwise_glue.h"  # of the layouts that keep a state, a clock and what is valid
+WHOLE_MS = {"foxbms": "foxBMS", "px4": "PX4", "ardupilot": "ArduPilot"}  # their glue counts them
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +97,10 @@ class Export:
                 f"2 to {MOST_CELLS} in series",
                 "Leave `cells` out for one cell.",
             )
-        milliseconds = 1000.0 * (self.dt_s or 0.0)  # foxBMS's glue counts them
-        if self.layout == "foxbms" and abs(milliseconds - round(milliseconds)) > 1e-6:
+        milliseconds = 1000.0 * (self.dt_s or 0.0)
+        if self.layout in WHOLE_MS and abs(milliseconds - round(milliseconds)) > 1e-6:
             raise InputError(
-                f"a time step of {self.dt_s:g} s for foxBMS",
+                f"a time step of {self.dt_s:g} s for {WHOLE_MS[self.layout]}",
                 "whole milliseconds",
                 "Give " + arg("dt_s", 0.1) + ", say.",
             )
@@ -278,10 +280,12 @@ def arranged(files: Mapping[str, str], layout: str, name: str, dt_s: float) -> d
             found[wanted["sources"] + file] = pragma + text
         else:
             found[file] = text.replace(BUILD, filled(wanted["use"], marks))
-    for path in sorted((folder / layout).rglob("*")):
+    own = {path: path.relative_to(folder / layout) for path in (folder / layout).rglob("*")}
+    if "glue" in wanted:
+        own[folder / GLUE] = Path(wanted["glue"], GLUE)
+    for path, to in sorted(own.items()):
         if path.is_file():
-            text = filled(path.read_text(encoding="utf-8"), marks)
-            found[path.relative_to(folder / layout).as_posix()] = text
+            found[to.as_posix()] = filled(path.read_text(encoding="utf-8"), marks)
     return found
 
 

@@ -12,6 +12,7 @@ from cellwise.cell.initial_soc.initial_soc import initial_soc
 from cellwise.cell.initial_soc.padding import padded_rows
 from cellwise.cell.simulate import simulate
 from cellwise.cell.stock import stock_model
+from cellwise.estimate.replay import replay
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
 from example_cells import curved_cell
@@ -118,3 +119,23 @@ def test_measured_drives_behind_an_hour_of_their_first_row(real_data):
     assert np.mean(hits) >= 0.9
     behind, rest = np.mean(errors, axis=0)
     assert behind < 0.7 * rest
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "adaptive"])
+def test_a_padded_hour_changes_nothing_in_a_replay(estimator):
+    """The filter begins at the first measured row; handed the hour it takes it for a rest."""
+    log, _ = drive()
+    plain = replay(MODEL, log.part(400, len(log)), estimator=estimator).trace.soc
+    whole = padded(log, 400)
+    found = replay(MODEL, whole, estimator=estimator).trace.soc
+    assert found.size == len(whole)
+    np.testing.assert_allclose(found[-plain.size :], plain, atol=1e-6)
+
+
+def test_over_the_padded_rows_soc_is_counted():
+    log, _ = drive()
+    whole = padded(log, 400, 0.05)
+    found = replay(MODEL, whole, soc0=0.6)
+    taken = 0.05 * (HOUR - 1) / (3600.0 * MODEL.capacity_Ah)
+    assert found.trace.soc[0] - found.trace.soc[HOUR - 1] == pytest.approx(taken)
+    assert not found.trace.used[:HOUR].any()

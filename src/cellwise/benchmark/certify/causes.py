@@ -11,52 +11,21 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from cellwise.benchmark.certify.gauge import SAMPLE, Gauge, GaugeConfig, config_of
-from cellwise.benchmark.certify.lives import SETTLED_S
-from cellwise.benchmark.certify.virtual_cells import NO_FAULT, CellSpread, draw_cell, with_sensor
-from cellwise.benchmark.faults import faulty_log
-from cellwise.cell.model_error import ModelError
-from cellwise.cell.protocol import run_protocol
-from cellwise.cell.simulate import simulate
+from cellwise.benchmark.certify.gauge import SAMPLE, Gauge, GaugeConfig
+from cellwise.benchmark.certify.virtual_cells import CellSpread
+from cellwise.benchmark.certify.worlds import AGED_ALIKE, AS_THE_MODEL, World, score, world_of
 from cellwise.estimate.sensor import Sensor
 from cellwise.typing import FloatArray
 
-PERFECT = Sensor(
-    0.0, 0.0, 0.0, 0.0, 0.0, voltage_offset_V=0.0, voltage_noise_V=0.0, temperature_K=0.0
-)
-AS_THE_MODEL = CellSpread(*[0.0] * 9)
 LIVES, HOURS = 8, 24.0
 COARSE, FINE = 7, 8  # values of a correction that are tried over its range, and around the best
 PROBED, PROBE_H, FAR_SOC = 21, 24.0, 0.1  # SOC points at which the table is looked at, and how
-
-
-@dataclass(frozen=True, eq=False)
-class World:
-    """A life as a gauge sees it, and the truth.
-
-    Parameters
-    ----------
-    config : GaugeConfig
-    current_A, voltage_V, temperature_C : (n,) float     what its sensors say
-    true_A, true_V : (n,) float                          what is there
-    usual_V : (n,) float      the voltage at the temperature that the gauge's numbers are of
-    soc : (n,) float          true
-    """
-
-    config: GaugeConfig
-    current_A: FloatArray
-    voltage_V: FloatArray
-    temperature_C: FloatArray
-    true_A: FloatArray
-    true_V: FloatArray
-    usual_V: FloatArray
-    soc: FloatArray
 
 
 class GaugeCause(NamedTuple):
@@ -85,10 +54,16 @@ class WorldCorrection(NamedTuple):
     corrected: Correct
 
 
+Fitted = tuple[WorldCorrection, float, float]  # its number, and the error then
+
+
 def own_causes(
     gauge: Gauge, sensor: Sensor | None, seed: int
 ) -> tuple[list[GaugeCause], float, float]:
     """Causes of a gauge's own, the largest first; its error as it is, and without them.
+
+    What a cause costs depends on what else is wrong: its points are the mean of what it takes off
+    the error alone, and of what it puts back onto the error with every cause made right.
 
     Parameters
     ----------
@@ -99,64 +74,63 @@ def own_causes(
     -------
     (list of GaugeCause, float, float)     the errors as of `score`
     """
-    worlds = [world_of(gauge, sensor, seed, k) for k in range(LIVES)]
+    worlds = _drawn(gauge, sensor, seed, AS_THE_MODEL)
     base = score(gauge, worlds)
-    found, fitted = [], []
-    for one in corrections(gauge, worlds[0].config):
-        value, error = _search(gauge, worlds, one)
-        found.append(GaugeCause(one.name, base - error, value, one.unit))
-        fitted.append((base - error, one, value))
-    left = base
-    for gain, one, value in sorted(fitted, key=lambda f: -f[0]):
-        moved = [one.corrected(world, value) for world in worlds]
-        error = score(gauge, moved) if gain > 0.0 else math.inf
-        if error < left:
-            left, worlds = error, moved
+    tried = corrections(gauge, worlds[0].config)
+    alone = [(one, *_search(gauge, worlds, one)) for one in tried]
+    right, left = _all_right(gauge, worlds, base, alone)
+    found = []
+    for one, value, error in alone:
+        others = [other for other in right if other[0] is not one]
+        back = left if len(others) == len(right) else score(gauge, _moved(worlds, others))
+        found.append(GaugeCause(one.name, 0.5 * (base - error + back - left), value, one.unit))
+    # Of the squares: what remains with everything else right.
+    tuning = base - math.sqrt(max(base**2 - left**2, 0.0))
+    aged = score(gauge, _drawn(gauge, sensor, seed, AGED_ALIKE))
+    found += [
+        GaugeCause("tuning", tuning, 0.0, ""),
+        GaugeCause("age", aged - base, 0.0, ""),
+        GaugeCause("restart", _restart_cost(gauge, worlds, seed), 0.0, ""),
+    ]
     return sorted(found, key=lambda c: -c.points), base, left
 
 
-def world_of(gauge: Gauge, sensor: Sensor | None, seed: int, number: int) -> World:
-    """A cell that is the model's, at some temperature, for a day."""
-    model = replace(gauge.model, posterior=None, error=ModelError.of_white_and_slow(0.0, 0.0))
-    cell = draw_cell(model, 2 * number, seed, HOURS, gauge.dt_s, PERFECT, AS_THE_MODEL)
-    log = run_protocol(cell.truth, cell.steps, cell.soc0, gauge.dt_s, cell.temperature_C)
-    log = log.part(0, int(np.searchsorted(log.time_s, 3600.0 * HOURS, side="right")))
-    usual_C = np.full(len(log), gauge.model.usual_temperature_C)
-    rng = np.random.default_rng([seed, number, 4])
-    own = (sensor or PERFECT).of_cell(model.capacity_Ah)
-    seen = faulty_log(with_sensor(NO_FAULT, own, model.capacity_Ah, rng), log, 1.0, rng)
-    truth = simulate(cell.truth, log, cell.soc0)
-    usual = simulate(cell.truth, replace(log, temperature_C=usual_C), cell.soc0)
-    sensed_C = np.asarray(seen.temperature_C)
-    usual_V = log.voltage_V + usual.voltage_V - truth.voltage_V
-    return World(
-        config_of(cell.truth, cell.soc0), seen.current_A, seen.voltage_V, sensed_C, log.current_A,
-        log.voltage_V, usual_V, truth.soc,
-    )  # fmt: skip
+def _drawn(gauge: Gauge, sensor: Sensor | None, seed: int, spread: CellSpread) -> list[World]:
+    return [world_of(gauge, sensor, HOURS, spread, (seed, k)) for k in range(LIVES)]
 
 
-def score(gauge: Gauge, worlds: Sequence[World]) -> float:
-    """RMS of the SOC error of lives whose first hour weighs as much as all that follows.
-
-    A filter forgets its start, and a user sees it. A row without an answer is all wrong.
-    """
-    first = int(SETTLED_S / gauge.dt_s) + 1
-
-    def squares(world: World) -> tuple[float, float]:
-        error = gauge.run(world.config, samples(world, gauge.dt_s)).soc - world.soc
-        each = np.where(np.isfinite(error), error**2, 1.0)
-        return float(each[:first].mean()), float(each[first:].mean())
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return float(np.sqrt(np.mean(list(pool.map(squares, worlds)))))
+def _restart_cost(gauge: Gauge, worlds: Sequence[World], seed: int) -> float:
+    """What losses of power add to the error, of the rows with power."""
+    size_Ah = worlds[0].config.capacity_Ah
+    lost = [
+        world.restarted(gauge.dt_s, size_Ah, np.random.default_rng([seed, k, 5]))
+        for k, world in enumerate(worlds)
+    ]
+    same_rows = [replace(world, on=one.on) for world, one in zip(worlds, lost, strict=True)]
+    return score(gauge, lost) - score(gauge, same_rows)
 
 
-def samples(world: World, dt_s: float) -> np.ndarray:
-    """What a gauge is handed."""
-    found = np.zeros(world.soc.size, dtype=SAMPLE)
-    for name in ("current_A", "voltage_V", "temperature_C"):
-        found[name] = getattr(world, name)
-    found["dt_s"] = dt_s
+def _all_right(
+    gauge: Gauge, worlds: list[World], base: float, alone: Sequence[Fitted]
+) -> tuple[list[tuple[WorldCorrection, float]], float]:
+    """Corrections that help beside each other with their numbers, and the error with all."""
+    right: list[tuple[WorldCorrection, float]] = []
+    left = base
+    for one, _, error_alone in sorted(alone, key=lambda fitted: fitted[2]):
+        value, error = _search(gauge, worlds, one) if error_alone < base else (0.0, base)
+        if error < left:
+            left = error
+            right.append((one, value))
+            worlds = _moved(worlds, right[-1:])
+    return right, left
+
+
+def _moved(
+    worlds: Sequence[World], corrected: Sequence[tuple[WorldCorrection, float]]
+) -> list[World]:
+    found = list(worlds)
+    for one, value in corrected:
+        found = [one.corrected(world, value) for world in found]
     return found
 
 
@@ -166,11 +140,10 @@ def corrections(gauge: Gauge, config: GaugeConfig) -> list[WorldCorrection]:
     table = _table(gauge, config)
 
     def capacity(world: World, factor: float) -> World:
-        kept_V = world.voltage_V - (factor - 1.0) * r0_ohm * world.current_A
-        return replace(world, current_A=factor * world.current_A, voltage_V=kept_V)
+        return world.raised((1.0 - factor) * r0_ohm * world.current_A).scaled(factor)
 
     def resistance(world: World, share: float) -> World:
-        return replace(world, voltage_V=world.voltage_V + share * r0_ohm * world.current_A)
+        return world.raised(share * r0_ohm * world.current_A)
 
     def start(world: World, soc: float) -> World:
         return replace(world, config=world.config._replace(soc0=world.config.soc0 + soc))
@@ -183,11 +156,10 @@ def corrections(gauge: Gauge, config: GaugeConfig) -> list[WorldCorrection]:
 
     def warm(world: World, _: float) -> World:
         usual_C = np.full(world.soc.size, gauge.model.usual_temperature_C)
-        moved_V = world.voltage_V + world.usual_V - world.true_V
-        return replace(world, voltage_V=moved_V, temperature_C=usual_C)
+        return replace(world.raised(world.warming_V), temperature_C=usual_C)
 
     def fitting(world: World, share: float) -> World:
-        return replace(world, voltage_V=world.voltage_V + share * table(world.soc))
+        return world.raised(share * table(world.soc))
 
     return [
         WorldCorrection("capacity", "of the capacity", 0.7, 1.4, capacity),
@@ -224,12 +196,14 @@ def _table(gauge: Gauge, config: GaugeConfig) -> Callable[[FloatArray], FloatArr
     """
     soc = np.linspace(0.05, 0.95, PROBED)
     rests = np.interp(soc, config.soc, config.ocv_V)
-    low, high = (_rested(gauge, config, rests, soc + far) for far in (-FAR_SOC, FAR_SOC))
-    reads = 0.5 * (low + high)
-    if not np.all(np.isfinite(reads)) or np.mean(np.abs(high - low)) > FAR_SOC:
+    starts = [np.clip(soc + far, 0.0, 1.0) for far in (-FAR_SOC, FAR_SOC)]
+    low, high = (_rested(gauge, config, rests, start) for start in starts)
+    kept = (high - low) / (starts[1] - starts[0])  # of where it started
+    reads = (low - kept * starts[0]) / np.maximum(1.0 - kept, 0.5)  # where it would stay
+    if not np.all(np.isfinite(reads)) or np.mean(np.abs(kept)) > 0.5:
         return np.zeros_like
-    reads, kept = np.unique(np.maximum.accumulate(reads), return_index=True)
-    off_V = np.interp(soc, reads, rests[kept]) - rests  # the voltage that it reads as this SOC
+    reads, first = np.unique(np.maximum.accumulate(reads), return_index=True)
+    off_V = np.interp(soc, reads, rests[first]) - rests  # the voltage that it reads as this SOC
     return lambda at: np.asarray(np.interp(at, soc, off_V))
 
 
@@ -243,7 +217,7 @@ def _rested(
         found = np.zeros(rows, dtype=SAMPLE)
         found["voltage_V"], found["dt_s"] = one[0], gauge.dt_s
         found["temperature_C"] = gauge.model.usual_temperature_C
-        started = config._replace(soc0=float(np.clip(one[1], 0.0, 1.0)))
+        started = config._replace(soc0=float(one[1]))
         return float(gauge.run(started, found).soc[-1])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -125,6 +125,7 @@ class Certificate:
                 "temperature": grouped(sorted(self.rows, key=_temperature), _climate),
                 "fault": grouped(sorted(self.rows, key=_temperature), lambda r: str(r["fault"])),
             },
+            "restart_loss": max(row["restart_loss"] for row in self.rows),
             "worst": [_case(row) for row in self.worst],
             "sources": self.sources,
             "instructions": {t["core"]: t["instructions_mean"] for t in targets},
@@ -290,7 +291,8 @@ def certificate_page(data: Mapping[str, Any], model: str, path: str | Path) -> P
 OWN = (
     "On cells that are the model's, with a true start and, unless they are stated, perfect "
     "sensors: what each cause adds to the error, of which the first hour weighs as much as all "
-    "that follows, and by how much the world had to be moved to make it right for the gauge."
+    "that follows, and by how much the world had to be moved to make it right for the gauge. Age "
+    "is what aged cells add, restart what losses of power do; tuning what remains of the squares."
 )
 OF_FLEET = "On the certificate's fleet: how much smaller the error is with each cause made perfect."
 CAUSE_COLUMNS = (
@@ -308,9 +310,8 @@ def cause_blocks(data: Mapping[str, Any]) -> Blocks:
     if "causes" not in data:
         return ()
     rest = (
-        f"Its own error is {percent(data['own_error'])}, {percent(data['tuning'])} with every "
-        "cause made right at once: tuning, and what its model has not. Over a restart the error "
-        f"grew by {percent(data['restart_loss'])} at most beyond what flowed."
+        f"Its own error is {percent(data['own_error'])}, {percent(data['tuning'])} with all its "
+        "numbers made right at once: tuning, and what its model has not."
     )
     failed = [f"{f['name']} ({f['fault']}): {f['problem']}" for f in data["failures"][:SHOWN]]
     return (
@@ -325,7 +326,9 @@ def cause_blocks(data: Mapping[str, Any]) -> Blocks:
 def advice(data: Mapping[str, Any]) -> str:
     """What would bring most: of the gauge, and of what it lives in."""
     said = []
-    for whose, causes in (("itself", data["causes"]), ("its fleet", data["fleet_causes"])):
+    numbers = [cause for cause in data["causes"] if cause["unit"]]
+    ranked = {"itself": data["causes"], "its numbers": numbers, "its fleet": data["fleet_causes"]}
+    for whose, causes in ranked.items():
         if causes and causes[0]["points"] > 0.0:
             name = str(causes[0]["name"]).replace("_", " ")
             said.append(f"of {whose}: {name}, {100.0 * causes[0]['points']:.1f} points")
@@ -396,6 +399,8 @@ def _made(data: Mapping[str, Any]) -> Markup:
             *MADE,
             f"Measured logs: {', '.join(logs) or 'none'}.",
             f"As standard deviations, {assumed_text(settings['sensor'])}.",
+            f"Over a restart the error grew by {percent(data['restart_loss'])} at most beyond what "
+            "flowed since the last write.",
             f"Seed {settings['seed']}, time step {settings['dt_s']:g} s, model sha256 "
             f"{settings['model_sha256'][:16]}.",
             f"Instructions of a step: {cost or 'not counted, no cross compiler at the export'}.",

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_file import read_model
 from cellwise.errors import InputError
-from cellwise.estimate.fixed.layout import INPUT, OUTPUT
+from cellwise.estimate.fixed.layout import OUTPUT, constant_type
+from cellwise.estimate.fixed.options import Options
 from cellwise.estimate.sensor import Sensor, sensor_of
 from cellwise.export.c_tables import STRICT_FLAGS, firmware_folder, prefixed
 from cellwise.export.firmware import compile_rows, host_compiler, load_library
 from cellwise.export.package import DESCRIPTION, MODEL_FILE, model_sha256
+
+Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,11 @@ class Exported:
         return float(self.description["dt_s"])
 
     @property
+    def state_bytes(self) -> int:
+        """Size of its state."""
+        return int(self.description["state_bytes"])
+
+    @property
     def sensor(self) -> Sensor | None:
         """What it was made for, where somebody stated it."""
         stated = self.description.get("sensor", {"by_default": True})
@@ -70,15 +78,39 @@ class Exported:
         -------
         (n,) of layout.OUTPUT
         """
-        records = np.ascontiguousarray(records, dtype=INPUT)
         outputs = np.zeros(records.size, dtype=OUTPUT)
-        state = np.zeros(int(self.description["state_bytes"]), dtype=np.uint8)
-        model = getattr(self._library, f"{self._prefix}_cell")
-        memory = self._ffi.from_buffer
-        getattr(self._library, f"{self._prefix}_init")(model, memory(state), soc, soc_std**2)
-        rows = getattr(self._library, f"{self._prefix}_rows")
-        rows(model, memory(state), memory(records), memory(outputs), records.size)
+        state = self.started(soc, soc_std)
+        self.step(self.tables(), state, records, outputs)
         return outputs
+
+    def started(self, soc: float, soc_std: float) -> Bytes:
+        """A state before its first sample."""
+        state = np.zeros(self.state_bytes, dtype=np.uint8)
+        self.call("init", self.tables(), state, soc, soc_std**2)
+        return state
+
+    def step(
+        self, model: Bytes, state: Bytes, records: NDArray[Any], outputs: NDArray[Any]
+    ) -> None:
+        """Step a state through samples on tables."""
+        self.call("rows", model, state, np.ascontiguousarray(records), outputs, records.size)
+
+    def tables(self, capacity_Ah: float | None = None) -> Bytes:
+        """The struct of tables, of a cell of another capacity where one is given."""
+        bytes_of = self._ffi.buffer(
+            getattr(self._library, f"{self._prefix}_cell"), int(self.description["model_bytes"])
+        )
+        found = np.frombuffer(bytes_of, dtype=np.uint8).copy()
+        if capacity_Ah is not None:
+            constants = constant_type(Options(**self.description["options"]))
+            first = found[: constants.itemsize].view(constants)
+            first["soc_per_A"] *= np.float32(self.model.capacity_Ah / capacity_Ah)
+        return found
+
+    def call(self, name: str, *handed: Any) -> Any:
+        """A function of the C, whatever its prefix; of an array its memory."""
+        memory = [self._ffi.from_buffer(a) if isinstance(a, np.ndarray) else a for a in handed]
+        return getattr(self._library, f"{self._prefix}_{name}")(*memory)
 
 
 def read_export(folder: str | Path, model: CellModel | None = None) -> Exported:

@@ -10,27 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.benchmark.certify.gauge import (
-    RESTART,
-    SAMPLE,
-    SAVE,
-    TORN,
-    UPDATED,
-    Gauge,
-    GaugeConfig,
-    config_of,
-)
+from cellwise.benchmark.certify.gauge import RESTART, SAMPLE, Gauge, GaugeConfig, config_of
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
-from cellwise.estimate.fixed.fixed_step import samples_of
+from cellwise.benchmark.certify.restarts import REST_C, power_events, restart_loss
+from cellwise.estimate.fixed.fixed_step import Samples, samples_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import BoolArray, FloatArray
 
-SAVE_S = 600.0  # between two writes of what is kept over a restart
 FEW_CELLS, EVERY = 50, 11  # odd: every second life has a fault
-GAP_S = 60.0  # of samples, beyond which the power was off
-OFF_H, REST_C = (1.0, 4.0), 0.01  # how long the power is lost, and the load that a rest has at most
-# When, as shares of a life: in the middle of a write; for hours; and tables are updated.
-RESTARTS = ((TORN, 0.25, 0.40), (RESTART, 0.50, 0.65), (UPDATED, 0.70, 0.85))
 
 
 class Lived(NamedTuple):
@@ -60,45 +47,28 @@ def live(
     """
     rows = samples_of(gauge.model, life.seen, gauge.dt_s)
     records, row_sample = rows.records, rows.row_sample
+    event, on, truth = life_events(life, rows, gauge.dt_s, seed, restarts)
+    handed = np.isfinite(records["current_A"]) & np.isfinite(records["voltage_V"]) & on
     number = records["sequence"].astype(np.int64)
-    handed = np.isfinite(records["current_A"]) & np.isfinite(records["voltage_V"])
-    load_A = _at_samples(life.log.current_A, row_sample, records.size)
-    event, on = _events(life, gauge.dt_s * (number - number[0]), load_A, seed, restarts)
-    handed &= on
     samples = _handed(records[handed], number[handed], event, handed, gauge.dt_s)
     config = config or config_of(gauge.model, life.about["started_at"])
     found = gauge.run(config, samples, config_of(life.truth, config.soc0))
     last = np.maximum(np.cumsum(handed) - 1, 0)[row_sample]  # a lost sample: the answer before it
-    truth = _at_samples(life.soc, row_sample, records.size)[handed]
-    lost = _restart_loss(samples["event"], found.soc - truth, truth)
+    lost = restart_loss(samples["event"], found.soc - truth[handed], truth[handed])
     return Lived(found.soc[last], found.std[last], on[row_sample], lost, found.problem)
 
 
-def _events(
-    life: CertifiedLife, time_s: FloatArray, load_A: FloatArray, seed: int, restarts: bool
-) -> tuple[NDArray[Any], BoolArray]:
-    """The event before each sample, and whether the power is on at it.
-
-    It is off for hours in a rest; a load or a charger switches it on.
-    """
-    event = np.zeros(time_s.size, dtype=np.uint32)
-    on = np.ones(time_s.size, dtype=np.bool_)
-    event[1:][np.diff(np.floor(time_s / SAVE_S)) > 0] = SAVE
-    event[1:][np.diff(time_s) > GAP_S] = RESTART  # of the log: whoever logged was off
+def life_events(
+    life: CertifiedLife, rows: Samples, dt_s: float, seed: int, restarts: bool = True
+) -> tuple[NDArray[Any], BoolArray, FloatArray]:
+    """`power_events` at the samples of a life, and its true SOC there, each of shape (n,)."""
+    number = rows.records["sequence"].astype(np.int64)
+    at = np.searchsorted(rows.row_sample, np.arange(number.size), side="right") - 1
+    row = np.maximum(at, 0)  # the last one up to each sample
+    loaded = np.abs(life.log.current_A[row]) > REST_C * life.truth.capacity_Ah
     rng = np.random.default_rng([seed, life.about["cell"], 5])
-    loaded = np.abs(load_A) > REST_C * life.truth.capacity_Ah
-    for kind, low, high in RESTARTS:
-        first = int(np.searchsorted(time_s, float(rng.uniform(low, high)) * time_s[-1]))
-        off_s = 3600.0 * float(rng.uniform(*OFF_H))
-        back = first
-        if kind == RESTART:
-            first += int(np.argmin(loaded[first:]))
-            ends = first + int(np.argmax(np.append(loaded[first:], True)))
-            back = min(ends, int(np.searchsorted(time_s, time_s[first] + off_s)))
-        if restarts or kind == UPDATED:
-            on[first:back] = False
-            event[min(back, event.size - 1)] = kind
-    return event, on
+    event, on = power_events(dt_s * (number - number[0]), loaded, rng, restarts)
+    return event, on, life.soc[row]
 
 
 def _handed(
@@ -113,22 +83,6 @@ def _handed(
     np.maximum.at(found["event"], at, event)
     found["dt_s"][found["event"] >= RESTART] = dt_s  # what it was off for it does not see
     return found
-
-
-def _at_samples(values: FloatArray, row_sample: NDArray[Any], samples: int) -> FloatArray:
-    """Values of rows at each sample: of the last row up to it."""
-    row = np.searchsorted(row_sample, np.arange(samples), side="right") - 1
-    return np.asarray(values[np.maximum(row, 0)])
-
-
-def _restart_loss(event: NDArray[Any], error: FloatArray, truth: FloatArray) -> float:
-    """Largest growth of the error over a restart, beyond what flowed since the last write."""
-    flowed = np.cumsum(np.abs(np.diff(truth, prepend=truth[0])))
-    saved = np.maximum.accumulate(np.where(event > 0, np.arange(event.size), 0))
-    at = np.flatnonzero(event[1:] >= RESTART) + 1
-    since = flowed[at] - flowed[np.maximum(saved[at - 1] - 1, 0)]
-    grown = np.abs(error[at]) - np.abs(error[at - 1]) - since
-    return float(np.max(np.where(np.isfinite(grown), grown, 1.0), initial=0.0))
 
 
 def is_split(fleet: Fleet, number: int) -> bool:

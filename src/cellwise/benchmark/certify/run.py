@@ -13,12 +13,14 @@ import numpy as np
 
 from cellwise.benchmark.certify.causes import own_causes
 from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits
+from cellwise.benchmark.certify.export_restarts import run_restarted
 from cellwise.benchmark.certify.exported import Exported
 from cellwise.benchmark.certify.gauge import Gauge
 from cellwise.benchmark.certify.gauge_lives import (
     Lived,
     fleet_causes,
     is_split,
+    life_events,
     live,
     scored_rows,
     without_each,
@@ -30,6 +32,7 @@ from cellwise.benchmark.certify.lives import (
     Fleet,
 )
 from cellwise.benchmark.certify.physics_cells import has_pybamm
+from cellwise.benchmark.certify.restarts import RESTARTS, restart_loss
 from cellwise.benchmark.certify.virtual_cells import START_STD
 from cellwise.benchmark.row_store import KeptRows, key_of
 from cellwise.benchmark.suite_logs import JudgedLog
@@ -110,6 +113,7 @@ def certify(
         "physics_hours": min(hours, PHYSICS_HOURS),
         "pybamm": version("pybamm") if fleet.physics else None,
         "measured": [[one.log.name, one.soc0, one.reference_Ah] for one in measured],
+        "restarts": RESTARTS,
         "seed": seed,
         "sensor": assumed(stated, capacity_Ah),
     }
@@ -173,8 +177,10 @@ def run_life(exported: Exported | Gauge, life: CertifiedLife, seed: int) -> dict
     A row of which a gauge says nothing, or no number, counts as wrong by all there is.
     """
     log = life.log
-    is_gauge = isinstance(exported, Gauge)
-    said = live(exported, life, seed) if isinstance(exported, Gauge) else lived(exported, life)
+    if isinstance(exported, Gauge):
+        said = live(exported, life, seed)
+    else:
+        said = lived(exported, life, seed)
     error = np.where(np.isfinite(said.soc), said.soc - life.soc, 1.0)
     scored = scored_rows(life) & said.on
     ends = ends_of_discharges(log) & scored
@@ -194,15 +200,21 @@ def run_life(exported: Exported | Gauge, life: CertifiedLife, seed: int) -> dict
         "ends_near": int(np.sum(np.abs(error[ends]) <= NEAR)),
         "counts": np.histogram(np.minimum(size, BINS[-1]), BINS)[0].tolist(),
     }
-    return {**row, "restart_loss": said.restart_loss, "failure": said.problem} if is_gauge else row
+    row["restart_loss"] = said.restart_loss
+    return {**row, "failure": said.problem} if isinstance(exported, Gauge) else row
 
 
-def lived(exported: Exported, life: CertifiedLife) -> Lived:
-    """What the exported C says at each row of a life."""
+def lived(exported: Exported, life: CertifiedLife, seed: int) -> Lived:
+    """What the exported C says at each row of a life; what it loses where the power is lost."""
     samples = samples_of(exported.model, life.seen, exported.dt_s)
-    outputs = exported.run(samples.records, life.about["started_at"], START_STD)[samples.row_sample]
+    start = (life.about["started_at"], START_STD)
+    outputs = exported.run(samples.records, *start)[samples.row_sample]
     std = np.sqrt(outputs["soc_variance"].astype(np.float64))
-    return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), 0.0, "")
+    event, on, truth = life_events(life, samples, exported.dt_s, seed)
+    handed = samples.records[on]
+    again = run_restarted(exported, handed, event[on], start, life.truth.capacity_Ah)
+    lost = restart_loss(event[on], again["soc"] - truth[on], truth[on])
+    return Lived(outputs["soc"].astype(np.float64), std, np.ones(std.size, np.bool_), lost, "")
 
 
 def split_error(
@@ -215,7 +227,6 @@ def split_error(
         "own_error": error,
         "tuning": left,
         "fleet_causes": fleet_causes(rows),
-        "restart_loss": max(row["restart_loss"] for row in rows),
         "failures": [
             {"name": row["name"], "fault": row["fault"], "problem": row["failure"]}
             for row in rows

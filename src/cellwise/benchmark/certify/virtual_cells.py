@@ -35,6 +35,8 @@ class CellSpread:
     resistance_grown: float = 1.0
     slipped_soc: float = 0.03
     model_error: float = 1.0  # of what the model states of its own error
+    age: float | None = None  # None: drawn, as is the temperature
+    temperature_C: float | None = None
 
 
 # What goes wrong beside, in every second cell; shares of 1C so that they fit a cell of any size.
@@ -75,10 +77,13 @@ def draw_cell(
 ) -> VirtualCell:
     """The cell of an index: the same for the same seed, whatever is drawn beside it."""
     rng = np.random.default_rng([seed, index])
-    age = float(rng.uniform())
-    truth = aged(model, age, rng, spread or CellSpread())
+    spread = spread or CellSpread()
+    drawn = float(rng.uniform())
+    age = drawn if spread.age is None else spread.age
+    truth = aged(model, age, rng, spread)
     low, high = model.validity.temperature_C or (model.temperature_C[0], model.temperature_C[-1])
-    temperature_C = float(rng.uniform(low, high))
+    drawn_C = float(rng.uniform(low, high))
+    temperature_C = drawn_C if spread.temperature_C is None else spread.temperature_C
     soc0 = float(rng.uniform(0.2, 1.0))
     started = float(np.clip(soc0 + START_STD * rng.standard_normal(), 0.0, 1.0))
     fault = NO_FAULT if index % 2 == 0 else FAULTS[index // 2 % len(FAULTS)]

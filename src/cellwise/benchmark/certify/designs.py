@@ -1,0 +1,212 @@
+"""Ways to build a gauge, and how wrong each is: on the certificate's virtual cells, without faults.
+
+A coarse design: what laboratory tests leave open is what a model's posterior, its stated error and
+cells of one type leave; what the circuit itself gets wrong stays as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cellwise.benchmark.certify.certificate import BINS
+from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
+from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread
+from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import ModelError
+from cellwise.estimate.fixed.options import Options
+from cellwise.estimate.fixed.stepper import Stepper
+from cellwise.estimate.fixed.tables import FixedStepTables
+from cellwise.estimate.sensor import CAR, CLASSES, SensorReadings, seen_by
+from cellwise.export.firmware import Firmware, HostLibrary
+from cellwise.fit.population import SAME_CELL
+from cellwise.typing import FloatArray
+
+LIFE_YEARS = 5.0  # to 80 % of the capacity, what UN GTR 22 asks of a vehicle's battery
+UPDATED_YEARS = 1.0  # between two updates of capacity and resistances from a history
+MOST_HOURS = 24.0  # of each cell
+UNKNOWN_CAPACITY = 0.03  # of a data sheet's: between its minimum and its typical value
+# Steps: what is asked for, its code in bytes and its mean instructions on a Cortex-M4F, as counted
+# for benchmarks/results/firmware.json; with an offset as `export --offset` counts.
+STEPS: dict[str, tuple[dict[str, Any], int, int]] = {
+    "lean": ({"wide": False}, 2140, 405),
+    "wide": ({"components": 1}, 7386, 780),
+    "offset": ({"components": 1, "offset": True}, 11730, 1769),
+    "bank": ({}, 7386, 7835),
+}
+POINTS = (11, 21, 51)  # of the tables over SOC
+# Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten
+# levels with rests of an hour; C/20 both ways.
+TESTS = {"none": 0, "capacity": 10, "pulses": 26, "ocv": 68}
+
+
+class Ask(NamedTuple):
+    """A limit: the SOC error as a fraction, which figure of it, at a temperature, after years."""
+
+    limit: float
+    figure: str
+    temperature_C: float
+    years: float
+
+
+@dataclass(frozen=True)
+class DesignOption:
+    """One way to build it.
+
+    Parameters
+    ----------
+    sensor, step, tests : str     of `CLASSES`, `STEPS`, `TESTS`
+    points : int                  of the tables over SOC
+    updated : bool                capacity and resistances come from a history, once a year
+    """
+
+    sensor: str
+    step: str
+    points: int
+    tests: str
+    updated: bool
+
+
+def all_options() -> list[DesignOption]:
+    """Every combination."""
+    return [DesignOption(*one) for one in product(CLASSES, STEPS, POINTS, TESTS, (False, True))]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Options on virtual cells of a model.
+
+    Parameters
+    ----------
+    model : CellModel
+    ask : Ask
+    dt_s : float              time step of the target [s]
+    hours : float             of each cell, a day at most
+    seed : int
+    """
+
+    model: CellModel
+    ask: Ask
+    dt_s: float
+    hours: float
+    seed: int
+
+    def errors(self, options: Sequence[DesignOption], cells: int) -> Iterator[float]:
+        """The figure asked for of options that share their lives, over cells."""
+        steps = [self.step(option) for option in options]
+        found = [FleetErrors() for _ in options]
+        for number in range(cells):
+            life = self.life(options[0], number)
+            for step, own in zip(steps, found, strict=True):
+                own.add(_errors(step, life))
+        return (own.figure(self.ask.figure) for own in found)
+
+    def step(self, option: DesignOption) -> DesignStep:
+        """The C of an option."""
+        own = seen_by(self._known(option.tests), CLASSES[option.sensor])
+        asked = {**STEPS[option.step][0], "points": option.points}
+        return DesignStep(self._libraries, own, self.dt_s, asked)
+
+    @cached_property
+    def _libraries(self) -> dict[Options, HostLibrary]:
+        return {}
+
+    def life(self, option: DesignOption, number: int) -> CertifiedLife:
+        """The life of a number, as an option's sensor sees it."""
+        own = CLASSES[option.sensor].of_cell(self.model.capacity_Ah)
+        spread = self._spread(option.tests, option.updated)
+        hours = min(self.hours, MOST_HOURS)
+        fleet = Fleet(0, 0, (), hours, self.seed, own, spread)
+        # Odd ones have faults.
+        return fleet.life(self._known(option.tests), MODEL, 2 * number, self.dt_s)
+
+    def _spread(self, tests: str, updated: bool) -> CellSpread:
+        """How cells differ from the tables, at the temperature and the age that are asked for."""
+        years = min(self.ask.years, UPDATED_YEARS) if updated else self.ask.years
+        usual = CellSpread(age=years / LIFE_YEARS, temperature_C=self.ask.temperature_C)
+        unknown = math.hypot(usual.capacity, UNKNOWN_CAPACITY * (tests == "none"))
+        shape = SAME_CELL.ln_r if TESTS[tests] < TESTS["pulses"] else usual.resistance
+        return replace(usual, capacity=unknown, resistance=shape)
+
+    def _known(self, tests: str) -> CellModel:
+        """The model after tests: what they show is left open no more."""
+        hours, model = TESTS[tests], self.model
+        shown = [
+            name
+            for name, test in (("capacity", "capacity"), ("resistance", "pulses"), ("ocv", "ocv"))
+            if hours >= TESTS[test]
+        ]
+        if model.posterior is not None:
+            kept = [not name.startswith(tuple(shown)) for name in model.posterior.directions]
+            factor = model.posterior.factor * np.array(kept, dtype=np.float64)[:, None]
+            model = replace(model, posterior=replace(model.posterior, factor=factor))
+        least = ModelError.of_white_and_slow(CAR.voltage_noise_V, SAME_CELL.ocv_V)
+        is_less = float(np.mean(model.error.at(model.soc))) > SAME_CELL.ocv_V
+        return replace(model, error=least) if "ocv" in shown and is_less else model
+
+    def costs(self, option: DesignOption) -> dict[str, float]:
+        """What an option takes; a class of sensor by its rank, the better the higher."""
+        _, code, instructions = STEPS[option.step]
+        tables = self.step(option).stepper(self.dt_s).tables
+        size_Ah = self.model.capacity_Ah
+        rank = sorted(CLASSES, key=lambda name: -CLASSES[name].offset_A(size_Ah))
+        return {
+            "bytes": code + tables.flash_bytes,
+            "instructions": instructions,
+            "hours": TESTS[option.tests],
+            "sensor_class": rank.index(option.sensor),
+            "updates": int(option.updated),
+        }
+
+
+class DesignStep(Firmware):
+    """The exported C on tables of its own: compiled once for all with the same options."""
+
+    def __init__(
+        self,
+        libraries: dict[Options, HostLibrary],
+        own: SensorReadings,
+        dt_s: float,
+        asked: Mapping[str, Any],
+    ) -> None:
+        self._libraries = libraries
+        super().__init__(own.model, own.noise, dt_s=dt_s, **asked)
+
+    def _make(self, tables: FixedStepTables) -> Stepper:
+        if tables.options not in self._libraries:
+            self._libraries[tables.options] = HostLibrary(tables)
+        return self._libraries[tables.options].on(tables)
+
+
+def _errors(step: Firmware, life: CertifiedLife) -> FloatArray:
+    """SOC error of a life after its first hour."""
+    start = (life.about["started_at"], START_STD)
+    scored = life.log.time_s - life.log.time_s[0] >= SETTLED_S
+    return np.asarray(np.abs(step.run(life.seen, *start).soc - life.soc)[scored])
+
+
+class FleetErrors:
+    """SOC errors of many lives: their squares, their largest, how many are of which size."""
+
+    def __init__(self) -> None:
+        self.squares, self.rows, self.worst = 0.0, 0, 0.0
+        self.counts = np.zeros(BINS.size - 1)
+
+    def add(self, error: FloatArray) -> None:
+        """Errors of one life more."""
+        self.squares += float(np.sum(error**2))
+        self.rows += error.size
+        self.worst = max(self.worst, float(error.max()))
+        self.counts += np.histogram(np.minimum(error, BINS[-1]), BINS)[0]
+
+    def figure(self, name: str) -> float:
+        """One of ``rmse``, ``p95``, ``worst``."""
+        below = np.searchsorted(np.cumsum(self.counts), 0.95 * self.rows)
+        found = {"rmse": math.sqrt(self.squares / self.rows), "worst": self.worst}
+        return found.get(name, float(BINS[1 + int(below)]))
