@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from benchmarks.accuracy.judging import voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
+from benchmarks.parts import each_case
 from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
@@ -112,17 +114,20 @@ def with_offset(model: CellModel, log: CellLog, name: str) -> list[Judged]:
 
 def lfp_figures(data: Path, say: Progress) -> list[Figure]:
     """Every temperature left out in turn."""
-    figures: list[Figure] = []
-    for tag, warm in CHAMBER_C.items():
-        say(f"A123 without {warm:.0f} degC")
-        model, log = model_without(data, tag), drive(data, tag)
-        group = f"A123 {warm:.0f} degC, no drive of it in the fit"
-        figures.append(
-            Figure(group, "voltage RMSE above 10 % SOC", voltage_rmse_mV(model, log, 1.0), "mV")
-        )
-        known = {name: from_known(model, log, name) for name in ("coulomb", *ESTIMATORS)}
-        for name in ESTIMATORS:
-            figures += _of_estimator(group, model, log, name, known)
+    cases = (
+        (f"A123 {warm:.0f} degC, no drive of it in the fit", tag) for tag, warm in CHAMBER_C.items()
+    )
+    return each_case(((group, partial(_left_out, data, group, tag)) for group, tag in cases), say)
+
+
+def _left_out(data: Path, group: str, tag: str) -> list[Figure]:
+    """One temperature."""
+    model, log = model_without(data, tag), drive(data, tag)
+    voltage_mV = voltage_rmse_mV(model, log, 1.0)
+    figures = [Figure(group, "voltage RMSE above 10 % SOC", voltage_mV, "mV")]
+    known = {name: from_known(model, log, name) for name in ("coulomb", *ESTIMATORS)}
+    for name in ESTIMATORS:
+        figures += _of_estimator(group, model, log, name, known)
     return figures
 
 
