@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -11,7 +12,8 @@ from cellwise.files import write_atomically
 
 PAGE = REPOSITORY / "docs" / "accuracy.md"
 README = REPOSITORY / "README.md"
-BOLD = "**Bold**: misses its bound.\n"
+LEGEND = "In brackets the bound; **bold**: misses it."
+WARM = re.compile(r"\s-?\d+ degC")
 MOST_ROWS = 40  # a page that is read to its end
 MARKS = "<!-- figures: printed by benchmarks/publish.py -->", "<!-- end of figures -->"
 MIDDLE = "under load in the middle, 30 points wrong: SOC RMSE"
@@ -50,14 +52,33 @@ def page_of(results: dict[str, Any]) -> str:
     if len(rows) > MOST_ROWS:
         raise ValueError(f"{len(rows)} headlines, at most {MOST_ROWS}: choose")
     one = len(days(rows)) == 1
-    lines = [ABOUT, f"{' '.join(days(rows))} **Bold**: misses its bound.\n" if one else BOLD]
-    for group in dict.fromkeys(f["group"] for f in rows):
-        own = [f for f in rows if f["group"] == group]
+    lines = [ABOUT, f"{' '.join(days(rows))} {LEGEND}" if one else LEGEND]
+    for family in dict.fromkeys(family_of(f) for f in rows):
+        own = [f for f in rows if family_of(f) == family]
         said = [] if one else [f"{' '.join(days(own))}\n"]
-        lines += [f"## {group}\n", *said, "| figure | value | bound | |", "|---|---|---|---|"]
-        lines += [f"| {f['who']} | {value_of(f)} | {bound_of(f)} | {f['note']} |" for f in own]
-        lines.append("")
-    return "\n".join(lines)
+        lines += [f"\n## {family}\n", *said, *table_of(own)]
+    return "\n".join((*lines, ""))
+
+
+def family_of(f: dict[str, Any]) -> str:
+    """The heading of a figure: its group without the temperature."""
+    return " ".join(WARM.sub(" ", f["group"]).split()).replace(" ,", ",")
+
+
+def warm_of(f: dict[str, Any]) -> str:
+    """The temperature in a figure's group; empty without one."""
+    found = WARM.search(f["group"])
+    return found.group().strip(" ,") if found else ""
+
+
+def table_of(rows: list[dict[str, Any]]) -> list[str]:
+    """One line for each figure, one column for each temperature."""
+    columns = list(dict.fromkeys(warm_of(f) for f in rows))
+    lines = [f"| | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
+    for who in dict.fromkeys(f["who"] for f in rows):
+        own = {warm_of(f): f"{value_of(f)}{bound_of(f)}" for f in rows if f["who"] == who}
+        lines.append(f"| {who} | {' | '.join(own.get(c, '') for c in columns)} |")
+    return lines
 
 
 def days(rows: Iterable[dict[str, Any]]) -> list[str]:
@@ -75,7 +96,7 @@ def bound_of(f: dict[str, Any]) -> str:
     """What was asked for."""
     if f["target"] is None:
         return ""
-    return f"{'at least' if f['at_least'] else 'at most'} {f['target']:g} {f['unit']}"
+    return f" ({'≥' if f['at_least'] else '≤'} {f['target']:g})"
 
 
 def readme_table(results: dict[str, Any]) -> str:

@@ -148,10 +148,11 @@ def _of_estimator(
     late = [run.error[truth < truth[0] - PASSED] for run, truth in middle]
     worst = max(float(np.sqrt(np.mean(np.square(e)))) for e in late)
     largest = max(float(np.max(np.abs(e))) for e in late)
+    wrong = f"{name}, 30 points wrong on the plateau"
     found += [
-        Figure(group, f"{name}, 30 points wrong on the plateau: rows inside two sigma",
+        Figure(group, f"{wrong}: rows inside two sigma",
                100 * inside, "%", target=95.0, at_least=True),
-        Figure(group, f"{name}, the same: SOC RMSE after 20 % of the capacity, worst start",
+        Figure(group, f"{wrong}: SOC RMSE after 20 % of the charge, worst start",
                100 * worst, "%", target=2.0, headline=name == "ekf",
                note=f"{100 * inside:.0f} % of the rows inside two deviations, largest error "
                f"{100 * largest:.1f} %"),

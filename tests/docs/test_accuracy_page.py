@@ -11,6 +11,7 @@ from benchmarks.accuracy_page import (
     MOST_ROWS,
     PAGE,
     README,
+    family_of,
     headlines,
     page_of,
     readme_table,
@@ -55,12 +56,12 @@ def test_results_say_of_which_commit_and_day_they_are(results):
 def test_rows_of_two_commits_say_so_each(results):
     """No row stands under the commit of another."""
     rows = [dict(row) for row in results["figures"]]
-    last = headlines(results)[-1]["group"]
-    for row in rows:
-        row["commit"] = "0123abcd" if row["group"] == last else row["commit"]
-    page = page_of({**results, "figures": rows})
-    assert "Commit `0123abcd`" in page.partition(f"## {last}")[2]
-    assert "Commit `0123abcd`" not in page.partition(f"## {last}")[0]
+    last = family_of(headlines(results)[-1])
+    other = {**headlines(results)[-1], "group": "another cell", "commit": "0123abcd"}
+    page = page_of({**results, "figures": [*rows, other]})
+    assert "Commit `0123abcd`" in page.partition("## another cell")[2]
+    assert "Commit `0123abcd`" not in page.partition("## another cell")[0]
+    assert f"Commit `{rows[-1]['commit']}`" in page.partition(f"## {last}")[2]
 
 
 def test_a_row_that_was_not_measured_leaves_its_cell_of_the_readme_empty(results):
