@@ -1,33 +1,13 @@
 #include "cellwise_store.h"
-
-#include <string.h>
+#include "cellwise_crc.h"
+#if CELLWISE_HEALTH
+#include "cellwise_patch.h"
+#endif
 
 #define MAGIC 0x43573032u /* "CW02" */
 #define LAYOUT 2u
-#define POLYNOMIAL 0xEDB88320u
-#define CRC_BEGIN 0xFFFFFFFFu
-#define WORD ((uint32_t)sizeof(uint32_t))
 #define HALF 0x80000000u
 #define LONGEST_GAP 0x100000u /* time steps; a step counts no more */
-
-/* One bit at a time: a start has milliseconds, flash has no room for a table. */
-static uint32_t more_words(uint32_t crc, const uint8_t *at, uint32_t bytes)
-{
-    uint32_t found = crc;
-    for (uint32_t done = 0u; (done + WORD) <= bytes; done += WORD) {
-        uint32_t word;
-        (void)memcpy(&word, &at[done], sizeof word);
-        for (uint32_t bit = 0u; bit < 32u; bit++) {
-            const bool is_odd = ((found ^ word) & 1u) != 0u;
-            found >>= 1u;
-            word >>= 1u;
-            if (is_odd) {
-                found ^= POLYNOMIAL;
-            }
-        }
-    }
-    return found;
-}
 
 /* Of a head but for the CRC at its end. */
 static uint32_t crc_of_head(const cellwise_stored_head *head)

@@ -96,6 +96,40 @@ uint32_t cellwise_restore_cells(const cellwise_stored_cells *from, const cellwis
                                 const cellwise_pack_cell *cells, uint32_t count);
 #endif
 
+#if CELLWISE_HEALTH
+/* Beside the faults above: the block is older than the one that was taken, or says what no cell or sensor has. */
+#define CELLWISE_OLD_PATCH 32u
+#define CELLWISE_BEYOND_BOUNDS 64u
+
+/* What is known of one cell and its current sensor beside the tables; `cellwise.export.patch` writes it. */
+typedef struct {
+    uint32_t magic;
+    uint32_t layout;
+    uint32_t model_crc; /* of the tables that it corrects */
+    uint32_t generation; /* 0: none was taken; a later block has a larger one */
+    float capacity_share;
+    float resistance_scale;
+    float offset_A; /* what the sensor shows without a current */
+    float per_gain; /* amperes that flow for each that it shows beside the offset */
+    uint32_t crc; /* of everything before */
+} cellwise_patch;
+
+/* Begin without a patch; `taken` stays beside the state. */
+void cellwise_no_patch(cellwise_patch *taken);
+
+/* Take a block for all steps that follow; `taken` itself again after cellwise_init, cellwise_restore and a step that
+ * says CELLWISE_STATE_RESET. 0, or why it was refused: then state and `taken` are as they were. */
+uint32_t cellwise_take_patch(const cellwise_model *m, cellwise_state *x, cellwise_patch *taken,
+                             const cellwise_patch *from);
+
+/* Back to the tables as they were made. Generation stays: the same block is not taken again. 0, or
+ * CELLWISE_BEYOND_BOUNDS where the state is not sound. */
+uint32_t cellwise_undo_patch(const cellwise_model *m, cellwise_state *x, cellwise_patch *taken);
+
+/* Current for cellwise_input, of what the sensor shows. */
+float cellwise_patched_current(const cellwise_patch *taken, float current_A);
+#endif
+
 #ifdef __cplusplus
 }
 #endif

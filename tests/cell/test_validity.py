@@ -14,7 +14,9 @@ from cellwise.cell.model_file import (
     write_model,
 )
 from cellwise.cell.plausibility.validity import (
-    TOLERANCE,
+    TOLERANCE_CURRENT,
+    TOLERANCE_K,
+    TOLERANCE_SOC,
     Validity,
     beyond_soc,
     covered,
@@ -87,14 +89,14 @@ def test_a_hair_outside_is_inside(validity, soc):
         assert far == 0.0
     else:
         low, high = validity.soc
-        assert far == pytest.approx(max(low - soc, soc - high, TOLERANCE.soc) - TOLERANCE.soc)
+        assert far == pytest.approx(max(low - soc, soc - high, TOLERANCE_SOC) - TOLERANCE_SOC)
 
 
 def test_bounds_carry_the_tolerance_and_are_infinite_where_nothing_is_known():
     bounds = VALID.bounds()
-    assert bounds.cold_C == -5.0 - TOLERANCE.kelvin
-    assert bounds.discharge_A == pytest.approx(12.0 * (1.0 + TOLERANCE.share))
-    assert bounds.charge_A == pytest.approx(-3.0 - 12.0 * TOLERANCE.share)
+    assert bounds.cold_C == -5.0 - TOLERANCE_K
+    assert bounds.discharge_A == pytest.approx(12.0 * (1.0 + TOLERANCE_CURRENT))
+    assert bounds.charge_A == pytest.approx(-3.0 - 12.0 * TOLERANCE_CURRENT)
     assert np.all(np.isinf(Validity().bounds()))
 
 
@@ -113,6 +115,6 @@ def test_the_stated_error_grows_with_the_distance_from_the_data(a, b):
     plain = linear_cell()
     assert plain.slow_error_V(a) == plain.error.at(a)
     # A straight OCV of 0.9 V: at half its slope, 0.45 V for the whole range.
-    edge = 0.6 + TOLERANCE.soc
+    edge = 0.6 + TOLERANCE_SOC
     expected = np.hypot(float(plain.error.at(1.0)), 0.45 * (1.0 - edge))
     assert float(model.slow_error_V(1.0)) == pytest.approx(expected)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cellwise import load_dataset, replay, simulate
-from cellwise.cell.plausibility.notice import FAR_OFF, times_stated
+from cellwise.cell.plausibility.notice import FAR_DEVIATIONS, times_stated
 from cellwise.cell.stock import named_model
 from cellwise.cli import main
 from cellwise.logs.writing import write_columns
@@ -129,7 +129,7 @@ def test_what_a_run_prints_of_itself_says_it_too(name, far):
     assert ("FAR OFF" in repr(replay(named_model(name, 5.0), log))) == far
     assert simulation.model is not None
     times, _ = times_stated(simulation.model, log, simulation.residual_V, simulation.soc)
-    assert (times > FAR_OFF.deviations) == far
+    assert (times > FAR_DEVIATIONS) == far
 
 
 @pytest.mark.slow

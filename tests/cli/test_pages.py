@@ -73,7 +73,7 @@ def test_what_is_left_is_shown_at_the_usual_load_with_its_band(
     assert found["forecast"]["stands"]
     assert "last minute" not in text_of(page, "thead")
     assert drawn[0].key.startswith("flight")
-    above, below = drawn[0].figure.axes
+    above, below, _ = drawn[0].figure.axes
     for axes in (above, below):
         (line,), (band,) = axes.lines, axes.collections
         left = line.get_ydata()

@@ -14,7 +14,7 @@ import pytest
 
 from cellwise.cell.effects import ChargeTransfer, TemperatureDependence
 from cellwise.cell.plausibility.notice import outside_moment, outside_notices
-from cellwise.cell.plausibility.validity import TOLERANCE, UNKNOWN, Validity
+from cellwise.cell.plausibility.validity import TOLERANCE_K, UNKNOWN, Validity
 from cellwise.cell.plausibility.validity_kernels import (
     extrapolation_V,
     validity_scalars,
@@ -138,7 +138,7 @@ def test_a_temperature_that_nobody_measured_is_no_news():
 def test_what_a_cold_cell_does_is_within_two_deviations_of_the_law(activation_K):
     """20 and 30 kJ/mol against a model that has no activation, to 45 K below its data."""
     valid, drop_V = validity_scalars(MODEL), 0.1
-    for warm in np.arange(-20.0, 24.0 - TOLERANCE.kelvin, 5.0):
+    for warm in np.arange(-20.0, 24.0 - TOLERANCE_K, 5.0):
         factor = np.exp(activation_K * (1.0 / (warm + 273.15) - 1.0 / 298.15))
         stated = np.hypot(float(MODEL.error.at(0.5)), MODEL.error.shown_share() * drop_V)
         law = np.hypot(stated, extrapolation_V(valid, warm, 3.0, drop_V))
@@ -164,7 +164,7 @@ def test_what_leaves_the_data_is_said_once_and_first_with_its_numbers():
         assert sum("data covered" in n for n in texts(found.notices)) == 1
 
 
-@pytest.mark.parametrize("warm", [24.0 - 0.9 * TOLERANCE.kelvin, 29.0 + 0.9 * TOLERANCE.kelvin])
+@pytest.mark.parametrize("warm", [24.0 - 0.9 * TOLERANCE_K, 29.0 + 0.9 * TOLERANCE_K])
 def test_a_hair_outside_says_nothing(warm):
     log = measured(BEFORE, drive(warm, scale=0.5))
     assert simulate(MODEL, log, SOC0).notices == ()

@@ -16,8 +16,10 @@ from cellwise.estimate.replay import replay
 from cellwise.forecast.outlook import Outlook
 from cellwise.forecast.remaining import forecast
 from cellwise.forecast.warming_kernels import (
+    COOLING_PER_S,
     NOTHING_SEEN,
-    USUAL_LUMP,
+    SHARE_OF_HEAT,
+    SURROUNDINGS_K,
     Warmth,
     observed,
     rise_std_K,
@@ -69,9 +71,9 @@ def test_its_deviation_is_that_of_lumps_drawn_from_what_was_expected():
     z = {60: [], 480: []}
     lost = np.full(900, 0.5)
     for _ in range(60):
-        a = usual * max(1 + USUAL_LUMP.share_of_heat * rng.normal(), 0.2)
-        k = USUAL_LUMP.cooling_per_s * max(1 + rng.normal(), 0.05)
-        c = USUAL_LUMP.cooling_per_s * USUAL_LUMP.surroundings_K * rng.normal()
+        a = usual * max(1 + SHARE_OF_HEAT * rng.normal(), 0.2)
+        k = COOLING_PER_S * max(1 + rng.normal(), 0.05)
+        c = COOLING_PER_S * SURROUNDINGS_K * rng.normal()
         truth = lump_log(a, k, c, lost, 5.0)
         noisy = truth + rng.normal(0, 0.1, lost.size)
         for rows, found in z.items():

@@ -11,8 +11,8 @@ from cellwise.cell.stock import stock_model
 from cellwise.history.ageing import ageing_history
 from cellwise.logs import CellLog
 from cellwise.pack.pack_estimate import estimate_pack
-from cellwise.report import history_page, pack_page
-from cellwise.report.pack_page import cells_over_time
+from cellwise.report.history_page import history_page
+from cellwise.report.pack_page import cells_over_time, pack_page
 from emulated_packs import Fault, emulated_pack
 
 

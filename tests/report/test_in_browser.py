@@ -13,9 +13,9 @@ import pytest
 from browser import CHROMIUM, Browser
 from cellwise.logs import CellLog
 from cellwise.notices import Code, Notice
-from cellwise.report import replay_page
 from cellwise.report.page.plot import Plot
 from cellwise.report.page.section import Section, write_page
+from cellwise.report.replay.page import replay_page
 from cellwise.wording import place
 from diagnosis_cases import diagnosis
 from page_cases import KINDS, every_page

@@ -12,13 +12,13 @@ import pytest
 
 from cellwise.cell.simulate import Simulation
 from cellwise.errors import InputError
-from cellwise.report import demo_page, identify_page, replay_page
+from cellwise.report.demo_page import demo_page
 from cellwise.report.identification.measured_sections import pulse_pictures
-from cellwise.report.identification.page import identify_sections
+from cellwise.report.identification.page import identify_page, identify_sections
 from cellwise.report.page.markup import EMPTY, MOST, Markup, finite, table
 from cellwise.report.page.picture import inline
 from cellwise.report.page.section import Section, page_text, pictures_of, program, rendered
-from cellwise.report.replay.page import replay_data, replay_sections
+from cellwise.report.replay.page import replay_data, replay_page, replay_sections
 from cellwise.report.replay.replay_section import replay_figures, replay_finding
 from report_cases import Page, drive, hppc, identification, replay, simulation
 
@@ -168,7 +168,7 @@ def test_all_figures_of_the_contract_are_in_the_table():
     assert text["within 2 %, and stated so, after"] == "180 s"
     assert text["settled: SOC max. error"] == f"{100 * np.abs(error[136:]).max():.2f} %"
     assert text["initial SOC"] == "70 % ± 30 %, given"
-    assert text["voltage RMSE"] == "7.1 mV"  # 0.01 cos
+    assert text["voltage RMSE, one step ahead"] == "7.1 mV"  # 0.01 cos
     assert text["NIS"] == "0.500"  # of 1e-4 cos squared over 1e-4
     assert text["time per step"] == "95 ns"
     assert "error inside 2σ" in text

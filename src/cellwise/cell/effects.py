@@ -25,6 +25,24 @@ def between(low: float, high: float, *, off: bool = False) -> dict[str, Any]:
     return {"bounds": (low, high), "off": off}
 
 
+LARGEST_K = 15000.0  # 125 kJ/mol over the gas constant: more than any process in a cell
+
+
+def activation(*, off: bool = False) -> Any:
+    """A field of an activation energy over the gas constant [K], 0 unless said."""
+    return field(default=0.0, metadata=between(-2000.0, LARGEST_K, off=off))
+
+
+def added_activation() -> Any:
+    """A field of what one resistance or time constant has beside the common one [K]."""
+    return field(default=0.0, metadata=between(-LARGEST_K, LARGEST_K, off=True))
+
+
+def reference() -> Any:
+    """A field of the temperature at which a parameter holds: 25 degC unless said [degC]."""
+    return field(default=25.0, metadata=between(-50.0, 90.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Effect:
     """What all effects have: a name, the bounds of each parameter, values that switch it off."""
@@ -74,15 +92,15 @@ class TemperatureDependence(Effect):
     hold.
     """
 
-    activation_K: float = field(default=0.0, metadata=between(-2000.0, 15000.0, off=True))
-    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
-    r0_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    r1_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    tau1_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    r2_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    tau2_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    r3_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
-    tau3_K: float = field(default=0.0, metadata=between(-15000.0, 15000.0, off=True))
+    activation_K: float = activation(off=True)
+    reference_C: float = reference()
+    r0_K: float = added_activation()
+    r1_K: float = added_activation()
+    tau1_K: float = added_activation()
+    r2_K: float = added_activation()
+    tau2_K: float = added_activation()
+    r3_K: float = added_activation()
+    tau3_K: float = added_activation()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +150,8 @@ class SurfaceSoc(Effect):
 
     depth_h: float = field(default=0.0, metadata=between(0.0, 1.0, off=True))
     tau_s: float = field(default=300.0, metadata=between(1.0, 1e5))
-    activation_K: float = field(default=0.0, metadata=between(-2000.0, 15000.0))
-    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
+    activation_K: float = activation()
+    reference_C: float = reference()
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +192,7 @@ class Entropy(Effect):
     docv_dT_V_per_K: FloatArray | float = field(
         default=0.0, metadata=between(-0.005, 0.005, off=True)
     )
-    reference_C: float = field(default=25.0, metadata=between(-50.0, 90.0))
+    reference_C: float = reference()
 
 
 EFFECTS: dict[str, type[Effect]] = {kind.name: kind for kind in Effect.__subclasses__()}

@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any
 
 from cellwise.cell.model_file import write_model
-from cellwise.cell.simulate import Simulation
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
@@ -169,20 +168,10 @@ def print_diagnosis(found: Diagnosis) -> None:
 
 def print_figures(found: Diagnosis) -> None:
     """Every log, the causes, what was tried, what competes."""
-    from cellwise.report.diagnosis import statements
+    from cellwise.report.diagnosis import page, statements
 
     millivolt, percent = printing.millivolt, printing.percent
-    printing.record_table(
-        "every log",
-        found.runs,
-        ("log", lambda run: run.log.name or "log"),
-        ("used", lambda run: "held out" if run.used == "holdout" else "fitted"),
-        ("initial SOC", lambda run: f"{run.before.soc0:.4f}"),
-        ("RMSE mV", lambda run: millivolt(run.before.rmse_V)),
-        ("extended model", lambda run: millivolt(run.after.rmse_V)),
-        ("log corrected, too", lambda run: _millivolt_of(run.corrected)),
-        ("its own start", lambda run: _millivolt_of(run.own_start)),
-    )
+    printing.record_table("every log", found.runs, *page.run_columns(bool(found.causes)))
     if found.causes:
         corrects = {"cell": "the model", "start": "the initial SOC"}
         printing.record_table(
@@ -214,22 +203,8 @@ def print_figures(found: Diagnosis) -> None:
             ("probability", lambda w: w[1]),
         )
     if found.candidates:
-        printing.record_table(
-            "what was tried",
-            found.candidates[:SHOWN],
-            ("first candidates", lambda c: c.name),
-            ("score (nats)", lambda c: "-" if c.score != c.score else f"{c.score:.0f}"),
-            ("held-out RMSE mV", lambda c: millivolt(c.holdout_rmse_V)),
-            (
-                "parameters",
-                lambda c: ", ".join(f"{k} {v:.4g}" for k, v in list(c.parameters.items())[:2]),
-            ),
-        )
-
-
-def _millivolt_of(run: Simulation | None) -> str:
-    """RMSE of a run and its start; nothing where there is none."""
-    return "" if run is None else f"{printing.millivolt(run.rmse_V)} ({run.soc0:.4f})"
+        tried = found.candidates[:SHOWN]
+        printing.record_table("what was tried", tried, *page.TRIED_COLUMNS)
 
 
 def _values(cause: FoundCause, parameters: Iterable[tuple[str, float]]) -> list[str]:

@@ -112,7 +112,7 @@ def run_replay(arguments: argparse.Namespace) -> None:
         write_replays(runs, arguments.output, log_options.read_options(arguments))
     with page_options.page_places(arguments) as pages:
         if pages is not None:
-            from cellwise.report import replay_page
+            from cellwise.report.replay.page import replay_page
 
             flights = tuple(run.flight for run in runs if run.flight is not None)
             replays = [replace(run.replay, power=run.power) for run in runs]

@@ -39,7 +39,8 @@ from cellwise.logs.reading import read_pack
 from cellwise.logs.writing import write_columns
 from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
-from cellwise.report import history_page, pack_page
+from cellwise.report.history_page import LOG_COLUMNS, history_page, log_rows
+from cellwise.report.pack_page import CELL_COLUMNS, pack_page
 
 SHOWN_CELLS = 6
 
@@ -94,15 +95,7 @@ def print_pack(found: PackEstimate) -> None:
         data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
     )
     rows = rows[:SHOWN_CELLS]
-    printing.record_table(
-        f"the {len(rows)} cells of least capacity",
-        rows,
-        ("cell", lambda row: row["name"]),
-        ("SOC %", lambda row: f"{percent(row['soc'], 1)} +- {percent(2 * row['soc_std'], 1)}"),
-        ("capacity Ah", lambda row: printing.band(row["capacity_Ah"], row["capacity_std_Ah"], 2)),
-        ("resistance", lambda row: printing.band(row["resistance_scale"], row["resistance_std"])),
-        ("left mV", lambda row: printing.millivolt(row["voltage_rmse_V"])),
-    )
+    printing.record_table(f"the {len(rows)} cells of least capacity", rows, *CELL_COLUMNS)
     for cause in data["causes"]:
         said = "; ".join(cause["evidence"])
         other = f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else ""
@@ -149,13 +142,9 @@ def print_life(found: AgeingHistory) -> None:
     data = found.to_dict()
     printing.say_notices(found.far_off)
     printing.record_table(
-        f"{len(data['logs'])} logs over {found.way[-1]:.0f} {found.over}",
-        zip(data["logs"], found.trend.share, found.trend.std, strict=True),
-        ("log", lambda o: o[0]["log"]),
-        ("capacity Ah", lambda o: printing.band(o[0]["capacity_Ah"], o[0]["capacity_std_Ah"])),
-        ("resistance", lambda o: printing.band(o[0]["resistance_scale"], o[0]["resistance_std"])),
-        ("trend %", lambda o: printing.band(100 * float(o[1]), 100 * float(o[2]), 1)),
-        ("by", lambda o: o[0]["how"]),
+        f"{len(found.logs)} logs over {found.way[-1]:.0f} {found.over}",
+        log_rows(found),
+        *LOG_COLUMNS,
     )
     trend, use = data["trend"], data["trend"]["use"]
     if not found.withheld:

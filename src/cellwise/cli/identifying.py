@@ -49,6 +49,7 @@ from cellwise.identify.ocv.voltage_only import (
     write_voltage_table,
 )
 from cellwise.logs.stated import check_temperature
+from cellwise.report.identification.page import OWN_COLUMNS, identify_page
 
 # What voltages alone have no use for.
 OF_TESTS = (
@@ -85,8 +86,6 @@ def run_identify(arguments: argparse.Namespace) -> None:
         found = identify_cell(tests, settings, follow)
         with page_options.page_places(arguments) as pages:
             if pages is not None:
-                from cellwise.report import identify_page
-
                 follow("page")
                 identify_page(found, pages.page, figures=pages.figures)
     write_model(found.model, arguments.output)
@@ -153,16 +152,7 @@ def print_identification(found: Identification) -> None:
     )
     counts = ", ".join(f"{n} {quality}" for quality, n in found.pulse_counts.items())
     printing.say(f"pulses: {counts}")
-    printing.record_table(
-        f"{found.model!r}",
-        [o for o in found.own_logs if o.used],
-        ("log (fitted on it)", lambda o: o.simulation.log.name),
-        ("begins at SOC", lambda o: f"{o.start.soc:.3f} +- {2 * o.start.std:.3f}"),
-        ("RMSE mV", lambda o: printing.millivolt(o.simulation.rmse_V)),
-        ("MAE mV", lambda o: printing.millivolt(o.simulation.metrics.mae_V)),
-        ("max mV", lambda o: printing.millivolt(o.simulation.metrics.max_error_V)),
-        ("RMSE above 10 % SOC", lambda o: printing.millivolt(o.simulation.rmse_above_10pct_V)),
-    )
+    printing.record_table(f"{found.model!r}", found.own_logs, *OWN_COLUMNS)
     known = {k: v for k, v in found.model.validity.to_dict().items() if v is not None}
     printing.say(
         "valid for " + ", ".join(f"{k} {v[0]:.3g} to {v[1]:.3g}" for k, v in known.items())

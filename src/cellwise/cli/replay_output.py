@@ -10,11 +10,10 @@ from cellwise.cli.common.printing import band
 from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.replay import Replay
 from cellwise.estimate.sensor import assumed_text
-from cellwise.forecast.remaining import Forecast
+from cellwise.report.page.numerals import NONE
+from cellwise.report.replay.page import forecast_table, forecasts_of, power_table
+from cellwise.report.replay.replay_section import estimated_rows, replay_figures
 from cellwise.workflows.replaying import ReplayAndForecast
-
-UNITS = {"offset_A": ("sensor offset", "A"), "gain": ("sensor gain", ""),
-         "capacity_Ah": ("capacity", "Ah"), "resistance_scale": ("R0, R1 times", "")}  # fmt: skip
 
 
 def data_of(run: ReplayAndForecast) -> dict[str, Any]:
@@ -55,39 +54,20 @@ def print_runs(runs: Sequence[ReplayAndForecast], *, sure: bool) -> None:
 
 def print_replay(found: Replay, run: ReplayAndForecast | None = None, *, sure: bool = True) -> None:
     """A replay for people, and what its run knows; ``sure``: how sure a start is was stated."""
-    data = found.to_dict() if run is None else run.figures()
-    start, settled, percent = found.start, data["settled"], printing.percent
-    how = start.how if sure or start.how != "given" else "given; --soc0-std states how sure"
-    rows = {"initial SOC": f"{band(start.soc, start.std, 4)} ({how})"}
-    began = None if run is None else run.began
-    if began is not None and began.beginning is not None:  # the whole log says more
-        rows["began at, seen afterwards"] = f"{band(began.soc, began.std, 4)} ({began.how})"
-    rows["final SOC"] = band(data["soc_final"], data["soc_final_std"], 4)
-    rows["voltage RMSE, one step ahead"] = f"{printing.millivolt(data['voltage_rmse_V'])} mV"
-    if found.nis is not None and found.model is not None:
-        each = zip(found.nis, found.model.error.scales_s, strict=True)
-        rows["NIS by time scale"] = ", ".join(f"{nis:.2f} ({scale:g} s)" for nis, scale in each)
-    rows["time per step"] = f"{data['ns_per_step']:.0f} ns"
+    rows = {name: text for name, text in replay_figures(found) if text != NONE and name != "log"}
+    if found.start.how == "given" and not sure:
+        rows["initial SOC"] += "; --soc0-std states how sure"
     if run is not None:
+        if run.began is not None and run.began.beginning is not None:  # the whole log says more
+            began = f"{band(run.began.soc, run.began.std, 4)} ({run.began.how})"
+            rows["began at, seen afterwards"] = began
         rows["within 2 %, by model and current"] = _after(run.expected_s)
-    if settled is None:
+    if found.settled is None:
         rows["SOC error"] = "no reference: give --reference-capacity-ah and a counter"
-    else:
-        each_of = " / ".join(percent(settled[k]) for k in ("rmse", "mae", "max"))
-        rows["SOC RMSE, all rows"] = f"{percent(data['soc_rmse'])} %"
-        rows["within 2 %"] = _after(data["convergence_s"])
-        rows["within 2 %, and stated so"] = _after(data["settled_s"])
-        rows["settled RMSE / MAE / max"] = f"{each_of} %"
-        rows["rows within 2 sigma"] = f"{percent(data['coverage_2sigma'], 1)} %"
-    values: dict[str, Any] = data.get("parameters") or {}
-    for name, (label, unit) in UNITS.items() if values else ():
-        one = values[name]
-        rows[label] = f"{band(one['value'], one['std'], 4)} {unit}".rstrip()
-        if one["held"] is not None:
-            rows[label] += f" (held: {one['held']})"
-        elif one["probability"] is not None:
-            rows[label] += f" ({100 * one['probability']:.0f} % that it is not the model's)"
+    values = (found.to_dict() if run is None else run.figures()).get("parameters")
     if values:
+        for name, value, said in estimated_rows(found):
+            rows[name] = f"{value} ({said})" if value and said else value or said
         rows["state of health"] = state_of_health(values)
     printing.table(f"{found.estimator} on {found.log.name}", ("what", "found"), list(rows.items()))
 
@@ -110,68 +90,29 @@ def _after(seconds: float | None) -> str:
 
 def print_forecasts(run: ReplayAndForecast) -> None:
     """Remaining time and energy, for people; nothing where there is no load."""
-    flight, at_load = run.flight, run.at_load
-    stands = flight is not None and flight.stands and flight.typical is not None
-    forecasts = [] if flight is None or stands else [("at the present load", flight.last)]
-    if flight is not None and flight.typical is not None:
-        forecasts.insert(0, ("at the log's usual load", flight.typical.last))
-    if at_load is not None:
-        forecasts.append((f"at the given load, from {at_load.time_s:.0f} s", at_load))
+    forecasts = forecasts_of(run.flight, run.at_load)
     if not forecasts:
         return
-
-    def span(value: float, band: tuple[float, float], scale: float, digits: int) -> str:
-        low, high = (f"{x / scale:.{digits}f}" for x in band)
-        return f"{value / scale:.{digits}f} ({low} to {high})"
-
-    now = forecasts[0][1]
-    printing.record_table(
-        f"remaining in each cell at {now.time_s:.0f} s, SOC {100 * now.soc:.1f} +- "
-        f"{200 * now.soc_std:.1f} %, {run.hold} held to {run.cutoff_V:.2f} V",
-        forecasts,
-        ("", lambda one: one[0]),
-        ("A", lambda one: f"{one[1].load_A:.2f}"),
-        ("W", lambda one: f"{one[1].load_W:.1f}"),
-        ("minutes", lambda one: span(one[1].remaining_s, one[1].remaining_s_band, 60.0, 1)),
-        ("Wh", lambda one: span(one[1].remaining_Wh, one[1].remaining_Wh_band, 1.0, 2)),
-        ("end V", lambda one: f"{one[1].end_voltage_V:.3f}"),
-        ("end SOC %", lambda one: f"{100 * one[1].end_soc:.1f}"),
-        ("ends by", lambda one: one[1].by),
+    now = next(iter(forecasts.values()))
+    printing.table(
+        f"remaining at {now.time_s:.0f} s, SOC {100 * now.soc:.1f} +- {200 * now.soc_std:.1f} %, "
+        f"{run.hold} held to {run.cutoff_V:.2f} V in each cell",
+        *forecast_table(forecasts, run.cells),
     )
-    if stands and flight is not None:
+    if run.flight is not None and run.flight.stands and run.flight.typical is not None:
         printing.say(
-            f"  the log ends at a rest: the {flight.last.load_A:.2g} A of its last minute are no "
-            "load to go on with"
+            f"  the log ends at a rest: the {run.flight.last.load_A:.2g} A of its last minute are "
+            "no load to go on with"
         )
-    if run.cells > 1:
-        energy = span(run.cells * now.remaining_Wh, pack_band(run.cells, now), 1.0, 1)
-        load = f"{run.cells * now.load_W:.0f} W"
-        printing.say(f"the pack of {run.cells} cells: {energy} Wh remaining at {load}")
-
-
-def pack_band(cells: int, now: Forecast) -> tuple[float, float]:
-    """The band of a pack's energy: its cells are alike, and err together [Wh]."""
-    low, high = now.remaining_Wh_band
-    return cells * low, cells * high
 
 
 def print_power(power: PowerTrace, cells: int = 1) -> None:
     """The state of power at the log's end, for people."""
     known = power.known.limits
-    ways = [(f"{s.horizon_s:g} s, {name}", way)
-            for s in power.last
-            for name, way in (("discharge", s.discharge), ("charge", s.charge))]  # fmt: skip
-    of_pack = f"W of all {cells} cells", lambda one: f"{cells * one[1].power_W:.0f}"
-    printing.record_table(
+    printing.table(
         f"power of each cell at the end, {power.hold} held, {known.voltage_min_V:g} to "
         f"{known.voltage_max_V:g} V",
-        ways,
-        ("for", lambda one: one[0]),
-        ("W", lambda one: f"{one[1].power_W:.1f}"),
-        ("at least W (95 %)", lambda one: f"{one[1].power_low_W:.1f}"),
-        ("A", lambda one: f"{one[1].current_A:.1f}"),
-        ("limited by", lambda one: one[1].by),
-        *(of_pack,) * (cells > 1),
+        *power_table(power, cells),
     )
 
 

@@ -41,18 +41,12 @@ MISSING = {
 }
 
 
-class _StartLimits(NamedTuple):
-    """Which files go together, and how many of a kind are used."""
-
-    other_full_V: float = 0.4  # LFP is full this much below all others; a loaded test is not
-    fitted: int = 6  # drives in one fit: more add time, and little else
-    # Discharges of a cell that was cycled: so many, at one current and temperature.
-    life: int = 8
-    same_current: float = 1.1
-    same_K: float = 5.0
-
-
-LIMITS = _StartLimits()
+# Which files go together, and how many of a kind are used.
+OTHER_FULL_V = 0.4  # LFP is full this much below all others; a loaded test is not
+MOST_FITTED = 6  # drives in one fit: more add time, and little else
+FEWEST_OF_LIFE = 8  # discharges of a cell that was cycled, at one current and temperature
+SAME_CURRENT = 1.1  # times: one current
+SAME_K = 5.0  # one temperature
 
 
 class CellPlan(NamedTuple):
@@ -198,7 +192,7 @@ def _belongs(one: FoundFile, group: list[FoundFile]) -> bool:
     full_V = max(f.highest_V for f in group)
     return (
         one.series == group[0].series
-        and abs(one.highest_V - full_V) < LIMITS.other_full_V
+        and abs(one.highest_V - full_V) < OTHER_FULL_V
         and _size_Ah(group) < SIZES.far * one.moved_Ah
     )
 
@@ -212,7 +206,7 @@ def _may_belong(one: FoundFile, group: list[FoundFile]) -> bool:
         first.kind != "pack"
         and one.series == first.series
         and one.moved_Ah < SIZES.far * size_Ah
-        and one.highest_V < max(f.highest_V for f in group) + LIMITS.other_full_V
+        and one.highest_V < max(f.highest_V for f in group) + OTHER_FULL_V
     )
 
 
@@ -232,7 +226,7 @@ def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) 
     identify += ["--prior", prior] if prior else []
     commands = [[*identify, *read, "-o", model, "--report", page]]
     # What follows it: where there are logs for it, and the last one's page is the one to open.
-    packs = _of(group, "pack")[-LIMITS.fitted :]
+    packs = _of(group, "pack")[-MOST_FITTED:]
     driven = _of(held_out, *DRIVES) or _of(used, *DRIVES)
     for command, logs in (("replay", driven[:1]), ("pack", packs), ("history", _life(group))):
         if logs:
@@ -245,8 +239,8 @@ def plan_of(group: list[FoundFile], arguments: argparse.Namespace, place: Path) 
 def _chosen(group: list[FoundFile]) -> tuple[list[FoundFile], list[FoundFile]]:
     """The files that the model is made of, and the drives that are left to judge it."""
     driven = _of(group, *DRIVES)
-    spread = driven[:: -(-len(driven) // LIMITS.fitted) or 1]
-    if 1 < len(driven) <= LIMITS.fitted:
+    spread = driven[:: -(-len(driven) // MOST_FITTED) or 1]
+    if 1 < len(driven) <= MOST_FITTED:
         spread = driven[:-1]
     elif len(driven) == 1 and _of(group, "hppc", "ocv"):
         spread = []
@@ -261,11 +255,11 @@ def _life(group: list[FoundFile]) -> list[FoundFile]:
     def alike(one: FoundFile, other: FoundFile) -> bool:
         ratio = max(one.current_A, other.current_A) / min(one.current_A, other.current_A)
         apart_K = abs((one.usual_C or 0.0) - (other.usual_C or 0.0))
-        return ratio < LIMITS.same_current and apart_K < LIMITS.same_K
+        return ratio < SAME_CURRENT and apart_K < SAME_K
 
     tests = _of(group, "capacity")
     lives = ([f for f in tests if alike(f, first)] for first in tests)
-    return next((life for life in lives if len(life) >= LIMITS.life), [])
+    return next((life for life in lives if len(life) >= FEWEST_OF_LIFE), [])
 
 
 def _missing(group: list[FoundFile], nominal_Ah: float, judged: list[FoundFile]) -> list[str]:

@@ -45,7 +45,7 @@ from cellwise.estimate.estimators import ESTIMATORS
 from cellwise.identify import IdentifySettings
 from cellwise.logs import CellLog
 from cellwise.report import capacity_study_page as study_page
-from cellwise.report import demo_page
+from cellwise.report.demo_page import demo_page
 from cellwise.studies import demo, papers
 from cellwise.studies.capacity_study import (
     STUDIED,

@@ -89,53 +89,35 @@ def _start(value: object) -> Start:
     return None if value is None else number("soc0", value, START, CORRECT_START)
 
 
-class Least(NamedTuple):
-    """Less says nothing: seconds, rows with a voltage, current in units of 1C."""
+# Less says nothing.
+LEAST_DURATION_S = 300.0
+FEWEST_ROWS = 60  # with a voltage
+LEAST_CURRENT_C = 0.02  # in units of 1C
 
-    duration_s: float = 300.0
-    rows: int = 60
-    current_C: float = 0.02
+# Beyond these the log is of another kind of cell, whatever its age.
+OTHER_CELL_V = 0.12
+OTHER_CELL_SOC = 0.25  # beyond 0 to 1
+OUTSIDE_K = 8.0  # of the model's temperatures: it was not measured at the log's
 
-
-class OtherCell(NamedTuple):
-    """Beyond this the log is of another kind of cell, whatever its age.
-
-    Logs ``outside_K`` of the model's temperatures are of one that it was not measured at.
-    """
-
-    voltage_V: float = 0.12
-    soc: float = 0.25
-    outside_K: float = 8.0
-
-
-class Claim(NamedTuple):
-    """An error that the claim would give in ``rare`` of all logs is beyond it.
-
-    Row-to-row noise of another sensor than the model's data had is no error of the model: up to
-    ``noise_V``.
-    """
-
-    rare: float = 1e-3
-    noise_V: float = 0.005
-
-
-LEAST, OTHER, CLAIM = Least(), OtherCell(), Claim()
+RARE_ERROR = 1e-3  # an error that the claim would give in so many of all logs is beyond it
+# Row-to-row noise of another sensor than the data's is no error of the model up to this.
+OTHER_SENSOR_V = 0.005
 
 
 def too_little(model: CellModel, logs: Sequence[CellLog]) -> str:
     """What is missing for any verdict; empty if nothing is."""
     duration = sum(g.duration_s for g in logs)
     rows = sum(int(np.isfinite(g.voltage_V).sum()) for g in logs)
-    if rows < LEAST.rows or duration < LEAST.duration_s:
+    if rows < FEWEST_ROWS or duration < LEAST_DURATION_S:
         return (
-            f"too short: {rows} rows with a voltage over {duration:.0f} s; at least {LEAST.rows} "
-            f"rows over {LEAST.duration_s:.0f} s are needed"
+            f"too short: {rows} rows with a voltage over {duration:.0f} s; at least {FEWEST_ROWS} "
+            f"rows over {LEAST_DURATION_S:.0f} s are needed"
         )
     current = np.concatenate([g.current_A[np.isfinite(g.current_A)] for g in logs])
     if current.size == 0:
         return "no current in the log"
     swing = float(np.quantile(np.abs(current), 0.99))
-    if swing < LEAST.current_C * model.capacity_Ah:
+    if swing < LEAST_CURRENT_C * model.capacity_Ah:
         return (
             f"too quiet: the current stays below {swing:.3g} A "
             f"({swing / model.capacity_Ah:.3f} C); a load of C/20 or more is needed"
@@ -152,17 +134,17 @@ def another_cell(model: CellModel, evidence: ScoredRows, base: Fit) -> str:
     used, voltage = evidence.known, evidence.voltage_V[evidence.known]
     low, high = float(np.min(model.ocv_V)), float(np.max(model.ocv_V))
     middle = float(np.median(voltage))
-    if middle > high + OTHER.voltage_V or middle < low - OTHER.voltage_V:
+    if middle > high + OTHER_CELL_V or middle < low - OTHER_CELL_V:
         return (
             f"the log's median voltage {middle:.2f} V lies outside the model's OCV "
             f"({low:.2f} to {high:.2f} V)"
         )
     lowest, highest = float(np.min(base.soc[used])), float(np.max(base.soc[used]))
-    if lowest < -OTHER.soc or highest > 1.0 + OTHER.soc:
+    if lowest < -OTHER_CELL_SOC or highest > 1.0 + OTHER_CELL_SOC:
         moved = (highest - lowest) * model.capacity_Ah
         return f"the log moves {moved:.3g} Ah through a model of {model.capacity_Ah:.3g} Ah"
     error = float(np.median(np.abs(voltage - base.voltage_V[used])))
-    if error > OTHER.voltage_V:
+    if error > OTHER_CELL_V:
         return f"the model is {1e3 * error:.0f} mV off in the median, more than any fault explains"
     return ""
 
@@ -171,7 +153,7 @@ def unseen_temperature_C(model: CellModel, evidence: ScoredRows) -> float | None
     """The logs' temperature where the model was not measured at it; None where it was."""
     middle = float(np.median(np.concatenate([g.temperature_C for g in evidence.logs])))
     seen = [*model.temperature_C, *(model.validity.temperature_C or ())]
-    inside = float(min(seen)) - OTHER.outside_K <= middle <= float(max(seen)) + OTHER.outside_K
+    inside = float(min(seen)) - OUTSIDE_K <= middle <= float(max(seen)) + OUTSIDE_K
     return None if inside else middle
 
 
@@ -221,12 +203,12 @@ def claim_checks(
         steps = np.abs(np.diff(error))
         steps = steps[np.isfinite(steps)]
         noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0
-        white = max(model.error.white_V, min(noise, CLAIM.noise_V))
+        white = max(model.error.white_V, min(noise, OTHER_SENSOR_V))
         claim2 = np.asarray(model.slow_error_V(soc, warm)) ** 2
         claim2 = claim2 + (share * drop) ** 2 + white**2 + start**2
         times2 = float(np.mean(error[known] ** 2 / claim2[known]))
         freedom = 1.0 + run.log.duration_s / (2.0 * max(model.error.correlation_s, 1.0))
-        most2 = float(fdtri(freedom, STATED.errors, 1.0 - CLAIM.rare))
+        most2 = float(fdtri(freedom, STATED.errors, 1.0 - RARE_ERROR))
         rmse_V = run.before.rmse_V
         found.append(ClaimCheck(run.log.name, rmse_V, math.sqrt(times2), math.sqrt(most2)))
     return tuple(found)

@@ -31,23 +31,11 @@ from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.diagnose.sets import Explanation, SearchOutcome
 from cellwise.typing import FloatArray
 
-
-class DetectionRule(NamedTuple):
-    """When logs show an effect.
-
-    ``neutral_std``: a coordinate that the tolerances do not have is known to be neutral [its unit];
-    less than ``rounding`` of an information, or of a fault's, is what differences leave of none.
-    Effects of ``times`` their limit must be separated by ``apart`` nats, as much as 0.9 against 0.1
-    is.
-    """
-
-    neutral_std: float = 1e-6
-    rounding: float = 1e-12
-    times: float = 2.0
-    apart: float = math.log(9.0)
-
-
-SHOWN = DetectionRule()
+# When logs show an effect.
+NEUTRAL_STD = 1e-6  # of a coordinate that the tolerances do not have, in its unit
+ROUNDING = 1e-12  # of an information, or of a fault's: less is what differences leave of none
+TIMES = 2.0  # their limit: effects of this size are compared
+APART = math.log(9.0)  # nats that separate them, as 0.9 against 0.1 does
 
 
 @dataclass(frozen=True)
@@ -92,7 +80,7 @@ def limits(
     _, normal = fits.stated.times(scale).normal(base.voltage_V, jacobian)
     # A start that was read from a rest is read elsewhere where the OCV or the sensor is off.
     turned = shear(names, start_readings(names, fits.coordinates, fits.evidence))
-    tolerance = np.array([fits.prior.std.get(n, SHOWN.neutral_std) for n in names])
+    tolerance = np.array([fits.prior.std.get(n, NEUTRAL_STD) for n in names])
     seen = _Seen(names, turned.T @ normal @ turned, tolerance)
     sizes: dict[str, dict[str, float]] = {}
     at_limit: dict[str, FloatArray] = {}
@@ -139,7 +127,7 @@ def _sizes(
             continue
         unit = np.eye(len(seen.names))[place]
         known = seen.left(unit, ())
-        if known <= SHOWN.rounding * max(float(seen.normal[place, place]), wide[place] ** -2):
+        if known <= ROUNDING * max(float(seen.normal[place, place]), wide[place] ** -2):
             continue  # these logs say nothing of it
         t2, w2 = 1.0 / known + seen.tolerance[place] ** 2, 1.0 / known + wide[place] ** 2
         if w2 <= t2:
@@ -163,8 +151,8 @@ def _alike(change: FloatArray, other: Sequence[int], seen: _Seen) -> bool:
     likely such a fault is.
     """
     place = int(np.argmax(np.abs(change) * np.sqrt(np.diag(seen.normal))))
-    shown = np.where(np.arange(change.size) == place, SHOWN.times * change, 0.0)
-    return 0.5 * seen.left(shown, other) < SHOWN.apart
+    shown = np.where(np.arange(change.size) == place, TIMES * change, 0.0)
+    return 0.5 * seen.left(shown, other) < APART
 
 
 def _groups(pairs: Sequence[set[str]], order: Sequence[str]) -> tuple[tuple[str, ...], ...]:

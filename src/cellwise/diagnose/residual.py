@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -14,27 +14,16 @@ from cellwise.cell.simulate import simulate
 from cellwise.logs.cell_log import CellLog
 from cellwise.typing import FloatArray
 
-
-class Groups(NamedTuple):
-    """How a residual is divided.
-
-    ``rates_C``: sizes of the current in units of 1C, between the rates that laboratories use; below
-    the first it is a rest. ``edge_C``: a larger step of the current starts a new edge, whose rows
-    are parted after ``since_s``. Means over ``means_s`` part the residual by period: a mean over w
-    keeps periods longer than about 2 w. ``parts`` of SOC, time and charge; temperatures in steps of
-    ``step_K``, at most so many of them.
-    """
-
-    rates_C: tuple[float, ...] = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
-    edge_C: float = 0.1
-    since_s: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
-    means_s: tuple[float, ...] = (1.0, 10.0, 100.0, 1000.0)
-    parts: int = 10
-    step_K: float = 5.0
-    most_temperatures: int = 12
-
-
-GROUPS = Groups()
+# How a residual is divided.
+# Between the rates that laboratories use; below the first it is a rest.
+RATES_C = (0.02, 0.15, 0.4, 0.75, 1.25, 2.25)
+EDGE_C = 0.1  # a larger step of the current, in units of 1C, starts a new edge
+SINCE_S = (1.0, 10.0, 100.0, 1000.0)  # after an edge
+# Over which means part it by period: one over w keeps periods longer than about 2 w.
+MEANS_S = (1.0, 10.0, 100.0, 1000.0)
+PARTS = 10  # of SOC, time and charge
+STEP_K = 5.0  # of temperature
+MOST_TEMPERATURES = 12
 
 
 def residual_analysis(
@@ -74,11 +63,11 @@ def residual_analysis(
     one_C = model.capacity_Ah
     moved_Ah = np.cumsum(np.abs(np.nan_to_num(log.known_current_A()) * log.interval_s)) / 3600.0
     warm = np.full(len(log), np.nan) if log.temperature_C is None else log.temperature_C
-    rates = (*(-x for x in reversed(GROUPS.rates_C)), *GROUPS.rates_C)
+    rates = (*(-x for x in reversed(RATES_C)), *RATES_C)
     divided: dict[str, tuple[FloatArray, Sequence[float | None]]] = {
-        "by_soc": (run.soc, [k / GROUPS.parts for k in range(GROUPS.parts + 1)]),
+        "by_soc": (run.soc, [k / PARTS for k in range(PARTS + 1)]),
         "by_current_C": (log.interval_current_A / one_C, (None, *rates, None)),
-        "by_edge_s": (_since_edge_s(log, GROUPS.edge_C * one_C), (0.0, *GROUPS.since_s, None)),
+        "by_edge_s": (_since_edge_s(log, EDGE_C * one_C), (0.0, *SINCE_S, None)),
         "by_temperature_C": (warm, _steps(warm)),
         "by_time_s": (elapsed_s, _parts(elapsed_s)),
         "by_charge_Ah": (moved_Ah, _parts(moved_Ah)),
@@ -141,8 +130,8 @@ def _steps(temperature_C: FloatArray) -> Sequence[float | None]:
     if not np.isfinite(temperature_C).any():
         return None, None
     low, high = float(np.nanmin(temperature_C)), float(np.nanmax(temperature_C))
-    wide = math.ceil((high - low) / GROUPS.step_K / GROUPS.most_temperatures)
-    step = GROUPS.step_K * max(1, wide)
+    wide = math.ceil((high - low) / STEP_K / MOST_TEMPERATURES)
+    step = STEP_K * max(1, wide)
     first = math.floor(low / step)
     last = max(math.ceil(high / step), first + 1)
     return [step * k for k in range(first, last + 1)]
@@ -150,7 +139,7 @@ def _steps(temperature_C: FloatArray) -> Sequence[float | None]:
 
 def _parts(x: FloatArray) -> list[float | None]:
     """Ends of ten even parts of what rises; of one where it stays."""
-    return [float(v) for v in np.linspace(x[0], x[-1], GROUPS.parts + 1 if x[-1] > x[0] else 2)]
+    return [float(v) for v in np.linspace(x[0], x[-1], PARTS + 1 if x[-1] > x[0] else 2)]
 
 
 def _periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
@@ -164,8 +153,8 @@ def _periods(error_V: FloatArray, seconds: FloatArray) -> dict[str, Any]:
     whole = max(float(np.mean(error_V * error_V)), 1e-300)
     mean = float(np.mean(error_V))
     inner, parts = error_V, []
-    ends = (None, *(2.0 * w for w in GROUPS.means_s), None)
-    for k, width_s in enumerate((*GROUPS.means_s, math.inf)):
+    ends = (None, *(2.0 * w for w in MEANS_S), None)
+    for k, width_s in enumerate((*MEANS_S, math.inf)):
         outer = np.full_like(error_V, mean)
         if width_s < math.inf:
             # Tiny: a stamp of 0.1 x 10 must not fall below the block that it begins.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,18 +25,8 @@ from cellwise.logs.gaps import RowRange, run_edges
 from cellwise.notices import Code, Notice, texts
 from cellwise.wording import RowPlace
 
-
-class Failing(NamedTuple):
-    """A single row may be bad in any log; ``spikes`` of them are a sensor that fails.
-
-    Of a log whose current was wrong in between, the longest part must be ``least_part`` of it.
-    """
-
-    spikes: int = 3
-    least_part: float = 0.2
-
-
-FAILING = Failing()
+FEWEST_SPIKES = 3  # a single row may be bad in any log: so many are a sensor that fails
+LEAST_PART = 0.2  # of a log whose current was wrong in between: its longest part
 
 # What a channel did, for people.
 KINDS = {
@@ -117,7 +106,7 @@ def clean(log: CellLog) -> tuple[CellLog, tuple[SensorFault, ...]]:
         return whole, faults
     first, last = max(zip(*run_edges(~wrong), strict=True), key=lambda run: run[1] - run[0])
     left = whole.part(first, last + 1)
-    if len(left) < FAILING.least_part * len(log) or not np.isfinite(left.voltage_V).any():
+    if len(left) < LEAST_PART * len(log) or not np.isfinite(left.voltage_V).any():
         return whole, faults
     return left, faults
 
@@ -192,7 +181,7 @@ def _faults(log: CellLog) -> tuple[SensorFault, ...]:
         "impossible": impossible,
         "stuck": stuck_runs(rest),
         "lost": lost_runs(log),
-        "spikes": {"voltage_V": spikes} if len(spikes) >= FAILING.spikes else {},
+        "spikes": {"voltage_V": spikes} if len(spikes) >= FEWEST_SPIKES else {},
         "saturated": clipped_runs(rest),
     }
     return tuple(

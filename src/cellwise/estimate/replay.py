@@ -15,7 +15,7 @@ from cellwise.arguments import check_kind, number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
-    ORDER,
+    ASSUMED_V,
     along_notices,
     far_off,
     in_order,
@@ -232,7 +232,7 @@ class Replay(Plottable, Tabular):
                 "better, and what was said before was wrong by about as much"
             )
             steps = range(row, row + 1)
-            found.append(Notice(Code.SOC_STEP, text, rows=steps, size_V=ORDER.assumed))
+            found.append(Notice(Code.SOC_STEP, text, rows=steps, size_V=ASSUMED_V))
         return found
 
     def to_dict(self) -> dict[str, Any]:

@@ -23,6 +23,8 @@ BY_HAND = (
     "cellwise_float.h",
     "cellwise_store.h",
     "cellwise_store.c",
+    "cellwise_crc.h",
+    "cellwise_patch.h",
     "cellwise_clock.h",
     "cellwise_cell.h",
 )

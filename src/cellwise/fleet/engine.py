@@ -201,20 +201,12 @@ def _rows(task: Task | bytes, folder: str, names: Sequence[str]) -> Rows:
     return known.rows(folder, names)
 
 
-class Portions(NamedTuple):
-    """How a run is cut: what is lost with a worker, and what is written at once.
+# How a run is cut: what is lost with a worker, and what is written at once.
+MOST_IN_BATCH = 32  # logs
+BATCHES = 16  # for each worker, so that all end together
+ROWS_IN_PART = 2_000  # of the results
+PART_S = 10.0  # or seconds, from which on a part is written
 
-    No more than ``most`` logs a batch, ``batches`` for each worker, so that all end together; a
-    part of the results from so many ``rows`` or seconds on.
-    """
-
-    most: int = 32
-    batches: int = 16
-    rows: int = 2_000
-    part_s: float = 10.0
-
-
-PORTIONS = Portions()
 
 # Called with the logs done, those that failed, and all there are.
 Progress = Callable[[int, int, int], None]
@@ -288,7 +280,7 @@ def run_fleet(
     ready, wrong_before = store.done(there, retry_failed=retry_failed)
     names = [name for name in there if name not in ready]
     together = batch or min(
-        max(len(names) // (PORTIONS.batches * (workers or usable_cores())), 1), PORTIONS.most
+        max(len(names) // (BATCHES * (workers or usable_cores())), 1), MOST_IN_BATCH
     )
     done = samples = machine = 0
     failed = len(wrong_before)
@@ -307,10 +299,7 @@ def run_fleet(
                     refusals += refused(rows)
                     if progress is not None:
                         progress(len(ready) + done, failed, len(there))
-                    if (
-                        len(kept) >= PORTIONS.rows
-                        or time.monotonic() - written_s >= PORTIONS.part_s
-                    ):
+                    if len(kept) >= ROWS_IN_PART or time.monotonic() - written_s >= PART_S:
                         store.add(kept)
                         kept, written_s = [], time.monotonic()
             finally:

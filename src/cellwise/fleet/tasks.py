@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,20 +29,10 @@ from cellwise.notices import texts
 from cellwise.pack.pack_estimate import estimate_pack
 from cellwise.wording import joined_texts
 
-
-class Surprised(NamedTuple):
-    """From where on the model does not know a log, and its sign is worth a look.
-
-    Share of the voltages that are rejected, and times the model's usual error, which counts as
-    ``least_V`` at least.
-    """
-
-    share: float = 0.02
-    times: float = 4.0
-    least_V: float = 2e-3
-
-
-SURPRISED = Surprised()
+# From where on the model does not know a log, and its sign is worth a look.
+SURPRISED_SHARE = 0.02  # of the voltages that are rejected
+SURPRISED_TIMES = 4.0  # the model's usual error
+LEAST_USUAL_V = 2e-3  # which counts as this at least
 
 
 @dataclass(frozen=True)
@@ -197,8 +187,8 @@ class ReplayTask(LogTask):
 
     def _sign(self, found: Replay, rejected: float) -> str:
         """The sign's verdict where the filter is surprised; elsewhere the filter has shown it."""
-        usual_V = max(float(np.median(self.model.error.at(self.model.soc))), SURPRISED.least_V)
-        known = found.voltage_rmse_V <= SURPRISED.times * usual_V and rejected <= SURPRISED.share
+        usual_V = max(float(np.median(self.model.error.at(self.model.soc))), LEAST_USUAL_V)
+        known = found.voltage_rmse_V <= SURPRISED_TIMES * usual_V and rejected <= SURPRISED_SHARE
         return "not checked" if known else verify_sign(found.log).verdict
 
 

@@ -17,32 +17,18 @@ from typing import NamedTuple
 
 from cellwise.cell.compiled import inline, kernel
 
-
-class UsualLump(NamedTuple):
-    """What lithium-ion cells are before a log says more, and how a log is taken apart.
-
-    ``heat_J_per_K_Ah``: heat capacity per ampere hour, 15 (3 Ah 18650 of 47 g) to 33 (LFP 26650),
-    with a deviation of ``share_of_heat``; ``cooling_per_s``: one over a time constant of a quarter
-    of an hour alone in air to hours inside a pack, deviation as large, at least
-    ``least_cooling_per_s``; ``surroundings_K``: how far they may be from the log's first
-    temperature. ``segment_K`` is what one lump and its sensor are off by over ``segment_s``;
-    surroundings ``memory_s`` ago are others; what flowed over a gap longer than ``gap_s`` is not
-    known; no cell is used above ``hottest_C``.
-    """
-
-    heat_J_per_K_Ah: float = 20.0
-    share_of_heat: float = 0.4
-    cooling_per_s: float = 1.0 / 1000.0
-    least_cooling_per_s: float = 1.0 / 50_000.0
-    surroundings_K: float = 10.0
-    segment_s: float = 300.0
-    segment_K: float = 0.5
-    memory_s: float = 3600.0
-    gap_s: float = 60.0
-    hottest_C: float = 80.0
-
-
-USUAL_LUMP = UsualLump()
+# What lithium-ion cells are before a log says more, and how a log is taken apart.
+HEAT_J_PER_K_AH = 20.0  # 15 (3 Ah 18650 of 47 g) to 33 (LFP 26650)
+SHARE_OF_HEAT = 0.4  # one deviation of it
+# A quarter of an hour alone in air to hours inside a pack; its deviation, too.
+COOLING_PER_S = 1.0 / 1000.0
+LEAST_COOLING_PER_S = 1.0 / 50_000.0
+SURROUNDINGS_K = 10.0  # how far they may be from the log's first temperature
+SEGMENT_S = 300.0
+SEGMENT_K = 0.5  # what one lump and its sensor are off by over a segment
+MEMORY_S = 3600.0  # surroundings so long ago are others
+GAP_S = 60.0  # what flowed over a longer gap is not known
+HOTTEST_C = 80.0  # no cell is used above
 
 
 class Sums(NamedTuple):
@@ -107,13 +93,13 @@ NOTHING_SEEN = Warming(
     math.nan, False, 0.0, 0.0, 0.0, 0.0, 0.0, Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 )
 UNCERTAIN_OF_NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-STEADY = Thermal(False, 0.0, 0.0, USUAL_LUMP.least_cooling_per_s, 0.0, UNCERTAIN_OF_NOTHING)
+STEADY = Thermal(False, 0.0, 0.0, LEAST_COOLING_PER_S, 0.0, UNCERTAIN_OF_NOTHING)
 
 
 @inline
 def usual_per_J(charge_As: float) -> float:
     """One over the heat capacity of a cell of that capacity [K/J]."""
-    return 3600.0 / (USUAL_LUMP.heat_J_per_K_Ah * charge_As)
+    return 3600.0 / (HEAT_J_PER_K_AH * charge_As)
 
 
 @inline
@@ -122,13 +108,11 @@ def with_segment(seen: Warming, charge_As: float) -> Sums:
     old = seen.sums
     usual = usual_per_J(charge_As)
     # A short segment is as wrong as a whole one: what is wrong of it is the sensor and the lump.
-    rise = (seen.now_K - seen.start_K) - (
-        usual * seen.lost_J - USUAL_LUMP.cooling_per_s * seen.kelvin_s
-    )
-    y = rise / USUAL_LUMP.segment_K
-    a = USUAL_LUMP.share_of_heat * usual * seen.lost_J / USUAL_LUMP.segment_K
-    k = -USUAL_LUMP.cooling_per_s * seen.kelvin_s / USUAL_LUMP.segment_K
-    c = USUAL_LUMP.cooling_per_s * USUAL_LUMP.surroundings_K * seen.time_s / USUAL_LUMP.segment_K
+    rise = (seen.now_K - seen.start_K) - (usual * seen.lost_J - COOLING_PER_S * seen.kelvin_s)
+    y = rise / SEGMENT_K
+    a = SHARE_OF_HEAT * usual * seen.lost_J / SEGMENT_K
+    k = -COOLING_PER_S * seen.kelvin_s / SEGMENT_K
+    c = COOLING_PER_S * SURROUNDINGS_K * seen.time_s / SEGMENT_K
     # fmt: off
     return Sums(
         old.aa + a * a, old.ak + a * k, old.ac + a * c, old.kk + k * k, old.kc + k * c,
@@ -140,7 +124,7 @@ def with_segment(seen: Warming, charge_As: float) -> Sums:
 @inline
 def faded(sums: Sums) -> Sums:
     """Sums after another segment: what they show was true of older surroundings."""
-    f = math.exp(-USUAL_LUMP.segment_s / USUAL_LUMP.memory_s)
+    f = math.exp(-SEGMENT_S / MEMORY_S)
     # fmt: off
     return Sums(
         f * sums.aa, f * sums.ak, f * sums.ac, f * sums.kk, f * sums.kc, f * sums.cc,
@@ -166,13 +150,13 @@ def observed(
         return Warming(temperature_C, False, 0.0, 0.0, 0.0, 0.0, 0.0, seen.sums)
     rise = temperature_C - seen.origin_C
     moved = seen.moved or rise != 0.0
-    if dt_s > USUAL_LUMP.gap_s:
+    if dt_s > GAP_S:
         return Warming(seen.origin_C, moved, rise, rise, 0.0, 0.0, 0.0, seen.sums)
     kelvin_s = seen.kelvin_s + 0.5 * (rise + seen.now_K) * dt_s
     lost_J = seen.lost_J + lost_W * dt_s
     time_s = seen.time_s + dt_s
     now = Warming(seen.origin_C, moved, seen.start_K, rise, lost_J, kelvin_s, time_s, seen.sums)
-    if time_s < USUAL_LUMP.segment_s:
+    if time_s < SEGMENT_S:
         return now
     sums = faded(with_segment(now, charge_As))
     return Warming(seen.origin_C, moved, rise, rise, 0.0, 0.0, 0.0, sums)
@@ -202,11 +186,11 @@ def thermal_of(seen: Warming, charge_As: float, temperature_C: float, unseen: bo
     m_cc = aa * kk - s.ak * s.ak
     scale = 1.0 / (aa * m_aa + s.ak * m_ak + s.ac * m_ac)
     usual = usual_per_J(charge_As)
-    d_a = USUAL_LUMP.share_of_heat * usual
-    d_k = USUAL_LUMP.cooling_per_s
-    d_c = USUAL_LUMP.cooling_per_s * USUAL_LUMP.surroundings_K
+    d_a = SHARE_OF_HEAT * usual
+    d_k = COOLING_PER_S
+    d_c = COOLING_PER_S * SURROUNDINGS_K
     per_J = usual + d_a * scale * (m_aa * s.a + m_ak * s.k + m_ac * s.c)
-    per_s = USUAL_LUMP.cooling_per_s + d_k * scale * (m_ak * s.a + m_kk * s.k + m_kc * s.c)
+    per_s = COOLING_PER_S + d_k * scale * (m_ak * s.a + m_kk * s.k + m_kc * s.c)
     drift = d_c * scale * (m_ac * s.a + m_kc * s.k + m_cc * s.c)
     # fmt: off
     covariance = (
@@ -215,7 +199,7 @@ def thermal_of(seen: Warming, charge_As: float, temperature_C: float, unseen: bo
     )
     # fmt: on
     return Thermal(
-        True, origin, max(per_J, 0.0), max(per_s, USUAL_LUMP.least_cooling_per_s), drift, covariance
+        True, origin, max(per_J, 0.0), max(per_s, LEAST_COOLING_PER_S), drift, covariance
     )
 
 
@@ -227,7 +211,7 @@ def warmed(lump: Thermal, at: Warmth, lost_W: float, dt_s: float) -> Warmth:
     rise = b * at.rise_K + reach_s * (lump.per_J * lost_W + lump.drift_K_per_s)
     middle = 0.5 * (at.rise_K + rise)
     return Warmth(
-        min(rise, USUAL_LUMP.hottest_C - lump.origin_C),
+        min(rise, HOTTEST_C - lump.origin_C),
         b * at.by_a + reach_s * lost_W,
         b * at.by_k - reach_s * middle,
         b * at.by_c + reach_s,

@@ -12,7 +12,7 @@ from cellwise.cell.effects import Hysteresis, SurfaceSoc, TemperatureDependence
 from cellwise.cell.initial_soc.initial_soc import LOOKED, STATED_STD, initial_soc
 from cellwise.cell.initial_soc.rest import REST_RATE
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import FAR_OFF
+from cellwise.cell.plausibility.notice import FAR_DEVIATIONS
 from cellwise.cell.simulate import known_temperature_C, simulate, start_hysteresis
 from cellwise.fit.capacity import TRIED, Tried, at_open_capacity
 from cellwise.fit.log_starts import thinned
@@ -117,7 +117,7 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
     aged = simulate(changed_model(model, ln_capacity, ln_scale), log, start)
     # An error that is alike everywhere costs this fit little: far off is what the model itself is.
     # So it is where no ageing would make the cell follow the log.
-    most = FAR_OFF.deviations * np.array([AGED.ln_capacity, AGED.ln_resistance])
+    most = FAR_DEVIATIONS * np.array([AGED.ln_capacity, AGED.ln_resistance])
     impossible = bool(np.any(np.abs(fitted.mean) > most))
     far_off = None
     if impossible or aged.far_off is not None:

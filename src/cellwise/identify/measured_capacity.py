@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.notice import RANGE_V, SHOWN
+from cellwise.cell.plausibility.notice import MOST_CHARGE, RANGE_V
 from cellwise.errors import InputError
 from cellwise.identify.capacity.capacity_choice import capacity_choices, choose_capacity
 from cellwise.identify.capacity.capacity_test import CapacityTest, measure_capacities
@@ -169,7 +169,7 @@ def _against_logs(capacity_Ah: float, choice: str, tests: CellTests) -> list[Not
                 + arg("parallel", letter="N")
                 + ", and the capacity.",
             )
-        if moved_Ah > SHOWN.charge * capacity_Ah:
+        if moved_Ah > MOST_CHARGE * capacity_Ah:
             text = (
                 f" {of_cell} through a cell of {capacity_Ah:.4g} Ah ({choice}): a log of another "
                 "cell, or in another scale?"

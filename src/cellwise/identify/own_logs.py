@@ -11,8 +11,8 @@ import numpy as np
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
+    NO_MODEL_V,
     RANGE_V,
-    SHOWN,
     error_notices,
     in_order,
     soc_notices,
@@ -111,7 +111,7 @@ def check_serves(rmse_V: float, found: Sequence[Notice]) -> None:
     ------
     InputError        an error of hundreds of millivolts on its own logs, and a contradiction
     """
-    if found and rmse_V >= SHOWN.no_model_V:
+    if found and rmse_V >= NO_MODEL_V:
         first = in_order(found)[0]
         raise InputError(
             f"tests that give a model {1e3 * rmse_V:.0f} mV off its own logs; " + first.text,

@@ -30,7 +30,7 @@ from cellwise.estimate.saved_state import read_saved, state_from_dict, state_to_
 from cellwise.files import write_atomically
 from cellwise.live.samples import Sample
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.gaps import GAP
+from cellwise.logs.gaps import GAP_BESIDE, GAP_TIMES, LEAST_GAP_S, NEIGHBOURS
 
 SHORTEST_S, LONGEST_S = 1.0, 60.0  # time step, as the stream's samples come
 WIDEST_STD = 0.3
@@ -60,7 +60,7 @@ class Timeline:
     def __init__(self) -> None:
         self.time_s = math.nan
         self._arrived_s = math.nan
-        self._intervals: deque[float] = deque(maxlen=GAP.neighbours)
+        self._intervals: deque[float] = deque(maxlen=NEIGHBOURS)
         self._strange: deque[float] = deque(maxlen=AGREEING)
         self._away_s: float | None = None
 
@@ -113,11 +113,11 @@ class Timeline:
         return len(strange) == AGREEING
 
     def _is_gap(self, dt: float) -> bool:
-        if dt <= GAP.least_s or not self._intervals:
+        if dt <= LEAST_GAP_S or not self._intervals:
             return False
         longest = sorted(self._intervals)
         usual = longest[-2] if len(longest) >= 3 else longest[-1]
-        return dt > GAP.times * usual and dt > GAP.beside * self._intervals[-1]
+        return dt > GAP_TIMES * usual and dt > GAP_BESIDE * self._intervals[-1]
 
 
 class LivePack:

@@ -15,22 +15,13 @@ if TYPE_CHECKING:
     from cellwise.logs.cell_log import CellLog
 
 
-class GapRule(NamedTuple):
-    """When rows were not written, as against written slowly.
-
-    A gap lasts ``least_s`` and ``times`` what is usual among so many ``neighbours`` on either side,
-    and ``beside`` times each interval next to it. Testers slow down from 0.1 s to 300 s rows at
-    rest, and speed up again, without losing anything; they hiccup for two seconds between two
-    repetitions of a profile. Neither is a gap.
-    """
-
-    times: float = 10.0
-    least_s: float = 5.0
-    neighbours: int = 5
-    beside: float = 4.0
-
-
-GAP = GapRule()
+# A gap: rows that were not written, as against written slowly. Testers slow down from 0.1 s to
+# 300 s rows at rest, and speed up again, without losing anything; they hiccup for two seconds
+# between two repetitions of a profile. Neither is a gap.
+GAP_TIMES = 10.0  # what is usual among its neighbours
+LEAST_GAP_S = 5.0
+NEIGHBOURS = 5  # intervals on either side
+GAP_BESIDE = 4.0  # times each interval next to it
 
 
 @dataclass(frozen=True)
@@ -64,16 +55,16 @@ def find_gaps(time_s: FloatArray) -> BoolArray:
     """
     found = np.zeros(time_s.size, dtype=np.bool_)
     interval = np.diff(time_s)
-    if interval.size < 2 or np.max(interval) <= GAP.least_s:
+    if interval.size < 2 or np.max(interval) <= LEAST_GAP_S:
         return found
     ends = np.arange(1, time_s.size)
     if np.min(interval) == 0.0:  # rows that share a stamp have no interval of their own
         ends = ends[interval > 0]
         interval = interval[interval > 0]
-    at = np.flatnonzero(interval > GAP.least_s)
-    at = at[interval[at] > GAP.beside * _beside(interval, at)]
+    at = np.flatnonzero(interval > LEAST_GAP_S)
+    at = at[interval[at] > GAP_BESIDE * _beside(interval, at)]
     usual = np.maximum(_usual(interval, at, -1), _usual(interval, at, +1))
-    found[ends[at[interval[at] > GAP.times * usual]]] = True
+    found[ends[at[interval[at] > GAP_TIMES * usual]]] = True
     return found
 
 
@@ -87,7 +78,7 @@ def _beside(interval: FloatArray, at: NDArray[np.intp]) -> FloatArray:
 
 def _usual(interval: FloatArray, at: NDArray[np.intp], side: int) -> FloatArray:
     """Second longest of the intervals on one side of each place (of one or two: the longest)."""
-    index = at[:, None] + side * np.arange(1, GAP.neighbours + 1)
+    index = at[:, None] + side * np.arange(1, NEIGHBOURS + 1)
     inside = (index >= 0) & (index < interval.size)
     around = np.where(inside, interval[np.clip(index, 0, interval.size - 1)], -np.inf)
     around.sort(axis=1)
@@ -121,17 +112,9 @@ def run_edges(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
 
 
-class Uncounted(NamedTuple):
-    """When a pause cuts a log: what flows unseen for less than ``least_s`` hardly moves the SOC.
-
-    A stretch of fewer ``voltages`` says less than it costs to find where it begins.
-    """
-
-    least_s: float = 300.0
-    voltages: int = 30
-
-
-UNCOUNTED = Uncounted()
+# When a pause cuts a log.
+UNCOUNTED_S = 300.0  # what flows unseen for less hardly moves the SOC
+FEWEST_VOLTAGES = 30  # of a stretch: fewer say less than it costs to find where it begins
 
 
 def uncounted_pauses(log: CellLog) -> tuple[int, ...]:
@@ -139,7 +122,7 @@ def uncounted_pauses(log: CellLog) -> tuple[int, ...]:
 
     A car that is switched off may be charged meanwhile: where its SOC is then, nobody knows.
     """
-    long = np.flatnonzero(log.gap_rows & (log.interval_s > UNCOUNTED.least_s))
+    long = np.flatnonzero(log.gap_rows & (log.interval_s > UNCOUNTED_S))
     if log.charge_Ah is None:
         return tuple(map(int, long))
     return tuple(int(k) for k in long if not np.isfinite(log.charge_Ah[k - 1 : k + 1]).all())
@@ -157,7 +140,7 @@ def cut_at_pauses(log: CellLog) -> tuple[CellLog, ...]:
     found: list[CellLog] = []
     for first, stop in pairwise((0, *rows, len(log))):
         measured = np.isfinite(log.voltage_V[first:stop])
-        if np.count_nonzero(measured) < UNCOUNTED.voltages or not np.any(
+        if np.count_nonzero(measured) < FEWEST_VOLTAGES or not np.any(
             np.isfinite(log.current_A[first:stop])
         ):
             continue

@@ -16,20 +16,9 @@ from cellwise.notices import Code, Notice, coded, critical_first
 from cellwise.typing import BoolArray, FloatArray
 from cellwise.wording import RowPlace
 
-
-class Noted(NamedTuple):
-    """From where on something is noted.
-
-    So many ``gaps`` one by one. A current of up to the share ``quiet`` of the largest is
-    none, and after ``rest_s`` of it a voltage is an OCV.
-    """
-
-    gaps: int = 5
-    quiet: float = 0.005
-    rest_s: float = 60.0
-
-
-NOTED = Noted()
+MOST_GAPS = 5  # noted one by one
+QUIET = 0.005  # share of the largest current up to which one is none
+REST_S = 60.0  # without current after which a voltage is an OCV
 
 
 class RestPeriod(NamedTuple):
@@ -193,7 +182,7 @@ def _sign_notices(log: CellLog, check: SignCheck) -> list[Notice]:
 def _time_notices(log: CellLog) -> list[Notice]:
     notices = []
     gaps = log.gaps
-    for gap in gaps[: NOTED.gaps]:
+    for gap in gaps[:MOST_GAPS]:
         counted = (
             "no counter shows what flowed"
             if gap.charge_Ah is None
@@ -202,8 +191,8 @@ def _time_notices(log: CellLog) -> list[Notice]:
         at = RowPlace(f"at {gap.start_s:.1f} s", range(max(gap.row - 1, 0), gap.row + 1))
         said = (f"a gap of {_duration(gap.duration_s)} without rows ", at, f": {counted}")
         notices.append(Notice(Code.GAP, said))
-    if len(gaps) > NOTED.gaps:
-        notices.append(Notice(Code.MORE_GAPS, f"{len(gaps) - NOTED.gaps} more gaps"))
+    if len(gaps) > MOST_GAPS:
+        notices.append(Notice(Code.MORE_GAPS, f"{len(gaps) - MOST_GAPS} more gaps"))
     if log.repeated_stamps:
         text = f"{log.repeated_stamps} row(s) repeat the time of the row before"
         notices.append(Notice(Code.STAMPS_REPEAT, text))
@@ -232,7 +221,7 @@ def _channel_notices(
     if spikes:
         text = f"{spikes} row(s) whose voltage jumps away and back without the current"
         notices.append(Notice(Code.SPIKES, text))
-    if mismatch is not None and mismatch > units.COUNTER.inspected_percent and not noted:
+    if mismatch is not None and mismatch > units.INSPECTED_PERCENT and not noted:
         notices.append(units.differing(mismatch))
     return notices
 
@@ -248,7 +237,7 @@ def _duration(seconds: float) -> str:
 def _is_quiet(log: CellLog) -> BoolArray:
     """Rows whose interval is without current, shape (n,)."""
     current = np.abs(log.known_current_A())
-    return np.asarray(current <= NOTED.quiet * np.max(current))
+    return np.asarray(current <= QUIET * np.max(current))
 
 
 def find_rests(log: CellLog) -> list[RestPeriod]:
@@ -259,5 +248,5 @@ def find_rests(log: CellLog) -> list[RestPeriod]:
     return [
         RestPeriod(float(log.time_s[a]), float(seconds), float(log.voltage_V[b]))
         for a, b, seconds in zip(begins, last, duration_s, strict=True)
-        if seconds >= NOTED.rest_s
+        if seconds >= REST_S
     ]

@@ -10,8 +10,8 @@ import numpy as np
 
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.sign import NEEDED, verify_sign
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.sign import LEAST_CURRENT_A, verify_sign
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.columns import listed
 from cellwise.logs.files.source import LogSource
@@ -55,10 +55,10 @@ def tried(
         return MissingColumnsError(
             refusal.found,
             refusal.expected,
-            "None of them was found to fit. If some do, name them with "
+            "No column was found to fit. Name those that do with "
             + arg("channels", letter="{...}")
-            + ". "
-            + refusal.action,
+            + ". Or: "
+            + within(refusal.action),
             refusal.missing,
         )
     passed, best = max(found, key=lambda one: one[0])
@@ -92,7 +92,7 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedPro
         log = read(source)
     except InputError:
         return None
-    one_cell = log.typical_voltage_V <= CELL.largest_V
+    one_cell = log.typical_voltage_V <= LARGEST_V
     pack = source.options.series == 1 and not one_cell  # whose cells nobody has stated
     settled = {Code.NO_SIGN, Code.SIGN_CONTRADICTED}  # by what else is stated of the log
     settled |= {Code.VOLTAGE_OF_PACK, Code.VOLTAGE_UNIT} if pack else set()
@@ -102,5 +102,5 @@ def _passes(source: LogSource, read: Callable[[LogSource], CellLog]) -> TriedPro
     if log.typical_voltage_V < LEAST_V or not check.follows:
         return None
     peak, every_s = np.nanmax(np.abs(log.current_A)), np.median(log.interval_s[1:])
-    usual = bool(NEEDED.current_A <= peak < MOST_A and every_s < SLOWEST_S)
+    usual = bool(LEAST_CURRENT_A <= peak < MOST_A and every_s < SLOWEST_S)
     return TriedProposal(check.verdict != "undetermined", one_cell, usual)

@@ -33,22 +33,12 @@ from cellwise.logs.stated import check_order, day_of_name
 from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
+# Which rows of a pack's log are compared, and over how long.
+FEWEST_ROWS = 10  # between two pauses that nobody counted
+# Or one interval, of rates of the mean voltage: a polling delay of seconds is seen whole.
+RATE_S = 2.0
+LONGEST_INTERVALS = 3.0  # of the usual length: over longer ones a rate says nothing
 
-class ComparedRows(NamedTuple):
-    """Which rows of a pack's log are compared, and over how long.
-
-    ``fewest_rows`` between two pauses that nobody counted. ``rate_s``: rates of the mean voltage
-    are taken over this long or one interval, so that a polling delay of seconds is seen whole, also
-    where rows are closer; ``longest_intervals`` of the usual length, over longer ones a rate says
-    nothing.
-    """
-
-    fewest_rows: int = 10
-    rate_s: float = 2.0
-    longest_intervals: float = 3.0
-
-
-COMPARED = ComparedRows()
 PERIOD_DAYS = 30.0
 
 
@@ -92,7 +82,7 @@ def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> Mean
     soc, std, voltage = (np.full(n, np.nan) for _ in range(3))
     part: IndexArray = np.full(n, -1, dtype=np.intp)
     ekf, begun = Ekf(model), initial_soc(model, log, soc0, whole_log=True)
-    long = [s for s in stretches(model, log, begun) if s.stop - s.first >= COMPARED.fewest_rows]
+    long = [s for s in stretches(model, log, begun) if s.stop - s.first >= FEWEST_ROWS]
     for count, one in enumerate(long):
         trace = ekf.run(one.of(log), one.start.soc, one.start.std)
         rows = slice(one.first, one.stop)
@@ -267,13 +257,13 @@ def _rates(mean: MeanCell) -> tuple[FloatArray, FloatArray, FloatArray, BoolArra
     n = time.size
     interval = np.diff(time)
     usual = float(np.median(interval[interval > 0])) if np.any(interval > 0) else 1.0
-    span = max(COMPARED.rate_s, usual)
+    span = max(RATE_S, usual)
     known = np.isfinite(voltage)
     filled = np.interp(time, time[known], voltage[known])
     before = (filled - np.interp(time - span, time, filled)) / span
     after = (np.interp(time + span, time, filled) - filled) / span
     near = np.zeros(n, dtype=np.bool_)
-    short = interval <= COMPARED.longest_intervals * max(usual, COMPARED.rate_s)
+    short = interval <= LONGEST_INTERVALS * max(usual, RATE_S)
     same = mean.part[1:] == mean.part[:-1]
     near[1:-1] = (short & same)[:-1] & (short & same)[1:]
     change = span * np.maximum(np.abs(before), np.abs(after))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,36 +13,19 @@ from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE, OcvSlope, PackDay, Regressors, regressors
 from cellwise.typing import BoolArray, FloatArray, IndexArray
 
-
-class UsualNoise(NamedTuple):
-    """What differences are wrong by before a pack shows it.
-
-    ``row_V``: a quiet row; ``change_share``: of the voltage's change between rows, by polling;
-    ``block_V``: what stays for ``block_s`` (relaxation, temperature, the OCV's shape);
-    ``balancing_soc``: what a cell's SOC moves by from one log to the next; ``slope_V``: of the OCV
-    over SOC, a third of a usual slope; ``least_V``: no noise is smaller; ``robust``: standard
-    deviations beyond which a reading counts no more; ``weight``: cells, or cells and blocks, that a
-    usual size counts as beside those that are seen; ``least_share``: of a usual spread, since a
-    pack of equal cells is not expected to be more equal; ``passes`` of an
-    expectation-maximisation, which comes near enough in a few; ``rows`` of a period are compared:
-    more say no more.
-    """
-
-    row_V: float = 0.003
-    change_share: float = 0.1
-    block_V: float = 5e-4
-    block_s: float = 600.0
-    balancing_soc: float = 0.002
-    slope_V: float = 0.2
-    least_V: float = 1e-4
-    robust: float = 4.0
-    weight: float = 10.0
-    least_share: float = 0.2
-    passes: int = 30
-    rows: int = 200_000
-
-
-USUAL = UsualNoise()
+# What differences are wrong by before a pack shows it.
+ROW_V = 0.003  # a quiet row
+CHANGE_SHARE = 0.1  # of the voltage's change between rows, by polling
+BLOCK_V = 5e-4  # what stays for a block: relaxation, temperature, the OCV's shape
+BLOCK_S = 600.0
+BALANCING_SOC = 0.002  # what a cell's SOC moves by from one log to the next
+SLOPE_V = 0.2  # of the OCV over SOC, a third of a usual slope
+LEAST_V = 1e-4  # no noise is smaller
+ROBUST = 4.0  # standard deviations beyond which a reading counts no more
+WEIGHT = 10.0  # cells, or cells and blocks, that a usual size counts as beside those that are seen
+LEAST_SHARE = 0.2  # of a usual spread: a pack of equal cells is not expected to be more equal
+PASSES = 30  # of an expectation-maximisation, which comes near enough in a few
+MOST_ROWS = 200_000  # of a period are compared: more say no more
 
 
 def robust_std(off: FloatArray) -> FloatArray:
@@ -76,7 +58,7 @@ class PackEvidence:
 def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
     """What the logs of one period say of the cells; of many rows every so many are enough."""
     middle = 0.5 * (days[0].ordinal + days[-1].ordinal)
-    some = slice(None, None, max(-(-sum(len(d.log) for d in days) // USUAL.rows), 1))
+    some = slice(None, None, max(-(-sum(len(d.log) for d in days) // MOST_ROWS), 1))
     parts = []
     count = 0
     for number, day in enumerate(days):
@@ -85,7 +67,7 @@ def period_evidence(model: CellModel, days: Sequence[PackDay]) -> PackEvidence:
         ok = np.isfinite(log.cell_V)
         if log.balancing is not None:
             ok &= ~log.balancing  # the bypass current loads the sense wires
-        clock = (log.mean.time_s // USUAL.block_s).astype(np.int64)
+        clock = (log.mean.time_s // BLOCK_S).astype(np.int64)
         moved = np.diff(clock, prepend=clock[0]) + np.abs(np.diff(part, prepend=part[0]))
         block = count + np.cumsum(moved != 0)
         count = int(block[-1]) + 1
@@ -124,21 +106,21 @@ def pack_evidence(
         nothing = np.zeros((cells, SIZE, SIZE)), np.zeros((cells, SIZE))
         return PackEvidence(
             *nothing, np.zeros(cells, np.int64), np.full(cells, np.nan),
-            USUAL.row_V, USUAL.change_share, USUAL.block_V, 0.0,
+            ROW_V, CHANGE_SHARE, BLOCK_V, 0.0,
         )  # fmt: skip
     rows, change = found.rows[used], found.change_V[used]
     d, ok = difference_V[used], known[used]
     ok &= np.isfinite(d)
     d[~ok] = 0.0
     prior = np.diag(by.CELLS**-2.0)
-    weight = 1.0 / (USUAL.row_V**2 + (USUAL.change_share * change) ** 2)
+    weight = 1.0 / (ROW_V**2 + (CHANGE_SHARE * change) ** 2)
     x = _ridge(rows, weight, d, ok, prior)
     noise, share = _row_noise(d - rows @ x.T, ok, change)
     variance = noise**2 + (share * change) ** 2
     weight = 1.0 / variance
     for _ in range(2):  # readings far off are drawn to the fit
         fit = rows @ x.T
-        limit = USUAL.robust * np.sqrt(variance)[:, None]
+        limit = ROBUST * np.sqrt(variance)[:, None]
         drawn = np.minimum(np.maximum(d, fit - limit), fit + limit)
         drawn[~ok] = 0.0
         x = _ridge(rows, weight, drawn, ok, prior)
@@ -186,13 +168,13 @@ def _row_noise(left: FloatArray, ok: BoolArray, change: FloatArray) -> tuple[flo
 
     def scale(part: IndexArray) -> float:
         values = left[part][ok[part]]
-        return float(robust_std(values)) if values.size else USUAL.row_V
+        return float(robust_std(values)) if values.size else ROW_V
 
     quiet, busy = order[:third], order[-third:]
-    noise = max(scale(quiet), USUAL.least_V)
+    noise = max(scale(quiet), LEAST_V)
     moved = float(np.sqrt(np.mean(change[busy] ** 2)))
     excess = max(scale(busy) ** 2 - noise**2, 0.0)
-    return noise, float(np.sqrt(excess)) / max(moved, USUAL.least_V)
+    return noise, float(np.sqrt(excess)) / max(moved, LEAST_V)
 
 
 def _starts(number: IndexArray) -> IndexArray:
@@ -230,10 +212,10 @@ def _block_noise(matrix: FloatArray, vector: FloatArray, x: FloatArray) -> float
         mean = np.where(total > 0.0, left / total, np.nan)
     mean = mean[np.isfinite(mean)]
     if mean.size == 0:
-        return USUAL.block_V
+        return BLOCK_V
     of_rows = float(np.median(1.0 / total[total > 0.0]))
     found = max(float(robust_std(mean)) ** 2 - of_rows, 0.0)
-    return _with_usual(found, float(mean.size), USUAL.block_V)
+    return _with_usual(found, float(mean.size), BLOCK_V)
 
 
 def _of_cells(of_one: FloatArray, x: FloatArray) -> FloatArray:
@@ -243,7 +225,7 @@ def _of_cells(of_one: FloatArray, x: FloatArray) -> FloatArray:
 
 def _with_usual(found: float, many: float, usual: float) -> float:
     """Deviation of a variance that so many have shown, and of a usual one [unit of ``usual``]."""
-    return float(np.sqrt((many * found + USUAL.weight * usual**2) / (many + USUAL.weight)))
+    return float(np.sqrt((many * found + WEIGHT * usual**2) / (many + WEIGHT)))
 
 
 def _without_balancing(
@@ -256,8 +238,8 @@ def _without_balancing(
     well as the OCV's slope is. Shapes as
     :func:`_block_sums` has them.
     """
-    size = USUAL.balancing_soc
-    for _ in range(USUAL.passes):
+    size = BALANCING_SOC
+    for _ in range(PASSES):
         a, b = _integrated(matrix, vector, _balanced(size))
         x = np.linalg.solve(a.sum(axis=0) + prior, b.sum(axis=0)[..., None])[..., 0]
         pull = vector[:, :, by.SOC] - np.einsum("lci,ci->lc", _of_cells(matrix[:, :, by.SOC], x), x)
@@ -265,7 +247,7 @@ def _without_balancing(
         moved = variance * pull
         seen = float(np.median(np.broadcast_to(variance, moved.shape)))
         found = float(robust_std(moved.ravel())) ** 2 + min(seen, size**2)
-        size = _with_usual(found, float(moved.size), USUAL.balancing_soc)
+        size = _with_usual(found, float(moved.size), BALANCING_SOC)
     return *_integrated(matrix, vector, _balanced(size)), size
 
 
@@ -273,7 +255,7 @@ def _balanced(size: float) -> FloatArray:
     """Variances of what balancing by a size moves, (SIZE,)."""
     own = np.zeros(SIZE)
     own[by.SOC] = size**2
-    own[by.NAMED :] = (USUAL.slope_V * size) ** 2
+    own[by.NAMED :] = (SLOPE_V * size) ** 2
     return own
 
 

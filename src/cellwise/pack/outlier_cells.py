@@ -17,56 +17,29 @@ from scipy.special import chdtrc, chdtri
 from cellwise.cell.model import CellModel
 from cellwise.pack import differences as by
 from cellwise.pack.differences import SIZE
-from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
+from cellwise.pack.evidence import WEIGHT, PackEvidence, robust_std
 from cellwise.pack.pack_state import CellDeltas, Drift, posterior
 from cellwise.typing import FloatArray
 
+# When a cell is named.
+FALSE_ALARMS = 0.01  # share of packs and periods with one, over all cells and causes
+ODD_SHARE = 0.05  # of the cells, one at least, may be odd themselves
+PENALTY = 2.0  # log likelihood that one more parameter costs
+CONFUSABLE = 3.0  # log likelihood within which two causes are
+# Of the cells, at which their ratios are compared with theory's.
+TAIL_SHARES = (0.5, 0.8, 0.9, 0.94)
+FEWEST_CELLS = 3
 
-class Alarm(NamedTuple):
-    """When a cell is named.
+# When two cells have changed places.
+EXCHANGE_BETTER = 10.0  # log likelihood by which that is more probable than two changes
+EXCHANGE_REMAINING = 0.005  # share of two large misfits that may be left once it explains them
 
-    ``false_alarms``: share of packs and periods with a false one, over all cells and causes;
-    ``odd_share`` of the cells, one at least, may be odd themselves; ``penalty``: log likelihood
-    that one more parameter costs; ``confusable``: within which two causes are; ``tail_shares`` of
-    the cells, at which their ratios are compared with theory's; ``fewest`` cells.
-    """
-
-    false_alarms: float = 0.01
-    odd_share: float = 0.05
-    penalty: float = 2.0
-    confusable: float = 3.0
-    tail_shares: tuple[float, ...] = (0.5, 0.8, 0.9, 0.94)
-    fewest: int = 3
-
-
-class Exchange(NamedTuple):
-    """When two cells have changed places.
-
-    ``better``: log likelihood by which that has to be more probable than two changes;
-    ``remaining``: share of two large misfits that may be left once it explains them.
-    """
-
-    better: float = 10.0
-    remaining: float = 0.005
-
-
-class Drifting(NamedTuple):
-    """When a cell discharges itself.
-
-    ``balancing_per_day``: what balancing may do to a cell's SOC, and more; ``sizes`` of a
-    self-discharge that are tried, up to the largest drift. Standard deviations of a drift in one
-    period: ``worth_saying`` in a notice; from ``uncertain`` on whatever else is found of the cell
-    is, but for what is ``apart`` from it, seen under load alone.
-    """
-
-    balancing_per_day: float = 3e-3
-    sizes: int = 200
-    worth_saying: float = 5.0
-    uncertain: float = 2.0
-    apart: tuple[str, ...] = ("resistance_scale", "time_skew")
-
-
-ALARM, EXCHANGE, DRIFTING = Alarm(), Exchange(), Drifting()
+# When a cell discharges itself; standard deviations are those of a drift in one period.
+BALANCING_PER_DAY = 3e-3  # what balancing may do to a cell's SOC, and more
+DRIFT_SIZES = 200  # of a self-discharge that are tried, up to the largest drift
+WORTH_SAYING = 5.0  # standard deviations, in a notice
+UNCERTAIN = 2.0  # standard deviations from which on whatever else is found of the cell is uncertain
+SEEN_APART = ("resistance_scale", "time_skew")  # but for these, seen under load alone
 
 
 class CellCause(NamedTuple):
@@ -184,7 +157,7 @@ def suspicions(past: CellDeltas, evidence: PackEvidence, *, changed: bool) -> li
     than theory has it, all ratios are scaled down by as much.
     """
     there = np.flatnonzero(evidence.rows > 0)
-    if there.size < ALARM.fewest:
+    if there.size < FEWEST_CELLS:
         return []
     a, mean = evidence.matrix[there], past.mean[there]
     after, _ = posterior(past.mean, past.covariance, evidence)
@@ -203,7 +176,7 @@ def suspicions(past: CellDeltas, evidence: PackEvidence, *, changed: bool) -> li
     gains, sizes, widths = (np.stack(x, axis=1) for x in (ratios, shifts, stds))
     if evidence.days == 0.0:  # within hours a capacity or a SOC does the same
         gains[:, CAUSES.index(LEAK)] = 0.0
-    allowed = ALARM.false_alarms / (there.size * len(CAUSES))
+    allowed = FALSE_ALARMS / (there.size * len(CAUSES))
     tails = chdtrc([len(c.moves) for c in CAUSES], 2.0 * np.maximum(gains, 0.0))
     found = [
         named(int(there[k]), gains[k], sizes[k], widths[k], changed, allowed)
@@ -237,22 +210,22 @@ def scale_of(ratio: FloatArray, freedom: int) -> float:
     """
     cells = float(ratio.size)
     ordered = np.sort(ratio)
-    odd = max(int(np.ceil(ALARM.odd_share * cells)), 1)
+    odd = max(int(np.ceil(ODD_SHARE * cells)), 1)
     found = [
         float(ordered[min(int(share * cells), ratio.size - 1 - odd)])
         / float(chdtri(freedom, 1.0 - share))
-        for share in ALARM.tail_shares
+        for share in TAIL_SHARES
     ]
-    return max((cells * max(found) + USUAL.weight) / (cells + USUAL.weight), 1.0)
+    return max((cells * max(found) + WEIGHT) / (cells + WEIGHT), 1.0)
 
 
 def named(
     cell: int, gains: FloatArray, sizes: FloatArray, stds: FloatArray, changed: bool, allowed: float
 ) -> Suspicion:
     """The likeliest cause of one cell; log likelihoods, sizes and deviations of all causes."""
-    scores = gains - ALARM.penalty * np.array([len(c.moves) for c in CAUSES])
+    scores = gains - PENALTY * np.array([len(c.moves) for c in CAUSES])
     best = int(np.argmax(scores))
-    near = np.flatnonzero(scores[best] - scores < ALARM.confusable)
+    near = np.flatnonzero(scores[best] - scores < CONFUSABLE)
     chance = math.exp(-math.log(allowed) - float(scores[best]))
     return Suspicion(
         cell=cell,
@@ -273,7 +246,7 @@ def exchanged_cells(
     there = np.flatnonzero(evidence.rows > 0).tolist()
     own = {k: _misfit(deltas, evidence, k, k) for k in there}
     usual = float(np.median(list(own.values())))
-    best: float = EXCHANGE.better
+    best: float = EXCHANGE_BETTER
     pair = None
     for i in sorted({s.cell for s in suspects}):
         for j in there:
@@ -283,7 +256,7 @@ def exchanged_cells(
             gain = own[i] + own[j] - crossed
             # Each has to be as usual a cell in the other's place, not only less odd than here. What
             # is far off is so in the regression's own error, too: a share of it may remain.
-            most = 2.0 * usual + EXCHANGE.better + EXCHANGE.remaining * (own[i] + own[j])
+            most = 2.0 * usual + EXCHANGE_BETTER + EXCHANGE_REMAINING * (own[i] + own[j])
             if gain > best and crossed < most:
                 best, pair = gain, (min(i, j), max(i, j))
     return pair
@@ -312,7 +285,7 @@ def drift_of(spread: FloatArray, evidence: PackEvidence) -> Drift | None:
     if evidence.days <= 0.0:
         return None
     start = CellDeltas.unknown(evidence.rows.size, spread)
-    start.covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE] = DRIFTING.balancing_per_day**2
+    start.covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE] = BALANCING_PER_DAY**2
     mean, covariance = posterior(start.mean, start.covariance, evidence)
     per_day = mean[:, by.SELF_DISCHARGE] - np.median(mean[:, by.SELF_DISCHARGE])
     own = covariance[:, by.SELF_DISCHARGE, by.SELF_DISCHARGE]
@@ -332,7 +305,7 @@ def self_discharging(drifts: Sequence[Drift]) -> list[Suspicion]:
     if len(drifts) < 2:
         return []
     v, std = (np.stack(x) for x in zip(*drifts, strict=True))  # (periods, cells)
-    sizes = np.linspace(0.0, max(float(np.max(v)), 1e-12), DRIFTING.sizes)[:, None, None]
+    sizes = np.linspace(0.0, max(float(np.max(v)), 1e-12), DRIFT_SIZES)[:, None, None]
     ratio = np.log1p((v / std) ** 2) - np.log1p(((v - sizes) / std) ** 2)
     # Of the last two periods, three, ...: (sizes, starts, cells), then the best of each cell.
     gains = np.cumsum(ratio[:, ::-1], axis=1)[:, 1:] - math.log(len(drifts) - 1)
@@ -340,8 +313,8 @@ def self_discharging(drifts: Sequence[Drift]) -> list[Suspicion]:
     size_of, start_of = np.unravel_index(best, gains.shape[:2])
     gain = np.maximum(gains[size_of, start_of, np.arange(best.size)], 0.0)
     gain /= scale_of(2.0 * gain, 1)
-    allowed = ALARM.false_alarms / (gain.size * len(CAUSES))
-    chance = np.exp(ALARM.penalty - math.log(allowed) - gain)
+    allowed = FALSE_ALARMS / (gain.size * len(CAUSES))
+    chance = np.exp(PENALTY - math.log(allowed) - gain)
     return [
         Suspicion(
             cell=cell,
@@ -365,7 +338,7 @@ def also_drifting(found: Sequence[Suspicion], drift: Drift) -> list[Suspicion]:
     times = drift.per_day / drift.std
     return [
         one
-        if one.cause.name in DRIFTING.apart or times[one.cell] < DRIFTING.uncertain
+        if one.cause.name in SEEN_APART or times[one.cell] < UNCERTAIN
         else replace(
             one,
             probability=min(one.probability, 0.5),
@@ -378,4 +351,4 @@ def also_drifting(found: Sequence[Suspicion], drift: Drift) -> list[Suspicion]:
 def drifting(drift: Drift) -> int | None:
     """The cell whose drift in one period is worth saying; None: there is none."""
     times = drift.per_day / drift.std
-    return int(np.argmax(times)) if float(np.max(times)) > DRIFTING.worth_saying else None
+    return int(np.argmax(times)) if float(np.max(times)) > WORTH_SAYING else None

@@ -14,7 +14,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.saved_state import read_saved
 from cellwise.files import write_atomically
 from cellwise.pack.differences import CELLS, MONTH, SELF_DISCHARGE, SIZE
-from cellwise.pack.evidence import USUAL, PackEvidence, robust_std
+from cellwise.pack.evidence import LEAST_SHARE, PASSES, WEIGHT, PackEvidence, robust_std
 from cellwise.typing import FloatArray
 
 KIND = "cellwise-pack-state"
@@ -78,7 +78,7 @@ def spread_between(evidence: PackEvidence) -> FloatArray:
     """
     usual = CELLS
     same = CellDeltas.unknown(evidence.rows.size, np.zeros(SIZE))
-    return np.sqrt(_moved(same, evidence, usual**2, (USUAL.least_share * usual) ** 2))
+    return np.sqrt(_moved(same, evidence, usual**2, (LEAST_SHARE * usual) ** 2))
 
 
 def drift_between(past: CellDeltas, evidence: PackEvidence) -> FloatArray:
@@ -101,7 +101,7 @@ def _moved(
     there = evidence.rows > 0
     cells = float(np.count_nonzero(there))
     found = usual.copy()
-    for _ in range(USUAL.passes):
+    for _ in range(PASSES):
         own = np.diag(found)
         before = past.covariance + own
         mean, after = posterior(past.mean, before, evidence)
@@ -110,7 +110,7 @@ def _moved(
         left = own - share @ own + share @ after @ np.swapaxes(share, 1, 2)
         unseen = np.median(np.diagonal(left[there], axis1=1, axis2=2), axis=0)
         variance = robust_std(change - np.median(change, axis=0)) ** 2 + unseen
-        found = (cells * variance + USUAL.weight * usual) / (cells + USUAL.weight)
+        found = (cells * variance + WEIGHT * usual) / (cells + WEIGHT)
         found = np.maximum(found, least)
     return found
 

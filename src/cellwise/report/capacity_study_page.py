@@ -12,7 +12,7 @@ from cellwise.report.page.numerals import capitalised
 from cellwise.report.page.picture import Figures, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.studies.capacity_study import VOLTAGE, CellStudy, published_orders
-from cellwise.studies.published import LFP_CELL, LFP_ERRORS, NCA_CELL, NCA_RESIDUALS
+from cellwise.studies.published import LFP, NCR18650B
 
 # Of every figure: name in text, name in a table's head, colour and marker of its line.
 KINDS = {
@@ -92,14 +92,15 @@ def _verdict(study: CellStudy, kind: str) -> str:
 def papers_beside() -> list[str]:
     """What the two papers print, on their own cells, from best to worst."""
     orders = published_orders()
+    errors, residuals = LFP["errors"], NCR18650B["residuals"]
     lfp = ", ".join(
-        f"{LFP_ERRORS[c].capacity_Ah:g} Ah ({c}) {LFP_ERRORS[c].rms_mV:g} mV" for c in orders["lfp"]
+        f"{errors[c]['capacity_Ah']:g} Ah ({c}) {errors[c]['rms_mV']:g} mV" for c in orders["lfp"]
     )
     rates = [choice.removeprefix("rate:") for choice in orders["ncr18650b"]]
-    nca = ", ".join(f"{rate} {NCA_RESIDUALS[rate].rmse_mV:g} mV" for rate in rates)
+    nca = ", ".join(f"{rate} {residuals[rate]['rmse_mV']:g} mV" for rate in rates)
     return [
-        f"LFP paper ({LFP_CELL}), voltage RMS on a charge-depleting cycle: {lfp}.",
-        f"NCR18650B paper ({NCA_CELL}), voltage RMSE on each rate's own HPPC: {nca}.",
+        f"LFP paper ({LFP['cell']}), voltage RMS on a charge-depleting cycle: {lfp}.",
+        f"NCR18650B paper ({NCR18650B['cell']}), voltage RMSE on each rate's own HPPC: {nca}.",
     ]
 
 
@@ -165,7 +166,7 @@ def study_section(study: CellStudy, number: int = 0) -> Section:
 @pictured("capacity-study")
 def study_picture(study: CellStudy, kinds: Sequence[str]) -> style.Figure:
     """RMSE of the voltage, or of SOC by several estimators, over the capacity."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     found = sorted(study.choices, key=lambda c: c.capacity_Ah)
     capacity, of_voltage = [c.capacity_Ah for c in found], VOLTAGE in kinds
     scale = 1e3 if of_voltage else 100.0

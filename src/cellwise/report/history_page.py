@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cellwise.arguments import check_kind
-from cellwise.history.ageing import AgeingHistory
+from cellwise.history.ageing import AgeingHistory, AgeingRecord
 from cellwise.report.page import style
-from cellwise.report.page.markup import Markup, details, lead_of, record_table, tiles
-from cellwise.report.page.numerals import SPACE, percent, plural, significant
+from cellwise.report.page.markup import details, lead_of, record_table, tiles
+from cellwise.report.page.numerals import SPACE, banded, percent, plural
 from cellwise.report.page.picture import Figures, pictured
 from cellwise.report.page.section import Section, write_page
 
@@ -46,7 +47,12 @@ def history_page(found: AgeingHistory, path: str | Path, *, figures: Figures = N
     notices = [*data["notices"], *(n for one in data["logs"] for n in one["notices"])]
     test = data["trend"]["next_reference"].replace("+-", "±")
     sections = [
-        Section("table", "Every log", (details("the numbers", _table(found)),), "Table"),
+        Section(
+            "table",
+            "Every log",
+            (details("the numbers", record_table(log_rows(found), *LOG_COLUMNS)),),
+            "Table",
+        ),
     ]
     if not found.withheld:
         sections = [
@@ -108,7 +114,7 @@ def _first_line(found: AgeingHistory) -> str:
 )
 def capacity_picture(found: AgeingHistory) -> style.Figure:
     """Share of the new cell's capacity over the life."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     counted = np.array([one.counted for one in found.logs])
     share = 100.0 * np.array([one.share for one in found.logs])
     std = 100.0 * np.array([one.share_std for one in found.logs])
@@ -142,7 +148,7 @@ def capacity_picture(found: AgeingHistory) -> style.Figure:
 )
 def resistance_picture(found: AgeingHistory) -> style.Figure:
     """Resistance over the life."""
-    figure, axes = style.new_axes(2.8)
+    figure, axes = style.new_axes()
     scale = np.array([one.resistance_scale for one in found.logs])
     std = np.array([one.resistance_std for one in found.logs])
     style.error_dots(axes, found.way, scale, std)
@@ -152,16 +158,17 @@ def resistance_picture(found: AgeingHistory) -> style.Figure:
     return figure
 
 
-def _table(found: AgeingHistory) -> Markup:
-    return record_table(
-        list(zip(found.logs, found.trend.share, found.trend.std, strict=True)),
-        ("log", lambda one: one[0].log.name),
-        ("capacity Ah", lambda one: significant(one[0].capacity_Ah, 4)),
-        ("±", lambda one: significant(2.0 * one[0].capacity_std_Ah, 2)),
-        ("resistance", lambda one: significant(one[0].resistance_scale, 4)),
-        ("±", lambda one: significant(2.0 * one[0].resistance_std, 2)),
-        ("share", lambda one: percent(one[0].share, 1)),
-        ("trend", lambda one: percent(float(one[1]), 1)),
-        ("±", lambda one: percent(2.0 * float(one[2]), 1)),
-        ("by", lambda one: one[0].how),
-    )
+def log_rows(found: AgeingHistory) -> Iterator[tuple[AgeingRecord, float, float]]:
+    """Every log with the trend there, and its deviation, shares of the new cell's capacity."""
+    return zip(found.logs, found.trend.share.tolist(), found.trend.std.tolist(), strict=True)
+
+
+# Of one of them: how it reads on a page and in a command.
+LOG_COLUMNS: tuple[tuple[str, Callable[[tuple[AgeingRecord, float, float]], str]], ...] = (
+    ("log", lambda one: one[0].log.name),
+    ("capacity Ah", lambda one: banded(one[0].capacity_Ah, one[0].capacity_std_Ah)),
+    ("resistance", lambda one: banded(one[0].resistance_scale, one[0].resistance_std)),
+    ("share", lambda one: percent(one[0].share, 1)),
+    ("trend", lambda one: f"{percent(one[1], 1)} ± {percent(2.0 * one[2], 1)}"),
+    ("by", lambda one: one[0].how),
+)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,22 +12,16 @@ from cellwise.arguments import check_kind
 from cellwise.pack.pack_estimate import PackEstimate
 from cellwise.report.page import style
 from cellwise.report.page.markup import Markup, details, lead_of, paragraph, record_table, tiles
-from cellwise.report.page.numerals import millivolt, percent, plural, significant
+from cellwise.report.page.numerals import banded, millivolt, percent, plural, significant
 from cellwise.report.page.picture import Figures, Picture, pictured
 from cellwise.report.page.section import Blocks, Section, write_page
 from cellwise.typing import FloatArray
 
-
-class CellImage(NamedTuple):
-    """How the picture of the cells over time is divided."""
-
-    columns: int = 240
-    rows: int = 5  # of a log in a column, at least
-    labels: int = 12  # of days below the cells, at most
-    scale_mV: float = 3.0  # to either side of the mean, at least
-
-
-IMAGE = CellImage()
+# How the picture of the cells over time is divided.
+IMAGE_COLUMNS = 240
+IMAGE_ROWS = 5  # of a log in a column, at least
+IMAGE_LABELS = 12  # of days below the cells, at most
+IMAGE_MV = 3.0  # to either side of the mean, at least
 
 
 def pack_page(found: PackEstimate, path: str | Path, *, figures: Figures = None) -> Path:
@@ -44,7 +38,7 @@ def pack_page(found: PackEstimate, path: str | Path, *, figures: Figures = None)
         + (f" (or {', '.join(cause['confusable_with'])})" if cause["confusable_with"] else "")
         for cause in data["causes"]
     ]
-    numbers = details("the numbers", _table(found))
+    numbers = details("the numbers", record_table(data["per_cell"], *CELL_COLUMNS))
     every: Blocks = (numbers,)
     if found.withheld is None:
         shown = [cells_figure(found, one) for one in figures_of(found)]
@@ -97,20 +91,16 @@ def _figures(found: PackEstimate) -> Markup:
     return Markup(f"{tiles(facts)}\n{text}")
 
 
-def _table(found: PackEstimate) -> Markup:
-    return record_table(
-        found.to_dict()["per_cell"],
-        ("cell", lambda row: row["name"]),
-        ("SOC", lambda row: percent(row["soc"], 2)),
-        ("±", lambda row: percent(2.0 * row["soc_std"], 2)),
-        ("capacity Ah", lambda row: significant(row["capacity_Ah"], 4)),
-        ("±", lambda row: significant(2.0 * row["capacity_std_Ah"], 2)),
-        ("resistance", lambda row: significant(row["resistance_scale"], 4)),
-        ("±", lambda row: significant(2.0 * row["resistance_std"], 2)),
-        ("offset mV", lambda row: millivolt(row["offset_V"])),
-        ("polled s", lambda row: significant(row["skew_s"], 2)),
-        ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
-    )
+# Of one cell among ``per_cell``: how it reads on a page and in a command.
+CELL_COLUMNS: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
+    ("cell", lambda row: row["name"]),
+    ("SOC", lambda row: f"{percent(row['soc'])} ± {percent(2.0 * row['soc_std'])}"),
+    ("capacity Ah", lambda row: banded(row["capacity_Ah"], row["capacity_std_Ah"])),
+    ("resistance", lambda row: banded(row["resistance_scale"], row["resistance_std"])),
+    ("offset mV", lambda row: millivolt(row["offset_V"])),
+    ("polled s", lambda row: significant(row["skew_s"], 2)),
+    ("left mV", lambda row: millivolt(row["voltage_rmse_V"])),
+)
 
 
 def named_cells(found: PackEstimate) -> list[int]:
@@ -140,14 +130,14 @@ def cells_picture(found: PackEstimate) -> style.Figure:
     cells = len(found.names)
     figure, axes = style.new_axes(min(2.0 + 0.035 * cells, 5.5), style.WIDE_IN)
     usual = np.nanpercentile(np.abs(image), 97) if np.isfinite(image).any() else 0.0
-    scale = max(IMAGE.scale_mV, float(usual))
+    scale = max(IMAGE_MV, float(usual))
     drawn = axes.imshow(
         image, aspect="auto", cmap="RdBu", vmin=-scale, vmax=scale, interpolation="nearest",
         extent=(0.0, float(image.shape[1]), cells + 0.5, 0.5),
     )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="cell minus mean [mV]", shrink=0.8, pad=0.07)
     axes.grid(visible=False)
-    shown = _far_enough(edges, image.shape[1] / IMAGE.labels)
+    shown = _far_enough(edges, image.shape[1] / IMAGE_LABELS)
     axes.set_xticks([edges[k] for k in shown], [labels_of[k] for k in shown], rotation=0)
     for cell in named_cells(found):
         style.note(
@@ -166,7 +156,7 @@ def cells_over_time(found: PackEstimate) -> tuple[FloatArray, list[int], list[st
     rows = sum(len(day.log) for day in found.days)
     parts, edges, names, at = [], [], [], 0
     for day in found.days:
-        count = max(1, min(len(day.log) // IMAGE.rows, round(IMAGE.columns * len(day.log) / rows)))
+        count = max(1, min(len(day.log) // IMAGE_ROWS, round(IMAGE_COLUMNS * len(day.log) / rows)))
         starts = np.linspace(0, len(day.log), count + 1).astype(np.int64)[:-1]
         values = day.log.difference_V
         known = np.isfinite(values)
@@ -228,7 +218,7 @@ def cells_figure(found: PackEstimate, one: CellFigure) -> Picture:
 
 @pictured("pack_cells")
 def _cells_figure(found: PackEstimate, one: CellFigure) -> style.Figure:
-    figure, axes = style.new_axes(2.6)
+    figure, axes = style.new_axes()
     number = np.arange(1.0, one.values.size + 1.0)
     style.error_dots(axes, number, one.values, one.std, markersize=3.0, ecolor=style.MUTED)
     _point_at(axes, found, one.values)

@@ -23,7 +23,7 @@ from cellwise.estimate.replay import reference_soc, replay, soc_errors
 from cellwise.identify.identification import CellTests, IdentifySettings
 from cellwise.identify.pipeline import Progress, identify_cell
 from cellwise.logs.cell_log import CellLog
-from cellwise.studies.published import LFP_ERRORS, NCA_RESIDUALS
+from cellwise.studies.published import LFP, NCR18650B
 from cellwise.typing import FloatArray
 
 STUDIED = ("coulomb", "ekf", "ukf", "adaptive")
@@ -236,7 +236,7 @@ def judge(
         axes.append((soc0 - truth) * (1.0 - cell.reference_Ah / model.capacity_Ah))
         ends.append(int(np.nanargmin(truth)))
         for name in estimators:
-            trace = replay(model, log, name, soc0=soc0, soc0_std=DRAWN.soc0_std).trace
+            trace = replay(model, log, name, soc0=soc0, soc0_std=START_STD).trace
             errors[name].append(np.asarray(trace.soc - truth))
     soc = {}
     for name in estimators:
@@ -251,15 +251,10 @@ def judge(
     return ChoiceResult(choice, model.capacity_Ah, fit_rmse_V, rmse_V, above_V, soc, kept)
 
 
-class StudyDraws(NamedTuple):
-    """How a study is judged: SOC's deviation at the start, blocks drawn from a log, the seed."""
-
-    soc0_std: float = 0.02
-    blocks: int = 20
-    seed: int = 1
-
-
-DRAWN = StudyDraws()
+# How a study is judged.
+START_STD = 0.02  # of SOC
+BLOCKS = 20  # drawn from a log
+SEED = 1
 
 
 def difference(
@@ -280,14 +275,14 @@ def difference(
     """
     errors = np.column_stack((np.concatenate(other), np.concatenate(best)))
     sums = np.column_stack((np.nan_to_num(errors) ** 2, np.isfinite(errors[:, 0])))
-    cuts = [np.arange(e.size) * DRAWN.blocks // max(e.size, 1) for e in other]
-    block = np.concatenate([DRAWN.blocks * k + cut for k, cut in enumerate(cuts)])
+    cuts = [np.arange(e.size) * BLOCKS // max(e.size, 1) for e in other]
+    block = np.concatenate([BLOCKS * k + cut for k, cut in enumerate(cuts)])
 
     def between(total: FloatArray) -> FloatArray:
         a, b = np.sqrt(total[..., :2] / total[..., 2:]).T
         return np.asarray(a - b)
 
-    drawn = between(drawn_sums(block, sums, DRAWN.seed if rng is None else rng))
+    drawn = between(drawn_sums(block, sums, SEED if rng is None else rng))
     low, high = np.quantile(drawn, (0.025, 0.975))
     return RmseDifference(float(between(sums.sum(axis=0))), float(low), float(high))
 
@@ -309,18 +304,16 @@ def axis_share(errors: Sequence[FloatArray], axis: Sequence[FloatArray]) -> floa
 NMC_RATES = {"rate:C/20": "c20", "rate:C/5": "c5", "rate:C/3": "c3"}
 NMC_DRIVES = ("nmc_drive_b", "nmc_drive_c")
 # The LFP paper's choices over what its cell gave with CC and CV.
-LFP_WHOLE_AH = LFP_ERRORS["cc-cv-average"].capacity_Ah
-PAPER_RATIOS = {
-    f"as {row.capacity_Ah:g} of {LFP_WHOLE_AH:g}": row.capacity_Ah / LFP_WHOLE_AH
-    for row in LFP_ERRORS.values()
-    if row.capacity_Ah != LFP_WHOLE_AH
-}
+LFP_CHOICES_AH = {name: row["capacity_Ah"] for name, row in LFP["errors"].items()}
+LFP_WHOLE_AH = LFP_CHOICES_AH.pop("cc-cv-average")
+PAPER_RATIOS = {f"as {q:g} of {LFP_WHOLE_AH:g}": q / LFP_WHOLE_AH for q in LFP_CHOICES_AH.values()}
 
 
 def published_orders() -> dict[str, tuple[str, ...]]:
     """Choices of both papers from the smallest voltage RMSE to the largest."""
-    lfp = sorted(LFP_ERRORS, key=lambda name: LFP_ERRORS[name].rms_mV)
-    nca = sorted(NCA_RESIDUALS, key=lambda rate: NCA_RESIDUALS[rate].rmse_mV)
+    lfp = sorted(LFP["errors"], key=lambda name: LFP["errors"][name]["rms_mV"])
+    rates = NCR18650B["residuals"]
+    nca = sorted(rates, key=lambda rate: rates[rate]["rmse_mV"])
     return {"lfp": tuple(lfp), "ncr18650b": tuple(f"rate:{rate}" for rate in nca)}
 
 

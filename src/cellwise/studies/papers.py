@@ -11,7 +11,7 @@ Which one the paper took is therefore inferred, not known: both are shown.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
@@ -35,15 +35,7 @@ from cellwise.identify.pulse_fit.fit_pulse import Method
 from cellwise.identify.tables import cubic_fit, pulse_tables
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.reading import read_log
-from cellwise.studies.published import (
-    LFP_CAPACITIES,
-    LFP_CELL,
-    LFP_ERRORS,
-    LFP_POLYNOMIALS,
-    LFP_TEST_CHARGES_AH,
-    NCA_CELL,
-    NCA_RESIDUALS,
-)
+from cellwise.studies.published import LFP, NCR18650B
 
 # The embedded cells whose numbers stand beside the published ones.
 LFP_EMBEDDED = "LFP / graphite 26650, physics model, 2.3 Ah"
@@ -92,7 +84,7 @@ def paper_tables(
         rate_row(rate, _log(datasets, f"nmc/hppc_{tag}"), _log(datasets, f"nmc/cap_{tag}"), say)
         for rate, tag in NMC_RATES.items()
     ]
-    ncr = {"cell": NMC_EMBEDDED, "published_cell": NCA_CELL, "rates": rates}
+    ncr = {"cell": NMC_EMBEDDED, "published_cell": NCR18650B["cell"], "rates": rates}
     return {"lfp": lfp, "ncr18650b": ncr, "seconds": round(time.perf_counter() - began, 1)}
 
 
@@ -105,10 +97,6 @@ def _log(datasets: Path, name: str) -> CellLog:
             "Run `cellwise data generate`, or give the folder that holds them.",
         )
     return read_log(file)
-
-
-def _published(rows: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    return rows[name]._asdict() if name in rows else None
 
 
 def lfp_tables(tests: CellTests, cycle: CellLog, method: Method, say: Progress) -> dict[str, Any]:
@@ -134,7 +122,7 @@ def lfp_tables(tests: CellTests, cycle: CellLog, method: Method, say: Progress) 
                 "capacity_Ah": model.capacity_Ah,
                 "paper_method": cycle_error(model, cycle),
                 "ours": cycle_error(identify_cell(tests, plain).model, cycle),
-                "published": _published(LFP_ERRORS, choice),
+                "published": LFP["errors"].get(choice),
             }
         )
     first, ocv = found[0]
@@ -142,15 +130,15 @@ def lfp_tables(tests: CellTests, cycle: CellLog, method: Method, say: Progress) 
     pulses, (hppc, _) = first.temperatures[0].pulse_sets[0], tests.hppc[0]
     soc = pulses.anchor.soc - hppc.counted_charge_Ah() / first.model.capacity_Ah
     each = split_tests(hppc, pulses.pulses, soc)
-    charges = dict(enumerate(LFP_TEST_CHARGES_AH, start=1))
+    charges = dict(enumerate(LFP["test_charges_Ah"], start=1))
     return {
         "cell": LFP_EMBEDDED,
-        "published_cell": LFP_CELL,
+        "published_cell": LFP["cell"],
         "pulse_method": method,
         "capacity": [
             {
                 **{k: getattr(row, k) for k in ("rate", "total_Ah", "cc_Ah", "cv_Ah")},
-                "published": _published(LFP_CAPACITIES, row.rate),
+                "published": LFP["capacities"].get(row.rate),
             }
             for row in capacity_table(usable_tests(first.capacity_tests))
         ],
@@ -163,7 +151,7 @@ def lfp_tables(tests: CellTests, cycle: CellLog, method: Method, say: Progress) 
             {
                 "parameter": name,
                 **dict(zip("abcd", own, strict=True)),
-                "published": dict(zip("abcd", LFP_POLYNOMIALS[name], strict=True)),
+                "published": dict(zip("abcd", LFP["polynomials"][name], strict=True)),
             }
             for name, own in polynomials(pulses.fits).items()
         ],
@@ -238,7 +226,7 @@ def rate_row(rate: str, hppc: CellLog, capacity: CellLog, say: Progress) -> dict
         "rate": rate,
         "capacity_Ah": paper.model.capacity_Ah,
         "methods": {name: metrics_to_dict(m) for name, m in methods.items()},
-        "published": _published(NCA_RESIDUALS, rate),
+        "published": NCR18650B["residuals"].get(rate),
     }
 
 

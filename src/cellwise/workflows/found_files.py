@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellwise.cell.plausibility.validity import ONE_CELL, cells_in_series
+from cellwise.cell.plausibility.validity import FULL_V, cells_in_series
 from cellwise.errors import InputError, MachineError
 from cellwise.identify.test_kind import kind_of
 from cellwise.logs import CellLog, read_log
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.choice import MissingColumnsError
 from cellwise.logs.files.format import SeveralLogsError
 from cellwise.logs.stated import SUFFIXES, in_order
@@ -37,15 +38,9 @@ OTHERS = {
 }
 MOST_IN_FILE = 12  # logs of one file that are looked at one by one
 
-
-class _End(NamedTuple):
-    """The last per cent of a low-rate test, its dither too: of a whole discharge, and its rates."""
-
-    moved: float = 0.05
-    rates: tuple[float, float] = (0.01, 0.5)
-
-
-END = _End()
+# The last per cent of a low-rate test, its dither too.
+END_MOVED = 0.05  # of a whole discharge
+END_RATES = (0.01, 0.5)  # of that discharge
 
 
 @dataclass(frozen=True)
@@ -151,11 +146,11 @@ def _with_a_wrong_sign(one: FoundFile) -> FoundFile:
 
 def _end_of_test(one: FoundFile, files: list[FoundFile]) -> FoundFile:
     """A slow test that moves hardly anything beside a whole discharge in the folder."""
-    low, high = END.rates
+    low, high = END_RATES
     steady = [f for f in files if f.kind in ("ocv", "capacity", "charge")]
     whole = (f.whole_Ah for f in steady if f.series == one.series)
     size = max((w for w in whole if low * w < one.largest_A < high * w), default=0.0)
-    if one.kind not in (*TESTS, "drive") or one.moved_Ah >= END.moved * size:
+    if one.kind not in (*TESTS, "drive") or one.moved_Ah >= END_MOVED * size:
         return one
     share = one.moved_Ah / size
     return replace(one, kind="end", why=f"{share:.1%} of {size:.3g} Ah, slowly: not used")
@@ -183,8 +178,8 @@ def _look_at_one(
         named = tuple(fitting.items())
         return [FoundFile(place, "unread", _to_do(error), instance=nth, channels=named)]
     series = 1
-    if log.typical_voltage_V > ONE_CELL.largest_V:
-        series = cells_in_series(log, ONE_CELL.full_V)
+    if log.typical_voltage_V > LARGEST_V:
+        series = cells_in_series(log, FULL_V)
     found = _taken_for(place, replace(log, voltage_V=log.voltage_V / series), series, nominal_Ah)
     return [replace(found, instance=nth)]
 

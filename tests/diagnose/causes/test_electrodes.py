@@ -18,7 +18,7 @@ CELL = Electrodes("graphite with SiOx", "NMC 811", (0.03, 0.90, 0.86, 0.27), 0.0
 def test_published_potentials_fall_as_lithium_goes_in(name):
     # NCA's polynomial is one of a cell that never holds less than a third of its lithium.
     filled = np.linspace(0.34 if name == "NCA" else 0.05, 0.95, 200)
-    potential = {**NEGATIVE, **POSITIVE}[name][0](filled)
+    potential = {**NEGATIVE, **POSITIVE}[name](filled)
     assert np.all(np.diff(potential) < 2e-4)
 
 
@@ -73,3 +73,13 @@ def test_a_cell_that_holds_nothing_any_more_has_a_finite_ocv(losses):
     change, capacity = CELL.aged(SOC, *losses)
     assert np.all(np.isfinite(change))
     assert 0.0 < capacity < 0.1
+
+
+def test_every_share_of_lost_lithium_has_a_finite_ocv():
+    """Where the positive electrode ends up empty its share is 0 to the last bit, or below."""
+    cell = Electrodes("graphite", "NCA", (0.02, 0.85, 0.93, 0.27), 0.0)
+    soc = np.linspace(0.0, 1.0, 11)
+    for lithium in np.linspace(0.0, 0.95, 400):
+        change_V, held = cell.aged(soc, float(lithium), 0.0, 0.0)
+        assert np.isfinite(change_V).all()
+        assert np.isfinite(held)

@@ -12,8 +12,9 @@ from matplotlib.patches import Rectangle
 
 from cellwise.cli import main
 from cellwise.forecast.remaining import forecast
-from cellwise.report import identify_page, replay_page
+from cellwise.report.identification.page import identify_page
 from cellwise.report.page import style
+from cellwise.report.replay.page import replay_page
 from diagnosis_cases import diagnosis
 from page_cases import every_page
 from report_cases import drive, identification, model, replay

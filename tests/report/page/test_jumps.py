@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from cellwise.notices import Code, Notice
-from cellwise.report import replay_page
 from cellwise.report.page.markup import linked, linked_among
+from cellwise.report.replay.page import replay_page
 from cellwise.wording import RowPlace, place
 from report_cases import Page, drive, replay
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cellwise.errors import InputError
-from cellwise.report import save_figure, save_figures
 from cellwise.report.demo_page import demo_sections
 from cellwise.report.identification.page import identify_sections
 from cellwise.report.identification.parameter_section import pulse_values, table_error
 from cellwise.report.identification.simulation_section import simulation_blocks
 from cellwise.report.page.markup import MOST
+from cellwise.report.page.picture import save_figure, save_figures
 from cellwise.report.page.plot import Plot, robust_limits, worst_part
 from cellwise.report.page.section import pictures_of
 from cellwise.report.page.style import VERDICTS

@@ -11,9 +11,8 @@ import pytest
 
 from cellwise.forecast.remaining import forecast
 from cellwise.notices import Code, Notice
-from cellwise.report import replay_page
 from cellwise.report.page.numerals import duration_between
-from cellwise.report.replay.page import flight_finding, flight_plot
+from cellwise.report.replay.page import flight_finding, flight_plot, replay_page
 from report_cases import drive, model, replay
 
 
@@ -26,7 +25,7 @@ def flight():
 def test_the_plot_shows_both_with_their_bands(flight):
     _, left = flight
     shown = left.typical
-    above, below = flight_plot(left).panels
+    above, below, _ = flight_plot(left).panels
     for panel, values, band in (
         (above, shown.remaining_s / 60, shown.remaining_s_band / 60),
         (below, shown.remaining_Wh, shown.remaining_Wh_band),

@@ -10,9 +10,11 @@ import numpy as np
 from cellwise.benchmark.figures import COLUMNS
 from cellwise.benchmark.page import benchmark_page
 from cellwise.benchmark.suite import Suite
-from cellwise.report import export_page, identify_page, replay_page
 from cellwise.report.capacity_study_page import capacity_study_page
 from cellwise.report.diagnosis.page import diagnose_page
+from cellwise.report.export_page import export_page
+from cellwise.report.identification.page import identify_page
+from cellwise.report.replay.page import replay_page
 from cellwise.studies.capacity_study import CellStudy, ChoiceResult, SocFigures
 from report_cases import drive, identification, replay, simulation
 

@@ -49,55 +49,31 @@ def in_order(found: Iterable[Notice], of_reading: Sequence[Notice] = ()) -> tupl
     return tuple(dict.fromkeys((*critical, *by_size, *of_reading)))
 
 
-class FarOff(NamedTuple):
-    """When the model's statement of its error does not hold for a log: it is another cell's.
+# When the model's statement of its error does not hold for a log: it is another cell's. Half of its
+# rows are beyond so many of the model's own deviations; of a model that is right, within 0.7.
+FAR_DEVIATIONS = 3.0
+FAR_ROWS = 4000  # of many, about so many
+FAR_LOOKS = 3600  # at a stream that count, one a second
+FEWEST_LOOKS = 30  # before, a start that is off says nothing
+SIGN_LOOKS = 60  # its sign is asked at every of so many
 
-    Half of its rows (of many, about so many ``rows``) are beyond so many of the model's own
-    standard ``deviations``: of a model that is right, half are within 0.7. Of a stream so many
-    ``looks`` count, one a second; before ``fewest`` a start that is off says nothing; its sign is
-    asked at every of so many ``sign_looks``.
-    """
+# Where notices stand that name no voltage, by a voltage in their place [V].
+FIRST_V = 1e3  # above what is said of a current or a SOC outside of the model's data
+OUTSIDE_V = 100.0  # above each voltage of a cell, below what makes all figures meaningless
+ASSUMED_V = 0.01  # about what ten kelvin do at 1C
 
-    deviations: float = 3.0
-    rows: int = 4000
-    looks: int = 3600
-    fewest: int = 30
-    sign_looks: int = 60
-
-
-class Order(NamedTuple):
-    """Where notices stand that name no voltage, by a voltage in their place [V].
-
-    ``first``: above what is said of a current or a SOC outside of the model's data; ``outside``:
-    above every voltage of a cell, below what makes all figures meaningless; ``assumed``: about what
-    ten kelvin do at 1C.
-    """
-
-    first: float = 1e3
-    outside: float = 100.0
-    assumed: float = 0.01
+# From where on something is said.
+FEWEST_ROWS = 3  # fewer are a sensor's spikes
+LEAST_SHARE = 1e-3  # of all rows: fewer are spikes, too
+# Times the model's capacity: no cell holds so much more than another of its kind.
+MOST_CHARGE = 1.15
+LEAST_SOC = 5e-4  # beyond 0 to 1: it shows in three digits
+NEAR_EMPTY = 0.1  # SOC below which the OCV is steep
+LEAST_V = 1e-4  # no voltage is known better
+NO_MODEL_V = 0.2  # off by so much it says no SOC: a cell's goes over 0.5 to 1.5 V
+MOST_REJECTED = 0.1  # share of a filter's voltages
 
 
-class NoticeThresholds(NamedTuple):
-    """From where on something is said.
-
-    Fewer ``rows``, or a smaller ``share`` of all, are a sensor's spikes. No cell holds so many
-    times the ``charge`` of another of its kind. ``soc`` shows in three digits; below ``empty`` the
-    OCV is steep. No voltage is known better than ``least_V``; one that is ``no_model_V`` off says
-    no SOC: a cell's goes over 0.5 to 1.5 V. ``rejected``: share of a filter's voltages.
-    """
-
-    rows: int = 3
-    share: float = 1e-3
-    charge: float = 1.15
-    soc: float = 5e-4
-    empty: float = 0.1
-    least_V: float = 1e-4
-    no_model_V: float = 0.2
-    rejected: float = 0.1
-
-
-FAR_OFF, ORDER, SHOWN = FarOff(), Order(), NoticeThresholds()
 OTHER: tuple[Piece, ...] = (
     "a log of another cell, number of cells in series (",
     Option("series", letter="N"),
@@ -117,7 +93,7 @@ def times_stated(
     soc : (n,) float          where the model was
     """
     rows = np.flatnonzero(np.isfinite(error_V) & np.isfinite(soc))
-    rows = rows[:: max(rows.size // FAR_OFF.rows, 1)]
+    rows = rows[:: max(rows.size // FAR_ROWS, 1)]
     if rows.size == 0:
         return 0.0, 0.0
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)[rows]
@@ -140,8 +116,8 @@ def far_off(
 def _said(
     what: str, times: float, typical_V: float, causes: tuple[Piece, ...] = OTHER
 ) -> Notice | None:
-    little = typical_V < SHOWN.no_model_V  # else half as many deviations are enough
-    most = FAR_OFF.deviations if little else 0.5 * FAR_OFF.deviations
+    little = typical_V < NO_MODEL_V  # else half as many deviations are enough
+    most = FAR_DEVIATIONS if little else 0.5 * FAR_DEVIATIONS
     if times <= most or not math.isfinite(times):
         return None
     text = (
@@ -149,7 +125,7 @@ def _said(
         "what the model states of itself"
     )
     said = (text, ": ", *causes, " than the model's?")
-    return Notice(Code.FAR_OFF, said, size_V=ORDER.first)
+    return Notice(Code.FAR_OFF, said, size_V=FIRST_V)
 
 
 class FarOffStream:
@@ -164,10 +140,10 @@ class FarOffStream:
         other = Option("sign", self._other)
         self._causes: tuple[Piece, ...] = ("the sign of the current (", other, "), ", *OTHER)
         self._passed_s, self._looks = 0.0, 0
-        self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_OFF.looks)
+        self._measured: deque[tuple[float, float, float]] = deque(maxlen=FAR_LOOKS)
         self._contradicted = False
         self._since_s = math.inf
-        self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_OFF.looks)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=FAR_LOOKS)
         self.notice: Notice | None = None
 
     def look(
@@ -194,7 +170,7 @@ class FarOffStream:
         stated_V = max(float(_stated_at(self._model, soc, voltage_V, warm)), 1e-6)
         self._seen.append((abs(error_V) / stated_V, abs(error_V)))
         looks = len(self._seen)
-        if looks >= FAR_OFF.fewest and self._looks % (1 + looks // FAR_OFF.sign_looks) == 0:
+        if looks >= FEWEST_LOOKS and self._looks % (1 + looks // SIGN_LOOKS) == 0:
             times, typical_V = np.median(self._seen, axis=0).tolist()
             said = _said("the stream", times, typical_V, self._causes)
             self.notice = contradiction(self._other) if self._contradicted else said
@@ -202,7 +178,7 @@ class FarOffStream:
     def _check_sign(self) -> None:
         """Ask what the sign of the last hour is, once a minute."""
         self._looks += 1
-        if self._looks % FAR_OFF.sign_looks:
+        if self._looks % SIGN_LOOKS:
             return
         time_s, current_A, voltage_V = np.array(self._measured).T
         if np.isfinite(current_A).any():
@@ -244,7 +220,7 @@ def outside_notices(validity: Validity, log: CellLog, soc: FloatArray) -> list[N
     # First: every other figure is to be read with it. But a wrong cell or unit, too, drives SOC
     # and current out of their ranges, and is then the cause: only a temperature stands by itself.
     by_itself = any(p.channel == "temperature_C" for p in found)
-    size_V = math.inf if by_itself else ORDER.outside
+    size_V = math.inf if by_itself else OUTSIDE_V
     return [Notice(Code.OUTSIDE_DATA, text, log=_name(log), size_V=size_V)]
 
 
@@ -259,7 +235,7 @@ def assumed_temperature_notices(model: CellModel, log: CellLog, assumed_C: float
         "assumed (LOG@10 states another)"
     )
     stated = Option("temperature_C")
-    return [Notice(Code.TEMPERATURE_ASSUMED, text, option=stated, size_V=ORDER.assumed)]
+    return [Notice(Code.TEMPERATURE_ASSUMED, text, option=stated, size_V=ASSUMED_V)]
 
 
 def outside_moment(
@@ -304,7 +280,7 @@ def _parts(validity: Validity, log: CellLog, soc: FloatArray) -> Iterator[Beyond
             ("above", ends[1], values[values > high]),
         ):
             share = 100.0 * beyond.size / known
-            if beyond.size >= SHOWN.rows and share >= 100.0 * SHOWN.share:
+            if beyond.size >= FEWEST_ROWS and share >= 100.0 * LEAST_SHARE:
                 furthest = float(beyond[np.argmax(np.abs(beyond - end))])
                 text = (
                     f"{share:.{0 if share >= 1.0 else 1}f} % of the rows are {side} "
@@ -332,12 +308,12 @@ def soc_notices(log: CellLog, soc: FloatArray) -> list[Notice]:
     """
     low, high = float(np.nanmin(soc)), float(np.nanmax(soc))
     outside = max(-low, high - 1.0)
-    if outside <= SHOWN.soc:
+    if outside <= LEAST_SOC:
         return []
     name = _name(log)
     ran = f"SOC from {low:.3f} to {high:.3f}, outside 0..1"
     moved = float(np.ptp(log.counted_charge_Ah()))
-    if high - low > SHOWN.charge:
+    if high - low > MOST_CHARGE:
         text = (
             f" moves {moved:.4g} Ah, {high - low:.3g} times the model's capacity ({ran}): the unit "
             "of the current (mA?), the cells in parallel ("
@@ -355,7 +331,7 @@ def error_notices(
 ) -> list[Notice]:
     """An error beyond what the model states of itself, overall or at some SOC: where it is largest.
 
-    A model of logs that contradict each other states a large error, so one of `SHOWN.no_model_V`
+    A model of logs that contradict each other states a large error, so one of `NO_MODEL_V`
     is said whatever is stated.
 
     Parameters
@@ -367,10 +343,10 @@ def error_notices(
     if model is None or all_rows.samples == 0:
         return []
     stated_V = stated_error_V(model, log, soc, log.voltage_V - error_V)
-    of_stated = error_V / np.maximum(stated_V, SHOWN.least_V)
-    everywhere = error_metrics(of_stated).rmse_V > FAR_OFF.deviations
-    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_OFF.deviations
-    if not (everywhere or somewhere or all_rows.max_error_V >= SHOWN.no_model_V):
+    of_stated = error_V / np.maximum(stated_V, LEAST_V)
+    everywhere = error_metrics(of_stated).rmse_V > FAR_DEVIATIONS
+    somewhere = max(b.rmse_V for b in band_metrics(of_stated, soc)) > FAR_DEVIATIONS
+    if not (everywhere or somewhere or all_rows.max_error_V >= NO_MODEL_V):
         return []
     row = int(np.nanargmax(np.abs(error_V)))
     at = round(float(soc[row]), 3) + 0.0  # no minus before zero
@@ -381,7 +357,7 @@ def error_notices(
     )
     if everywhere:
         said += (": ", *OTHER, " than the model's, or another initial SOC?")
-    elif at < SHOWN.empty:
+    elif at < NEAR_EMPTY:
         said += (": near empty, where the OCV is steep and the resistance high",)
     return [Notice(Code.MODEL_OFF, said, log=_name(log), size_V=all_rows.rmse_V)]
 
@@ -398,7 +374,7 @@ def prediction_notices(log: CellLog, rmse_V: float, rejected: float) -> list[Not
     if math.isnan(rmse_V) and np.any(np.isfinite(log.voltage_V)):
         text = f"no voltage of '{name}' was used: all are missing, or outside what a sensor reads"
         return [Notice(Code.VOLTAGE_UNUSED, f"{text} (another pack count?)", size_V=RANGE_V)]
-    if math.isnan(rmse_V) or rejected < SHOWN.rejected:
+    if math.isnan(rmse_V) or rejected < MOST_REJECTED:
         return []
     text = (
         f"the voltage of '{name}' is {1e3 * rmse_V:.0f} mV off one step ahead (RMSE) and was "

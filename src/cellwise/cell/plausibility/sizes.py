@@ -14,7 +14,7 @@ from cellwise.cell.model import RESISTANCES, CellModel
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.charge import check_current
-from cellwise.logs.checks.units import CELL, check_is_log
+from cellwise.logs.checks.units import LARGEST_AH, LARGEST_V, check_is_log
 from cellwise.logs.files.columns import KELVIN_OFFSET
 
 
@@ -38,7 +38,9 @@ class AllowedRange(NamedTuple):
 
 MILLI = 1e-3
 # Of a cell: wider than any chemistry, narrow enough for every slip of a unit by a thousand.
-VOLTAGE = AllowedRange(0.0, 6.0, "V", "Volts of one cell: not mV, and not a pack in series.", MILLI)
+VOLTAGE = AllowedRange(
+    0.0, LARGEST_V, "V", "Volts of one cell: not mV, and not a pack in series.", MILLI
+)
 # What a resistance takes at 1C: resistances alone differ by cells' sizes. Today's cells take
 # 0.02 to 0.2 V at room temperature, in the cold and empty up to some volts.
 DROP = AllowedRange(1e-9, 30.0, "V at 1C", "Ohms: not mohm.", MILLI)
@@ -53,7 +55,7 @@ SIZES = {
     "tau2_s": TIME,
     "voltage_min_V": VOLTAGE,
     "voltage_max_V": VOLTAGE,
-    "error.std_V": AllowedRange(0.0, 6.0, "V", "Volts: not mV."),
+    "error.std_V": AllowedRange(0.0, LARGEST_V, "V", "Volts: not mV."),
     "error.scales_s": TIME._replace(low=0.0),
     "error.correlation_soc": AllowedRange(0.0, 10.0, "of the SOC", "A fraction, not per cent."),
     "error.temperature_C": TEMPERATURE,
@@ -117,7 +119,7 @@ def _corrected(model: CellModel, name: str, low: float, high: float, allowed: Al
     undone = [value * allowed.factor + allowed.offset for value in (low, high)]
     if not (hasattr(model, field) and allowed.holds(*undone)):
         return hint
-    if allowed.unit == DROP.unit and model.capacity_Ah > CELL.largest_Ah:
+    if allowed.unit == DROP.unit and model.capacity_Ah > LARGEST_AH:
         field, hint = "capacity_Ah", SIZES["capacity_Ah"].hint
     slip = "/ 1000" if allowed.factor == MILLI else f"- {-allowed.offset:g}"
     return f"{hint} Write dataclasses.replace(model, {field}=model.{field} {slip})."

@@ -11,6 +11,7 @@ import numpy as np
 from cellwise.arguments import numbers
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.typing import FloatArray
 from cellwise.wording import arg
 
@@ -21,18 +22,10 @@ if TYPE_CHECKING:
 Range: TypeAlias = tuple[float, float]
 
 
-class Tolerance(NamedTuple):
-    """A hair outside is inside: within these a model is as good as at the edge of its data.
-
-    ``share`` is one of the largest current in the data.
-    """
-
-    soc: float = 0.02
-    kelvin: float = 3.0
-    share: float = 0.1
-
-
-TOLERANCE = Tolerance()
+# A hair outside is inside: within these a model is as good as at the edge of its data.
+TOLERANCE_SOC = 0.02
+TOLERANCE_K = 3.0
+TOLERANCE_CURRENT = 0.1  # of the largest current in the data
 
 
 class Bounds(NamedTuple):
@@ -119,12 +112,12 @@ class Validity:
         """Where the model is taken to hold, tolerance included."""
         none = (-np.inf, np.inf)
         soc, warm, current = (getattr(self, name) or none for name in NAMES)
-        more_A = 0.0 if self.current_A is None else TOLERANCE.share * self.largest_A
+        more_A = 0.0 if self.current_A is None else TOLERANCE_CURRENT * self.largest_A
         return Bounds(
-            soc[0] - TOLERANCE.soc,
-            soc[1] + TOLERANCE.soc,
-            warm[0] - TOLERANCE.kelvin,
-            warm[1] + TOLERANCE.kelvin,
+            soc[0] - TOLERANCE_SOC,
+            soc[1] + TOLERANCE_SOC,
+            warm[0] - TOLERANCE_K,
+            warm[1] + TOLERANCE_K,
             current[0] - more_A,
             current[1] + more_A,
         )
@@ -163,20 +156,14 @@ def _both(a: Range | None, b: Range | None) -> Range | None:
     return min(a[0], b[0]), max(a[1], b[1])
 
 
-class OneCell(NamedTuple):
-    """Between which voltages the median of a single cell lies, whatever load and temperature."""
-
-    above_full_V: float = 1.0
-    share_of_empty: float = 0.65  # of the OCV at empty_soc
-    empty_soc: float = 0.05
-    overcharged_V: float = 0.15  # above full that a cell in a pack may be
-    full_V: float = 4.2
-    full_lfp_V: float = 3.65
-    largest_V: float = 6.0  # of any chemistry
-    millivolt_from: float = 1000.0  # a number like this is no voltage of a pack
-
-
-ONE_CELL = OneCell()
+# Between which voltages the median of a single cell lies, whatever load and temperature.
+ABOVE_FULL_V = 1.0  # the model's full OCV, at most
+SHARE_OF_EMPTY = 0.65  # of the OCV at EMPTY_SOC, at least
+EMPTY_SOC = 0.05
+OVERCHARGED_V = 0.15  # above full that a cell in a pack may be
+FULL_V = 4.2  # of most chemistries
+FULL_LFP_V = 3.65  # of LFP
+MILLIVOLT_FROM = 1000.0  # a number like this is no voltage of a pack
 
 
 def check_cells_in_series(model: CellModel, log: CellLog) -> None:
@@ -187,10 +174,10 @@ def check_cells_in_series(model: CellModel, log: CellLog) -> None:
     InputError        names the voltages and the number of cells in series that would fit
     """
     full = float(np.max(model.ocv_V))
-    empty = float(np.min([np.interp(ONE_CELL.empty_soc, model.soc, row) for row in model.ocv_V]))
+    empty = float(np.min([np.interp(EMPTY_SOC, model.soc, row) for row in model.ocv_V]))
     typical = log.typical_voltage_V
     expected = f"the voltage of one cell, {np.min(model.ocv_V):.2f} to {full:.2f} V by the model"
-    if typical < ONE_CELL.share_of_empty * empty:
+    if typical < SHARE_OF_EMPTY * empty:
         raise InputError(
             f"a voltage of typically {typical:.3g} V in log '{log.name}'",
             expected,
@@ -198,7 +185,7 @@ def check_cells_in_series(model: CellModel, log: CellLog) -> None:
             + arg("series", letter="...")
             + "; or it is another kind of cell.",
         )
-    if typical > full + ONE_CELL.above_full_V:
+    if typical > full + ABOVE_FULL_V:
         raise _several_cells(log, expected, full)
 
 
@@ -209,22 +196,22 @@ def check_one_cell(log: CellLog) -> None:
     ------
     InputError        names the voltage and the number of cells in series that would fit
     """
-    if log.typical_voltage_V > ONE_CELL.largest_V:
-        expected = f"the voltage of one cell, at most {ONE_CELL.largest_V:g} V"
-        raise _several_cells(log, expected, ONE_CELL.full_V)
+    if log.typical_voltage_V > LARGEST_V:
+        expected = f"the voltage of one cell, at most {LARGEST_V:g} V"
+        raise _several_cells(log, expected, FULL_V)
 
 
 def cells_in_series(log: CellLog, full_V: float) -> int:
     """The fewest cells of which none is above full at the log's highest voltage."""
-    return math.ceil(float(np.nanmax(log.voltage_V)) / (full_V + ONE_CELL.overcharged_V))
+    return math.ceil(float(np.nanmax(log.voltage_V)) / (full_V + OVERCHARGED_V))
 
 
 def _several_cells(log: CellLog, expected: str, full_V: float) -> InputError:
     cells = cells_in_series(log, full_V)
-    others = cells_in_series(log, ONE_CELL.full_lfp_V)
-    also = f" (LFP: {others})" if full_V == ONE_CELL.full_V and others != cells else ""
+    others = cells_in_series(log, FULL_LFP_V)
+    also = f" (LFP: {others})" if full_V == FULL_V and others != cells else ""
     hint: str = f"{cells} cells in series{also}? Give " + arg("series", cells) + "."
-    if log.typical_voltage_V > ONE_CELL.millivolt_from:
+    if log.typical_voltage_V > MILLIVOLT_FROM:
         hint = "Millivolts? Name the column voltage_mV."
     found = f"a voltage of typically {log.typical_voltage_V:.4g} V in log '{log.name}'"
     return InputError(found, expected, hint)

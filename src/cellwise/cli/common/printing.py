@@ -17,6 +17,7 @@ from rich.table import Table
 
 from cellwise.notices import Notice
 from cellwise.progress import progress_bar
+from cellwise.report.page.numerals import NONE
 from cellwise.wording import Option, Text, pairs_of
 
 T = TypeVar("T")
@@ -92,9 +93,14 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
 
 
 def record_table(title: str, items: Iterable[T], *columns: tuple[str, Callable[[T], str]]) -> None:
-    """A table of a row per item; a column is its head and how an item reads in it."""
-    rows = [[read(item) for _, read in columns] for item in items]
-    table(title, [head for head, _ in columns], rows)
+    """A table of a row per item; a column is its head and how an item reads in it.
+
+    Columns of which no row says anything are left out.
+    """
+    found = list(items)
+    texts = {head: [read(item) for item in found] for head, read in columns}
+    said = {head: rows for head, rows in texts.items() if not {"", "-", NONE}.issuperset(rows)}
+    table(title, list(said), list(zip(*said.values(), strict=True)))
 
 
 def say_notices(notices: Iterable[Notice]) -> None:

@@ -1,10 +1,15 @@
-"""The causes that cellwise knows: meaning, parameters, signature, what they are confused with."""
+"""The causes that cellwise knows: meaning, parameters, signature, what they are confused with.
+
+They stand in `causes.toml`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from importlib.resources import files
+from typing import Any, Literal
 
 from cellwise.diagnose.causes.coordinates import (
     OCV_NAMES,
@@ -51,9 +56,9 @@ class Cause:
 
     ``kind`` says what is corrected: the log ("measurement"), where it starts ("start") or the model
     ("cell"). ``shape`` is a coordinate that means nothing while the effect is neutral, with the
-    values from which the search starts; ``beginnings`` are other points to start from, where a
-    fit that starts at neutral may stop half way. ``forms`` are other shapes that it may have, as
-    causes of the same name: of those that a model can have the likeliest counts.
+    values from which the search starts; ``beginnings`` are values of its first coordinate to start
+    from, where a fit that starts at neutral may stop half way. ``forms`` are other shapes that it
+    may have, as causes of the same name: of those that a model can have the likeliest counts.
     """
 
     name: str
@@ -64,7 +69,7 @@ class Cause:
     parameters: tuple[Parameter, ...]
     confused_with: tuple[str, ...]
     shape: tuple[str, tuple[float, ...]] | None = None
-    beginnings: tuple[dict[str, float], ...] = ()
+    beginnings: tuple[float, ...] = ()
     forms: tuple[Cause, ...] = ()
 
     @property
@@ -83,283 +88,44 @@ class Cause:
         return int(number) if of_log else None
 
 
-# Slower diffusion in an electrode has no memory of its own: what the model has of it in its two
-# slow branches grows and takes longer, as r^2 / D does.
-_SLOWER_DIFFUSION = Cause(
-    "slow_diffusion",
-    "cell",
-    "Diffusion has become slower: both slow branches have grown, and their time constants.",
-    "R2, R3 -> r R2, r R3; tau2, tau3 -> t tau2, t tau3; r3_ohm and tau3_s are those after it",
-    "Error that follows the mean current of the last minutes to hours and decays in rests.",
-    (
-        Parameter("r3_ohm", "ohm", 0.0, (0.0, 100.0), "ln_slow_r", 0.7),
-        Parameter("tau3_s", "s", 600.0, (5.0, 1e5), "ln_slow_tau", 0.7),
-    ),
-    ("hysteresis", "resistance_scale", "current_offset"),
-)
-
-CAUSES: dict[str, Cause] = {
-    c.name: c
-    for c in (
-        Cause(
-            "current_offset",
-            "measurement",
-            "The current sensor adds a constant to the true current.",
-            "I = (I_log - offset_A) / gain",
-            "SOC drifts with time, also at rest; a small constant drop across the resistances.",
-            (Parameter("offset_A", "A", 0.0, (-1e4, 1e4), "offset_A", 0.1, "capacity"),),
-            ("self_discharge", "capacity", "current_gain"),
-        ),
-        Cause(
-            "current_gain",
-            "measurement",
-            "The current sensor multiplies the true current by a factor.",
-            "I = (I_log - offset_A) / gain",
-            "Drops and SOC drift are wrong by the same share.",
-            (Parameter("gain", "1", 1.0, (0.5, 2.0), "ln_gain", 0.05),),
-            ("capacity", "resistance_scale"),
-        ),
-        Cause(
-            "voltage_offset",
-            "measurement",
-            "The voltage sensor adds a constant.",
-            "v_log = v + offset_V",
-            "The same error at any current, SOC and time.",
-            (Parameter("offset_V", "V", 0.0, (-1.0, 1.0), "offset_V", 0.03),),
-            ("ocv_shift", "initial_soc"),
-        ),
-        Cause(
-            "time_skew",
-            "measurement",
-            "The voltage is logged later than the current (positive) or earlier.",
-            "I(t) -> I(t - skew_s)",
-            "Spikes at every edge of the current that change sign with it, nothing between.",
-            (Parameter("skew_s", "s", 0.0, (-60.0, 60.0), "skew_s", 3.0),),
-            ("resistance_scale",),
-            # Edges that are seconds apart do not pull at each other.
-            beginnings=tuple(
-                {"skew_s": x} for x in (0.0, 0.4, -0.4, 1.2, -1.2, 2.2, -2.2, 3.5, 5.0)
-            ),
-        ),
-        Cause(
-            "initial_soc",
-            "start",
-            "The log does not start at the stated SOC.",
-            "soc(0) = soc0",
-            "The OCV of another SOC from the first row on: a persistent shift.",
-            (Parameter("soc0", "1", 0.0, (0.0, 1.0), "soc0", 0.1),),
-            ("voltage_offset", "ocv_shift", "capacity"),
-        ),
-        Cause(
-            "capacity",
-            "cell",
-            "The cell holds more or less charge than the model.",
-            "soc' = -I / (3600 capacity_Ah)",
-            "SOC error grows with the charge that has passed, ohmic drops stay right.",
-            (Parameter("capacity_Ah", "Ah", 0.0, (0.0, 1e5), "ln_capacity", 0.2),),
-            ("current_gain", "current_offset", "ocv_shift"),
-        ),
-        Cause(
-            "resistance_scale",
-            "cell",
-            "Every resistance is larger or smaller by one factor (age, temperature).",
-            "R -> scale R",
-            "Error in proportion to the drop, at every SOC.",
-            (Parameter("scale", "1", 1.0, (0.1, 10.0), "ln_scale", 0.5),),
-            ("current_gain", "temperature_dependence", "rate_dependence", "time_skew"),
-        ),
-        Cause(
-            "ohmic_resistance",
-            "cell",
-            "The ohmic resistance alone has changed: a contact, a film, the electrolyte.",
-            "R0 -> R0 + added_ohm",
-            "Steps at every edge of the current in proportion to it, and nothing that relaxes.",
-            (Parameter("added_ohm", "ohm", 0.0, (-100.0, 100.0), "added_r0", 0.5),),
-            ("resistance_scale", "rate_dependence", "time_skew"),
-        ),
-        Cause(
-            "charge_transfer",
-            "cell",
-            "The exchange current has changed: the reaction at the surface runs more slowly.",
-            "V1 -> asinh(asinh_per_V R1 I) / asinh_per_V, R1 -> R1 / exchange_scale",
-            "A drop that follows the current within seconds and grows less than in proportion.",
-            (
-                Parameter("exchange_scale", "1", 1.0, (0.05, 20.0), "ln_r1", 0.5),
-                Parameter("asinh_per_V", "1/V", 0.0, (0.0, 60.0), "asinh_per_V", 5.0),
-            ),
-            ("resistance_scale", "ohmic_resistance", "rate_dependence"),
-        ),
-        Cause(
-            "lithium_inventory",
-            "cell",
-            "Lithium that can be cycled was lost.",
-            "OCV and capacity of two electrodes with less lithium between them",
-            "Less capacity, and an OCV whose steps from the two electrodes have moved apart.",
-            (Parameter("lithium_loss", "1", 0.0, (0.0, 0.6), "lithium_loss", 0.1),),
-            ("active_material_negative", "active_material_positive", "capacity", "ocv_shift"),
-        ),
-        Cause(
-            "active_material_negative",
-            "cell",
-            "Material of the negative electrode was lost.",
-            "OCV and capacity of two electrodes, the negative one smaller",
-            "The steps of the negative electrode in the OCV come nearer to each other.",
-            (Parameter("negative_loss", "1", 0.0, (0.0, 0.6), "negative_loss", 0.1),),
-            ("lithium_inventory", "active_material_positive", "capacity", "ocv_shift"),
-        ),
-        Cause(
-            "active_material_positive",
-            "cell",
-            "Material of the positive electrode was lost.",
-            "OCV and capacity of two electrodes, the positive one smaller",
-            "The OCV falls with the steeper fall of the positive electrode, from full on.",
-            (Parameter("positive_loss", "1", 0.0, (0.0, 0.6), "positive_loss", 0.1),),
-            ("lithium_inventory", "active_material_negative", "capacity", "ocv_shift"),
-        ),
-        Cause(
-            "entropy",
-            "cell",
-            "The OCV moves with temperature.",
-            "OCV -> OCV + docv_dT (T - 25 degC)",
-            "An error that follows the temperature, with current and without.",
-            (Parameter("docv_dT_V_per_K", "V/K", 0.0, (-2e-3, 2e-3), "docv_dT", 2e-4),),
-            ("voltage_offset", "ocv_shift", "temperature_dependence"),
-        ),
-        Cause(
-            "ocv_shift",
-            "cell",
-            "The OCV curve has another shape (age, another batch).",
-            "OCV(soc) -> OCV(soc) + shift(soc), linear between knots",
-            "Error that depends on SOC and not on current or time.",
-            tuple(
-                Parameter(f"shift_{round(1000 * k / 8):04d}_V", "V", 0.0, (-0.5, 0.5), name, 0.03)
-                for k, name in enumerate(OCV_NAMES)
-            ),
-            ("voltage_offset", "capacity", "initial_soc", "hysteresis"),
-        ),
-        Cause(
-            "slow_diffusion",
-            "cell",
-            "A slow polarisation that the two branches do not have.",
-            "- V3, V3' = (r3_ohm I - V3) / tau3_s",
-            "Error that follows the mean current of the last minutes to hours and decays in rests.",
-            (
-                Parameter("r3_ohm", "ohm", 0.0, (0.0, 100.0), "r3", 1.0),
-                Parameter("tau3_s", "s", 600.0, (5.0, 1e5), "ln_tau3", 1.5),
-            ),
-            ("hysteresis", "resistance_scale", "current_offset"),
-            ("ln_tau3", (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)),
-            forms=(_SLOWER_DIFFUSION,),
-        ),
-        Cause(
-            "hysteresis",
-            "cell",
-            "The OCV depends on whether the cell was charged or discharged into its SOC.",
-            "+ m_V h, h' = -gamma |I| / (3600 Q) (h + sgn I)",
-            "Error that turns with the direction of charge and does not decay in rests.",
-            (
-                Parameter("m_V", "V", 0.0, (0.0, 0.3), "m_V", 0.02),
-                Parameter("gamma", "1", 30.0, (0.5, 5000.0), "ln_gamma", 1.5),
-            ),
-            ("slow_diffusion", "charge_asymmetry", "ocv_shift"),
-            ("ln_gamma", (5.0, 20.0, 80.0, 300.0)),
-        ),
-        Cause(
-            "temperature_dependence",
-            "cell",
-            "Resistances change with temperature more, or less, than the model says.",
-            "R -> R exp(activation_K (1/T - 1/T_ref))",
-            "Error in proportion to the drop, and following the temperature.",
-            (
-                Parameter("activation_K", "K", 0.0, (-2000.0, 15000.0), "activation_K", 3000.0),
-                Parameter("r0_K", "K", 0.0, (-8000.0, 8000.0), "r0_K", 1000.0),
-                Parameter("tau_K", "K", 0.0, (-8000.0, 8000.0), "tau_K", 1000.0),
-            ),
-            ("resistance_scale", "self_heating"),
-        ),
-        Cause(
-            "rate_dependence",
-            "cell",
-            "Resistances fall (or rise) with the size of the current.",
-            "R -> R / (1 + rate_h |I| / Q), for R0, R1, R2",
-            "The drop is too large at large currents and too small at small ones, or the reverse.",
-            (Parameter("rate_h", "h", 0.0, (-0.05, 10.0), "rate_h", 0.2),),
-            ("resistance_scale", "charge_asymmetry"),
-        ),
-        Cause(
-            "charge_asymmetry",
-            "cell",
-            "Resistances on charge differ from those on discharge.",
-            "R -> charge_scale R where I < 0",
-            "Error in proportion to the drop on charge alone.",
-            (Parameter("charge_scale", "1", 1.0, (0.1, 10.0), "ln_charge_scale", 0.5),),
-            ("hysteresis", "resistance_scale", "rate_dependence"),
-        ),
-        Cause(
-            "self_heating",
-            "cell",
-            "The cell is warmer inside than the temperature that was logged.",
-            "T = T_log + heat, heat' = (rth_K_per_W P - heat) / thermal_s",
-            "The drop shrinks after minutes of load and comes back after a rest.",
-            (
-                Parameter("rth_K_per_W", "K/W", 0.0, (0.0, 200.0), "rth_K_per_W", 10.0),
-                Parameter("thermal_s", "s", 600.0, (10.0, 3e4), "ln_thermal_s", 1.0),
-            ),
-            ("temperature_dependence", "resistance_scale", "rate_dependence"),
-            ("ln_thermal_s", (100.0, 300.0, 1000.0, 3000.0)),
-        ),
-        Cause(
-            "self_discharge",
-            "cell",
-            "Charge is lost inside the cell.",
-            "soc' = -(I + leak_A) / (3600 Q)",
-            "SOC falls with time, also at rest; no drop goes with it.",
-            (Parameter("leak_A", "A", 0.0, (0.0, 1e3), "leak_A", 0.05, "capacity"),),
-            ("current_offset", "capacity"),
-        ),
-    )
-}
+# By what `causes.toml` calls them: coordinates at even knots over SOC.
+_KNOTS = {"ocv": OCV_NAMES, "unseen_r": UNSEEN_R_NAMES, "unseen_ocv": UNSEEN_OCV_NAMES}
 
 
-def _over_soc(
-    name: str, unit: str, coordinates: tuple[str, ...], most: float, wide: float
-) -> tuple[Parameter, ...]:
-    """The same parameter at even knots over SOC, in thousandths in its name."""
-    last, called = len(coordinates) - 1, unit.replace("/", "_per_")
-    return tuple(
-        Parameter(f"{name}_{1000 * k // last:04d}_{called}", unit, 0.0, (-most, most), c, wide)
-        for k, c in enumerate(coordinates)
-    )
+def _parameters(entry: dict[str, Any]) -> Iterator[Parameter]:
+    """The parameter of an entry; at knots one for each, in thousandths of SOC in its name."""
+    entry = {"neutral": 0.0, **entry, "bounds": tuple(entry["bounds"])}
+    if "knots" not in entry:
+        yield Parameter(**entry)
+        return
+    names, unit = _KNOTS[entry.pop("knots")], entry["unit"].replace("/", "_per_")
+    for k, coordinate in enumerate(names):
+        name = f"{entry['name']}_{1000 * k // (len(names) - 1):04d}_{unit}"
+        yield Parameter(**{**entry, "name": name, "coordinate": coordinate})
 
 
-# At a temperature that the model was not measured at its law is an extrapolation, for every
-# process by another activation: charge transfer has 27 to 60 kJ/mol (3200 to 7200 K;
-# 10.1039/D3RA03630H and what it compares with), electrolytes less, and what each has of a
-# resistance differs with the SOC. Entropies of usual electrodes move the OCV by 0.1 to 0.5 mV/K
-# (Viswanathan et al. 2010, 10.1016/j.jpowsour.2009.11.103).
+def _cause(entry: dict[str, Any]) -> Cause:
+    """The cause of a table of `causes.toml`."""
+    parameters = tuple(p for one in entry.pop("parameter") for p in _parameters(one))
+    forms = tuple(map(_cause, entry.pop("form", ())))
+    if "shape" in entry:
+        name, values = entry["shape"]
+        entry["shape"] = name, tuple(values)
+    for field in {"confused_with", "beginnings"} & set(entry):
+        entry[field] = tuple(entry[field])
+    return Cause(**entry, parameters=parameters, forms=forms)
+
+
+_FILE = tomllib.loads((files(__package__) / "causes.toml").read_text(encoding="utf-8"))
+CAUSES: dict[str, Cause] = {entry["name"]: _cause(entry) for entry in _FILE["cause"]}
+SENSOR_FAULT = _cause(_FILE["sensor_fault"])
 UNSEEN_TEMPERATURE = replace(
     CAUSES["temperature_dependence"],
-    meaning="Resistances and OCV at a temperature that the model was not measured at.",
+    meaning=_FILE["unseen_temperature"]["meaning"],
     parameters=(
         *CAUSES["temperature_dependence"].parameters,
-        *_over_soc("activation", "K", UNSEEN_R_NAMES, 10000.0, 2000.0),
-        *_over_soc("docv_dT", "V/K", UNSEEN_OCV_NAMES, 2e-3, 3e-4),
+        *(p for one in _FILE["unseen_temperature"]["parameter"] for p in _parameters(one)),
     ),
-)
-
-# Found before any fit, in the logs alone (:mod:`cellwise.diagnose.sensor_faults`).
-SENSOR_FAULT = Cause(
-    "sensor_fault",
-    "measurement",
-    "A sensor stood still, was at its end, jumped or was lost; those rows were left out.",
-    "rows without a value",
-    "A channel that does what the other one contradicts.",
-    (
-        Parameter("rows", "1", 0.0, (0.0, 1e12), "", 0.0),
-        Parameter("start_s", "s", 0.0, (0.0, 1e12), "", 0.0),
-        Parameter("duration_s", "s", 0.0, (0.0, 1e12), "", 0.0),
-    ),
-    (),
 )
 
 

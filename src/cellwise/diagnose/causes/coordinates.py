@@ -33,52 +33,34 @@ from cellwise.cell.point_kernels import (
 from cellwise.diagnose.causes.electrodes import Electrodes, electrodes_of
 from cellwise.typing import FloatArray
 
-
-class Knots(NamedTuple):
-    """Places over SOC at which the OCV, and resistances, may be off by different amounts."""
-
-    ocv: int = 9
-    r: int = 5
+OCV_KNOTS = 9  # places over SOC at which the OCV may be off by different amounts
+R_KNOTS = 5  # places at which resistances may
 
 
-class Shapes(NamedTuple):
-    """Where the shape of an effect starts when the model has none of it: seconds, rate [1]."""
+# Where the shape of an effect starts when the model has none of it.
+START_TAU3_S = 600.0
+START_GAMMA = 30.0  # [1]
+START_HEATING_S = 600.0
 
-    tau3_s: float = 600.0
-    gamma: float = 30.0
-    heating_s: float = 600.0
+CAPACITY_RANGE = (0.3, 2.0)  # of the model's: another cell of its kind
+# Factor by which diffusion becomes slower, never faster: else it would take back from the slow
+# branches what one factor on all resistances has given them too much.
+MOST_SLOWED = 20.0
 
+# Steps of numerical derivatives, far above rounding.
+STEP_V_PER_K = 1e-7
+STEP_K = 1.0
+STEP = 1e-5  # in the coordinate's unit
 
-class CoordinateRange(NamedTuple):
-    """How far a cell of the model's kind may be off.
-
-    ``capacity``: between these shares of the model's. ``slowed``: diffusion becomes slower by a
-    factor of at most this, never faster, else it would take back from the slow branches what one
-    factor on all resistances has given them too much.
-    """
-
-    capacity: tuple[float, float] = (0.3, 2.0)
-    slowed: float = 20.0
-
-
-class Steps(NamedTuple):
-    """Of numerical derivatives [V/K, K, the coordinate's unit]: far above rounding."""
-
-    volt_per_K: float = 1e-7
-    activation_K: float = 1.0
-    other: float = 1e-5
-
-
-KNOTS, STARTS, RANGE, STEPS = Knots(), Shapes(), CoordinateRange(), Steps()
 REFERENCE_C = 25.0
 
-OCV_NAMES = tuple(f"ocv_{k}" for k in range(KNOTS.ocv))
-R_NAMES = tuple(f"ln_r_{k}" for k in range(KNOTS.r))
+OCV_NAMES = tuple(f"ocv_{k}" for k in range(OCV_KNOTS))
+R_NAMES = tuple(f"ln_r_{k}" for k in range(R_KNOTS))
 LOSS_NAMES = ("lithium_loss", "negative_loss", "positive_loss")
 # At a temperature that the model was not measured at, beside what its own law says: activation of
 # all resistances and slope of the OCV, at knots over SOC.
-UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(KNOTS.r))
-UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(KNOTS.r))
+UNSEEN_R_NAMES = tuple(f"unseen_r_{k}_K" for k in range(R_KNOTS))
+UNSEEN_OCV_NAMES = tuple(f"unseen_ocv_{k}_V_per_K" for k in range(R_KNOTS))
 UNSEEN_NAMES = (*UNSEEN_R_NAMES, *UNSEEN_OCV_NAMES)
 BRANCH_NAMES = ("r0_K", "tau_K")
 # Where each enters: the current, the table or the scalars of the cell.
@@ -135,8 +117,8 @@ class Coordinates:
             has_slow=bool(np.any(table[..., R3])),
             has_hysteresis=bool(np.any(table[..., M])),
             r_typical_ohm=float(np.median(table[..., R0])),
-            hats=_hats(table.shape[1], KNOTS.ocv),
-            r_hats=_hats(table.shape[1], KNOTS.r),
+            hats=_hats(table.shape[1], OCV_KNOTS),
+            r_hats=_hats(table.shape[1], R_KNOTS),
         )
 
     table: FloatArray = field(init=False)
@@ -164,19 +146,19 @@ class Coordinates:
     def tau3_s(self) -> float:
         """Time constant of the slow branch where ``ln_tau3`` is zero [s]."""
         own_s = float(np.median(self.table[..., TAU3]))
-        return own_s if self.has_slow else self.shapes.get("ln_tau3", STARTS.tau3_s)
+        return own_s if self.has_slow else self.shapes.get("ln_tau3", START_TAU3_S)
 
     @property
     def gamma(self) -> float:
         """Hysteresis rate where ``ln_gamma`` is zero."""
         own = self._scalars.hysteresis_rate
-        return own if self.has_hysteresis else self.shapes.get("ln_gamma", STARTS.gamma)
+        return own if self.has_hysteresis else self.shapes.get("ln_gamma", START_GAMMA)
 
     @property
     def thermal_s(self) -> float:
         """Thermal time constant where ``ln_thermal_s`` is zero [s]."""
         own_s, heats = self._scalars.heating_s, self._scalars.heating_K_per_W != 0.0
-        return own_s if heats else self.shapes.get("ln_thermal_s", STARTS.heating_s)
+        return own_s if heats else self.shapes.get("ln_thermal_s", START_HEATING_S)
 
     @cached_property
     def electrodes(self) -> Electrodes | None:
@@ -231,9 +213,9 @@ class Coordinates:
         """
         low, high = bounds
         if name == "ln_capacity":
-            return math.log(RANGE.capacity[0]), math.log(RANGE.capacity[1])
+            return math.log(CAPACITY_RANGE[0]), math.log(CAPACITY_RANGE[1])
         if name in _SLOWED:
-            return 0.0, math.log(RANGE.slowed)
+            return 0.0, math.log(MOST_SLOWED)
         if name == "ln_r1":
             return -math.log(high), -math.log(low)
         if name == "ln_tau3":
@@ -343,8 +325,8 @@ class Coordinates:
 def step_of(name: str) -> float:
     """Step of a numerical derivative by a coordinate: a small share of what it may move by."""
     if name == "docv_dT" or name.endswith("V_per_K"):
-        return STEPS.volt_per_K
-    return STEPS.activation_K if name.endswith("_K") else STEPS.other
+        return STEP_V_PER_K
+    return STEP_K if name.endswith("_K") else STEP
 
 
 def _hats(points: int, knots: int) -> FloatArray:

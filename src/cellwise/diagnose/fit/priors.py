@@ -208,7 +208,8 @@ def starts_to_try(
     While an effect is neutral its memory means nothing: any is tried. Where the model has the
     effect, its own memory and the others: a change of both may hide behind a ridge.
     """
-    plain = [(coordinates, dict(b)) for b in cause.beginnings or ({},)]
+    first = cause.coordinates[0]
+    plain = [(coordinates, {first: x}) for x in cause.beginnings] or [(coordinates, {})]
     if cause.shape is None:
         return plain
     name, values = cause.shape

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from cellwise.errors import InputError
@@ -15,7 +13,7 @@ from cellwise.logs.checks.faults import (
     stuck_voltage,
     without,
 )
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import IMPOSSIBLE_A, STRING_V
 from cellwise.logs.gaps import RowRange, runs_of
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
@@ -23,24 +21,13 @@ from cellwise.wording import Piece, RowPlace, arg, place
 
 MOST_NAMED = 3  # rows, in a notice
 
-
-class CriticalLimits(NamedTuple):
-    """From where on a log is said to be wrong before anything else.
-
-    ``repeated`` and ``missing`` are shares of the rows. A spike is so many times what the rest of
-    the log shows, in so few rows. Beyond ``impossible`` (in any unit) and ``longest_s`` bits were
-    never that quantity.
-    """
-
-    repeated: float = 0.05
-    missing: float = 0.1
-    spike: float = 100.0
-    spike_rows: float = 1e-3
-    impossible: float = 1e12
-    longest_s: float = 1e10
-
-
-CRITICAL = CriticalLimits()
+# From where on a log is said to be wrong before anything else.
+MOST_REPEATED = 0.05  # share of the rows
+MOST_MISSING = 0.1  # share of the rows
+SPIKE = 100.0  # times what the rest of the log shows
+SPIKE_ROWS = 1e-3  # share of the rows: so few
+IMPOSSIBLE = 1e12  # in any unit: bits that were never that quantity
+LONGEST_S = 1e10
 
 
 def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
@@ -48,18 +35,18 @@ def without_impossible(log: CellLog) -> tuple[CellLog, list[Notice]]:
 
     The latter only where they are rare and far above the rest: else the channel is in another unit.
     """
-    limits = {"current_A": CELL.impossible_A, "voltage_V": CELL.string_V}
+    limits = {"current_A": IMPOSSIBLE_A, "voltage_V": STRING_V}
     found = {}
     for field in ("current_A", "voltage_V", "charge_Ah"):
-        values, limit = getattr(log, field), limits.get(field, CRITICAL.impossible)
+        values, limit = getattr(log, field), limits.get(field, IMPOSSIBLE)
         if values is None or not max(np.fmax.reduce(values), -np.fmin.reduce(values)) > limit:
             continue
         size = np.abs(values)
         usual = float(np.nanpercentile(size, 99.0))
-        wrong = size > max(limit, CRITICAL.spike * usual)
-        if np.count_nonzero(wrong) > max(1.0, CRITICAL.spike_rows * size.size):
+        wrong = size > max(limit, SPIKE * usual)
+        if np.count_nonzero(wrong) > max(1.0, SPIKE_ROWS * size.size):
             wrong = np.zeros(size.size, dtype=bool)
-        if runs := runs_of(wrong | (size > CRITICAL.impossible)):
+        if runs := runs_of(wrong | (size > IMPOSSIBLE)):
             found[field] = runs
     notices = [_impossible(log, name, runs) for name, runs in found.items()]
     return without(log, found), [n.followed_by("; taken as missing") for n in notices]
@@ -72,8 +59,8 @@ def check_time_possible(time_s: FloatArray, where: str) -> None:
     ------
     InputError        it is
     """
-    if time_s.size and np.max(np.abs(time_s)) > CRITICAL.longest_s:
-        row = int(np.argmax(np.abs(time_s) > CRITICAL.longest_s))
+    if time_s.size and np.max(np.abs(time_s)) > LONGEST_S:
+        row = int(np.argmax(np.abs(time_s) > LONGEST_S))
         raise InputError(
             f"a time of {time_s[row]:.3g} s from the log's start in row {row + 1} of {where}",
             "a log of less than 300 years",
@@ -103,7 +90,7 @@ def critical_notices(log: CellLog) -> list[Notice]:
     notices = []
     rows = len(log)
     repeated = log.repeated_stamps
-    if repeated > CRITICAL.repeated * rows:
+    if repeated > MOST_REPEATED * rows:
         text = (
             f"the time LOOKS WRONG: {repeated} of {rows} rows repeat the time of the row before; "
             "what flowed in them counts for no time"
@@ -111,7 +98,7 @@ def critical_notices(log: CellLog) -> list[Notice]:
         notices.append(Notice(Code.TIME_REPEATS, text))
     for field in ("current_A", "voltage_V"):
         missing = int(np.count_nonzero(np.isnan(getattr(log, field))))
-        if missing > CRITICAL.missing * rows:
+        if missing > MOST_MISSING * rows:
             name = field.partition("_")[0]
             text = f"the {name} LOOKS WRONG: {missing} of {rows} rows are without it"
             notices.append(Notice(Code.CHANNEL_MISSING, text))

@@ -13,65 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import CELL
+from cellwise.logs.checks.units import IMPOSSIBLE_A, POSSIBLE_C
 from cellwise.logs.gaps import RowRange, rows_between, run_edges, runs_of
 from cellwise.typing import BoolArray, FloatArray
 
+# What no cell and no load can have had, by what the rest of the log shows.
+ABOVE = 2.0  # of the usual voltage: no chemistry is charged to twice of it
+BELOW = 0.4  # of the usual voltage: a cell is dead
+FALL = 0.25  # of the usual voltage from row to row, by which a cell does not become so
+CURRENT_TIMES = 20.0  # the largest of nearly all other currents
+NEARLY_ALL = 95.0  # per cent of them
+FOLLOWED = 3.0  # times: how far the voltage steps at the edge of such a current, over elsewhere
+MOST_IMPOSSIBLE = 0.25  # share of the rows: more are another unit or another battery, not a fault
 
-class Impossible(NamedTuple):
-    """What no cell and no load can have had, by what the rest of the log shows.
+# When a channel that repeats its value has stopped measuring, or is at the end of its range: while
+# the other channel moves up and down.
+REPEATS = 19
+MOVES = 2  # of the other channel, each way
+MOVED_SHARE = 0.1  # of what the other channel does in this log
+MOVED_STEPS = 5.0  # of its usual ones
+LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
+LOST_ROWS = 20  # without a value: fewer are samples that were missed
 
-    ``above``, ``below``, ``fall``: of the usual voltage. No chemistry is charged to twice of it;
-    below so much of it a cell is dead, which it does not become by such a fall from row to row.
-    ``times``: a current so many times the largest of nearly all (``most`` percent) others, at whose
-    edge the voltage steps no more than ``followed`` times as far as elsewhere.
-    ``rows``: a larger share of the rows is another unit or another battery, not a fault.
-    """
+# When a channel is at the end of its range.
+HELD_ROWS = 3  # in a row
+HELD_VISITS = 3
 
-    above: float = 2.0
-    below: float = 0.4
-    fall: float = 0.25
-    times: float = 20.0
-    most: float = 95.0
-    followed: float = 3.0
-    rows: float = 0.25
-
-
-class Still(NamedTuple):
-    """When a channel that repeats its value has stopped measuring, or is at the end of its range.
-
-    What one channel shows of the other may come ``late_s`` later, or earlier. Fewer rows without a
-    value than ``lost`` are samples that were missed.
-
-    It repeats it ``repeats`` times while the other channel moves up and down, so often each way
-    (``moves``), by ``share`` of what it does in this log and more than so many of its usual
-    ``steps``.
-    """
-
-    repeats: int = 19
-    moves: int = 2
-    share: float = 0.1
-    steps: float = 5.0
-    late_s: float = 3.0
-    lost: int = 20
-
-
-class SaturationRule(NamedTuple):
-    """When a channel is at the end of its range: so many rows in a row, so many times."""
-
-    rows: int = 3
-    visits: int = 3
-
-
-class Spiked(NamedTuple):
-    """When a single row is a spike [V, usual bends, drops of what the current did around]."""
-
-    least_V: float = 0.05
-    bends: float = 20.0
-    drops: float = 2.0
-
-
-IMPOSSIBLE, STILL, HELD, SPIKED = Impossible(), Still(), SaturationRule(), Spiked()
+# When a single row is a spike.
+LEAST_SPIKE_V = 0.05
+SPIKE_BENDS = 20.0  # usual ones
+SPIKE_DROPS = 2.0  # of what the current did around
 
 
 class FaultSegment(NamedTuple):
@@ -89,9 +60,9 @@ def impossible_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """Rows that are impossible, by channel; none where there are too many to be a fault."""
     found = {"voltage_V": _impossible_voltages(log), "current_A": _impossible_currents(log)}
     if log.temperature_C is not None:
-        low, high = CELL.temperature_C
+        low, high = POSSIBLE_C
         found["temperature_C"] = (log.temperature_C < low) | (log.temperature_C > high)
-    few = {name: bad for name, bad in found.items() if 0 < bad.sum() <= IMPOSSIBLE.rows * len(log)}
+    few = {name: bad for name, bad in found.items() if 0 < bad.sum() <= MOST_IMPOSSIBLE * len(log)}
     return {name: runs_of(bad) for name, bad in few.items()}
 
 
@@ -118,8 +89,8 @@ def _impossible_voltages(log: CellLog) -> BoolArray:
     known = voltage[np.isfinite(voltage)]
     if known.size == 0 or not (usual := float(np.median(known))) > 0.0:
         return np.zeros(voltage.size, dtype=bool)
-    bad = voltage > IMPOSSIBLE.above * usual
-    low = voltage < IMPOSSIBLE.below * usual
+    bad = voltage > ABOVE * usual
+    low = voltage < BELOW * usual
     if low.any():
         wrong = bad | low
         rest = replace(
@@ -128,10 +99,7 @@ def _impossible_voltages(log: CellLog) -> BoolArray:
             current_A=np.where(wrong, 0.0, log.current_A),
         )
         loads = step_resistance(rest) * np.abs(_steps(log.known_current_A()))
-        fell = (
-            -_steps(np.where(np.isnan(voltage), usual, voltage))
-            > IMPOSSIBLE.fall * usual + 2.0 * loads
-        )
+        fell = -_steps(np.where(np.isnan(voltage), usual, voltage)) > FALL * usual + 2.0 * loads
         for first, last in runs_of(low):
             # From one row to the next, or from the first row of the log on.
             bad[first : last + 1] |= fell[first] or (first == 0 and last < voltage.size - 1)
@@ -144,9 +112,9 @@ def _impossible_currents(log: CellLog) -> BoolArray:
     bad = np.zeros(size.size, dtype=bool)
     if finite.size == 0:
         return bad
-    usual = float(np.percentile(finite, IMPOSSIBLE.most))
-    others = float(np.max(finite[finite <= IMPOSSIBLE.times * usual], initial=0.0))
-    bad = size > (IMPOSSIBLE.times * others if others > 0.0 else CELL.impossible_A)
+    usual = float(np.percentile(finite, NEARLY_ALL))
+    others = float(np.max(finite[finite <= CURRENT_TIMES * usual], initial=0.0))
+    bad = size > (CURRENT_TIMES * others if others > 0.0 else IMPOSSIBLE_A)
     if not bad.any():
         return bad
     runs, late = runs_of(bad), _late_rows(log)
@@ -156,8 +124,8 @@ def _impossible_currents(log: CellLog) -> BoolArray:
         elsewhere[first : last + late + 1] = False
     largest = float(np.max(moved[elsewhere], initial=0.0))
     for first, last in runs:
-        followed = np.max(moved[first : first + late + 1]) > IMPOSSIBLE.followed * largest
-        bad[first : last + 1] = size[first] > CELL.impossible_A or not followed
+        followed = np.max(moved[first : first + late + 1]) > FOLLOWED * largest
+        bad[first : last + 1] = size[first] > IMPOSSIBLE_A or not followed
     return np.asarray(bad)
 
 
@@ -181,7 +149,7 @@ def longest(log: CellLog, runs: list[RowRange]) -> FaultSegment | None:
 def stuck_voltage(log: CellLog) -> list[RowRange]:
     """Rows in which the voltage stood still while the current moved to and fro."""
     still = _standstills(log.voltage_V)
-    return _moved(still, log.current_A, STILL.share * _swing(log.current_A)) if still else []
+    return _moved(still, log.current_A, MOVED_SHARE * _swing(log.current_A)) if still else []
 
 
 def _stuck_current(log: CellLog) -> list[RowRange]:
@@ -200,7 +168,7 @@ def _stuck_current(log: CellLog) -> list[RowRange]:
 def _standstills(values: FloatArray) -> list[RowRange]:
     """Rows that repeat the value before them, many of them."""
     first, last = run_edges(np.diff(values, prepend=np.nan) == 0.0)
-    long = last - first + 1 >= STILL.repeats
+    long = last - first + 1 >= REPEATS
     return [RowRange(int(a), int(b)) for a, b in zip(first[long], last[long], strict=True)]
 
 
@@ -216,7 +184,7 @@ def _moved(runs: list[RowRange], other: FloatArray, jump: float, late: int = 0) 
     first, last = np.array(runs).T
     ends = (np.minimum(first - 1 + late, last), last), (first - 1, np.maximum(last - late, first))
     moves = np.min([c[b] - c[a] for a, b in ends for c in counts], axis=0)
-    return [run for run, enough in zip(runs, moves >= STILL.moves, strict=True) if enough]
+    return [run for run, enough in zip(runs, moves >= MOVES, strict=True) if enough]
 
 
 def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
@@ -227,7 +195,7 @@ def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
     """
     others = {
         "current_A": (log.voltage_V, _current_jump(log)),
-        "voltage_V": (log.current_A, STILL.share * _swing(log.current_A)),
+        "voltage_V": (log.current_A, MOVED_SHARE * _swing(log.current_A)),
     }
     runs: dict[str, list[RowRange]] = {}
     for channel, (other, jump) in others.items():
@@ -236,11 +204,11 @@ def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
         for extreme in (np.nanmax(values), np.nanmin(values)):
             at_end = values == extreme
             first, last = run_edges(at_end)
-            visits = np.count_nonzero(last - first + 1 >= HELD.rows)
+            visits = np.count_nonzero(last - first + 1 >= HELD_ROWS)
             inside = at_end & np.concatenate(([False], at_end[:-1]))
             moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-            held = visits >= HELD.visits and extreme != 0.0
-            if held and moves >= STILL.moves and jump > 0.0:
+            held = visits >= HELD_VISITS and extreme != 0.0
+            if held and moves >= MOVES and jump > 0.0:
                 runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
     return runs
 
@@ -264,8 +232,8 @@ def find_spikes(log: CellLog) -> NDArray[np.intp]:
 
     moved = maximum_filter1d(i, 2 * late + 1) - minimum_filter1d(i, 2 * late + 1)
     usual = 1.48 * float(np.median(bend))
-    least = max(SPIKED.least_V, SPIKED.bends * usual)
-    far = away > least + SPIKED.drops * step_resistance(log) * moved
+    least = max(LEAST_SPIKE_V, SPIKE_BENDS * usual)
+    far = away > least + SPIKE_DROPS * step_resistance(log) * moved
     # Between two spikes the other way a row is far from both, too: the larger is one.
     alone = far[1:-1] & (away[1:-1] >= away[:-2]) & (away[1:-1] >= away[2:])
     return np.flatnonzero(alone) + 1
@@ -276,11 +244,11 @@ def lost_runs(log: CellLog) -> dict[str, list[RowRange]]:
     missing = {"voltage_V": np.isnan(log.voltage_V), "current_A": np.isnan(log.current_A)}
     if log.temperature_C is not None:
         cold = np.isnan(log.temperature_C)
-        if np.mean(cold) <= IMPOSSIBLE.rows:
+        if np.mean(cold) <= MOST_IMPOSSIBLE:
             missing["temperature_C"] = cold
     found = {}
     for name, rows in missing.items():
-        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= STILL.lost]
+        many = [r for r in runs_of(rows) if r.last - r.first + 1 >= LOST_ROWS]
         if many:
             found[name] = many
     return found
@@ -306,7 +274,7 @@ def _current_jump(log: CellLog) -> float:
     """
     swing = _swing(log.voltage_V)
     moved = min(swing, step_resistance(log) * _swing(log.current_A)) or swing
-    return max(STILL.share * moved, STILL.steps * _usual_step(log.voltage_V))
+    return max(MOVED_SHARE * moved, MOVED_STEPS * _usual_step(log.voltage_V))
 
 
 def _usual_step(values: FloatArray) -> float:
@@ -323,8 +291,8 @@ def _swing(values: FloatArray) -> float:
 def _late_rows(log: CellLog) -> int:
     """Rows that one channel may be late by."""
     steps = np.diff(log.time_s)
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else STILL.late_s
-    return math.ceil(STILL.late_s / usual)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else LATE_S
+    return math.ceil(LATE_S / usual)
 
 
 def _steps(values: FloatArray) -> FloatArray:

@@ -20,38 +20,22 @@ Verdict = Literal["verified", "contradicted", "undetermined"]
 WINDOWS_S = (1.0, 1000.0)  # from a step of the load to minutes of diffusion
 LARGEST_SERIES = 100_000  # rows; a longer log is first averaged down to this
 
-
-class SignEvidence(NamedTuple):
-    """What a log must show before it says anything of its sign.
-
-    ``variance_ratio`` is an F statistic: white noise reaches 20 less than once in a thousand
-    windows. ``score`` is the lead of one sign over the other, weighed over all windows; one of less
-    than ``lead`` in each of them is none. Below
-    ``current_A`` a current is a sensor's zero, below ``voltage_V`` a voltage has not moved. A
-    small cell's current is less, but holds its levels, with steps of less than ``flicker`` of its
-    range from row to row (root mean square), while the voltage moves by ``small_cell_V``. A
-    current within ``steps`` of its usual steps is steady; a voltage under load does ``late_drift``
-    of its way in the second half of the log. A voltage within the share ``held`` of its limit, or
-    so many ``sigmas`` of its usual steps, for more than ``held_rows``, while the current falls to
-    the share ``falls``, is held by a tester.
-    """
-
-    variance_ratio: float = 20.0
-    score: float = 0.7
-    lead: float = 0.05
-    current_A: float = 0.02
-    voltage_V: float = 0.005
-    flicker: float = 0.15
-    small_cell_V: float = 0.2
-    steps: float = 10.0
-    late_drift: float = 0.3
-    held: float = 1e-3
-    sigmas: float = 4.0
-    held_rows: int = 4
-    falls: float = 0.9
-
-
-NEEDED = SignEvidence()
+# What a log must show before it says anything of its sign.
+VARIANCE_RATIO = 20.0  # an F statistic: white noise reaches it less than once in a thousand windows
+LEAST_SCORE = 0.7  # lead of one sign over the other, weighed over all windows
+LEAST_LEAD = 0.05  # in each of them: less is none
+LEAST_CURRENT_A = 0.02  # less is a sensor's zero
+LEAST_MOVE_V = 0.005  # by less a voltage has not moved
+# Of its range, root mean square from row to row: a small cell's current, which holds its levels,
+# has less.
+FLICKER = 0.15
+SMALL_CELL_V = 0.2  # by which its voltage moves meanwhile
+STEADY_STEPS = 10.0  # usual ones of a current, within which it is steady
+LATE_DRIFT = 0.3  # of its way that a voltage under load does in the second half of the log
+HELD_SHARE = 1e-3  # of its limit: a voltage that a tester holds is so near
+HELD_SIGMAS = 4.0  # of its usual steps, or within these
+HELD_ROWS = 4  # for more than these
+HELD_FALLS = 0.9  # share to which the current falls meanwhile
 
 
 class Contrast(NamedTuple):
@@ -73,7 +57,7 @@ class Contrast(NamedTuple):
         best = max(self.discharge, self.charge)
         freedom = max(self.pairs - 1 - self.causes, 0)
         ratio = best / max(1.0 - best, 1e-9) * freedom
-        return self.discharge - self.charge if ratio >= NEEDED.variance_ratio else 0.0
+        return self.discharge - self.charge if ratio >= VARIANCE_RATIO else 0.0
 
     def text(self) -> str:
         """The contrast as text."""
@@ -142,7 +126,7 @@ def verify_sign(log: CellLog) -> SignCheck:
         return SignCheck("undetermined", (none,), follows=False)
     score = sum(c.lead * abs(c.lead) for c in votes) / sum(c.lead**2 for c in votes)
     verdict: Verdict = "undetermined"
-    if abs(score) >= NEEDED.score and max(abs(c.lead) for c in votes) >= NEEDED.lead:
+    if abs(score) >= LEAST_SCORE and max(abs(c.lead) for c in votes) >= LEAST_LEAD:
         verdict = "verified" if score > 0 else "contradicted"
     return SignCheck(verdict, tuple(c.text() for c in votes), float(score))
 
@@ -162,13 +146,13 @@ def _held(current: FloatArray, voltage: FloatArray) -> BoolArray:
     known = voltage[np.isfinite(voltage)]
     # The size of a step does not need millions of them.
     steps = np.abs(np.diff(known))[:: max(known.size // LARGEST_SERIES, 1)]
-    noise = NEEDED.sigmas * float(np.median(steps)) if steps.size else 0.0
+    noise = HELD_SIGMAS * float(np.median(steps)) if steps.size else 0.0
     for limit in (np.fmin.reduce(voltage), np.fmax.reduce(voltage)):
-        near = np.abs(voltage - limit) <= max(NEEDED.held * abs(limit), noise)
+        near = np.abs(voltage - limit) <= max(HELD_SHARE * abs(limit), noise)
         first, last = run_edges(near)
-        long = last - first >= NEEDED.held_rows
+        long = last - first >= HELD_ROWS
         for a, b in zip(first[long], last[long], strict=True):
-            held[a : b + 1] |= abs(current[b]) < NEEDED.falls * abs(current[a])
+            held[a : b + 1] |= abs(current[b]) < HELD_FALLS * abs(current[a])
     return held
 
 
@@ -245,11 +229,11 @@ def _contrast(window: float, causes: FloatArray, changes: FloatArray, most: Floa
 
 def is_at_rest(current_A: FloatArray, voltage_V: FloatArray) -> bool:
     """Whether a current is no more than a sensor's zero."""
-    if float(np.nanmax(np.abs(current_A), initial=0.0)) >= NEEDED.current_A:
+    if float(np.nanmax(np.abs(current_A), initial=0.0)) >= LEAST_CURRENT_A:
         return False
     flicker = float(np.sqrt(np.nanmean(np.diff(current_A) ** 2))) if current_A.size > 1 else 0.0
-    holds = flicker <= NEEDED.flicker * float(np.ptp(current_A)) and bool(np.any(current_A))
-    return not (holds and float(np.nanmax(voltage_V) - np.nanmin(voltage_V)) > NEEDED.small_cell_V)
+    holds = flicker <= FLICKER * float(np.ptp(current_A)) and bool(np.any(current_A))
+    return not (holds and float(np.nanmax(voltage_V) - np.nanmin(voltage_V)) > SMALL_CELL_V)
 
 
 def _nothing_to_see(time: FloatArray, current: FloatArray, voltage: FloatArray) -> str:
@@ -259,13 +243,13 @@ def _nothing_to_see(time: FloatArray, current: FloatArray, voltage: FloatArray) 
     if is_at_rest(current, voltage):
         return f"at rest: the current stays within {1000 * np.max(np.abs(current)):.3g} mA"
     move = float(np.ptp(voltage))
-    if move < NEEDED.voltage_V:
+    if move < LEAST_MOVE_V:
         return f"the voltage moves by {1000 * move:.1f} mV only"
     # A sensor's zero on a resting cell is a steady current, and the resting voltage drifts either
     # way; unlike the voltage of a cell under load it soon stops drifting.
     noise = float(np.median(np.abs(np.diff(current))))
     drift, late = (abs(float(voltage[-1] - voltage[k])) for k in (0, voltage.size // 2))
-    if np.ptp(current) <= NEEDED.steps * noise and late < NEEDED.late_drift * drift:
+    if np.ptp(current) <= STEADY_STEPS * noise and late < LATE_DRIFT * drift:
         return "one steady current, and the voltage drifts as a resting cell's might"
     return ""
 

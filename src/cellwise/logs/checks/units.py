@@ -15,32 +15,17 @@ from cellwise.notices import Code, Notice
 from cellwise.typing import BoolArray, FloatArray
 from cellwise.wording import Option, place
 
-
-class CounterRule(NamedTuple):
-    """From where on a counter has restarted, is in another unit, or is another quantity.
-
-    It has restarted where it reads less than the share ``restart`` of its jump, which is above
-    ``steps`` of its steps and ``of_range`` of its range; joined up it must leave at most ``joined``
-    of its deviation from the summed current. From the correlation ``unit`` on a ratio to that sum
-    within ``same`` of a factor is a slip of a unit; below ``another`` it counts something else, and
-    beyond ``opposite`` against the current it counts the other way. A mismatch of the net
-    charges is noted from ``noted_percent`` of the charge moved on, by an inspection from
-    ``inspected_percent``.
-    """
-
-    restart: float = 0.1
-    steps: float = 5.0
-    of_range: float = 1e-3
-    joined: float = 0.5
-    unit: float = 0.95
-    same: float = 0.1
-    another: float = 0.9
-    opposite: float = 0.5
-    noted_percent: float = 2.0
-    inspected_percent: float = 0.5
-
-
-COUNTER = CounterRule()
+# From where on a counter has restarted, is in another unit, or is another quantity.
+RESTART_SHARE = 0.1  # of its jump, below which it reads after a restart
+RESTART_STEPS = 5.0  # of its own, which that jump is above
+RESTART_OF_RANGE = 1e-3  # which that jump is above, too
+JOINED = 0.5  # of its deviation from the summed current, at most, that it leaves joined up
+UNIT_CORRELATION = 0.95  # with the summed current, from which on their ratio is a slip of a unit
+SAME_RATIO = 0.1  # of a factor, within which it is that slip
+ANOTHER = 0.9  # correlation below which it counts something else
+OPPOSITE = 0.5  # correlation against the current, beyond which it counts the other way
+NOTED_PERCENT = 2.0  # of the charge moved: a mismatch of the net charges is noted
+INSPECTED_PERCENT = 0.5  # and noted by an inspection
 
 
 class CounterCheck(NamedTuple):
@@ -113,10 +98,10 @@ def checked_counter(log: CellLog, where: str) -> tuple[CellLog, CounterCheck | N
     if counter is not log.charge_Ah:
         log = replace(log, charge_Ah=counter)
         check = compare_counter(log) or check
-    if abs(check.agreement) < COUNTER.another:
+    if abs(check.agreement) < ANOTHER:
         text = "the counter ampere_hours does not follow the current and was left out"
         return replace(log, charge_Ah=None), None, [Notice(Code.COUNTER_LEFT_OUT, text)]
-    if check.mismatch_percent > COUNTER.noted_percent and check.agreement > 0:
+    if check.mismatch_percent > NOTED_PERCENT and check.agreement > 0:
         notices.append(differing(check.mismatch_percent))
     return log, check, notices
 
@@ -151,46 +136,30 @@ def joined_counter(
     step = float(np.min(moves[moves > 1e-9], initial=np.inf))
     if not np.isfinite(step):
         return None
-    least = max(COUNTER.steps * step, COUNTER.of_range * float(np.ptp(counter)))
-    restarts = (np.abs(jump) > least) & (fresh < COUNTER.restart * np.abs(jump)) & ~gap_rows[1:]
+    least = max(RESTART_STEPS * step, RESTART_OF_RANGE * float(np.ptp(counter)))
+    restarts = (np.abs(jump) > least) & (fresh < RESTART_SHARE * np.abs(jump)) & ~gap_rows[1:]
     if not restarts.any():
         return None
     joined = counter - np.concatenate(([0.0], np.cumsum(np.where(restarts, jump, 0.0))))
     summed = np.cumsum(drawn)
-    if np.std(joined - summed) > COUNTER.joined * np.std(counter - summed):
+    if np.std(joined - summed) > JOINED * np.std(counter - summed):
         return None  # a counter and a current that merely differ
     return joined, int(np.count_nonzero(restarts))
 
 
-class Cell(NamedTuple):
-    """What one cell, and one string of cells, can have.
+# What one cell, and one string of cells, can have.
+IMPOSSIBLE_A = 3000.0
+LARGEST_AH = 1000.0  # more is one in another unit
+LARGEST_V = 6.0  # a battery of more is a string
+TYPICAL_V = 3.7
+STRING_V = 1500.0  # more is a number of millivolts
+POSSIBLE_C = (-100.0, 200.0)
+KELVIN_FROM = 200.0  # a temperature is in that unit
 
-    More charge than ``largest_Ah`` is one in another unit. A battery of more volts than
-    ``largest_V`` is a string; than ``string_V``, a number of millivolts; from ``kelvin`` on a
-    temperature is in that unit.
-    """
+# What a time in seconds cannot be.
+EPOCH_S = 1e8  # three years: one that begins later is counted from 1970 or so
+FAST_S = 0.02  # no tester logs as fast: the time is in hours
 
-    impossible_A: float = 3000.0
-    largest_Ah: float = 1000.0
-    largest_V: float = 6.0
-    typical_V: float = 3.7
-    string_V: float = 1500.0
-    temperature_C: tuple[float, float] = (-100.0, 200.0)
-    kelvin: float = 200.0
-
-
-class Clock(NamedTuple):
-    """What a time in seconds cannot be.
-
-    One that begins after ``epoch_s``, three years, is counted from 1970 or so; no tester logs as
-    fast as ``fast_s``: the time is in hours.
-    """
-
-    epoch_s: float = 1e8
-    fast_s: float = 0.02
-
-
-CELL, CLOCK = Cell(), Clock()
 # A counter over the summed current: what it counts, or in which unit something else is.
 COUNTERS = {1e3: "milliampere hours", 3600.0: "ampere seconds"}
 SLIPS = {
@@ -210,9 +179,9 @@ def check_is_log(log: object) -> None:
     """
     log = check_kind("log", log, CellLog, WAY_TO_A_LOG)
     for channel, found, largest, unit, slip, undo in (
-        ("voltage_V", abs(log.typical_voltage_V), CELL.string_V, "V", "Millivolts", "/ 1000"),
-        ("temperature_C", _lowest(log.temperature_C), CELL.kelvin, "degC", "Kelvin", "- 273.15"),
-        ("charge_Ah", _span(log.charge_Ah), CELL.largest_Ah, "Ah", "Milliampere hours", "/ 1000"),
+        ("voltage_V", abs(log.typical_voltage_V), STRING_V, "V", "Millivolts", "/ 1000"),
+        ("temperature_C", _lowest(log.temperature_C), KELVIN_FROM, "degC", "Kelvin", "- 273.15"),
+        ("charge_Ah", _span(log.charge_Ah), LARGEST_AH, "Ah", "Milliampere hours", "/ 1000"),
     ):
         if found > largest:
             raise InputError(
@@ -244,24 +213,24 @@ def check_voltage(log: CellLog, where: str, *, of_pack: bool = False) -> list[No
     InputError        the median voltage is above 1500
     """
     usual = typical(np.abs(log.voltage_V))
-    if usual > CELL.string_V:
+    if usual > STRING_V:
         raise InputError(
             f"a voltage of typically {usual:.0f} under the name voltage_V in {where}",
             "volts",
             "It looks like millivolts: name the column voltage_mV (if it is, voltage_uV)."
-            if usual < 1e3 * CELL.string_V
+            if usual < 1e3 * STRING_V
             else "It looks like microvolts: name the column voltage_uV.",
         )
-    if usual > CELL.largest_V and of_pack:
+    if usual > LARGEST_V and of_pack:
         text = (
             f"the voltage LOOKS WRONG for a cell of the pack: it is typically {usual:.1f} V; check "
             "the number of cells in series, and the unit (`voltage_mV`; `voltage_cV` for 0.01 V)"
         )
         return [Notice(Code.VOLTAGE_UNIT, text)]
-    if usual > CELL.largest_V:
+    if usual > LARGEST_V:
         text = (
             f"the voltage LOOKS WRONG for one cell: it is typically {usual:.1f} V, a pack of some "
-            f"{usual / CELL.typical_V:.0f} cells in series, read as one cell; state their number ("
+            f"{usual / TYPICAL_V:.0f} cells in series, read as one cell; state their number ("
         )
         said = (text, Option("series", letter="N"), "), or the unit, where it is not volts")
         return [Notice(Code.VOLTAGE_OF_PACK, said)]
@@ -277,7 +246,7 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[Notice]:
     No tester of cells reaches the voltage that one cell's millivolts would be in volts.
     """
     usual = typical(np.abs(channels["voltage_V"]))
-    if not CELL.string_V < usual < 1e3 * CELL.largest_V:
+    if not STRING_V < usual < 1e3 * LARGEST_V:
         return []
     channels["voltage_V"] = channels["voltage_V"] / 1e3
     text = f"the voltage, typically {usual:.0f}, is in millivolts and was divided by 1000"
@@ -287,7 +256,7 @@ def volts_of_millivolts(channels: dict[str, FloatArray]) -> list[Notice]:
 def check_charge(log: CellLog) -> list[Notice]:
     """Note a charge that no cell holds: milliamperes, or milliseconds, under a plain name."""
     swing = float(np.ptp(np.cumsum(log.known_current_A() * log.interval_s))) / 3600.0
-    if swing <= CELL.largest_Ah:
+    if swing <= LARGEST_AH:
         return []
     text = (
         f"the current LOOKS WRONG: it moves {swing:.0f} Ah, more than a cell holds; check the "
@@ -304,9 +273,9 @@ def counter_factor(log: CellLog, check: CounterCheck, where: str) -> tuple[float
     InputError        the ratio says that current or time are in another unit
     """
     ratio = abs(check.factor)
-    if abs(check.agreement) < COUNTER.unit:
+    if abs(check.agreement) < UNIT_CORRELATION:
         return 1.0, []
-    fast = float(np.median(log.interval_s[1:])) < CLOCK.fast_s
+    fast = float(np.median(log.interval_s[1:])) < FAST_S
     for times, unit in COUNTERS.items():
         if _near(ratio, times) and not (fast and times in SLIPS):
             text = f"the counter ampere_hours is in {unit} and was converted"
@@ -327,11 +296,11 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[N
     if finite.size == 0:
         return None, [Notice(Code.TEMPERATURE_EMPTY, "the temperature column holds no value")]
     notices = []
-    if float(np.median(finite)) > CELL.kelvin:
+    if float(np.median(finite)) > KELVIN_FROM:
         values = values + KELVIN_OFFSET
         text = "the temperature is in kelvin and was converted to degC"
         notices.append(Notice(Code.TEMPERATURE_CONVERTED, text))
-    low, high = CELL.temperature_C
+    low, high = POSSIBLE_C
     impossible = (values < low) | (values > high)
     if np.any(impossible):
         values = np.where(impossible, np.nan, values)
@@ -345,7 +314,7 @@ def plausible_temperature(values: FloatArray) -> tuple[FloatArray | None, list[N
 
 def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[Notice]]:
     """Seconds from the log's start where the file counts from 1970 or so."""
-    if time_s.size == 0 or not abs(time_s[0]) > CLOCK.epoch_s:
+    if time_s.size == 0 or not abs(time_s[0]) > EPOCH_S:
         return time_s, []
     start = float(time_s[0])
     text = f"the time begins at {start:.0f} s; it is counted from there"
@@ -353,4 +322,4 @@ def time_from_start(time_s: FloatArray) -> tuple[FloatArray, list[Notice]]:
 
 
 def _near(ratio: float, target: float) -> bool:
-    return abs(ratio / target - 1.0) < COUNTER.same
+    return abs(ratio / target - 1.0) < SAME_RATIO

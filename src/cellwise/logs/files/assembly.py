@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple, cast, get_args
+from typing import Literal, cast, get_args
 
 import numpy as np
 
@@ -36,27 +36,14 @@ from cellwise.notices import Code, Notice, coded, critical_first
 from cellwise.typing import BoolArray, FloatArray, IntArray, NamedColumns
 from cellwise.wording import Option, arg
 
+# When a tester's state gives a current its sign, as shares.
+UNDER_LOAD = 0.01  # of the largest current: rows of more are under load
+SIGNED = 1e-3  # of these are negative where a current has a sign: fewer are a sensor's zero
+AGREEING = 0.9  # of the rows agree, or disagree, with the state where its meaning is the sign's
+RESTARTED = 0.5  # of what a counter read before: more is its last digit
+UNTIMED = 0.01  # of the rows may lack a time
+STATED = 0.98  # of the rows under load that a column nobody vouches for must say
 
-class StateRule(NamedTuple):
-    """When a tester's state gives a current its sign, as shares.
-
-    Rows of more than ``load`` of the largest current are under load. Where more than ``signed`` of
-    these are negative, the current has a sign: fewer are a sensor's zero. Its meaning is the
-    state's where ``agreeing`` of the rows agree, or disagree. A counter that reads less than
-    ``restart`` of what it read before has restarted: more is its last digit. No more than
-    ``untimed`` of the rows may lack a time. A column that nobody vouches for must say ``stated`` of
-    the rows under load.
-    """
-
-    load: float = 0.01
-    signed: float = 1e-3
-    agreeing: float = 0.9
-    restart: float = 0.5
-    untimed: float = 0.01
-    stated: float = 0.98
-
-
-STATE = StateRule()
 BY_STATE = Notice(Code.SIGN_BY_STATE, "the current has no sign; the tester's state gave it one")
 
 
@@ -135,7 +122,7 @@ def accumulated(counter: FloatArray) -> FloatArray:
         last = np.maximum.accumulate(np.where(known, np.arange(counter.size), -1))
         held = np.where(last >= 0, counter[last], counter[known][0])
     steps = np.diff(held, prepend=0.0)
-    restarts = np.flatnonzero((steps[1:] < 0) & (held[1:] < STATE.restart * held[:-1])) + 1
+    restarts = np.flatnonzero((steps[1:] < 0) & (held[1:] < RESTARTED * held[:-1])) + 1
     if restarts.size == 0:
         return held
     steps[restarts] = held[restarts]
@@ -169,9 +156,9 @@ def _signed(
 def _has_sign(current: FloatArray) -> tuple[bool, BoolArray]:
     """Some of the rows under load are negative, others than a sensor's zero; rows under load."""
     size = np.abs(current)
-    load = size > STATE.load * float(np.nanmax(size, initial=0.0))
+    load = size > UNDER_LOAD * float(np.nanmax(size, initial=0.0))
     negative = np.count_nonzero(load & (current < 0))
-    return bool(negative > STATE.signed * np.count_nonzero(load)), load
+    return bool(negative > SIGNED * np.count_nonzero(load)), load
 
 
 def _signed_by_label(
@@ -185,10 +172,10 @@ def _signed_by_label(
     has_sign, load = _has_sign(current)
     known = np.nan_to_num(state)
     stated = load & (known != 0.0)
-    if np.count_nonzero(stated) < max(STATE.stated * np.count_nonzero(load), 1.0):
+    if np.count_nonzero(stated) < max(STATED * np.count_nonzero(load), 1.0):
         return current, False, []
     agreeing = np.mean(np.sign(current[stated]) == known[stated])
-    if has_sign and (trusted or STATE.agreeing > agreeing > 1.0 - STATE.agreeing):
+    if has_sign and (trusted or AGREEING > agreeing > 1.0 - AGREEING):
         return current, False, []
     current, noted = _signed(current, known, sign, where)
     return current, True, noted
@@ -204,7 +191,7 @@ def _sign_by_state(
         return current, []
     agreeing = np.count_nonzero(np.sign(current[stated]) == direction[stated]) / count
     discharge_positive = agreeing >= 0.5
-    if STATE.agreeing > agreeing > 1.0 - STATE.agreeing:
+    if AGREEING > agreeing > 1.0 - AGREEING:
         raise InputError(
             f"a current of {where} whose sign agrees with the tester's state in "
             f"{100 * agreeing:.0f} % of the rows under load",
@@ -234,7 +221,7 @@ def _counted_direction(channels: dict[str, FloatArray]) -> FloatArray | None:
     difference = steps[1] - steps[0]
     direction = np.where(np.abs(difference) >= 0.5 * flowed, np.sign(difference), 0.0)
     # A counter's last digit does not move in every row of a load, and not in its first.
-    known = (direction != 0.0) | (current <= STATE.load * np.nanmax(current))
+    known = (direction != 0.0) | (current <= UNDER_LOAD * np.nanmax(current))
     rows = np.arange(current.size)
     following = np.minimum.accumulate(np.where(known, rows, rows[-1])[::-1])[::-1]
     before = np.maximum.accumulate(np.where(known, rows, 0))
@@ -337,7 +324,7 @@ def assemble(
     log, counter, noted = units.checked_counter(log, where)
     notices += noted
     notices += units.check_charge(possible_part(log))
-    opposite = counter is not None and counter.agreement < -units.COUNTER.opposite
+    opposite = counter is not None and counter.agreement < -units.OPPOSITE
     if not (check_sign or opposite):
         return log.with_notices(critical_first(notices))
     way_out = "charge-positive" if read_as != "charge-positive" else "discharge-positive"
@@ -366,7 +353,7 @@ def _drop_rows_without_time(channels: dict[str, FloatArray], where: str) -> list
     if count == 0:
         return []
     held = np.any([np.isfinite(x) for f, x in channels.items() if f != "time_s"], axis=0)
-    if np.count_nonzero(missing & held) > max(1.0, STATE.untimed * missing.size):
+    if np.count_nonzero(missing & held) > max(1.0, UNTIMED * missing.size):
         row = int(np.flatnonzero(missing)[0])
         raise InputError(
             f"{count} of {missing.size} rows without a time in {where} (row {row + 1} first)",

@@ -45,12 +45,12 @@ _PATTERNS = (
 )
 _EMPTY = "(?P<h>)(?P<m>)(?P<s>)(?P<half>)(?P<zone>)"
 _DAY_PATTERNS = tuple(rf"^\s*{day}{_EMPTY}\s*$" for day in _DAYS)
-_SECONDS = {"d": 86_400.0, "h": 3600.0, "m": 60.0, "s": 1.0, "n": 1.0}
+DAY_S = 86_400.0
+_SECONDS = {"d": DAY_S, "h": 3600.0, "m": 60.0, "s": 1.0, "n": 1.0}
 # Seconds since 1970 in this century, and the same in smaller units.
 _EPOCH = (9e8, 5e9)
 _EPOCH_UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 LAST_MONTH = 12
-DAY_S = 86_400.0
 
 
 def time_kind(texts: Sequence[str]) -> TimeKind:

@@ -14,7 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from cellwise.errors import InputError
-from cellwise.logs.files.columns import TIDY_CHANNELS
+from cellwise.logs.files.columns import KELVIN_OFFSET, TIDY_CHANNELS
 from cellwise.logs.files.format import Format, chosen_battery, cut_off, library_at_work, need
 from cellwise.logs.files.source import LogSource, RawLog
 from cellwise.logs.files.tables import channels_of
@@ -32,7 +32,7 @@ UNKNOWN = {
     "voltage_v": (-1.0, 0.0),
     "current_a": (-1.0,),
     "discharged_mah": (-1.0,),
-    "temperature": (-1.0, -273.15),
+    "temperature": (-1.0, KELVIN_OFFSET),
 }
 
 

@@ -7,11 +7,12 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from cellwise.errors import InputError
+from cellwise.logs.checks.units import LARGEST_V
 from cellwise.logs.files.columns import OWN, UNITS, Channel, Unit, no_such_name
 from cellwise.logs.files.source import FROM_FILE, RawLog, ReadOptions
 from cellwise.notices import Code, Notice
@@ -118,27 +119,15 @@ def cell_name(number: int, cells: int) -> str:
 FlagKind = Literal["missing", "dead", "frozen", "balancing", "count"]
 
 
-class Believed(NamedTuple):
-    """From where on a cell's voltage is not believed.
-
-    Beyond ``possible_V`` no cell is; typical values above ``millivolts`` are in that unit. A sensor
-    that repeats one value for ``rows`` rows while the mean cell moves by ``move_V`` is frozen; one
-    without a reading in the last ``rows``, while most others have theirs, has died. A cell that
-    misses more than the share ``missing`` of the rows is not estimated. A reading further from the
-    others than ``spike_V``, as no cell under load is, is not part of the mean. ``cells``: tolerance
-    between the pack's voltage and the sum of the cells, in cells.
-    """
-
-    possible_V: tuple[float, float] = (0.5, 6.0)
-    millivolts: float = 500.0
-    rows: int = 50
-    move_V: float = 0.02
-    missing: float = 0.5
-    spike_V: float = 0.05
-    cells: float = 0.3
-
-
-BELIEVED = Believed()
+# From where on a cell's voltage is not believed.
+POSSIBLE_V = (0.5, LARGEST_V)  # of a cell
+MILLIVOLTS = 500.0  # typical values above are in that unit
+# Of one value, while the mean cell moves, are frozen; as many last ones without a value, dead.
+REPEATED_ROWS = 50
+MOVE_V = 0.02  # by which the mean cell moves then
+MISSING = 0.5  # share of the rows: a cell that misses more is not estimated
+SPIKE_V = 0.05  # from the others, as no cell under load is: not part of the mean
+TOLERANCE_CELLS = 0.3  # between the pack's voltage and the sum of the cells
 
 
 @dataclass(frozen=True)
@@ -186,13 +175,13 @@ def checked_cells(
     typical = float(np.median(np.abs(some))) if some.size else np.nan
     if not np.isfinite(typical):
         raise InputError(f"no cell voltage in {where}", "numbers", "Check the cells' columns.")
-    if typical > BELIEVED.millivolts:
+    if typical > MILLIVOLTS:
         raise InputError(
             f"cell voltages of typically {typical:.0f} under the names cell_.._V in {where}",
             "volts",
             "They look like millivolts: name the columns cell_01_mV, ...",
         )
-    negative = volts < -BELIEVED.possible_V[0]
+    negative = volts < -POSSIBLE_V[0]
     np.abs(volts, out=volts, where=negative)
     if negative.any():
         balancing = negative if balancing is None else balancing | negative
@@ -221,13 +210,13 @@ def mean_voltage_V(volts: FloatArray) -> FloatArray:
         complete = bool(known.all())
         first = volts.mean(axis=1) if complete else mean_of_known(volts)
         apart = volts - first[:, None]
-        spike = np.abs(apart) > BELIEVED.spike_V
+        spike = np.abs(apart) > SPIKE_V
         if complete and not spike.any():
             return np.asarray(first)
         # Cells whose whole level is apart are not spikes; a median is not moved by either.
         level = np.nanmedian(apart[:: max(len(apart) // 1000, 1)], axis=0)
         level = np.nan_to_num(level)
-        used = known & (np.abs(apart - level) <= BELIEVED.spike_V)
+        used = known & (np.abs(apart - level) <= SPIKE_V)
         used |= known & ~used.any(axis=1)[:, None]
         centred = np.where(used, volts - level, 0.0).sum(axis=1) / used.sum(axis=1)
         alive = known.any(axis=0)
@@ -270,10 +259,10 @@ def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
 
     A cell most of whose readings are such is not estimated.
     """
-    low, high = BELIEVED.possible_V
+    low, high = POSSIBLE_V
     wrong = ~((volts >= low) & (volts <= high))
     share = wrong.mean(axis=0)
-    most = wrong.mean(axis=1) < BELIEVED.missing
+    most = wrong.mean(axis=1) < MISSING
     for k in np.flatnonzero(share > 0.0).tolist():
         bad, name = wrong[:, k], names[k]
         seen = volts[bad & np.isfinite(volts[:, k]), k]
@@ -281,11 +270,11 @@ def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
         volts[bad, k] = np.nan
         there = np.flatnonzero(~bad)
         last = int(there[-1]) + 1 if there.size else 0
-        if share[k] > BELIEVED.missing:
+        if share[k] > MISSING:
             volts[:, k] = np.nan
             text = f"{name} {what} in {100 * share[k]:.0f} % of the rows: it is not estimated"
             yield CellFlag(name, "dead", text)
-        elif np.count_nonzero(most[last:]) >= BELIEVED.rows:
+        elif np.count_nonzero(most[last:]) >= REPEATED_ROWS:
             text = f"{name} {what} from row {last + 1} on: earlier rows are used alone"
             yield CellFlag(name, "dead", text, range(last, len(volts)))
         else:
@@ -294,11 +283,11 @@ def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
             yield CellFlag(name, "missing", text)
     still, moved = _still(volts)
     for k in np.flatnonzero((still & moved[:, None]).any(axis=0)).tolist():
-        repeated = np.repeat(still[:, k], BELIEVED.rows)
+        repeated = np.repeat(still[:, k], REPEATED_ROWS)
         gone = float((still[:, k] & moved).sum() / moved.sum())
         volts[: repeated.size][repeated, k] = np.nan
         end = "those rows are left out"
-        if gone > BELIEVED.missing:
+        if gone > MISSING:
             volts[:, k] = np.nan
             end = "it is not estimated"
         text = f"{names[k]} repeats one value while the other cells move ({100 * gone:.0f} % of the"
@@ -307,15 +296,15 @@ def _unbelieved(volts: FloatArray, names: Sequence[str]) -> Iterator[CellFlag]:
 
 def _still(volts: FloatArray) -> tuple[BoolArray, BoolArray]:
     """Blocks of rows in which each cell repeats one value, and those in which the cells moved."""
-    blocks, cells = len(volts) // BELIEVED.rows, volts.shape[1]
-    parts = volts[: blocks * BELIEVED.rows].reshape(blocks, BELIEVED.rows, cells)
+    blocks, cells = len(volts) // REPEATED_ROWS, volts.shape[1]
+    parts = volts[: blocks * REPEATED_ROWS].reshape(blocks, REPEATED_ROWS, cells)
     still = np.max(parts, axis=1) == np.min(parts, axis=1)  # a missing value compares as moving
     moved = np.zeros(blocks, dtype=np.bool_)
     if cells > 2 and still.any():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # rows without any value
             middle = np.nanmedian(parts[:, :, :: max(cells // 12, 1)], axis=2)
-            moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > BELIEVED.move_V
+            moved = np.nanmax(middle, axis=1) - np.nanmin(middle, axis=1) > MOVE_V
     return still, moved
 
 
@@ -327,7 +316,9 @@ def _uncounted(volts: FloatArray, pack_V: FloatArray) -> Iterator[CellFlag]:
         warnings.simplefilter("ignore", RuntimeWarning)
         ratio = float(np.nanmedian(pack_V[some] / np.nanmedian(volts[some], axis=1)))
     # Of the mean cell, of all cells, or of others: the sum's last digits grow with the cells.
-    known = abs(ratio - 1.0) < BELIEVED.cells or abs(ratio - cells) <= BELIEVED.cells + cells / 500
+    known = (
+        abs(ratio - 1.0) < TOLERANCE_CELLS or abs(ratio - cells) <= TOLERANCE_CELLS + cells / 500
+    )
     if np.isfinite(ratio) and not known:
         text = f"the pack's voltage is that of {ratio:.1f} cells in series, and {cells} have a"
         yield CellFlag("", "count", f"{text} column")

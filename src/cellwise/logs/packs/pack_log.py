@@ -18,7 +18,7 @@ from cellwise.logs.files.format import Format, Reader, one_battery
 from cellwise.logs.files.source import LogSource
 from cellwise.logs.files.tables import is_parquet, parquet_names
 from cellwise.logs.packs.cells import (
-    BELIEVED,
+    MILLIVOLTS,
     CellColumn,
     CellFlag,
     cell_columns,
@@ -228,7 +228,7 @@ def pack_of(
     names = tuple(cell_name(c.number, cells[-1].number) for c in cells)
     volts = np.stack([found[c.field] for c in cells], axis=1)
     unsaid = [k for k, c in enumerate(cells) if not c.stated]
-    if unsaid and np.nanmedian(np.abs(volts[:, unsaid])) > BELIEVED.millivolts:
+    if unsaid and np.nanmedian(np.abs(volts[:, unsaid])) > MILLIVOLTS:
         volts[:, unsaid] /= 1e3
         text = "the cells' voltages, whose names state no unit, are in millivolts"
         raw = raw.noted([Notice(Code.CELLS_CONVERTED, text)])

@@ -214,11 +214,6 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
 
 def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
     """Every log before and after."""
-
-    def own_start(run: LogRun) -> str:
-        own = run.own_start
-        return f"{millivolt(own.rmse_V)} from {own.soc0:.3f}" if own else ""
-
     caption = (
         "What a simulation shows with either model: all rows of every log, from this initial SOC."
     )
@@ -229,23 +224,31 @@ def runs_table(runs: Sequence[LogRun], explained: bool) -> Markup:
             " Its own start: what `simulate` shows where no start is stated, since the extended "
             "model finds another one."
         )
-    after: list[tuple[object, Callable[[LogRun], object]]] = [
+    return record_table(runs, *run_columns(explained), caption=caption, text_columns=(0, 1))
+
+
+def own_start(run: LogRun) -> str:
+    """RMSE of a log from the start that the extended model finds itself."""
+    own = run.own_start
+    return f"{millivolt(own.rmse_V)} from {own.soc0:.3f}" if own else ""
+
+
+def run_columns(explained: bool) -> list[tuple[str, Callable[[LogRun], str]]]:
+    """How a log before and after reads on a page and in a command."""
+    after: list[tuple[str, Callable[[LogRun], str]]] = [
         ("extended model", lambda r: millivolt(r.after.rmse_V)),
         ("log corrected, too", corrected_mV),
         ("its own start", own_start),
         ("less by", lambda r: percent(r.gain, 0)),
     ]
-    return record_table(
-        runs,
+    return [
         ("log", lambda r: clock_of(r.log)),
         ("used", lambda r: "held out" if r.used == "holdout" else "fitted"),
         ("rows", lambda r: counted(len(r.log))),
         ("initial SOC", lambda r: f"{r.before.soc0:.3f}"),
         ("RMSE before" if explained else "RMSE", lambda r: millivolt(r.before.rmse_V)),
         *(after if explained else ()),
-        caption=caption,
-        text_columns=(0, 1),
-    )
+    ]
 
 
 def competing_table(diagnosis: Diagnosis) -> Markup:
@@ -282,15 +285,7 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
     few, rest = order[: MOST.candidates], order[MOST.candidates :]
 
     def figures(shown: Sequence[TriedCause], **options: Any) -> Markup:
-        return record_table(
-            shown,
-            ("cause", lambda c: cause_name(c.name)),
-            ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
-            ("evidence", lambda c: significant(c.score)),
-            ("its parameters", lambda c: _values(c.name, c.parameters, 2)),
-            text_columns=(0, 3),
-            **options,
-        )
+        return record_table(shown, *TRIED_COLUMNS, text_columns=(0, 3), **options)
 
     caption = (
         "Every cause alone, the likeliest first. Evidence: ln of how much likelier the data are "
@@ -299,6 +294,15 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
     )
     more = details(f"{plural(len(rest), 'candidate')} more", figures(rest)) if rest else ""
     return Markup(figures(few, caption=caption) + more)
+
+
+# Of a candidate: how it reads on a page and in a command.
+TRIED_COLUMNS: tuple[tuple[str, Callable[[TriedCause], str]], ...] = (
+    ("cause", lambda c: cause_name(c.name)),
+    ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
+    ("evidence", lambda c: significant(c.score)),
+    ("its parameters", lambda c: _values(c.name, c.parameters, 2)),
+)
 
 
 def _units(cause: str) -> dict[str, str]:

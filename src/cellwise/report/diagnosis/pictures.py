@@ -79,7 +79,7 @@ def residual_picture(
     what: str, groups: Sequence[Group], name: Callable[[Group], str], unit: str
 ) -> style.Figure:
     """Size and mean of the residual in every group of a division."""
-    figure, axes = style.new_axes(2.6)
+    figure, axes = style.new_axes()
     place = np.arange(len(groups))
     sizes = [1e3 * (g["rmse_V"] or 0.0) for g in groups]
     means = [1e3 * g["mean_V"] for g in groups]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -166,20 +166,22 @@ def scope_content(identification: Identification) -> Markup:
     )
 
 
+# Of a log that was given: how it reads on a page and in a command.
+OWN_COLUMNS: tuple[tuple[str, Callable[[OwnLog], str]], ...] = (
+    ("log", lambda own: clock_of(own.simulation.log)),
+    ("RMSE", lambda own: millivolt(own.simulation.rmse_V)),
+    ("above 10 % SOC", lambda own: _volt(own.simulation.rmse_above_10pct_V)),
+    ("discharge", lambda own: _volt(own.sides_V.get("discharge"))),
+    ("charge", lambda own: _volt(own.sides_V.get("charge"))),
+    ("initial SOC", lambda own: percent(own.simulation.soc0)),
+    ("test", lambda own: ROLES[own.role]),
+    ("in the fit", lambda own: "yes" if own.used else "no"),
+)
+
+
 def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
-    found = record_table(
-        logs,
-        ("log", lambda own: clock_of(own.simulation.log)),
-        ("RMSE", lambda own: millivolt(own.simulation.rmse_V)),
-        ("above 10 % SOC", lambda own: _volt(own.simulation.rmse_above_10pct_V)),
-        ("discharge", lambda own: _volt(own.sides_V.get("discharge"))),
-        ("charge", lambda own: _volt(own.sides_V.get("charge"))),
-        ("initial SOC", lambda own: percent(own.simulation.soc0)),
-        ("test", lambda own: ROLES[own.role]),
-        ("in the fit", lambda own: "yes" if own.used else "no"),
-        caption="Every log given, simulated back with the finished model from its initial SOC.",
-        text_columns=(0, 6, 7),
-    )
+    caption = "Every log given, simulated back with the finished model from its initial SOC."
+    found = record_table(logs, *OWN_COLUMNS, caption=caption, text_columns=(0, 6, 7))
     remarks = [f"{clock_of(own.simulation.log)}: {own.reason}" for own in logs if own.reason]
     return Markup(found + bullets(remarks))
 

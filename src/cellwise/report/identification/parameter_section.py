@@ -183,7 +183,7 @@ def _read(grid: FloatArray, line: FloatArray, soc: float) -> str:
 @pictured("parameter")
 def parameter_picture(identification: Identification, name: str, key: bool) -> style.Figure:
     """One table over SOC at the tested temperatures, its band, the single pulses' values."""
-    figure, axes = style.new_axes(2.4)
+    figure, axes = style.new_axes()
     model = identification.model
     rows = shown_rows(identification)
     lines = {row: model_tables(model, row)[name] for row in rows}

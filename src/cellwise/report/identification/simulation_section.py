@@ -118,7 +118,7 @@ def _first_explained(pictures: Sequence[Picture]) -> list[Picture]:
 )
 def error_by_soc_picture(simulation: Simulation) -> style.Figure:
     """Mean error and the interval of 95 % in every tenth of SOC."""
-    figure, axes = style.new_axes(2.3)
+    figure, axes = style.new_axes()
     bands = [b for b in simulation.bands if np.isfinite(b.rmse_V)]
     title = clock_of(simulation.log)
     if bands:

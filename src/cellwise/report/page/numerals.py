@@ -27,6 +27,13 @@ def significant(value: float | None, digits: int = 3) -> str:
     return _minus(f"{rounded:.{max(digits - 1 - power, 0)}f}")
 
 
+def banded(value: float, std: float) -> str:
+    """A value and two deviations: ``3.124 ± 0.021``."""
+    if not math.isfinite(value):
+        return NONE
+    return f"{significant(value, 4)} ± {significant(2.0 * std, 2)}"
+
+
 def millivolt(volt: float | None) -> str:
     """A voltage error as ``8.9 mV``."""
     if volt is None or not math.isfinite(volt):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,6 @@ from cellwise.report.page.numerals import (
     points,
     significant,
     spanned,
-    time_unit,
 )
 from cellwise.report.page.picture import Figures, safe_key
 from cellwise.report.page.plot import Plot, time_axis
@@ -104,23 +103,36 @@ def flight_section(flights: Sequence[ForecastTrace]) -> Section:
 
 def flight_content(flight: ForecastTrace, *, several: bool) -> Markup:
     """The last moment of a flight at its usual load, that of its last minute and a given one."""
-    ways = {
-        "usual load": flight.typical.last if flight.typical else None,
-        "load of the last minute": None if flight.stands and flight.typical else flight.last,
-        "given load": flight.given,
-    }
-    columns = {name: _figures(now, flight.cells) for name, now in ways.items() if now is not None}
+    text = FORECAST_EXPLAINED.format(time=duration(flight.last.time_s))
+    rows = forecast_table(forecasts_of(flight, flight.given), flight.cells)
+    return table(*rows, caption=f"{flight.name}. {text}" if several else text)
+
+
+def forecasts_of(flight: ForecastTrace | None, given: Forecast | None) -> dict[str, Forecast]:
+    """The forecasts from a log's end by the load that goes on, the usual load first."""
+    ways: dict[str, Forecast | None] = {}
+    if flight is not None:
+        ways["usual load"] = flight.typical.last if flight.typical else None
+        ways["load of the last minute"] = None if flight.stands and flight.typical else flight.last
+    ways["given load"] = given
+    return {name: now for name, now in ways.items() if now is not None}
+
+
+def forecast_table(
+    forecasts: Mapping[str, Forecast], cells: int
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows: remaining time and energy, a column for each load."""
+    columns = [_figures(now, cells) for now in forecasts.values()]
     head = (
         "load of a cell", "remaining time", "remaining energy of a cell",
-        f"of the pack of {plural(flight.cells, 'cell')}", "voltage then", "SOC then", "ends by",
+        f"of the pack of {plural(cells, 'cell')}", "voltage then", "SOC then", "ends by",
     )  # fmt: skip
-    text = FORECAST_EXPLAINED.format(time=duration(flight.last.time_s))
     rows = [
         row
-        for row in zip(head, *columns.values(), strict=True)
-        if flight.cells > 1 or not row[0].startswith("of the pack")
+        for row in zip(head, *columns, strict=True)
+        if cells > 1 or not row[0].startswith("of the pack")
     ]
-    return table(("", *columns), rows, caption=f"{flight.name}. {text}" if several else text)
+    return ("", *forecasts), rows
 
 
 def _energy(now: Forecast) -> str:
@@ -156,23 +168,10 @@ FLIGHT_CAPTION = (
 def flight_plot(flight: ForecastTrace, of_log: str = "") -> Plot:
     """Time and energy left over the log at the usual load, with bands."""
     shown = flight.typical or flight
-    scale, unit = time_unit(float(shown.time_s[-1]) or 1.0)
-    t = shown.time_s / scale  # the log's own, as the headline says it
-    panels = tuple(
-        Panel(name, (Line(name.partition(" [")[0], t, value, band),))
-        for name, value, band in (
-            ("time left [min]", shown.remaining_s / 60.0, shown.remaining_s_band / 60.0),
-            ("energy left [Wh per cell]", shown.remaining_Wh, shown.remaining_Wh_band),
-        )
-    )
     title = f"{_left(shown.last)} left at the end, at {_load(flight)}"
-    return Plot(
-        f"flight-{safe_key(flight.name or 'log')}",
-        f"{of_log}: {title}" if of_log else title,
-        f"time [{unit}]",
-        panels,
-        FLIGHT_CAPTION,
-    )
+    title = f"{of_log}: {title}" if of_log else title
+    key = f"flight-{safe_key(flight.name or 'log')}"
+    return Plot(key, title, *shown.panels(), FLIGHT_CAPTION)
 
 
 USUAL_S = 10.0
@@ -197,18 +196,25 @@ def power_section(replays: Sequence[Replay]) -> Section:
 
 def power_content(replay: Replay, power: PowerTrace, *, several: bool) -> Markup:
     """The power at the log's end, at every horizon."""
+    name = f"{replay.estimator} on {clock_of(replay.log)}. " if several else ""
+    shown = power_table(power, replay.log.series * replay.log.parallel)
+    return table(*shown, caption=name + POWER_EXPLAINED.format(hold=power.hold))
 
-    def limits(way: PowerLimit) -> tuple[str, ...]:
-        current = f"{significant(way.current_A)} A"
-        return significant(way.power_W), significant(way.power_low_W), current, way.by
+
+def power_table(power: PowerTrace, cells: int) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Head and rows: a cell's limits, and the power of all, a column for each horizon."""
+    names = ["{} [W]", "at least (95 %) [W]", "current", "limited by"]
+    names += ["{} of all " + f"{cells} cells [W]"] * (cells > 1)
+
+    def limits(way: PowerLimit) -> list[str]:
+        current, of_all = f"{significant(way.current_A)} A", significant(cells * way.power_W)
+        shown = [significant(way.power_W), significant(way.power_low_W), current, way.by]
+        return shown + [of_all] * (cells > 1)
 
     columns = [(*limits(s.discharge), *limits(s.charge)) for s in power.last]
-    names = ("{} [W]", "at least (95 %) [W]", "current", "limited by")
     head = [name.format(way) for way in ("discharge", "charge") for name in names]
-    name = f"{replay.estimator} on {clock_of(replay.log)}. " if several else ""
     horizons = (f"{s.horizon_s:g} s" for s in power.last)
-    rows = zip(head, *columns, strict=True)
-    return table(("for", *horizons), rows, caption=name + POWER_EXPLAINED.format(hold=power.hold))
+    return ["for", *horizons], list(zip(head, *columns, strict=True))
 
 
 def usual(power: PowerTrace) -> int:

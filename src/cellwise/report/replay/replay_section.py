@@ -33,7 +33,6 @@ ESTIMATORS = {
 WIDE_NIS = 0.25  # below, the band of the innovations is far too wide
 CHANGED = 0.9  # probability from which a parameter is said not to be the model's
 
-
 CAPTION = (
     "The filter's state of charge with the band of two of its own standard deviations{reference}; "
     "the measured voltage (grey) and the one it predicted before the update (vermillion); their "
@@ -242,10 +241,11 @@ def replay_figures(replay: Replay) -> list[tuple[str, str]]:
         ("initial SOC", f"{soc_at_start(replay)}, {replay.start.how}"),
         ("final SOC", soc_at_end(replay)),
         *_errors("", replay.errors),
-        (f"within {percent(CONVERGED_SOC, 0)}, and stated so, after", reached(replay)),
+        (f"within {TWO} after", duration(replay.convergence_s)),
+        (f"within {TWO}, and stated so, after", reached(replay)),
         *_errors("settled: ", replay.settled),
         ("error inside 2σ", percent(replay.coverage_2sigma, 1)),
-        ("voltage RMSE", millivolt(replay.voltage_rmse_V)),
+        ("voltage RMSE, one step ahead", millivolt(replay.voltage_rmse_V)),
         *_nis(replay),
         ("time per step", f"{significant(replay.ns_per_step)} ns"),
     ]
@@ -269,9 +269,15 @@ ESTIMATED = {
 
 def estimated_content(replay: Replay) -> Markup:
     """What an adaptive filter estimates of sensor and cell; nothing of another filter."""
-    found = replay.to_dict().get("parameters")
-    if not found or replay.far_off:
-        return EMPTY
+    rows = [] if replay.far_off else estimated_rows(replay)
+    caption = f"Beside SOC, by {replay_name(replay)}."
+    shown = table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
+    return shown if rows else EMPTY
+
+
+def estimated_rows(replay: Replay) -> list[tuple[str, str, str]]:
+    """The same as text: what it is, its value, whether it is the model's."""
+    found = replay.to_dict().get("parameters") or {}
     rows = []
     for key, (name, unit) in ESTIMATED.items():
         if (one := found.get(key)) is None:
@@ -283,8 +289,7 @@ def estimated_content(replay: Replay) -> Markup:
         places = max(1 - math.floor(math.log10(max(2.0 * one["std"], 1e-9))), 0)
         value = f"{one['value']:.{places}f} ± {2.0 * one['std']:.{places}f} {unit}".strip()
         rows.append((name, "" if one["held"] else value.replace("-", "−"), said))
-    caption = f"Beside SOC, by {replay_name(replay)}."
-    return table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
+    return rows
 
 
 def reached(replay: Replay) -> str:
