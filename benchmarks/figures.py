@@ -1,16 +1,12 @@
-"""Measured figures: their tables, the clock, the machine, the command line of a benchmark."""
+"""Measured figures: their tables, the clock, the machine."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
-import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,12 +16,9 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measured_data import HOW, data_folder
-from cellwise.files import write_atomically
 from cellwise.threads import usable_cores
 
 Progress = Callable[[str], None]
-Part = tuple[str, str, bool]  # module and function of figures(data, say), whether it needs data
 WIDTH = 140  # of the table in a file or a pipe
 NAME_WIDTH = 66
 PACKAGES = ("cellwise", "numpy", "numba", "scipy", "pyarrow", "filterpy", "pybamm", "thevenin")
@@ -37,7 +30,7 @@ class Figure:
 
     ``value`` is None where nothing could be measured; then ``note`` says why. ``ratio`` is value
     over the group's first row (this project's). ``target`` is the largest value allowed, the
-    smallest where ``at_least``. A ``headline`` stands in the docs.
+    smallest where ``at_least``. A ``headline`` stands in the docs. ``failed``: its case broke off.
     """
 
     group: str
@@ -49,6 +42,7 @@ class Figure:
     at_least: bool = False
     note: str = ""
     headline: bool = False
+    failed: bool = False
 
     @property
     def passed(self) -> bool | None:
@@ -185,60 +179,6 @@ def machine_lines(machine: dict[str, Any]) -> list[str]:
         f"{machine['load']}, {machine['system']}, {machine['blas_threads']} BLAS thread(s)",
         f"Python {machine['python']}, {packages}",
     ]
-
-
-def measure(
-    parts: Mapping[str, Part], wanted: Iterable[str], say: Progress, **switches: bool
-) -> list[Figure]:
-    """Figures of the parts wanted, in order; a row that says so where there are no data."""
-    data = data_folder()
-    figures: list[Figure] = []
-    for name in wanted:
-        module, function, needs_data = parts[name]
-        if needs_data and data is None:
-            figures.append(missing(name, "not measured", "", f"no measured cells: {HOW}"))
-            continue
-        run = getattr(import_module(module), function)
-        figures += run(data, say, **switches)
-    return figures
-
-
-def judged_run(
-    about: str, parts: Mapping[str, Part], arguments: list[str] | None = None, **switches: str
-) -> int:
-    """The command line of a benchmark: measures the parts asked for, prints table or JSON.
-
-    Each of ``switches`` (name and help) is a keyword of every part.
-    """
-    parser = argparse.ArgumentParser(description=about.splitlines()[0])
-    parser.add_argument("--only", default=",".join(parts), help="comma-separated parts")
-    for name, help_ in switches.items():
-        parser.add_argument(f"--{name}", action="store_true", help=help_)
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of the table")
-    parser.add_argument("-o", "--output", type=Path, help="write the JSON to this file as well")
-    chosen = parser.parse_args(arguments)
-    wanted = [part for part in parts if part in chosen.only.split(",")]
-    if not wanted:
-        parser.error(f"--only {chosen.only}: name at least one of {', '.join(parts)}")
-    began = time.perf_counter()
-    machine = describe_machine()
-    figures = measure(parts, wanted, _say, **{name: getattr(chosen, name) for name in switches})
-    report = report_json(figures, machine, began)
-    if chosen.output:
-        write_atomically(chosen.output, json.dumps(report, indent=1) + "\n")
-    if chosen.json:
-        print(json.dumps(report))
-        return 0
-    met = report["targets"]
-    lines = [f"{met['met']} of {met['judged']} targets met"] if met["judged"] else []
-    notes = [*lines, *machine_lines(machine), f"{report['seconds']:.0f} s"]
-    print_figures(figures, about.splitlines()[0], notes)
-    return 0
-
-
-def _say(what: str) -> None:
-    """Say on standard error what is being measured."""
-    print(f"  {what} ...", file=sys.stderr, flush=True)
 
 
 def between_marks(text: str, marks: tuple[str, str], new: str) -> str:

@@ -292,6 +292,21 @@ def test_a_log_in_another_unit_is_refused_with_the_line_that_mends_it(log):
     assert np.isfinite(cw.simulate(MODEL, mended, 0.9).metrics.rmse_V)
 
 
+def test_milliamperes_are_refused_with_the_line_that_mends_them():
+    drive = cw.load_dataset("nmc_drive_b")
+    log = replace(drive, current_A=1000.0 * drive.current_A)
+    for refuses in (
+        lambda: cw.simulate(MODEL, log),
+        lambda: cw.replay(MODEL, log),
+        lambda: cw.diagnose(MODEL, log),
+    ):
+        with pytest.raises(InputError) as caught:
+            refuses()
+    line = caught.value.action.partition(" Write ")[2].rstrip(".")
+    mended = eval(line, {"dataclasses": dataclasses, "log": log})
+    np.testing.assert_allclose(mended.current_A, drive.current_A)
+
+
 @pytest.mark.parametrize("estimator", [cw.Ekf, cw.Ukf, cw.Adaptive, cw.Coulomb])
 def test_a_filter_begins_where_it_is_told_or_where_the_log_states(estimator):
     told = estimator(MODEL).run(LOG, 0.8)

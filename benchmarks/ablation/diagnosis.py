@@ -37,7 +37,7 @@ from cellwise.logs import CellLog
 from cellwise.logs.cell_log import resample
 
 DIAGNOSE = "cellwise.diagnose"
-PHYSICS = Path(__file__).resolve().parents[2] / "tests/diagnose/physics_cases"
+PHYSICS = Path(__file__).resolve().parents[2] / "tests/acceptance/physics_cases"
 MOST_NATS = 20.0  # a lead beyond this is no news
 STEP_S, ROWS = 0.5, 6_000  # of a measured drive: 50 minutes, most of its pulses kept
 # What each effect is most easily taken for is among these; --every-cause tries all.

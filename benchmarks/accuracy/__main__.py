@@ -5,7 +5,7 @@ python -m benchmarks.accuracy [--only panasonic,cold,leaf,lfp,power] [--json]
 
 import sys
 
-from benchmarks.figures import judged_run
+from benchmarks.parts import judged_run
 
 PARTS = {
     name: (f"benchmarks.accuracy.{name}", f"{name}_figures", True)

@@ -8,6 +8,7 @@ EKF as filterpy's users write it, with the same model and noise.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from benchmarks.ablation.panel import (
 from benchmarks.ablation.run import Result, result_of
 from benchmarks.accuracy.judging import voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
+from benchmarks.parts import each_case
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
 
@@ -54,23 +56,27 @@ def cold_figures(data: Path, say: Progress) -> list[Figure]:
     """Voltage of drives left out, and the SOC from the middle, by temperature."""
     say("Panasonic, five temperatures: one model")
     model = of_all_temperatures(data)
-    figures: list[Figure] = []
-    for tag, warm in WARM_C.items():
-        say(f"Panasonic, {warm:.0f} degC from the middle")
-        nn = named(data, PANASONIC, f"drive_{tag}_nn")
-        group = f"Panasonic {warm:.0f} degC, one model of five temperatures, drives left out"
-        voltage = voltage_rmse_mV(model, nn, 1.0)
-        figures.append(
-            Figure(group, "voltage RMSE above 10 % SOC, NN", voltage, "mV",
-                   target=VOLTAGE_MV[warm], headline=True)
-        )  # fmt: skip
-        cases = list(cases_at(data, model, tag))
-        for name, called in OURS.items():
-            runs = [judged(case, name) for case in cases]
-            figures += _ours(group, called, runs, SOC_PERCENT[warm])
-        plain = [judged(case, PLAIN) for case in cases]
-        figures.append(_rmse(group, "plain EKF (filterpy)", plain, None))
-    return figures
+    cases = (
+        (f"Panasonic {warm:.0f} degC, one model of five temperatures, drives left out", tag)
+        for tag, warm in WARM_C.items()
+    )
+    return each_case(((g, partial(_at_temperature, data, model, g, tag)) for g, tag in cases), say)
+
+
+def _at_temperature(data: Path, model: CellModel, group: str, tag: str) -> list[Figure]:
+    """One temperature, by every estimator."""
+    warm = WARM_C[tag]
+    voltage = voltage_rmse_mV(model, named(data, PANASONIC, f"drive_{tag}_nn"), 1.0)
+    figures = [
+        Figure(group, "voltage RMSE above 10 % SOC, NN", voltage, "mV",
+               target=VOLTAGE_MV[warm], headline=True)
+    ]  # fmt: skip
+    cases = list(cases_at(data, model, tag))
+    for name, called in OURS.items():
+        runs = [judged(case, name) for case in cases]
+        figures += _ours(group, called, runs, SOC_PERCENT[warm])
+    plain = [judged(case, PLAIN) for case in cases]
+    return [*figures, _rmse(group, "plain EKF (filterpy)", plain, None)]
 
 
 def _ours(group: str, called: str, runs: list[Result], most: float) -> list[Figure]:

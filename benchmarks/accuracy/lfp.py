@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from benchmarks.accuracy.judging import voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
+from benchmarks.parts import each_case
 from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.estimate.estimators import make_estimator
@@ -112,17 +114,20 @@ def with_offset(model: CellModel, log: CellLog, name: str) -> list[Judged]:
 
 def lfp_figures(data: Path, say: Progress) -> list[Figure]:
     """Every temperature left out in turn."""
-    figures: list[Figure] = []
-    for tag, warm in CHAMBER_C.items():
-        say(f"A123 without {warm:.0f} degC")
-        model, log = model_without(data, tag), drive(data, tag)
-        group = f"A123 {warm:.0f} degC, no drive of it in the fit"
-        figures.append(
-            Figure(group, "voltage RMSE above 10 % SOC", voltage_rmse_mV(model, log, 1.0), "mV")
-        )
-        known = {name: from_known(model, log, name) for name in ("coulomb", *ESTIMATORS)}
-        for name in ESTIMATORS:
-            figures += _of_estimator(group, model, log, name, known)
+    cases = (
+        (f"A123 {warm:.0f} degC, no drive of it in the fit", tag) for tag, warm in CHAMBER_C.items()
+    )
+    return each_case(((group, partial(_left_out, data, group, tag)) for group, tag in cases), say)
+
+
+def _left_out(data: Path, group: str, tag: str) -> list[Figure]:
+    """One temperature."""
+    model, log = model_without(data, tag), drive(data, tag)
+    voltage_mV = voltage_rmse_mV(model, log, 1.0)
+    figures = [Figure(group, "voltage RMSE above 10 % SOC", voltage_mV, "mV")]
+    known = {name: from_known(model, log, name) for name in ("coulomb", *ESTIMATORS)}
+    for name in ESTIMATORS:
+        figures += _of_estimator(group, model, log, name, known)
     return figures
 
 
@@ -143,10 +148,11 @@ def _of_estimator(
     late = [run.error[truth < truth[0] - PASSED] for run, truth in middle]
     worst = max(float(np.sqrt(np.mean(np.square(e)))) for e in late)
     largest = max(float(np.max(np.abs(e))) for e in late)
+    wrong = f"{name}, 30 points wrong on the plateau"
     found += [
-        Figure(group, f"{name}, 30 points wrong on the plateau: rows inside two sigma",
+        Figure(group, f"{wrong}: rows inside two sigma",
                100 * inside, "%", target=95.0, at_least=True),
-        Figure(group, f"{name}, the same: SOC RMSE after 20 % of the capacity, worst start",
+        Figure(group, f"{wrong}: SOC RMSE after 20 % of the charge, worst start",
                100 * worst, "%", target=2.0, headline=name == "ekf",
                note=f"{100 * inside:.0f} % of the rows inside two deviations, largest error "
                f"{100 * largest:.1f} %"),

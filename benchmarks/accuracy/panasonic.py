@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from benchmarks.accuracy.judging import POINTS_OFF, from_the_middle, judge_soc, voltage_rmse_mV
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
+from benchmarks.parts import each_case
 from cellwise import CellTests, IdentifySettings, identify_cell
 from cellwise.cell.model import CellModel
 from cellwise.logs import CellLog
@@ -17,6 +19,7 @@ from cellwise.logs import CellLog
 CELL = "panasonic_18650pf"
 TAGS = {25.0: "p25", 10.0: "p10", 0.0: "p00", -10.0: "n10", -20.0: "n20"}
 NOMINAL_AH = 2.9
+SETTINGS = IdentifySettings(nominal_Ah=NOMINAL_AH, name="Panasonic 18650PF")
 REFERENCE_AH = 2.997
 HELD_OUT = ("us06", "hwfta", "nn", "cycle_4")
 FROM_FULL = 1.0
@@ -25,19 +28,29 @@ AFTER_S = 300.0
 
 def panasonic_figures(data: Path, say: Progress) -> list[Figure]:
     """Both identifications, four held-out drives each."""
-    tests = panasonic_tests(data)
-    held_out = [measured_log(data, f"{CELL}/drive_p25_{name}") for name in HELD_OUT]
-    settings = IdentifySettings(nominal_Ah=NOMINAL_AH, name="Panasonic 18650PF")
-    say("Panasonic: identified with two drives")
-    driven = identify_cell(tests, settings)
-    say("Panasonic: identified on laboratory tests")
-    plain = identify_cell(replace(tests, drive=()), settings)
-    group = "Panasonic 25 degC, laboratory tests + drives cycle 2, 3"
-    figures = _voltage(group, driven.model, held_out, each=18.0, mean=12.0)
-    figures += _soc(group, driven.model, held_out, after=0.6)
-    group = "Panasonic 25 degC, laboratory tests alone"
-    figures += _voltage(group, plain.model, held_out, each=25.0, mean=None)
-    return figures + _soc(group, plain.model, held_out, after=1.2)
+    driven, plain = (
+        f"Panasonic 25 degC, laboratory tests {more}" for more in ("+ drives cycle 2, 3", "alone")
+    )
+    cases = ((driven, partial(_driven, data, driven)), (plain, partial(_plain, data, plain)))
+    return each_case(cases, say)
+
+
+def _driven(data: Path, group: str) -> list[Figure]:
+    model = identify_cell(panasonic_tests(data), SETTINGS).model
+    held_out = _held_out(data)
+    voltage = _voltage(group, model, held_out, each=18.0, mean=12.0)
+    return voltage + _soc(group, model, held_out, after=0.6)
+
+
+def _plain(data: Path, group: str) -> list[Figure]:
+    model = identify_cell(replace(panasonic_tests(data), drive=()), SETTINGS).model
+    held_out = _held_out(data)
+    voltage = _voltage(group, model, held_out, each=25.0, mean=None)
+    return voltage + _soc(group, model, held_out, after=1.2)
+
+
+def _held_out(data: Path) -> list[CellLog]:
+    return [measured_log(data, f"{CELL}/drive_p25_{name}") for name in HELD_OUT]
 
 
 def panasonic_tests(data: Path, tag: str = "p25") -> CellTests:

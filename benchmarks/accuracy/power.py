@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from benchmarks.accuracy.panasonic import CELL, TAGS, panasonic_tests
 from benchmarks.figures import Figure, Progress
 from benchmarks.measured_data import measured_log
+from benchmarks.parts import BenchmarkCase, each_case
 from cellwise import (
     Adaptive,
     CellTests,
@@ -134,30 +136,42 @@ def panasonic_model(data: Path) -> tuple[CellModel, dict[float, tuple[Pulse, ...
 
 def power_figures(data: Path, say: Progress) -> list[Figure]:
     """Panasonic at five temperatures, Leaf at three, Samsung at three and three rates."""
-    say("State of power: Panasonic")
+    samsung = tuple(f"hppc_dnn01_{r}_{{}}_time_rebuilt" for r in RATES)
+    cases: tuple[BenchmarkCase, ...] = (
+        ("State of power: Panasonic", partial(_panasonic, data)),
+        (f"State of power: {LEAF}", partial(_cell, data, LEAF, LEAF_TAGS, ("hppc_{}",), 0.0)),
+        (f"State of power: {SAMSUNG}", partial(_cell, data, SAMSUNG, SAMSUNG_TAGS, samsung, 1.0)),
+    )
+    return each_case(cases, say)
+
+
+def _panasonic(data: Path) -> list[Figure]:
+    """One model, each temperature."""
     model, left_out = panasonic_model(data)
     figures: list[Figure] = []
     for temperature, pulses in left_out.items():
         log = measured_log(data, f"{CELL}/hppc_{TAGS[temperature]}")
         group = f"Panasonic {temperature:.0f} degC, one model of five temperatures"
         figures += _figures(group, model, log, pulses, targets=temperature >= -10.0)
-    for cell, tags, names in (
-        (LEAF, LEAF_TAGS, ("hppc_{}",)),
-        (SAMSUNG, SAMSUNG_TAGS, tuple(f"hppc_dnn01_{r}_{{}}_time_rebuilt" for r in RATES)),
-    ):
-        say(f"State of power: {cell}")
-        logs = {
-            (t, name): measured_log(data, f"{cell}/{name.format(tag)}")
-            for t, tag in tags.items()
-            for name in names
-        }
-        masked = {key: withheld(log) for key, log in logs.items()}
-        tests = CellTests(hppc=tuple((m, t) for (t, _), (m, _) in masked.items()))
-        model = identify_cell(tests, IdentifySettings(name=cell)).model
-        for (t, name), log in logs.items():
-            group = f"{cell} {name.format(tags[t])}, {t:.0f} degC, other SOC levels in the fit"
-            starts = 1.0 if cell == SAMSUNG else 0.0
-            figures += _figures(group, model, log, masked[t, name][1], soc0=starts)
+    return figures
+
+
+def _cell(
+    data: Path, cell: str, tags: dict[float, str], names: tuple[str, ...], soc0: float
+) -> list[Figure]:
+    """A cell whose pulse tests, from ``soc0``, are all it is identified on."""
+    logs = {
+        (t, name): measured_log(data, f"{cell}/{name.format(tag)}")
+        for t, tag in tags.items()
+        for name in names
+    }
+    masked = {key: withheld(log) for key, log in logs.items()}
+    tests = CellTests(hppc=tuple((m, t) for (t, _), (m, _) in masked.items()))
+    model = identify_cell(tests, IdentifySettings(name=cell)).model
+    figures: list[Figure] = []
+    for (t, name), log in logs.items():
+        group = f"{cell} {name.format(tags[t])}, {t:.0f} degC, other SOC levels in the fit"
+        figures += _figures(group, model, log, masked[t, name][1], soc0=soc0)
     return figures
 
 

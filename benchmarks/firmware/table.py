@@ -19,7 +19,15 @@ from typing import Any
 
 from benchmarks.example_cell import START_SOC, load_log, two_branches
 from benchmarks.figures import between_marks
-from benchmarks.firmware.cost import BANK_STEPS, DT_S, POINTS, START_STD, STEPS
+from benchmarks.firmware.cost import (
+    BANK_EVERY,
+    BANK_STEPS,
+    DT_S,
+    EVERY,
+    POINTS,
+    START_STD,
+    STEPS,
+)
 from benchmarks.measured_data import REPOSITORY
 from benchmarks.publish import commit_here
 from cellwise.estimate.fixed.fixed_step import samples_of
@@ -32,8 +40,6 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "firmware.json"
 PAGE = REPOSITORY / "docs" / "firmware.md"
 README = REPOSITORY / "README.md"
 MARKS = "<!-- cost: printed by benchmarks/firmware/table.py -->", "<!-- end of cost -->"
-EVERY = 50  # steps of the drive between two that are counted: 100 of them
-BANK_EVERY = 3
 WRONG_START, WRONG_STD = 0.3, 0.15
 CALLED = {
     "cortex-m4f": "Cortex-M4F",

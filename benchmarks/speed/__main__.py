@@ -5,7 +5,7 @@ python -m benchmarks.speed [--only simulate,filter,file] [--full] [--json]
 
 import sys
 
-from benchmarks.figures import judged_run
+from benchmarks.parts import judged_run
 
 PARTS = {
     "simulate": ("benchmarks.speed.simulation", "simulate_figures", False),

@@ -7,9 +7,9 @@ import pytest
 from benchmarks.accuracy import __main__ as accuracy
 from benchmarks.accuracy.judging import from_the_middle, judge_soc, voltage_rmse_mV
 from benchmarks.example_cell import START_SOC, load_log, three_branches
-from benchmarks.figures import measure
 from benchmarks.firmware import __main__ as firmware
 from benchmarks.measured_data import data_folder
+from benchmarks.parts import measure
 from benchmarks.speed import __main__ as speed
 
 from cellwise.logs import CellLog

@@ -6,18 +6,19 @@ import json
 import re
 
 import pytest
-from benchmarks.figures import between_marks
-from benchmarks.firmware import table
-from benchmarks.publish import (
+from benchmarks.accuracy_page import (
     MARKS,
     MOST_ROWS,
     PAGE,
     README,
-    RESULTS,
+    family_of,
     headlines,
     page_of,
     readme_table,
 )
+from benchmarks.figures import between_marks
+from benchmarks.firmware import table
+from benchmarks.publish import RESULTS
 from doc_blocks import DOCS, PAGES, page_name
 
 MEASURED = {
@@ -47,8 +48,27 @@ def test_the_table_of_the_readme_is_printed_from_the_results(results):
 
 
 def test_results_say_of_which_commit_and_day_they_are(results):
-    assert re.fullmatch(r"[0-9a-f]{8}", results["commit"]), "measured beside changes of no commit"
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d", results["date"])
+    for row in results["figures"]:
+        assert re.fullmatch(r"[0-9a-f]{8}", row["commit"]), "measured beside changes of no commit"
+        assert re.fullmatch(r"\d{4}-\d\d-\d\d", row["date"])
+
+
+def test_rows_of_two_commits_say_so_each(results):
+    """No row stands under the commit of another."""
+    rows = [dict(row) for row in results["figures"]]
+    last = family_of(headlines(results)[-1])
+    other = {**headlines(results)[-1], "group": "another cell", "commit": "0123abcd"}
+    page = page_of({**results, "figures": [*rows, other]})
+    assert "Commit `0123abcd`" in page.partition("## another cell")[2]
+    assert "Commit `0123abcd`" not in page.partition("## another cell")[0]
+    assert f"Commit `{rows[-1]['commit']}`" in page.partition(f"## {last}")[2]
+
+
+def test_a_row_that_was_not_measured_leaves_its_cell_of_the_readme_empty(results):
+    lost = next(f for f in headlines(results) if f["who"].startswith("EKF, under load"))
+    kept = {**results, "figures": [f for f in results["figures"] if f != lost]}
+    row = next(line for line in readme_table(kept).splitlines() if line.startswith("| EKF |"))
+    assert row.split("|")[2].strip() == ""
 
 
 def test_more_rows_than_a_page_has_room_for_are_refused(results):

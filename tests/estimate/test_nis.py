@@ -60,6 +60,18 @@ def test_an_error_that_is_larger_on_one_scale_shows_there():
     assert larger[3] / usual[3] > 5.0
 
 
+@pytest.mark.parametrize(("unseen", "low", "high"), [(0.2, 0.5, 2.0), (0.0, 4.0, np.inf)])
+def test_a_polarisation_that_no_test_could_show_is_stated_where_it_moves(unseen, low, high):
+    """A fifth of every load's polarisation is missed, with loads that last five minutes."""
+    model = curved_cell(error=replace(STATED, unseen_share=unseen))
+    current = np.where(np.arange(ROWS) // 300 % 2 == 0, 1.2, 0.0)
+    log = CellLog(np.arange(float(ROWS)), current, np.full(ROWS, 3.7))
+    clean = simulate_from(curved_cell(), log, 0.9)
+    missed = 0.2 * (np.interp(clean.soc, model.soc, model.ocv_V[0]) - clean.voltage_V)
+    found = replay(model, replace(log, voltage_V=clean.voltage_V - missed), soc0=0.9, soc0_std=0.01)
+    assert low < found.nis[3] < high
+
+
 def test_without_voltages_there_is_none():
     model, log = curved_cell(error=STATED), drive(0)
     held = np.where(np.arange(ROWS) < 10, log.voltage_V, np.nan)

@@ -36,6 +36,7 @@ from cellwise.cell.plausibility.notice import (
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.charge import check_current
 from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
@@ -210,6 +211,7 @@ def _known(value: float) -> float | None:
 def simulate(model: CellModel, log: CellLog, soc0: float, h0: float | None = None) -> Simulation:
     """Simulate a log from a known initial SOC; the public one also finds it."""
     check_is_log(log)
+    check_current(log, model.capacity_Ah)
     soc0 = check_soc0(soc0)
     if h0 is not None:
         h0 = number("h0", h0, "from -1 after a discharge to 1 after a charge, or None")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
 from cellwise.arguments import number
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.sizes import check_is_model
+from cellwise.cell.plausibility.sizes import check_is_model, check_log_of
 from cellwise.diagnose.applied import (
     Applied,
     Gain,
@@ -101,6 +102,8 @@ def diagnose(
     """
     check_is_model(model)
     groups = tuple(logs_of(g) for g in (logs, holdout, baseline))
+    for log in chain(*groups):
+        check_log_of(model, log)
     if not groups[0]:
         raise InputError("no log", "at least one log to explain", "Name a log.")
     if reference_capacity_Ah is not None:

@@ -23,7 +23,7 @@ from cellwise.cell.plausibility.notice import (
     prediction_notices,
     times_stated,
 )
-from cellwise.cell.plausibility.sizes import check_is_model
+from cellwise.cell.plausibility.sizes import check_log_of
 from cellwise.cell.plausibility.validity import UNKNOWN, Validity
 from cellwise.cell.simulate import check_soc0, simulate
 from cellwise.errors import InputError
@@ -42,7 +42,6 @@ from cellwise.estimate.trace import (
     soc_step,
 )
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import check_is_log
 from cellwise.notices import Code, Notice
 from cellwise.plotting import Line, Panel, Plottable, Tabular
 from cellwise.typing import FloatArray
@@ -386,8 +385,7 @@ def replay(
                       for, and no limit is known (see `power_limits`); a sensor for an estimator
                       that is made already
     """
-    check_is_model(model)
-    check_is_log(log)
+    check_log_of(model, log)
     if sensor is not None:
         check_kind("sensor", sensor, Sensor, "Write Sensor(current_offset_A=0.05), say.")
         if not isinstance(estimator, str):

@@ -178,6 +178,8 @@ def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, .
 
     The SOC follows the slowest part of an error: of a variance e^2 an estimate whose own is
     (slope x std)^2 has taken that share of both, and e^2 / (1 + (slope x std)^2 / e^2) is left.
+    A share of the polarisation that no test could show, since no load lasted, errs on the scales of
+    minutes as the polarisation itself moves there.
     The first rows, whose voltage shows where the log begins rather than how good the model is, do
     not count. None where too few voltages were used.
     """
@@ -191,11 +193,15 @@ def nis_by_scale(model: CellModel, log: CellLog, trace: Trace) -> tuple[float, .
     warm = float(np.nanmedian(known_temperature_C(model, log)))
     ocv = model.ocv_at(warm)
     drop = np.interp(soc, model.soc, ocv) - (log.voltage_V - innovation)[used]
+    hidden = drop * np.where(drop >= 0.0, error.hidden_share(1.0), error.hidden_share(-1.0))
+    unseen = in_bands(log.time_s[used], hidden, error.scales_s)
     explained = np.interp(soc, model.soc, np.gradient(ocv, model.soc)) * trace.soc_std[used]
     found = []
     for k, band in enumerate(bands):
         share = np.where(drop >= 0.0, error.shares(1.0)[k], error.shares(-1.0)[k])
         stated = error.variance_V2(k, soc, warm) + (share * drop) ** 2
+        if error.scales_s[k] > MINUTE_S:
+            stated = stated + unseen[k] ** 2
         if k + 1 == len(bands):
             stated = stated**2 / (stated + explained**2 + 1e-12)
         found.append(float(np.mean(band**2) / max(float(np.mean(stated)), 1e-12)))

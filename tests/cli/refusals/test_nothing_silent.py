@@ -42,7 +42,6 @@ def milliampere(log):
 # What is done to a drive, and what every command has to say first.
 SPOILED = {
     "every second stamp repeated": (spoiled_time, "time LOOKS WRONG"),
-    "milliampere": (milliampere, "current LOOKS WRONG"),
     "current 0 throughout": (
         lambda log: {"current_A": np.zeros(len(log)), "charge_Ah": None},
         "current LOOKS WRONG: it is 0 throughout",
@@ -81,6 +80,18 @@ def test_a_wrong_channel_is_said_first(run_json, model, spoiled, tmp_path, capsy
     assert main(["replay", "--model", model, path]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  !")]
     assert said in lines[0]
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_milliamperes_are_said_first_and_refused_beside_a_model(
+    command, run_json, model, tmp_path, capsys
+):
+    log = load_dataset("nmc_drive_b")
+    path = str(write_log(replace(log, **milliampere(log)), tmp_path / "spoiled.parquet"))
+    assert "current LOOKS WRONG" in first_notice(run_json, "inspect", path)
+    capsys.readouterr()
+    assert main([command, "--model", model, path]) == 2
+    assert "Milliamperes?" in capsys.readouterr().err
 
 
 @pytest.mark.slow

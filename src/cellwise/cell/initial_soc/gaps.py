@@ -10,12 +10,11 @@ import numpy as np
 
 from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.sizes import check_is_model
+from cellwise.cell.plausibility.sizes import check_log_of
 from cellwise.cell.plausibility.validity import check_cells_in_series
 from cellwise.cell.simulate import Simulation
 from cellwise.cell.simulate import simulate as simulate_from
 from cellwise.logs.cell_log import CellLog
-from cellwise.logs.checks.units import check_is_log
 from cellwise.logs.gaps import uncounted_pauses
 from cellwise.notices import Code, Notice
 
@@ -116,8 +115,7 @@ def simulate(
     ------
     InputError            soc0 outside 0..1; without a start, a pack read as one cell
     """
-    check_is_model(model)
-    check_is_log(log)
+    check_log_of(model, log)
     if soc0 is None:
         check_cells_in_series(model, log)
     return simulate_stretches(model, log, initial_soc(model, log, soc0, whole_log=True), h0)

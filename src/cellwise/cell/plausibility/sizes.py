@@ -12,7 +12,9 @@ from cellwise.arguments import check_kind
 from cellwise.cell.effects import SlowDiffusion
 from cellwise.cell.model import RESISTANCES, CellModel
 from cellwise.errors import InputError
-from cellwise.logs.checks.units import LARGEST_AH, LARGEST_V
+from cellwise.logs.cell_log import CellLog
+from cellwise.logs.checks.charge import check_current
+from cellwise.logs.checks.units import LARGEST_AH, LARGEST_V, check_is_log
 from cellwise.logs.files.columns import KELVIN_OFFSET
 
 
@@ -74,6 +76,18 @@ def check_is_model(model: CellModel | None) -> CellModel:
     model = check_kind("model", model, CellModel, "Read one with read_model('model.json').")
     check_physical(model)
     return model
+
+
+def check_log_of(model: CellModel, log: CellLog) -> None:
+    """Refuse what is no model, what is no log, and a log of which this cannot be the model.
+
+    Raises
+    ------
+    InputError        as :func:`check_is_model`; millivolts, kelvin, mAh or milliamperes in the log
+    """
+    check_is_model(model)
+    check_is_log(log)
+    check_current(log, model.capacity_Ah)
 
 
 def check_physical(model: CellModel, where: str = "") -> None:
