@@ -163,7 +163,7 @@ def test_a_log_outside_the_model_s_data_is_said_first(model, drive, run_json, ca
     assert notice[:30] in capsys.readouterr().out.splitlines()[0]
 
 
-def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
+def test_where_nothing_is_wrong_the_model_that_is_written_is_the_old_one(bench, run_json, tmp_path, capsys):
     log = read_log(bench / "drive.csv")
     good = tmp_path / "good.csv"
     write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V), good)
@@ -175,8 +175,9 @@ def test_nothing_wrong_gives_no_model(bench, run_json, tmp_path, capsys):
     assert found["extended_model"] is None
     assert found["corrected"] == []
     assert main(["diagnose", *arguments, "-o", str(out)]) == 0
-    assert "was not written" in capsys.readouterr().out
-    assert not out.exists()
+    assert "no cause changes the model" in capsys.readouterr().out
+    kept, old = read_model(out), read_model(bench / "cell.json")
+    assert simulate(kept, log, 0.9).rmse_V == simulate(old, log, 0.9).rmse_V
     assert not (tmp_path / "c").exists()
 
 

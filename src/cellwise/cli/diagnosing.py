@@ -75,7 +75,7 @@ def run_diagnose(arguments: argparse.Namespace) -> None:
         for path in place if isinstance(place, list) else [place] if place else []:
             printing.say(f"{name.replace('_', ' ')}: {path}")
     if arguments.output and written["extended_model"] is None:
-        printing.say(f"no cause was accepted: '{arguments.output}' was not written")
+        printing.say(f"no cause changes the model: '{arguments.output}' is as '{arguments.model}'")
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
@@ -103,7 +103,6 @@ def _files(paths: list[str]) -> list[Path]:
 
 def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
     """Write model, logs and page; where they are."""
-    extended = found.extended_model
     written: dict[str, Any] = {"extended_model": None, "corrected": [], "report": None}
     with page_options.page_places(arguments) as pages:
         if pages is not None:
@@ -114,9 +113,10 @@ def _write(found: Diagnosis, arguments: argparse.Namespace) -> dict[str, Any]:
         written["report"] = arguments.report
     if arguments.corrected and any(c.kind == "measurement" for c in found.causes):
         written["corrected"] = _write_logs(found.corrected, arguments.corrected)
-    if arguments.output and extended is not None:
-        write_model(extended, arguments.output)
-        written["extended_model"] = arguments.output
+    if arguments.output:
+        # The next command reads it either way: where no cause changes the model it stays as it is.
+        write_model(found.extended_model or found.model, arguments.output)
+        written["extended_model"] = arguments.output if found.extended_model else None
     return written
 
 
