@@ -63,13 +63,15 @@ static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_
     const float weight = as_shown(i->one_V2 * shared.above, x->mismatch);
     if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
         const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
-        move(x, &i->column, inverse, innovation);
-        narrow(x, &i->column, inverse);
-        persist(c, x, p, w->slope_V, i->column.s * inverse);
+        cellwise_column k;
+        scaled(&i->column, inverse, &k);
+        move(x, &k, innovation);
+        narrow(x, &k, &i->column);
+        persist(c, x, p, w->slope_V, k.s);
         if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
             contradict(c, x, w, s, i->one_V2, innovation);
         }
-        ask_for_offset(x, i, innovation, inverse);
+        ask_for_offset(x, i, innovation, k.s, inverse);
     }
     x->rejections = 0u;
     if (x->evidence < FIRST_VOLTAGE) {
@@ -96,10 +98,12 @@ static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const ce
         component_update(innovation, i->variance_V2, c->gate_square, i->explained_V2, weight, shared.below, share,
                          &used);
         x->cost = x->cost + used.cost;
-        move(x, &i->column, used.inverse, used.off_V);
-        narrow(x, &i->column, used.inverse);
-        persist(c, x, p, w->slope_V, i->column.s * used.inverse);
-        ask_for_offset(x, i, used.off_V, used.inverse);
+        cellwise_column k;
+        scaled(&i->column, used.inverse, &k);
+        move(x, &k, used.off_V);
+        narrow(x, &k, &i->column);
+        persist(c, x, p, w->slope_V, k.s);
+        ask_for_offset(x, i, used.off_V, k.s, used.inverse);
     }
     if (x->evidence < FIRST_VOLTAGE) {
         x->evidence = FIRST_VOLTAGE;

@@ -5,15 +5,66 @@
 
 #include "cellwise_lookup.h"
 
-/* P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains. */
+/* P H', the covariance of every state with the voltage, or a gain. */
 typedef struct {
-    float variance;
     float s;
     float v1;
     float v2;
     float v3;
     float h;
 } cellwise_column;
+
+/* P H' with H = [slope, -1, -1, -1, m]. */
+static void column_of(const cellwise_state *x, float slope_V, float m_V, cellwise_column *column)
+{
+    column->s = ((((slope_V * x->ss) - x->s1) - x->s2) - x->s3) + (m_V * x->sh);
+    column->v1 = ((((slope_V * x->s1) - x->p11) - x->p12) - x->p13) + (m_V * x->p1h);
+    column->v2 = ((((slope_V * x->s2) - x->p12) - x->p22) - x->p23) + (m_V * x->p2h);
+    column->v3 = ((((slope_V * x->s3) - x->p13) - x->p23) - x->p33) + (m_V * x->p3h);
+    column->h = ((((slope_V * x->sh) - x->p1h) - x->p2h) - x->p3h) + (m_V * x->phh);
+}
+
+/* H P H', the variance of the voltage that the state explains [V^2]. */
+static float explained(const cellwise_column *d, float slope_V, float m_V)
+{
+    const float variance = ((((slope_V * d->s) - d->v1) - d->v2) - d->v3) + (m_V * d->h);
+    return (variance > 0.0f) ? variance : 0.0f;
+}
+
+/* A column times a number: a gain. */
+static void scaled(const cellwise_column *d, float factor, cellwise_column *column)
+{
+    column->s = d->s * factor;
+    column->v1 = d->v1 * factor;
+    column->v2 = d->v2 * factor;
+    column->v3 = d->v3 * factor;
+    column->h = d->h * factor;
+}
+
+/* P H' where the slow branch itself is measured. */
+static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
+{
+    column->s = x->s3;
+    column->v1 = x->p13;
+    column->v2 = x->p23;
+    column->v3 = x->p33;
+    column->h = x->p3h;
+}
+
+/* Only the diagonal stays. */
+static void forget_correlations(cellwise_state *x)
+{
+    x->s1 = 0.0f;
+    x->s2 = 0.0f;
+    x->s3 = 0.0f;
+    x->sh = 0.0f;
+    x->p12 = 0.0f;
+    x->p13 = 0.0f;
+    x->p1h = 0.0f;
+    x->p23 = 0.0f;
+    x->p2h = 0.0f;
+    x->p3h = 0.0f;
+}
 
 /* A variance of SOC that is large changes by less than rounding keeps of it. */
 static void add_variance(cellwise_state *x, float value)
@@ -40,21 +91,6 @@ static bool covariance_is_sound(const cellwise_state *x)
     if (!SIZE_WITHIN(x->p3h, LARGE)) { return false; }
     if (!NOT_NEGATIVE(x->phh, LARGE)) { return false; }
     return true;
-}
-
-/* Only the diagonal stays. */
-static void forget_correlations(cellwise_state *x)
-{
-    x->s1 = 0.0f;
-    x->s2 = 0.0f;
-    x->s3 = 0.0f;
-    x->sh = 0.0f;
-    x->p12 = 0.0f;
-    x->p13 = 0.0f;
-    x->p1h = 0.0f;
-    x->p23 = 0.0f;
-    x->p2h = 0.0f;
-    x->p3h = 0.0f;
 }
 
 /* SOC known with a variance, branches at rest, nothing known of hysteresis. */
@@ -118,81 +154,55 @@ static void forget_hysteresis(cellwise_state *x)
 static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float flow)
 {
     const float f1 = (w->rise1 * p->gain1) * flow;
+    const float after1 = x->s1 + (f1 * x->ss);
     const float f2 = (w->rise2 * p->gain2) * flow;
+    const float after2 = x->s2 + (f2 * x->ss);
     const float f3 = (w->rise3 * p->gain3) * flow;
-    x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, x->s1, x->ss);
-    x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, x->s2, x->ss);
-    x->p13 = x->p13 + covariance_by_soc(f1, f3, x->s1, x->s3, x->ss);
-    x->p22 = x->p22 + covariance_by_soc(f2, f2, x->s2, x->s2, x->ss);
-    x->p23 = x->p23 + covariance_by_soc(f2, f3, x->s2, x->s3, x->ss);
-    x->p33 = x->p33 + covariance_by_soc(f3, f3, x->s3, x->s3, x->ss);
+    const float after3 = x->s3 + (f3 * x->ss);
+    x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, after1);
+    x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, after2);
+    x->p13 = x->p13 + covariance_by_soc(f1, f3, x->s1, after3);
+    x->p22 = x->p22 + covariance_by_soc(f2, f2, x->s2, after2);
+    x->p23 = x->p23 + covariance_by_soc(f2, f3, x->s2, after3);
+    x->p33 = x->p33 + covariance_by_soc(f3, f3, x->s3, after3);
     x->p1h = x->p1h + (f1 * x->sh);
-    x->s1 = x->s1 + (f1 * x->ss);
+    x->s1 = after1;
     x->p2h = x->p2h + (f2 * x->sh);
-    x->s2 = x->s2 + (f2 * x->ss);
+    x->s2 = after2;
     x->p3h = x->p3h + (f3 * x->sh);
-    x->s3 = x->s3 + (f3 * x->ss);
-}
-
-/* The column, and the innovation variance that the state explains. */
-static void column_of(const cellwise_state *x, const cellwise_point *p, float slope, cellwise_column *column)
-{
-    column->s = ((((slope * x->ss) - x->s1) - x->s2) - x->s3) + (p->m_V * x->sh);
-    column->v1 = ((((slope * x->s1) - x->p11) - x->p12) - x->p13) + (p->m_V * x->p1h);
-    column->v2 = ((((slope * x->s2) - x->p12) - x->p22) - x->p23) + (p->m_V * x->p2h);
-    column->v3 = ((((slope * x->s3) - x->p13) - x->p23) - x->p33) + (p->m_V * x->p3h);
-    column->h = ((((slope * x->sh) - x->p1h) - x->p2h) - x->p3h) + (p->m_V * x->phh);
-    column->variance = ((((slope * column->s) - column->v1) - column->v2) - column->v3) + (p->m_V * column->h);
-    column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;
-}
-
-/* The same where the slow branch itself is measured. */
-static void column_of_slow_branch(const cellwise_state *x, cellwise_column *column)
-{
-    column->variance = 0.0f;
-    column->s = x->s3;
-    column->v1 = x->p13;
-    column->v2 = x->p23;
-    column->v3 = x->p33;
-    column->h = x->p3h;
-    column->variance = x->p33;
+    x->s3 = after3;
 }
 
 /* State + K innovation. */
-static void move(cellwise_state *x, const cellwise_column *d, float inverse, float innovation)
+static void move(cellwise_state *x, const cellwise_column *k, float innovation)
 {
-    add(&x->soc, &x->soc_carry, (d->s * inverse) * innovation);
-    x->v1_V = x->v1_V + ((d->v1 * inverse) * innovation);
-    x->v2_V = x->v2_V + ((d->v2 * inverse) * innovation);
-    add(&x->v3_V, &x->v3_carry_V, (d->v3 * inverse) * innovation);
-    x->h = x->h + ((d->h * inverse) * innovation);
+    add(&x->soc, &x->soc_carry, k->s * innovation);
+    x->v1_V = x->v1_V + (k->v1 * innovation);
+    x->v2_V = x->v2_V + (k->v2 * innovation);
+    add(&x->v3_V, &x->v3_carry_V, k->v3 * innovation);
+    x->h = x->h + (k->h * innovation);
     x->h = clip(x->h, -1.0f, 1.0f);
 }
 
 /* P - K d', row by row. */
-static void narrow(cellwise_state *x, const cellwise_column *d, float inverse)
+static void narrow(cellwise_state *x, const cellwise_column *k, const cellwise_column *d)
 {
-    float k = d->s * inverse;
-    add_variance(x, -(k * d->s));
+    add_variance(x, -(k->s * d->s));
     x->ss = clip(x->ss, VARIANCE_FLOOR, LARGE);
-    x->s1 = x->s1 - (k * d->v1);
-    x->s2 = x->s2 - (k * d->v2);
-    x->s3 = x->s3 - (k * d->v3);
-    x->sh = x->sh - (k * d->h);
-    k = d->v1 * inverse;
-    x->p11 = at_least(x->p11 - (k * d->v1), 0.0f);
-    x->p12 = x->p12 - (k * d->v2);
-    x->p13 = x->p13 - (k * d->v3);
-    x->p1h = x->p1h - (k * d->h);
-    k = d->v2 * inverse;
-    x->p22 = at_least(x->p22 - (k * d->v2), 0.0f);
-    x->p23 = x->p23 - (k * d->v3);
-    x->p2h = x->p2h - (k * d->h);
-    k = d->v3 * inverse;
-    x->p33 = at_least(x->p33 - (k * d->v3), 0.0f);
-    x->p3h = x->p3h - (k * d->h);
-    k = d->h * inverse;
-    x->phh = at_least(x->phh - (k * d->h), 0.0f);
+    x->s1 = x->s1 - (k->s * d->v1);
+    x->s2 = x->s2 - (k->s * d->v2);
+    x->s3 = x->s3 - (k->s * d->v3);
+    x->sh = x->sh - (k->s * d->h);
+    x->p11 = at_least(x->p11 - (k->v1 * d->v1), 0.0f);
+    x->p12 = x->p12 - (k->v1 * d->v2);
+    x->p13 = x->p13 - (k->v1 * d->v3);
+    x->p1h = x->p1h - (k->v1 * d->h);
+    x->p22 = at_least(x->p22 - (k->v2 * d->v2), 0.0f);
+    x->p23 = x->p23 - (k->v2 * d->v3);
+    x->p2h = x->p2h - (k->v2 * d->h);
+    x->p33 = at_least(x->p33 - (k->v3 * d->v3), 0.0f);
+    x->p3h = x->p3h - (k->v3 * d->h);
+    x->phh = at_least(x->phh - (k->h * d->h), 0.0f);
 }
 
 #endif

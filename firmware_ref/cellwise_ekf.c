@@ -10,6 +10,7 @@
 #include "cellwise_start.h"
 #include "cellwise_likelihood.h"
 #include "cellwise_offset.h"
+#include "cellwise_place.h"
 #include "cellwise_lookup.h"
 #include "cellwise_covariance.h"
 #include "cellwise_state.h"

@@ -24,10 +24,10 @@ static void chord_of(float low_V, float low_ohm, float high_V, float high_ohm, f
 }
 
 /* What two branches have in common because a SOC that is off drives both. Each by the slope of its resistance;
- * `with1` and `with2` are their covariances with the SOC. */
-static float covariance_by_soc(float drive1, float drive2, float with1, float with2, float variance)
+ * `with1` is the covariance of the first with the SOC, `after2` that of the second once it is driven. */
+static float covariance_by_soc(float drive1, float drive2, float with1, float after2)
 {
-    return ((drive1 * with2) + (drive2 * with1)) + ((drive1 * drive2) * variance);
+    return (drive1 * after2) + (drive2 * with1);
 }
 
 /* Of a voltage that bends by c at one deviation of SOC: off its tangent by c z^2, 3 c^2. */

@@ -128,9 +128,8 @@ static float dropped_by_offset(const cellwise_constants *c, const cellwise_state
 }
 
 /* What a voltage that has moved the state says of an offset, and where that moves the SOC. */
-static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float inverse)
+static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float gain, float inverse)
 {
-    const float gain = i->column.s * inverse;
     const float before = x->believed * x->reach;
     const float own_V = innovation + i->followed_V;
     cellwise_offset now;
@@ -156,8 +155,8 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->one_V2 = voltage_variance(p->noise_V2, share, innovation->polarisation_V, current_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
-    column_of(x, p, w->slope_V, &innovation->column);
-    innovation->explained_V2 = bent_variance(innovation->column.variance, w->bend_V);
+    column_of(x, w->slope_V, p->m_V, &innovation->column);
+    innovation->explained_V2 = bent_variance(explained(&innovation->column, w->slope_V, p->m_V), w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
     innovation->of_offset_V = 0.0f;
     innovation->followed_V = 0.0f;

@@ -22,6 +22,12 @@ static float edge(float t, float soc, float std)
     return at;
 }
 
+/* The slow branch at one SOC: resistance, and what it loses or gains in a unit of time. */
+typedef struct {
+    float r3_ohm;
+    float gain3;
+} cellwise_slowbranch;
+
 /* Where a component begins: its SOC, the variance of that, and what speaks against it. */
 typedef struct {
     float soc;

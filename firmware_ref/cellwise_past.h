@@ -13,8 +13,8 @@ static NOINLINE float left_by_load(const cellwise_model *m, const cellwise_place
     const float steps = PAST_PART / (m->constant.soc_per_A * size);
     const uint32_t parts = (uint32_t)parts_before(soc, mean_A);
     for (uint32_t k = 0u; k < parts; k++) {
-        cellwise_point p;
-        look_up(m, place, soc_on_way((float)(k + 1u), mean_A), mean_A, &p);
+        cellwise_slowbranch p;
+        slow_branch(m, place, soc_on_way((float)(k + 1u), mean_A), mean_A, &p);
         const float end = p.r3_ohm * ((mean_A >= 0.0f) ? size : -size);
         before = before + (risen(steps * p.gain3) * (end - before));
     }
@@ -28,8 +28,8 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, mean_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, mean_A, &p);
     const float before = left_by_load(m, &place, mean_A, a->soc);
     const float gone = risen(since * p.gain3);
     cellwise_past past;
@@ -38,10 +38,11 @@ static NOINLINE void know_past(const cellwise_model *m, cellwise_state *a, float
     column_of_slow_branch(a, &d);
     const float variance = a->p33 + past.variance_V2;
     const float off = past.held_V - a->v3_V;
-    const float inverse = 1.0f / variance;
+    cellwise_column k;
+    scaled(&d, 1.0f / variance, &k);
     a->cost = a->cost + cost_of_past(off, variance);
-    move(a, &d, inverse, off);
-    narrow(a, &d, inverse);
+    move(a, &k, off);
+    narrow(a, &k, &d);
     hold_within(a);
 }
 
@@ -52,8 +53,8 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, mean_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, mean_A, &p);
     const float taken = left_by_load(m, &place, before_A, a->soc);
     const float more = left_by_load(m, &place, mean_A, a->soc) - taken;
     const float gone = risen(since * p.gain3);
@@ -61,7 +62,9 @@ static NOINLINE void know_past_better(const cellwise_model *m, cellwise_state *a
     past_of(p.r3_ohm, gone, 0.0f, taken, m->constant.past_A, &past);
     cellwise_column d;
     column_of_slow_branch(a, &d);
-    move(a, &d, 1.0f / at_least(a->p33, past.variance_V2), (1.0f - gone) * more);
+    cellwise_column k;
+    scaled(&d, 1.0f / at_least(a->p33, past.variance_V2), &k);
+    move(a, &k, (1.0f - gone) * more);
     hold_within(a);
 }
 
@@ -70,8 +73,8 @@ static void open_slow_branch(const cellwise_model *m, cellwise_state *a)
 {
     cellwise_place place;
     place_now(m, a, &place);
-    cellwise_point p;
-    look_up(m, &place, a->soc, a->current_A, &p);
+    cellwise_slowbranch p;
+    slow_branch(m, &place, a->soc, a->current_A, &p);
     const float wide_V = m->constant.bank_A * p.r3_ohm;
     a->p33 = a->p33 + (wide_V * wide_V);
 }

@@ -82,6 +82,7 @@ PARTS = {
     "start": "What branches may hold that nobody has seen before.",
     "likelihood": "What a voltage and the past say against one of several filters.",
     "offset": "What rests and voltages say of a current that is off all the time.",
+    "place": "Where a temperature and a SOC lie between the tables.",
     "lookup": "Tables at one SOC, temperature and current.",
     "covariance": "What a step does to P, and to the state through it.",
     "state": "Whether a state is sound, where it starts, what an interval does to it.",
@@ -100,6 +101,7 @@ PARTS = {
 }
 FIRST = {
     "components.py": "likelihood",
+    "lookup.py": "place", "resistances_at": "lookup",
     "step.py": "correction", "begin_at": "step",
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
     "is_lost": "bank",

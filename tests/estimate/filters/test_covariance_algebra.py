@@ -7,6 +7,7 @@ import pytest
 
 from cellwise.cell.description import CELL, entry, triangle
 from cellwise.cell.equations import Transition
+from cellwise.estimate.equations.covariance import Column, column_of, explained
 from cellwise.estimate.filters import covariance_kernels as five
 
 T = Transition(a1=0.9, a2=0.8, a3=0.99, ah=0.7, gs=-1e-3, g1=0.05, g2=0.06, g3=0.02)
@@ -64,16 +65,16 @@ def test_noise_of_the_current_drives_soc_and_branches_together():
 
 def test_column_is_p_h_transposed():
     p, h = drawn(5), H
-    d = five.column(record(p), *OUTPUT)
+    d = column_of(record(p), *OUTPUT)
     np.testing.assert_allclose(d, p @ h, rtol=1e-12)
-    assert five.explained(d, *OUTPUT) == pytest.approx(h @ p @ h)
+    assert explained(d, *OUTPUT) == pytest.approx(h @ p @ h)
 
 
 def test_corrected_is_the_kalman_update():
     p, h = drawn(6), H
     d = p @ h
     gain = d / (h @ d + 0.5)
-    found = five.corrected(record(p), five.Column(*gain), five.Column(*d))
+    found = five.corrected(record(p), Column(*gain), Column(*d))
     np.testing.assert_allclose(matrix(found), p - np.outer(gain, d), atol=1e-12)
 
 
@@ -81,11 +82,11 @@ def test_given_the_soc_and_back():
     """P less the outer product of its first column over its root has no SOC left in it."""
     p = drawn(8)
     along = p[0] / np.sqrt(p[0, 0])
-    found = matrix(five.without_outer(record(p), five.Column(*along)))
+    found = matrix(five.without_outer(record(p), Column(*along)))
     want = p - np.outer(along, along)
     np.testing.assert_allclose(found[1:, 1:], want[1:, 1:], rtol=1e-12)
-    none = five.Column(0.0, 0.0, 0.0, 0.0, 0.0)
-    back = five.with_outer(record(found), five.Column(*along), 1.0, none)
+    none = Column(0.0, 0.0, 0.0, 0.0, 0.0)
+    back = five.with_outer(record(found), Column(*along), 1.0, none)
     np.testing.assert_allclose(matrix(back)[1:, 1:], p[1:, 1:], rtol=1e-12)
-    row = five.with_soc_row(record(p), 2.0, five.Column(*along), 3.0)
+    row = five.with_soc_row(record(p), 2.0, Column(*along), 3.0)
     np.testing.assert_allclose(matrix(row)[0], [2.0, *(3.0 * along[1:])])

@@ -49,17 +49,20 @@ from cellwise.estimate.equations.constants import (
     PAST_PART,
     WIDE_VARIANCE,
 )
-from cellwise.estimate.equations.evidence import lately_shown
-from cellwise.estimate.filters.component_kernels import (
+from cellwise.estimate.equations.covariance import (
     column_of_slow_branch,
     forget_correlations,
+    scaled,
+)
+from cellwise.estimate.equations.evidence import lately_shown
+from cellwise.estimate.filters.component_kernels import (
     has_voltage,
     hold_within,
     is_new,
-    look_up,
     move,
     narrow,
     place_now,
+    slow_branch,
     stand_alone,
     stand_in_bank,
     step,
@@ -204,7 +207,7 @@ def left_by_load(m: Model, place: Place, mean_A: float, soc: float) -> float:
     steps = PAST_PART / (m.constant.soc_per_A * size)
     parts = U(parts_before(soc, mean_A))
     for k in range(parts):
-        p = look_up(m, place, soc_on_way(F(k + 1), mean_A), mean_A)
+        p = slow_branch(m, place, soc_on_way(F(k + 1), mean_A), mean_A)
         for i in (V3,):
             end = p.r[i] * (size if mean_A >= 0.0 else -size)
             before = before + (risen(steps * p.gain[i]) * (end - before))
@@ -221,7 +224,7 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
     comes late: the slow branch has been followed from nothing known.
     """
     place = place_now(m, a)
-    p = look_up(m, place, a.soc, mean_A)
+    p = slow_branch(m, place, a.soc, mean_A)
     before = left_by_load(m, place, mean_A, a.soc)
     for i in (V3,):
         gone = risen(since * p.gain[i])
@@ -229,10 +232,10 @@ def know_past(m: Model, a: State, since: float, mean_A: float) -> None:
         d = column_of_slow_branch(a)
         variance = a.p[i, i] + past.variance_V2
         off = past.held_V - a.state[i]
-        inverse = 1.0 / variance
+        k = scaled(d, 1.0 / variance)
         a.cost = a.cost + cost_of_past(off, variance)
-        move(a, d, inverse, off)
-        narrow(a, d, inverse)
+        move(a, k, off)
+        narrow(a, k, d)
     hold_within(a)
 
 
@@ -245,14 +248,15 @@ def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: 
     What has been taken for the branch's and was not is the SOC's, as far as they go together.
     """
     place = place_now(m, a)
-    p = look_up(m, place, a.soc, mean_A)
+    p = slow_branch(m, place, a.soc, mean_A)
     taken = left_by_load(m, place, before_A, a.soc)
     more = left_by_load(m, place, mean_A, a.soc) - taken
     for i in (V3,):
         gone = risen(since * p.gain[i])
         past = past_of(p.r[i], gone, 0.0, taken, m.constant.past_A)
         d = column_of_slow_branch(a)
-        move(a, d, 1.0 / at_least(a.p[i, i], past.variance_V2), (1.0 - gone) * more)
+        k = scaled(d, 1.0 / at_least(a.p[i, i], past.variance_V2))
+        move(a, k, (1.0 - gone) * more)
     hold_within(a)
 
 
@@ -261,7 +265,7 @@ def know_past_better(m: Model, a: State, since: float, mean_A: float, before_A: 
 def open_slow_branch(m: Model, a: State) -> None:
     """What flowed for hours no first sample shows; it is looked at once more is known."""
     place = place_now(m, a)
-    p = look_up(m, place, a.soc, a.current_A)
+    p = slow_branch(m, place, a.soc, a.current_A)
     for i in (V3,):
         wide_V = m.constant.bank_A * p.r[i]
         a.p[i, i] = a.p[i, i] + (wide_V * wide_V)

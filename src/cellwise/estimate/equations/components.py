@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from cellwise.cell.compiled import inline
+from cellwise.cell.description import V3
 from cellwise.cell.equations.double import log_of_more, magnitude, root
 from cellwise.cell.equations.scalar import at_least, at_most
 from cellwise.estimate.equations.constants import (
@@ -21,6 +22,8 @@ from cellwise.estimate.equations.constants import (
 )
 from cellwise.estimate.equations.evidence import inverse_weight
 
+SlowFloat: TypeAlias = Any  # of a state that a fixed step may do without
+
 
 @inline
 def edge(t: float, soc: float, std: float) -> float:
@@ -35,6 +38,23 @@ def edge(t: float, soc: float, std: float) -> float:
     if t > 0.0:
         at = soc + away
     return at
+
+
+class SlowBranch(NamedTuple):
+    """The slow branch at one SOC: resistance, and what it loses or gains in a unit of time."""
+
+    r3_ohm: SlowFloat
+    gain3: SlowFloat
+
+    @property
+    def r(self) -> dict[Any, float]:
+        """Its resistance, by the branch."""
+        return {V3: self.r3_ohm}
+
+    @property
+    def gain(self) -> dict[Any, float]:
+        """The other, by the branch."""
+        return {V3: self.gain3}
 
 
 class Component(NamedTuple):

@@ -42,14 +42,13 @@ def chord_of(
 
 
 @inline
-def covariance_by_soc(
-    drive1: float, drive2: float, with1: float, with2: float, variance: float
-) -> float:
+def covariance_by_soc(drive1: float, drive2: float, with1: float, after2: float) -> float:
     """What two branches have in common because a SOC that is off drives both.
 
-    Each by the slope of its resistance; ``with1`` and ``with2`` are their covariances with the SOC.
+    Each by the slope of its resistance; ``with1`` is the covariance of the first with the SOC,
+    ``after2`` that of the second once it is driven.
     """
-    return ((drive1 * with2) + (drive2 * with1)) + ((drive1 * drive2) * variance)
+    return (drive1 * after2) + (drive2 * with1)
 
 
 @inline

@@ -11,13 +11,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from cellwise.cell.compiled import inline, part
-from cellwise.cell.description import CELL, V3, triangle
 from cellwise.cell.equations import CellState, CellTables, loaded
 from cellwise.cell.equations.scalar import clip
 from cellwise.cell.packed import names_of, place_of, put_record, record_at
 from cellwise.cell.point_kernels import CellScalars
-from cellwise.cell.unrolled import ByState, unrolled
-from cellwise.estimate.equations.components import component_update, evidence_share
+from cellwise.estimate.equations.components import SlowBranch, component_update, evidence_share
 from cellwise.estimate.equations.constants import (
     BANK_RATE,
     LEAST_USE_RATE,
@@ -26,14 +24,13 @@ from cellwise.estimate.equations.constants import (
     PERSISTENT_MOST,
     REST_RATE,
 )
+from cellwise.estimate.equations.covariance import Column
 from cellwise.estimate.equations.evidence import as_shown
 from cellwise.estimate.evidence_kernels import GateResult, InnovationSources, repeated_evidence
 from cellwise.estimate.filters.covariance_kernels import (
-    Column,
     Covariance,
     corrected,
     moved,
-    scaled,
 )
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
@@ -103,13 +100,6 @@ def bank_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> BankC
     )
 
 
-class SlowBranch(NamedTuple):
-    """The slow branch at one SOC: resistance, and one over its time constant."""
-
-    r3_ohm: float
-    gain3: float
-
-
 class ComponentPlace(NamedTuple):
     """Where a component is within its tables, beside its SOC."""
 
@@ -125,7 +115,7 @@ def place_now(m: BankModel, a: State) -> ComponentPlace:
 
 
 @part
-def look_up(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> ByState:
+def slow_branch(m: BankModel, place: ComponentPlace, soc: float, current_A: float) -> SlowBranch:
     """The slow branch at a SOC under a current."""
     at = loaded(m.tables, soc, place.temperature_C, current_A, place.slow_A)
     return SlowBranch(at.r3_ohm, 1.0 / at.tau3_s if at.tau3_s > 0.0 else 0.0)
@@ -160,33 +150,17 @@ def hold_within(a: State) -> None:
 
 
 @inline
-@unrolled
-def forget_correlations(x: State) -> None:
-    """Only the diagonal stays."""
-    for i, j in triangle(CELL):
-        if i != j:
-            x.p[i, j] = 0.0
-
-
-@inline
-@unrolled
-def column_of_slow_branch(x: State) -> Column:
-    """P H' where the slow branch itself is measured."""
-    return Column(*(x.p[i, V3] for i in CELL))
-
-
-@inline
-def move(x: State, d: Column, inverse: float, innovation_V: float) -> None:
+def move(x: State, k: Column, innovation_V: float) -> None:
     """State + K innovation."""
     old: CellState = record_at(CellState, x, 0, 1)
-    put_record(x, 0, 1, moved(old, scaled(d, inverse), innovation_V), True)
+    put_record(x, 0, 1, moved(old, k, innovation_V), True)
 
 
 @inline
-def narrow(x: State, d: Column, inverse: float) -> None:
+def narrow(x: State, k: Column, d: Column) -> None:
     """P - K d'."""
     old: Covariance = record_at(Covariance, x, P_AT, 1)
-    put_record(x, P_AT, 1, corrected(old, scaled(d, inverse), d), True)
+    put_record(x, P_AT, 1, corrected(old, k, d), True)
 
 
 class Seen(NamedTuple):

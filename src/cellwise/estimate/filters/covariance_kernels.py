@@ -13,13 +13,13 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.description import BRANCHES, CELL, SOC, H, entry, triangle
 from cellwise.cell.unrolled import row, unrolled
 from cellwise.estimate.equations.constants import VARIANCE_FLOOR
+from cellwise.estimate.equations.covariance import Column
 from cellwise.estimate.equations.evidence import covariance_by_soc
 
-# The upper triangle of P over the states, ss, s1 ... phh; one number for each of them, s, v1 ... h,
-# P H' or a gain; one for each branch. What follows from the table of states no type checker sees.
+# The upper triangle of P over the states, ss, s1 ... phh; one number for each of them, one for each
+# branch. What follows from the table of states no type checker sees.
 if TYPE_CHECKING:
     Covariance: TypeAlias = Any
-    Column: TypeAlias = Any
     Branches: TypeAlias = Any
     CellState: TypeAlias = Any
     Transition: TypeAlias = Any
@@ -27,7 +27,6 @@ else:
     from cellwise.cell.equations import CellState, Transition
 
     Covariance = NamedTuple("Covariance", [(entry(a, b), float) for a, b in triangle(CELL)])
-    Column = NamedTuple("Column", [(row(s), float) for s in CELL])
     Branches = NamedTuple("Branches", [(row(s), float) for s in BRANCHES])
 
 
@@ -96,7 +95,8 @@ def driven_by_soc(p: Covariance, f: Branches) -> Covariance:
             if i == SOC
             else p[i, j] + f.row[i] * p[SOC, j]
             if j not in BRANCHES
-            else p[i, j] + covariance_by_soc(f.row[i], f.row[j], p[SOC, i], p[SOC, j], p.ss)
+            else p[i, j]
+            + covariance_by_soc(f.row[i], f.row[j], p[SOC, i], p[SOC, j] + f.row[j] * p.ss)
             for i, j in triangle(CELL)
         )
     )
@@ -130,30 +130,6 @@ def with_outer(p: Covariance, c: Column, share: float, e: Column) -> Covariance:
             for i, j in triangle(CELL)
         )
     )
-
-
-@inline
-@unrolled
-def column(p: Covariance, slope_V: float, m_V: float) -> Column:
-    """P H', the covariance of every state with the voltage."""
-    return Column(
-        *((slope_V * p[SOC, i] + m_V * p[i, H]) - sum(p[i, j] for j in BRANCHES) for i in CELL)
-    )
-
-
-@inline
-@unrolled
-def explained(d: Column, slope_V: float, m_V: float) -> float:
-    """H P H', the variance of the voltage that the state explains [V^2]."""
-    variance: float = (slope_V * d.s + m_V * d.h) - sum(d.row[j] for j in BRANCHES)
-    return variance
-
-
-@inline
-@unrolled
-def scaled(d: Column, factor: float) -> Column:
-    """A column times a number: a gain."""
-    return Column(*(d.row[i] * factor for i in CELL))
 
 
 @inline

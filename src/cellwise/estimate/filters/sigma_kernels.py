@@ -21,12 +21,10 @@ from cellwise.cell.equations import CellState, CellTables, loaded, rc_step, term
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.equations.constants import VARIANCE_FLOOR
+from cellwise.estimate.equations.covariance import Column, column_of, explained
 from cellwise.estimate.filters.covariance_kernels import (
-    Column,
     Covariance,
-    column,
     decayed,
-    explained,
     with_outer,
     with_soc_row,
     without_outer,
@@ -120,9 +118,9 @@ def by_points(
             below[i] = rc_step(below[i], s.flow_A, low.r[i], low.tau[i], s.dt_s)
         e[i] = (above[i] + below[i]) - 2.0 * x.state[i]
         v[i] = x.state[i] + sigma.side * e[i]
-    d = Column(0.0, *((above[i] - below[i]) * per for i in BRANCHES), t.ah * along.h)
+    d = Column(0.0, *((above[i] - below[i]) * per for i in BRANCHES), t.ah * along.h)  # type: ignore[call-arg]
     p = decayed(without_outer(p, along), t)
-    p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))
+    p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))  # type: ignore[call-arg]
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
     p = with_noise(p, noise, s, now, no_voltage_s, tables.cell.charge_As)
     x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
@@ -156,7 +154,7 @@ def voltage_by_points(
     first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
     slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.seen_A) / (2.0 * c * root)
     # Covariance with the voltage: along the pair, and given the SOC.
-    rest = column(without_outer(p, along), 0.0, point.m_V)
+    rest = column_of(without_outer(p, along), 0.0, point.m_V)
     d = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))
     known = explained(Column(0.0, *(rest.row[i] for i in CELL[1:])), 0.0, point.m_V)
     variance = known + first * first + sigma.curve * second * second

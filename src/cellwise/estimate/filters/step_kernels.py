@@ -26,6 +26,7 @@ from cellwise.cell.equations import (
     with_heat,
     with_soc,
 )
+from cellwise.estimate.equations.covariance import column_of, explained
 from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.evidence_kernels import (
     GateResult,
@@ -44,7 +45,7 @@ from cellwise.estimate.filters.capacity_kernels import (
     nothing_known,
     watched_resistances,
 )
-from cellwise.estimate.filters.covariance_kernels import column, explained, uncorrelated
+from cellwise.estimate.filters.covariance_kernels import uncorrelated
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState, ekf_start
 from cellwise.estimate.filters.offset_kernels import (
     counted_on,
@@ -126,7 +127,7 @@ def innovate(
     branches = held_in_branches(x)
     one = variance_about(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
     if sigma is None:
-        d = column(now.p, at.slope_V, point.m_V)
+        d = column_of(now.p, at.slope_V, point.m_V)
         variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
         seen = Voltage(voltage_of(point, x, s.seen_A), d, variance, at.slope_V)
     else:

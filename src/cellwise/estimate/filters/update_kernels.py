@@ -7,6 +7,7 @@ from typing import NamedTuple
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
+from cellwise.estimate.equations.covariance import scaled
 from cellwise.estimate.equations.evidence import persistent_step
 from cellwise.estimate.evidence_kernels import (
     GateResult,
@@ -24,7 +25,6 @@ from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
     corrected,
     moved,
-    scaled,
 )
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.offset_kernels import Drift, drift_step

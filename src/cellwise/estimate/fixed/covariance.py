@@ -6,29 +6,14 @@ option of its states (:mod:`cellwise.cell.unrolled`).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
-from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, V3, H, triangle
-from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.cell.description import BRANCHES, CARRIED, CELL, SOC, H, triangle
+from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.covariance import Column, forget_correlations
 from cellwise.estimate.equations.evidence import covariance_by_soc
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
-
-
-class Column(NamedTuple):
-    """P H', with H = [slope, -1, -1, -1, m], and the innovation variance it explains."""
-
-    variance: float
-    s: float
-    v1: float
-    v2: float
-    v3: SlowFloat
-    h: HysteresisFloat
-
-    @property
-    def row(self) -> dict[Any, float]:
-        """By the state."""
-        return dict(zip(CELL, self[1:], strict=True))
 
 
 def add_variance(x: State, value: float) -> None:
@@ -54,14 +39,6 @@ def covariance_is_sound(x: State) -> bool:
             if not size_within(x.p[i, j], LARGE):
                 return False
     return True
-
-
-@unrolled_by_option
-def forget_correlations(x: State) -> None:
-    """Only the diagonal stays."""
-    for i, j in triangle(CELL):
-        if i != j:
-            x.p[i, j] = 0.0
 
 
 @unrolled_by_option
@@ -127,69 +104,39 @@ def forget_hysteresis(x: State) -> None:
 def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
     """A SOC that is off drives the branches by the resistances' slopes."""
     f: dict[Any, float] = {}
+    after: dict[Any, float] = {}
     for i in BRANCHES:
         f[i] = (w.rise[i] * p.gain[i]) * flow
+        after[i] = x.p[SOC, i] + (f[i] * x.ss)
     for i, j in triangle(BRANCHES):
-        x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], x.p[SOC, j], x.ss)
+        x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], after[j])
     for i in BRANCHES:
         for j in (H,):
             x.p[i, j] = x.p[i, j] + (f[i] * x.p[SOC, j])
-        x.p[SOC, i] = x.p[SOC, i] + (f[i] * x.ss)
+        x.p[SOC, i] = after[i]
 
 
 @unrolled_by_option
-def column_of(x: State, p: Point, slope: float) -> Column:
-    """The column, and the innovation variance that the state explains."""
-    c: dict[Any, float] = {}
-    for i in CELL:
-        c[i] = (slope * x.p[SOC, i]) if THERE else 0.0
-        for j in BRANCHES:
-            c[i] = c[i] - x.p[i, j]
-        for j in (H,):
-            c[i] = c[i] + (p.m_V * x.p[i, j])
-    variance = slope * c[SOC]
-    for j in BRANCHES:
-        variance = variance - c[j]
-    for j in (H,):
-        variance = variance + (p.m_V * c[j])
-    variance = variance if variance > 0.0 else 0.0
-    return Column(variance, *(c[i] for i in CELL))
-
-
-@unrolled_by_option
-def column_of_slow_branch(x: State) -> Column:
-    """The same where the slow branch itself is measured."""
-    c: dict[Any, float] = {}
-    variance = 0.0
-    for i in CELL:
-        c[i] = x.p[i, V3] if THERE else 0.0
-    for i in (V3,):
-        variance = x.p[i, i]
-    return Column(variance, *(c[i] for i in CELL))
-
-
-@unrolled_by_option
-def move(x: State, d: Column, inverse: float, innovation: float) -> None:
+def move(x: State, k: Column, innovation: float) -> None:
     """State + K innovation."""
     for i in CELL:
         if i in CARRIED:
-            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], (d.row[i] * inverse) * innovation)
+            x.state[i], x.carry[i] = add(x.state[i], x.carry[i], k.row[i] * innovation)
         else:
-            x.state[i] = x.state[i] + ((d.row[i] * inverse) * innovation)
+            x.state[i] = x.state[i] + (k.row[i] * innovation)
     for i in (H,):
         x.state[i] = clip(x.state[i], -1.0, 1.0)
 
 
 @unrolled_by_option
-def narrow(x: State, d: Column, inverse: float) -> None:
+def narrow(x: State, k: Column, d: Column) -> None:
     """P - K d', row by row."""
     for i in CELL:
-        k = d.row[i] * inverse
         for j in CELL[CELL.index(i) :]:
             if i == j == SOC:
-                add_variance(x, -(k * d.s))
+                add_variance(x, -(k.s * d.s))
                 x.ss = clip(x.ss, VARIANCE_FLOOR, LARGE) if WIDE else at_least(x.ss, VARIANCE_FLOOR)
             elif i == j:
-                x.p[i, j] = at_least(x.p[i, j] - (k * d.row[j]), 0.0)
+                x.p[i, j] = at_least(x.p[i, j] - (k.row[i] * d.row[j]), 0.0)
             else:
-                x.p[i, j] = x.p[i, j] - (k * d.row[j])
+                x.p[i, j] = x.p[i, j] - (k.row[i] * d.row[j])

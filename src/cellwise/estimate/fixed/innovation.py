@@ -7,6 +7,7 @@ from typing import NamedTuple
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.covariance import Column, column_of, explained
 from cellwise.estimate.equations.evidence import (
     Shared,
     bent_variance,
@@ -16,7 +17,6 @@ from cellwise.estimate.equations.evidence import (
 from cellwise.estimate.equations.offset import offset_after, rest_after
 from cellwise.estimate.equations.sensors import repeats_after, swings_after
 from cellwise.estimate.fixed.arithmetic import *
-from cellwise.estimate.fixed.covariance import Column, column_of
 from cellwise.estimate.fixed.lookup import Point, Slopes
 from cellwise.estimate.fixed.sensing import Reading
 from cellwise.estimate.status import OUTSIDE, VOLTAGE_FROZEN
@@ -145,9 +145,8 @@ def dropped_by_offset(c: Constants, x: State, p: Point) -> float:
     return F(dropped_V)
 
 
-def ask_for_offset(x: State, i: Innovation, innovation: float, inverse: float) -> None:
+def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inverse: float) -> None:
     """What a voltage that has moved the state says of an offset, and where that moves the SOC."""
-    gain = i.column.s * inverse
     before = x.believed * x.reach
     own_V = innovation + i.followed_V
     now = offset_after(x.score, x.information, i.of_offset_V, own_V, inverse)
@@ -174,8 +173,8 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     if VALIDITY:
         beyond_V = extrapolated(c, x, s.seen, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
-    column = column_of(x, p, w.slope_V)
-    explained_V2 = bent_variance(column.variance, w.bend_V)
+    column = column_of(x, w.slope_V, p.m_V)
+    explained_V2 = bent_variance(explained(column, w.slope_V, p.m_V), w.bend_V)
     variance_V2 = explained_V2 + one_V2
     of_offset_V = 0.0
     followed_V = 0.0

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from cellwise.cell.description import BRANCHES, V1, V2, V3
 from cellwise.cell.equations.scalar import charge_transfer
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.components import SlowBranch
 from cellwise.estimate.equations.evidence import chord_of, error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.layout import Model
@@ -52,6 +53,34 @@ class Point(NamedTuple):
     def gain(self) -> dict[Any, float]:
         """Gains by the branch."""
         return dict(zip(BRANCHES, self[8:], strict=True))
+
+
+class SocPlace(NamedTuple):
+    """Where a SOC lies between two points of the tables.
+
+    ``beyond`` is the fraction for the OCV, which goes on outside 0..1, ``within`` that for the
+    others; ``at`` and ``share`` are those of the particles' surface.
+    """
+
+    k: int
+    beyond: float
+    within: float
+    at: int
+    share: float
+
+
+class Loaded(NamedTuple):
+    """Resistances at one SOC, temperature and current."""
+
+    r0_ohm: float
+    r1_ohm: float
+    r2_ohm: float
+    r3_ohm: SlowFloat
+
+    @property
+    def r(self) -> dict[Any, float]:
+        """By the branch."""
+        return dict(zip(BRANCHES, self[1:], strict=True))
 
 
 class Slopes(NamedTuple):
@@ -178,14 +207,12 @@ def rise(m: Model, place: Place, k: int, column: int) -> Any:
     return low
 
 
-@unrolled_by_option
-def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
+def soc_place(place: Place, points: int, soc: float) -> SocPlace:
     """Outside 0..1 the OCV goes on along its last segment, every other table stays at its end.
 
     Without CELLWISE_WIDE the OCV stays, too. With CELLWISE_SURFACE resistances and gains are those
     of the particles' surface.
     """
-    points = U(m.row.shape[1])
     if WIDE:
         x = soc * F(points - 1)
         k = index_of(x, points)
@@ -197,23 +224,22 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
         k = index_of(x, points)
         f = known_fraction(x - F(k))
         g = f
-    ocv_V = read(m, place, k, OCV_V, f)
-    slope_V = rise(m, place, k, OCV_V) * F(points - 1)
-    error_V = read(m, place, k, ERROR_V, g)
-    noise_V2 = error_variance(m.constant.fixed_V2, error_V, m.constant.ocv_soc2, slope_V)
     at = k
     share = g
     if SURFACE:
         below = within_one(soc - place.lag) * F(points - 1)
         at = index_of(below, points)
         share = known_fraction(below - F(at))
-    r0_ohm = read(m, place, at, R0_OHM, share)
+    return SocPlace(k, f, g, at, share)
+
+
+@unrolled_by_option
+def resistances_at(m: Model, place: Place, z: SocPlace, current: float) -> Loaded:
+    """Resistances by temperature, age and current."""
+    r0_ohm = read(m, place, z.at, R0_OHM, z.share)
     r: dict[Any, float] = {}
-    gain: dict[Any, float] = {}
     for i in BRANCHES:
-        r[i] = read(m, place, at, R[i], share) if THERE else 0.0
-        gain[i] = 1.0 / read(m, place, at, LAG[i], share) if THERE else 0.0
-    m_V = read(m, place, k, M_V, g) if HYSTERESIS else 0.0
+        r[i] = read(m, place, z.at, R[i], z.share) if THERE else 0.0
     if SCALED:
         scale = place.scale
         if ASYMMETRY and current < 0.0:
@@ -229,15 +255,43 @@ def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
     if TRANSFER:
         overvoltage = (m.constant.asinh_per_V * r[V1]) * magnitude(current)
         r[V1] = r[V1] * known_fraction(charge_transfer(at_most(overvoltage, LARGE)))
+    return Loaded(r0_ohm, *(r[i] for i in BRANCHES))
+
+
+@unrolled_by_option
+def look_up(m: Model, place: Place, soc: float, current: float) -> Point:
+    """All of the tables."""
+    points = U(m.row.shape[1])
+    z = soc_place(place, points, soc)
+    ocv_V = read(m, place, z.k, OCV_V, z.beyond)
+    slope_V = rise(m, place, z.k, OCV_V) * F(points - 1)
+    error_V = read(m, place, z.k, ERROR_V, z.within)
+    noise_V2 = error_variance(m.constant.fixed_V2, error_V, m.constant.ocv_soc2, slope_V)
+    gain: dict[Any, float] = {}
+    for i in BRANCHES:
+        gain[i] = 1.0 / read(m, place, z.at, LAG[i], z.share) if THERE else 0.0
+    m_V = read(m, place, z.k, M_V, z.within) if HYSTERESIS else 0.0
+    under = resistances_at(m, place, z, current)
     return Point(
         ocv_V,
         slope_V,
         noise_V2,
-        r0_ohm,
+        under.r0_ohm,
         m_V,
-        *(r[i] for i in BRANCHES),
+        *(under.r[i] for i in BRANCHES),
         *(gain[i] for i in BRANCHES),
     )
+
+
+@unrolled_by_option
+def slow_branch(m: Model, place: Place, soc: float, current: float) -> SlowBranch:
+    """What a load at a SOC does to the slow branch."""
+    z = soc_place(place, U(m.row.shape[1]), soc)
+    under = resistances_at(m, place, z, current)
+    gain: dict[Any, float] = {}
+    for i in (V3,):
+        gain[i] = 1.0 / read(m, place, z.at, LAG[i], z.share) if THERE else 0.0
+    return SlowBranch(*(under.r[i] for i in (V3,)), *(gain[i] for i in (V3,)))
 
 
 def no_slopes(p: Point) -> Slopes:
@@ -251,24 +305,27 @@ def slopes_of(
     m: Model, place: Place, soc: float, spread: float, current: float, p: Point
 ) -> Slopes:
     """While SOC is badly known slopes are chords over one standard deviation to either side."""
-    low = clip(soc - spread, 0.0, 1.0)
-    high = clip(soc + spread, 0.0, 1.0)
+    low_soc = clip(soc - spread, 0.0, 1.0)
+    high_soc = clip(soc + spread, 0.0, 1.0)
     slope_V = p.slope_V
     bend_V = 0.0
     rise: dict[Any, float] = {}
     for i in BRANCHES:
         rise[i] = 0.0 if THERE else 0.0  # noqa: RUF034  # named where it is there
-    if (high - low) >= SHORTEST_CHORD:
-        per = 1.0 / (high - low)
-        end = look_up(m, place, low, current)
-        ocv = end.ocv_V
+    if (high_soc - low_soc) >= SHORTEST_CHORD:
+        per = 1.0 / (high_soc - low_soc)
+        z = soc_place(place, U(m.row.shape[1]), low_soc)
+        low_V = read(m, place, z.k, OCV_V, z.beyond)
+        end = resistances_at(m, place, z, current)
         ohmic = end.r0_ohm
         for i in BRANCHES:
             rise[i] = end.r[i]
-        end = look_up(m, place, high, current)
+        z = soc_place(place, U(m.row.shape[1]), high_soc)
+        high_V = read(m, place, z.k, OCV_V, z.beyond)
+        end = resistances_at(m, place, z, current)
         for i in BRANCHES:
             rise[i] = (end.r[i] - rise[i]) * per
-        chord = chord_of(ocv, ohmic, end.ocv_V, end.r0_ohm, per, current, soc - low, p.ocv_V)
+        chord = chord_of(low_V, ohmic, high_V, end.r0_ohm, per, current, soc - low_soc, p.ocv_V)
         slope_V = chord.slope_V
         bend_V = chord.bend_V
     return Slopes(slope_V, bend_V, spread, *(rise[i] for i in BRANCHES))

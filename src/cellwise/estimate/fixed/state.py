@@ -6,6 +6,7 @@ from typing import Any
 
 from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
+from cellwise.estimate.equations.covariance import forget_correlations
 from cellwise.estimate.equations.evidence import unknown_square
 from cellwise.estimate.equations.sensors import unseen_variance
 from cellwise.estimate.equations.start import flow_before, held_variance
@@ -14,7 +15,6 @@ from cellwise.estimate.fixed.covariance import (
     add_variance,
     covariance_is_sound,
     fade_hysteresis,
-    forget_correlations,
     forget_hysteresis,
     relax,
     start_covariance,

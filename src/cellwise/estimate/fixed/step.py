@@ -6,6 +6,7 @@ The correction: gate, recovery, weight.
 from __future__ import annotations
 
 from cellwise.estimate.equations.components import component_update, evidence_share
+from cellwise.estimate.equations.covariance import scaled
 from cellwise.estimate.equations.evidence import (
     as_shown,
     contradicted_step,
@@ -118,14 +119,15 @@ def fuse(
     weight = as_shown(i.one_V2 * shared.above, x.mismatch)
     if s.news == INTERVAL or shared.above <= shared.below:
         inverse = inverse_weight(i.explained_V2, weight, shared.below)
-        move(x, i.column, inverse, innovation)
-        narrow(x, i.column, inverse)
+        k = scaled(i.column, inverse)
+        move(x, k, innovation)
+        narrow(x, k, i.column)
         if WIDE:
-            persist(c, x, p, w.slope_V, i.column.s * inverse)
+            persist(c, x, p, w.slope_V, k.s)
         if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
             contradict(c, x, w, s, i.one_V2, innovation)
         if OFFSET:
-            ask_for_offset(x, i, innovation, inverse)
+            ask_for_offset(x, i, innovation, k.s, inverse)
     x.rejections = U(0)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
@@ -149,11 +151,12 @@ def use_in_bank(
             innovation, i.variance_V2, c.gate_square, i.explained_V2, weight, shared.below, share
         )
         x.cost = x.cost + used.cost
-        move(x, i.column, used.inverse, used.off_V)
-        narrow(x, i.column, used.inverse)
-        persist(c, x, p, w.slope_V, i.column.s * used.inverse)
+        k = scaled(i.column, used.inverse)
+        move(x, k, used.off_V)
+        narrow(x, k, i.column)
+        persist(c, x, p, w.slope_V, k.s)
         if OFFSET:
-            ask_for_offset(x, i, used.off_V, used.inverse)
+            ask_for_offset(x, i, used.off_V, k.s, used.inverse)
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
 

@@ -24,6 +24,7 @@ from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.equations import bank as whole_bank
 from cellwise.estimate.equations import components, constants, evidence, offset, sensors
+from cellwise.estimate.equations import covariance as whole_covariance
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
 from cellwise.estimate.fixed import (
@@ -74,6 +75,7 @@ STEP_MODULES = (
     whole_start,
     components,
     offset,
+    whole_covariance,
     lookup,
     covariance,
     state,
