@@ -41,6 +41,9 @@ void cellwise_cells_of(const void *model, const void *x, const void *cells, uint
                        void *out);
 void cellwise_pack_power(const void *model, const void *x, const void *cells, uint32_t count,
                          void *out);
+void cellwise_sketch_init(const void *model, void *sketch);
+void cellwise_sketch_rows(const void *model, void *x, void *sketch, const void *in, void *out,
+                          uint32_t samples);
 extern const char cellwise_cell[];
 """
 

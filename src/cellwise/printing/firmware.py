@@ -20,7 +20,7 @@ import numpy as np
 from cellwise.cell.unrolled import unrolled_by_option, write_out
 from cellwise.estimate import status
 from cellwise.estimate.fixed import arithmetic, layout
-from cellwise.estimate.fixed.options import Options, flags_of
+from cellwise.estimate.fixed.options import SKETCH_SUMS, Options, flags_of
 from cellwise.estimate.fixed.stepper import SINGLE, STEP_MODULES
 from cellwise.printing.c99 import SCALARS, Function, Program
 from cellwise.printing.chosen import chosen, with_notes
@@ -41,6 +41,8 @@ PUBLIC = {
     "step_cells": "cellwise_cells_step",
     "cell_of": "cellwise_cell_of",
     "pack_power": "cellwise_pack_power",
+    "clear_sketch": "cellwise_sketch_init",
+    "add_to_sketch": "cellwise_sketch_add",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -63,11 +65,12 @@ ASKED = {
     "set_health": ("HEALTH",),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
+    **dict.fromkeys(("clear_sketch", "add_to_sketch"), ("SKETCH",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
-    "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
+    "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2, "sketch": SKETCH_SUMS,
 })  # fmt: skip
 
 
@@ -98,6 +101,7 @@ PARTS = {
     "plan": "A plan of loads, and where it ends.",
     "cells": "Cells of a pack on one table: their difference from the mean cell.",
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
+    "sketch": "A sketch of the residual: sums for a diagnosis from nothing else.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -107,6 +111,7 @@ FIRST = {
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power",
+    "accumulate.py": "sketch",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
@@ -324,7 +329,8 @@ def print_headers(made: Program, options: Options) -> dict[str, str]:
     blocks = {"status": status_bits(), "row": record("cellwise_row", layout.ROW, options)}
     for kind, table in layout.RECORDS.items():
         name = layout.c_name(kind)
-        blocks[name.removeprefix("cellwise_")] = record(name, table, options)
+        there = kind != "Sketch" or options.sketch
+        blocks[name.removeprefix("cellwise_")] = record(name, table, options) if there else []
     for name, public in PUBLIC.items():
         blocks[public] = []
         if name in made.functions:

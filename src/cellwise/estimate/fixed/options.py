@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 MOST_CELLS = 1000
+SKETCH_SUMS = 66  # pairs of eleven regressors
 ARRHENIUS_POINTS = 161  # of each table over temperature
 # An option, and the effect that needs it.
 OPTION_OF = {
@@ -91,7 +92,8 @@ class Options:
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
-    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off.
+    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off, ``sketch``
+    the number of sums that are kept of the residual.
     """
 
     points: int
@@ -116,6 +118,7 @@ class Options:
     cells: int = 0
     bank: int = 0
     offset: int = 0
+    sketch: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -151,6 +154,7 @@ class Asked:
     components : int          filters side by side while the SOC is not known; 1: one alone
     offset : bool             ask rests and voltages whether the current is off all the time, as the
                               float64 filters do
+    sketch : bool             sums of the residual for a diagnosis, beside the step
     """
 
     points: int | None = None
@@ -161,6 +165,7 @@ class Asked:
     cells: CellSettings | None = None
     components: int = COMPONENTS
     offset: bool = False
+    sketch: bool = False
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -198,6 +203,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         cells=int(asked.cells is not None),
         bank=int(asked.wide and asked.components > 1),
         offset=int(asked.offset),
+        sketch=SKETCH_SUMS if asked.sketch else 0,
     )
 
 
@@ -216,6 +222,7 @@ def flags_of(options: Options) -> dict[str, int]:
         "TEMPERATURES": int(options.temperatures > 1),
         "ARRHENIUS": int(options.arrhenius > 0),
         "DEPTH": int(options.depth > 0),
+        "SKETCH": int(options.sketch > 0),
         "WARM": int(options.needs_temperature),
         "VALIDITY": int(options.validity > 0),
         "THERMAL": int(options.validity > 1),

@@ -19,6 +19,7 @@ from cellwise.estimate.fixed.constants import (
     cell_constants,
     power_constants,
     remaining_constants,
+    sketch_constants,
     step_constants,
 )
 from cellwise.estimate.fixed.layout import constant_type, row_names
@@ -192,6 +193,8 @@ def fixed_step_tables(
         more = power_constants(model, wish.power, dt_s)
     if wish.remaining_V is not None:
         more |= remaining_constants(model, wish.remaining_V, dt_s)
+    if wish.sketch:
+        more |= sketch_constants(model, dt_s, noise)
     if wish.cells is not None:
         more |= cell_constants(wish.cells, model, dt_s)
     table = np.stack([columns[name] for name in row_names(options)], axis=-1)
