@@ -269,7 +269,8 @@ typedef struct {
     float last_V; /* of the block before */
     float sum_A; /* in this block */
     float sum_V;
-    uint32_t count; /* its samples */
+    uint32_t count; /* its samples, */
+    uint32_t read; /* and their voltages */
     uint32_t blocks; /* since the simulation began */
     uint32_t counted; /* whether one of them was summed */
     uint32_t on; /* whether it runs */
@@ -280,7 +281,7 @@ typedef struct {
 void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k);
 
 /* After a step: the sample of that step to the sketch. The simulation begins where the deviation of SOC is small. A
- * gap, or a reading that no sensor can have meant, ends it. A sample that comes again is left out. */
+ * gap, or a current that no sensor can have meant, ends it. A sample that comes again is left out. */
 void cellwise_sketch_add(const cellwise_model *m, const cellwise_state *x, cellwise_sketch *k,
                          const cellwise_input *sample);
 

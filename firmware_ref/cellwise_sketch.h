@@ -5,7 +5,7 @@
 
 #include "cellwise_pack_power.h"
 
-/* Of one block: mean SOC and current, voltage, its OCV slope, all drops, the slow error. */
+/* Of one block: mean SOC and current, voltage, OCV slope, drops, what of it may be off. */
 typedef struct {
     float soc;
     float current;
@@ -13,6 +13,7 @@ typedef struct {
     float slope_V;
     float drop_V;
     float drop_per_A;
+    float fast_V2;
     float slow_V2;
 } cellwise_block;
 
@@ -34,29 +35,38 @@ void cellwise_sketch_init(const cellwise_model *m, cellwise_sketch *k)
     }
 }
 
-/* The simulation begins at the filter's state. */
-static void begin_segment(const cellwise_state *x, cellwise_sketch *k)
+/* The simulation's SOC is the filter's from here on. */
+static void anchor(const cellwise_state *x, cellwise_sketch *k)
 {
-    k->on = 1u;
-    k->count = 0u;
-    k->blocks = 0u;
-    k->sum_A = 0.0f;
-    k->sum_V = 0.0f;
     k->soc = x->soc;
     k->start_soc = x->soc;
-    k->v1_V = x->v1_V;
-    k->d1_V = 0.0f;
-    k->v2_V = x->v2_V;
-    k->d2_V = 0.0f;
-    k->v3_V = x->v3_V;
-    k->d3_V = 0.0f;
-    k->h = x->h;
     k->offset_soc = 0.0f;
-    k->slow_A = 0.0f;
-    k->path = 0.0f;
+    k->blocks = 0u;
+    k->counted = 0u;
     for (uint32_t a = 0u; a < REGRESSORS; a++) {
         k->past[a] = 0.0f;
     }
+}
+
+/* A cell at rest. What the filter guesses of its branches under load is no evidence. */
+static void begin_segment(const cellwise_state *x, cellwise_sketch *k)
+{
+    anchor(x, k);
+    k->v1_V = 0.0f;
+    k->d1_V = 0.0f;
+    k->v2_V = 0.0f;
+    k->d2_V = 0.0f;
+    k->v3_V = 0.0f;
+    k->d3_V = 0.0f;
+    k->h = x->h;
+    k->slow_A = 0.0f;
+    k->path = 0.0f;
+    k->last_V = 0.0f;
+    k->sum_A = 0.0f;
+    k->sum_V = 0.0f;
+    k->count = 0u;
+    k->read = 0u;
+    k->on = 1u;
 }
 
 /* Over one block at its mean current; voltages are means of the block. */
@@ -102,8 +112,8 @@ static void simulate_block(const cellwise_model *m, const cellwise_state *x, cel
     const float end_h = (current < 0.0f) ? 1.0f : -1.0f;
     k->h = end_h + (keep * (k->h - end_h));
     block->voltage_V = block->voltage_V + (p.m_V * k->h);
-    const float known_V2 = c->share_variance * (block->drop_V * block->drop_V);
-    block->slow_V2 = (p.noise_V2 - c->fixed_V2) + known_V2;
+    block->fast_V2 = c->sketch_V2 + (c->share_variance * (block->drop_V * block->drop_V));
+    block->slow_V2 = p.noise_V2 - c->fixed_V2;
     block->current = current;
     block->slope_V = p.slope_V;
 }
@@ -135,7 +145,7 @@ static void derive(const cellwise_constants *c, cellwise_sketch *k, const cellwi
 }
 
 /* What the last blocks do not explain of this one; returns one over its variance. */
-static float whiten(const cellwise_constants *c, cellwise_sketch *k, float slow_V2)
+static float whiten(const cellwise_constants *c, cellwise_sketch *k, float fast_V2, float slow_V2)
 {
     const float keep = c->sketch_keep;
     const float square = keep * keep;
@@ -143,7 +153,7 @@ static float whiten(const cellwise_constants *c, cellwise_sketch *k, float slow_
     if (k->counted == 1u) {
         before = (square * k->slow_V2) + ((1.0f - square) * slow_V2);
     }
-    const float inverse = 1.0f / (before + c->sketch_V2);
+    const float inverse = 1.0f / (before + fast_V2);
     const float gain = before * inverse;
     k->slow_V2 = before * (1.0f - gain);
     for (uint32_t a = 0u; a < REGRESSORS; a++) {
@@ -178,9 +188,9 @@ static NOINLINE void end_block(const cellwise_model *m, const cellwise_state *x,
     cellwise_block b;
     simulate_block(m, x, k, k->sum_A / steps, steps, &b);
     derive(c, k, &b, steps);
-    k->now[RESIDUAL] = (k->sum_V / steps) - b.voltage_V;
-    if (b.soc > c->sketch_low) {
-        sum_up(k, whiten(c, k, b.slow_V2));
+    if ((k->read > 0u) && (b.soc > c->sketch_low)) {
+        k->now[RESIDUAL] = (k->sum_V / (float)k->read) - b.voltage_V;
+        sum_up(k, whiten(c, k, b.fast_V2, b.slow_V2));
         if (k->counted == 0u) {
             k->segments = k->segments + 1u;
             k->counted = 1u;
@@ -188,10 +198,11 @@ static NOINLINE void end_block(const cellwise_model *m, const cellwise_state *x,
     }
     k->blocks = k->blocks + 1u;
     k->count = 0u;
+    k->read = 0u;
     k->sum_A = 0.0f;
     k->sum_V = 0.0f;
-    if (k->blocks >= c->sketch_most) {
-        k->on = 0u;
+    if ((k->blocks >= c->sketch_most) && (x->ss <= c->sketch_soc2)) {
+        anchor(x, k);
     }
 }
 
@@ -204,17 +215,18 @@ void cellwise_sketch_add(const cellwise_model *m, const cellwise_state *x, cellw
             k->on = 0u;
         }
         k->sequence = sample->sequence;
-        const bool sound = POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V);
-        if (!(sound && SIZE_WITHIN(sample->current_A, c->current_limit_A))) {
+        if (!SIZE_WITHIN(sample->current_A, c->current_limit_A)) {
             k->on = 0u;
         } else if (k->on == 0u) {
             if (x->ss <= c->sketch_soc2) {
                 begin_segment(x, k);
-                k->counted = 0u;
             }
         } else {
             k->sum_A = k->sum_A + sample->current_A;
-            k->sum_V = k->sum_V + sample->voltage_V;
+            if (POSITIVE_WITHIN(sample->voltage_V, c->voltage_low_V, c->voltage_high_V)) {
+                k->sum_V = k->sum_V + sample->voltage_V;
+                k->read = k->read + 1u;
+            }
             k->count = k->count + 1u;
             if (k->count >= c->sketch_steps) {
                 end_block(m, x, k);

@@ -19,7 +19,7 @@ from cellwise.estimate.fixed.state import taken
 
 
 class Block(NamedTuple):
-    """Of one block: mean SOC and current, voltage, its OCV slope, all drops, the slow error."""
+    """Of one block: mean SOC and current, voltage, OCV slope, drops, what of it may be off."""
 
     soc: float
     current: float
@@ -27,6 +27,7 @@ class Block(NamedTuple):
     slope_V: float
     drop_V: float
     drop_per_A: float
+    fast_V2: float
     slow_V2: float
 
 
@@ -45,26 +46,34 @@ def clear_sketch(m: Model, k: Sketch) -> None:
         k.carry[a] = 0.0
 
 
-@unrolled_by_option
-def begin_segment(x: State, k: Sketch) -> None:
-    """The simulation begins at the filter's state."""
-    k.on = U(1)
-    k.count = U(0)
-    k.blocks = U(0)
-    k.sum_A = 0.0
-    k.sum_V = 0.0
+def anchor(x: State, k: Sketch) -> None:
+    """The simulation's SOC is the filter's from here on."""
     k.soc = x.soc
     k.start_soc = x.soc
+    k.offset_soc = 0.0
+    k.blocks = U(0)
+    k.counted = U(0)
+    for a in range(REGRESSORS):
+        k.past[a] = 0.0
+
+
+@unrolled_by_option
+def begin_segment(x: State, k: Sketch) -> None:
+    """A cell at rest. What the filter guesses of its branches under load is no evidence."""
+    anchor(x, k)
     for i in BRANCHES:
-        k.state[i] = x.state[i]
+        k.state[i] = 0.0
         k.d[i] = 0.0
     if HYSTERESIS:
         k.h = x.h
-    k.offset_soc = 0.0
     k.slow_A = 0.0
     k.path = 0.0
-    for a in range(REGRESSORS):
-        k.past[a] = 0.0
+    k.last_V = 0.0
+    k.sum_A = 0.0
+    k.sum_V = 0.0
+    k.count = U(0)
+    k.read = U(0)
+    k.on = U(1)
 
 
 @unrolled_by_option
@@ -97,9 +106,9 @@ def simulate_block(m: Model, x: State, k: Sketch, current: float, steps: float) 
         end_h = 1.0 if current < 0.0 else -1.0
         k.h = end_h + (keep * (k.h - end_h))
         voltage_V = voltage_V + (p.m_V * k.h)
-    known_V2 = c.share_variance * (drop_V * drop_V)
-    slow_V2 = (p.noise_V2 - c.fixed_V2) + known_V2
-    return Block(soc, current, voltage_V, p.slope_V, drop_V, drop_per_A, slow_V2)
+    fast_V2 = c.sketch_V2 + (c.share_variance * (drop_V * drop_V))
+    slow_V2 = p.noise_V2 - c.fixed_V2
+    return Block(soc, current, voltage_V, p.slope_V, drop_V, drop_per_A, fast_V2, slow_V2)
 
 
 def derive(c: Constants, k: Sketch, b: Block, steps: float) -> None:
@@ -126,14 +135,14 @@ def derive(c: Constants, k: Sketch, b: Block, steps: float) -> None:
     k.last_V = b.voltage_V
 
 
-def whiten(c: Constants, k: Sketch, slow_V2: float) -> float:
+def whiten(c: Constants, k: Sketch, fast_V2: float, slow_V2: float) -> float:
     """What the last blocks do not explain of this one; returns one over its variance."""
     keep = c.sketch_keep
     square = keep * keep
     before = slow_V2
     if k.counted == U(1):
         before = (square * k.slow_V2) + ((1.0 - square) * slow_V2)
-    inverse = 1.0 / (before + c.sketch_V2)
+    inverse = 1.0 / (before + fast_V2)
     gain = before * inverse
     k.slow_V2 = before * (1.0 - gain)
     for a in range(REGRESSORS):
@@ -163,41 +172,42 @@ def end_block(m: Model, x: State, k: Sketch) -> None:
     steps = F(k.count)
     b = simulate_block(m, x, k, k.sum_A / steps, steps)
     derive(c, k, b, steps)
-    k.now[RESIDUAL] = (k.sum_V / steps) - b.voltage_V
-    if b.soc > c.sketch_low:
-        sum_up(k, whiten(c, k, b.slow_V2))
+    if k.read > U(0) and b.soc > c.sketch_low:
+        k.now[RESIDUAL] = (k.sum_V / F(k.read)) - b.voltage_V
+        sum_up(k, whiten(c, k, b.fast_V2, b.slow_V2))
         if k.counted == U(0):
             k.segments = U(k.segments + 1)
             k.counted = U(1)
     k.blocks = U(k.blocks + 1)
     k.count = U(0)
+    k.read = U(0)
     k.sum_A = 0.0
     k.sum_V = 0.0
-    if k.blocks >= c.sketch_most:
-        k.on = U(0)
+    if k.blocks >= c.sketch_most and x.ss <= c.sketch_soc2:
+        anchor(x, k)
 
 
 def add_to_sketch(m: Model, x: State, k: Sketch, sample: Sample) -> None:
     """After a step: the sample of that step to the sketch.
 
-    The simulation begins where the deviation of SOC is small. A gap, or a reading that no sensor
-    can have meant, ends it. A sample that comes again is left out.
+    The simulation begins where the deviation of SOC is small. A gap, or a current that no
+    sensor can have meant, ends it. A sample that comes again is left out.
     """
     c = m.constant
     if k.on == U(0) or sample.sequence != k.sequence:
         if k.on == U(1) and sample.sequence != U(k.sequence + 1):
             k.on = U(0)
         k.sequence = sample.sequence
-        sound = positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V)
-        if not (sound and size_within(sample.current_A, c.current_limit_A)):
+        if not size_within(sample.current_A, c.current_limit_A):
             k.on = U(0)
         elif k.on == U(0):
             if x.ss <= c.sketch_soc2:
                 begin_segment(x, k)
-                k.counted = U(0)
         else:
             k.sum_A = k.sum_A + sample.current_A
-            k.sum_V = k.sum_V + sample.voltage_V
+            if positive_within(sample.voltage_V, c.voltage_low_V, c.voltage_high_V):
+                k.sum_V = k.sum_V + sample.voltage_V
+                k.read = U(k.read + 1)
             k.count = U(k.count + 1)
             if k.count >= c.sketch_steps:
                 end_block(m, x, k)
