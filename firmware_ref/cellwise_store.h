@@ -74,6 +74,11 @@ uint32_t cellwise_bank_restore(const cellwise_model *m, cellwise_bank *b, cellwi
                                const cellwise_stored *from, uint32_t age_s);
 #endif
 
+#if CELLWISE_SKETCH
+/* Before a sketch is read out: its header and its CRC. Then begin a new one: cellwise_sketch_init. */
+void cellwise_seal_sketch(cellwise_sketch *sketch);
+#endif
+
 #if CELLWISE_CELLS
 /* Written beside the state of the mean cell and the array of cells, in the same slot. */
 typedef struct {
