@@ -26,7 +26,7 @@ ORDER = (
     "current_offset", "current_gain", "voltage_offset", "time_skew", "ohmic_resistance",
     "resistance_scale", "slow_diffusion", "hysteresis", "capacity", "initial_soc",
 )  # fmt: skip
-NAMED = tuple(n for n in ORDER if n not in ("initial_soc", "ohmic_resistance"))
+NAMED = ORDER[:-1]
 NO_PAST = (
     "one sketch alone names next to nothing: its parameters hold the model's own error, which is "
     "as large as a cause; only an earlier sketch of the same cell shows that error"
@@ -40,7 +40,7 @@ class SketchPrior(NamedTuple):
     odds: float = 20.0  # of no cause against one
     unknown: float = 1000.0  # of what is known against an error of another kind,
     wider: float = 9.0  # which has so many times the variance
-    misfit: float = 0.3  # of a cause: how far it looks from its linear picture
+    misfit: float = 0.25  # of a cause: how far it looks from its linear picture
     sizes: tuple[float, float] = (0.7, 1.5)  # of a cause
     name_at: float = 0.9  # probability
 
@@ -174,6 +174,7 @@ def _values(model: CellModel, name: str, size: float) -> dict[str, float]:
         "current_gain": {"gain": float(np.exp(x))},
         "voltage_offset": {"offset_V": x},
         "time_skew": {"skew_s": x},
+        "ohmic_resistance": {"added_ohm": x},
         "resistance_scale": {"scale": 1.0 + x},
         "slow_diffusion": {"r3_ohm": x},
         "hysteresis": {"m_V": x},

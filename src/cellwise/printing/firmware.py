@@ -70,7 +70,8 @@ ASKED = {
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
 EVERYTHING = Options(**{f.name: 1 for f in fields(Options)} | {
-    "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2, "sketch": SKETCH_SUMS,
+    "points": 101, "temperatures": 3, "arrhenius": 161, "depth": 161, "validity": 2,
+    "sketch": SKETCH_SUMS,
 })  # fmt: skip
 
 

@@ -84,6 +84,7 @@ class SketchSettings(NamedTuple):
     start_soc: float = 0.02  # deviation of SOC at which a simulation begins
     longest_s: float = 8.0 * 3600.0  # then it begins again: what drifts is not the cause alone
 
+
 ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 
 

@@ -92,8 +92,8 @@ class Options:
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
-    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off, ``sketch``
-    the number of sums that are kept of the residual.
+    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off,
+    ``sketch`` the number of sums that are kept of the residual.
     """
 
     points: int
@@ -154,7 +154,7 @@ class Asked:
     components : int          filters side by side while the SOC is not known; 1: one alone
     offset : bool             ask rests and voltages whether the current is off all the time, as the
                               float64 filters do
-    sketch : bool             sums of the residual for a diagnosis, beside the step
+    sketch : int              bytes that sums of the residual for a diagnosis may take; 0: none
     """
 
     points: int | None = None
@@ -165,7 +165,7 @@ class Asked:
     cells: CellSettings | None = None
     components: int = COMPONENTS
     offset: bool = False
-    sketch: bool = False
+    sketch: int = 0
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:

@@ -35,6 +35,10 @@ class SketchSums(NamedTuple):
     generation: int
     model_crc: int
 
+    def head(self) -> dict[str, int]:
+        """What it is of, as JSON values."""
+        return {n: getattr(self, n) for n in ("generation", "segments", "rows")}
+
 
 def empty_sketch(stepper: Stepper) -> NDArray[Any]:
     """A sketch of one record, for tables that were made with ``sketch=True``."""
