@@ -2,6 +2,7 @@
  * on a Cortex-M4F, and three times the stack. Printed from src/cellwise/estimate by `python -m cellwise.printing`;
  * do not edit. */
 #include "cellwise_ekf.h"
+#include "cellwise_sketch.h"
 #include "cellwise_float.h"
 #include "cellwise_arithmetic.h"
 #include "cellwise_scalar.h"
@@ -26,4 +27,4 @@
 #include "cellwise_plan.h"
 #include "cellwise_cells.h"
 #include "cellwise_pack_power.h"
-#include "cellwise_sketch.h"
+#include "cellwise_accumulate.h"

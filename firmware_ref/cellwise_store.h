@@ -5,6 +5,9 @@
 #define CELLWISE_STORE_H
 
 #include "cellwise_ekf.h"
+#if CELLWISE_SKETCH
+#include "cellwise_sketch.h"
+#endif
 
 #ifdef __cplusplus
 extern "C" {

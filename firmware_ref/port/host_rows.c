@@ -1,5 +1,8 @@
 /* Many steps in one call: for the host library and the page only. */
 #include "../cellwise_ekf.h"
+#if CELLWISE_SKETCH
+#include "../cellwise_sketch.h"
+#endif
 
 void cellwise_rows(const cellwise_model *model, cellwise_state *x, const cellwise_input *in,
                    cellwise_output *out, uint32_t samples);

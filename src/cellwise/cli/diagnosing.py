@@ -33,13 +33,13 @@ from cellwise.cell.simulate import Simulation
 from cellwise.cli.common import log_options, options, page_options, printing
 from cellwise.diagnose import diagnose
 from cellwise.diagnose.result import Diagnosis, FoundCause
-from cellwise.diagnose.sketched import SketchCause, diagnose_sketch
+from cellwise.diagnose.sketched import SketchCause
 from cellwise.errors import InputError
-from cellwise.estimate.sketch.stored import read_sums
 from cellwise.files import made_folder
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
 from cellwise.notices import critical_first
+from cellwise.workflows.sketches import diagnose_sketch_files
 
 SHOWN = 6
 
@@ -91,40 +91,24 @@ def run_sketches(arguments: argparse.Namespace) -> None:
     said = vars(arguments)
     others = [n for n in ("logs", "holdout", "baseline", "output", "report", "cause") if said[n]]
     if others or not arguments.sketch:
-        found = f"--sketch with {' and '.join(others)}" if arguments.sketch else "no log"
-        raise InputError(found, "logs, or --sketch FILE alone", "Give one or the other.")
+        what = f"--sketch with {' and '.join(others)}" if arguments.sketch else "no log"
+        raise InputError(what, "logs, or --sketch FILE alone", "Give one or the other.")
     model = options.read_model(arguments)
-    sums = [read_sums(Path(p).read_bytes(), p) for p in existing(arguments.sketch)]
-    past = sums[0] if len(sums) > 1 else None
-    found_causes = diagnose_sketch(model, past, sums[1:])
+    found, sketches = diagnose_sketch_files(model, arguments.sketch)
     if arguments.json:
-        heads = [{"file": p, **s.head()} for p, s in zip(arguments.sketch, sums, strict=True)]
-        printing.print_json({**found_causes.to_dict(), "sketches": heads})
+        printing.print_json({**found.to_dict(), "sketches": sketches})
         return
-    printing.say(f"verdict: {found_causes.verdict}\n")
-    for reason in found_causes.reasons:
+    printing.say(f"verdict: {found.verdict}\n")
+    for reason in found.reasons:
         printing.say(f"  - {reason}")
     printing.record_table(
         "what was tried",
-        found_causes.candidates,
+        found.candidates,
         ("cause", lambda c: c.name),
         ("probability", lambda c: f"{c.probability:.3f}"),
         ("value, were it alone (95 %)", lambda c: "\n".join(_values(c, c.parameters.items()))),
-        ("would be named from", lambda c: _least(found_causes.limits[c.name])),
+        ("would be named from", lambda c: _least(found.limits[c.name])),
     )
-
-
-def existing(paths: list[str]) -> list[str]:
-    """Paths that are files.
-
-    Raises
-    ------
-    InputError        one that is none
-    """
-    for path in paths:
-        if not Path(path).is_file():
-            raise InputError(f"no file '{path}'", "bytes of a sketch", "Correct the path.")
-    return paths
 
 
 def _least(limit: Mapping[str, float] | None) -> str:

@@ -102,7 +102,7 @@ PARTS = {
     "plan": "A plan of loads, and where it ends.",
     "cells": "Cells of a pack on one table: their difference from the mean cell.",
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
-    "sketch": "A sketch of the residual: sums for a diagnosis from nothing else.",
+    "accumulate": "What a sketch adds up after a step.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -112,11 +112,11 @@ FIRST = {
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
     "fixed_cells.py": "cells", "with_cell": "pack_power",
-    "accumulate.py": "sketch",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
+    "cellwise_sketch.h": "A sketch of the residual: sums for a diagnosis from nothing else.",
 }
 WHOLE = (
     "The filter, its parts compiled as one. In objects of their own a step of three states takes "
@@ -288,7 +288,8 @@ def print_files(options: Options) -> dict[str, str]:
         ]  # fmt: skip
         found[f"cellwise_{name}.h"] = "\n".join(text)
         before = name
-    includes = [f'#include "cellwise_{name}.h"' for name in ("ekf", "float", *parts)]
+    public = ("ekf", "sketch") if options.sketch else ("ekf",)
+    includes = [f'#include "cellwise_{name}.h"' for name in (*public, "float", *parts)]
     found["cellwise_ekf.c"] = "\n".join([*headed(WHOLE), *includes, ""])
     return found
 
@@ -340,6 +341,8 @@ def print_headers(made: Program, options: Options) -> dict[str, str]:
             blocks[public] = [*comment(ast.get_docstring(f.node) or ""), *said[:-1], said[-1] + ";"]
     found = {}
     for file, about in HEADERS.items():
+        if file == "cellwise_sketch.h" and not options.sketch:
+            continue
         text = (Path(__file__).parent / f"{file}.in").read_text(encoding="utf-8")
         blocks["head"] = headed(about)
         for name, lines in blocks.items():
