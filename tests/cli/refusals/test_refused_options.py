@@ -107,7 +107,7 @@ diagnose --model MODEL DRIVE -o new.json
 diagnose --model missing.json DRIVE
   | missing.json
 diagnose --model MODEL
-  | error:
+  | no log
 fleet replay --model MODEL LOGS -o out
   --estimator oracle | oracle
   --soc0 80 | 80

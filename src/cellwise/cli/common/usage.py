@@ -125,7 +125,7 @@ def _add_valued(place: argparse._ActionsContainer, names: list[str], value: str,
     elif value.endswith("+"):
         value, more = value[:-1], {"nargs": "+"}
         more |= {"action": "extend", "default": []} if names else {}
-    elif value.endswith("*"):
+    elif value.endswith("*") and "=" not in value:
         value, more = value[:-1], {"nargs": "*", "default": []}
     else:
         optional = value.startswith("[")
