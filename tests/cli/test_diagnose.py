@@ -163,7 +163,7 @@ def test_a_log_outside_the_model_s_data_is_said_first(model, drive, run_json, ca
     assert notice[:30] in capsys.readouterr().out.splitlines()[0]
 
 
-def test_where_nothing_is_wrong_the_model_that_is_written_is_the_old_one(bench, run_json, tmp_path, capsys):
+def test_where_nothing_is_wrong_the_old_model_is_written(bench, run_json, tmp_path, capsys):
     log = read_log(bench / "drive.csv")
     good = tmp_path / "good.csv"
     write_log(CellLog(log.time_s, log.current_A - OFFSET_A, log.voltage_V), good)
