@@ -33,8 +33,8 @@ MUTANTS = {
         "if ((voltage < c->voltage_low_V) || (voltage > c->voltage_high_V)) {",
     ),
     "floor of the innovation variance removed": (
-        "column->variance = (column->variance > 0.0f) ? column->variance : 0.0f;",
-        "",
+        "return (variance > 0.0f) ? variance : 0.0f;",
+        "return variance;",
     ),
     "upper clamp of SOC removed": (
         "        x->soc = within_one(x->soc);",
