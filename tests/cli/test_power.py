@@ -70,7 +70,7 @@ def test_limits_and_horizons_as_given(part, run_json, capsys):
     assert only["discharge_current_A"] <= 7.0
     assert only["charge_current_A"] == pytest.approx(3.0, rel=1e-5)
     assert main(["replay", *MODEL, log, "--soc0", "0.7", *options]) == 0
-    assert "at least W (95 %)" in capsys.readouterr().out
+    assert "at least (95 %) [W]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.slow
