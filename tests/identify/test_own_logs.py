@@ -83,10 +83,10 @@ def test_a_capacity_test_of_the_same_cell_keeps_the_capacity_of_the_model(found)
     assert not found.contradictions
 
 
-def test_a_laboratory_test_is_simulated_back_from_the_fits_own_start():
+def test_a_log_of_the_fit_is_simulated_back_from_the_fits_own_start():
     model = curved_cell()
     log = random_log(np.random.default_rng(5), rows=600)
     log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
     fitted = SimpleNamespace(starts=(Start(log, 0.8, soc0_std=0.02),))
-    (own,) = simulate_back(model, CellTests(hppc=log), fitted)
+    (own,) = simulate_back(model, CellTests(drive=log), fitted)
     assert (own.simulation.soc0, own.start.std) == (0.8, 0.02)

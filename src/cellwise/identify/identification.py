@@ -311,7 +311,7 @@ Role = Literal["hppc", "ocv", "capacity", "drive"]
 
 @dataclass(frozen=True, eq=False)
 class OwnLog:
-    """A log of the identification simulated back from ``start``, see `simulate_back`.
+    """A log of the identification simulated back from ``start``, where the fit has it begin.
 
     ``used`` says whether it took part in the fit; ``compared`` are the rows that did (None: all);
     ``sides_V`` the RMSE of discharge and charge of a low-rate or capacity test; ``reason`` why it
