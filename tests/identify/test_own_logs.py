@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from cellwise.cell.simulate import simulate
 from cellwise.data import load_dataset
 from cellwise.identify import CellTests, IdentifySettings, identify_cell
 from cellwise.identify.identification import Start
-from cellwise.identify.own_logs import directions, other_capacities, simulate_back
-from example_cells import curved_cell, random_log
+from cellwise.identify.own_logs import directions, other_capacities
 
 SETTINGS = IdentifySettings(nominal_Ah=5.0)
 
@@ -81,12 +78,3 @@ def test_a_capacity_test_of_the_same_cell_keeps_the_capacity_of_the_model(found)
     held = own.simulation.model.capacity_Ah / found.model.capacity_Ah
     assert held == pytest.approx(1.0, abs=0.01)
     assert not found.contradictions
-
-
-def test_a_log_of_the_fit_is_simulated_back_from_the_fits_own_start():
-    model = curved_cell()
-    log = random_log(np.random.default_rng(5), rows=600)
-    log = replace(log, voltage_V=simulate(model, log, 0.9).voltage_V)
-    fitted = SimpleNamespace(starts=(Start(log, 0.8, soc0_std=0.02),))
-    (own,) = simulate_back(model, CellTests(drive=log), fitted)
-    assert (own.simulation.soc0, own.start.std) == (0.8, 0.02)

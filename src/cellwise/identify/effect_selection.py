@@ -75,15 +75,13 @@ class JointFit:
         """Where every log begins, and what the cell of one that keeps its own capacity held."""
         each = range(len(self.logs))
         held = {id(self.logs[k].log): self.result.capacity_scale(k) for k in each}
-        found = {id(self.logs[k].log): self.result.start(k) for k in each}
+        soc0 = {id(self.logs[k].log): self.result.start(k)[0] for k in each}
         return tuple(
             s._replace(
-                soc0=min(max(soc0, 0.0), 1.0),
-                soc0_std=std,
+                soc0=min(max(soc0.get(id(s.log), s.soc0), 0.0), 1.0),
                 capacity_scale=held.get(id(s.log), 1.0),
             )
             for s in self.joint.starts
-            for soc0, std in [found.get(id(s.log), (s.soc0, s.soc0_std))]
         )
 
 

@@ -40,7 +40,10 @@ def fit_notices(posterior: Posterior, checked: CheckedLogs) -> tuple[Notice, ...
 
 
 def start_notices(own: Sequence[OwnLog]) -> list[Notice]:
-    """Where logs of the fit begin that nobody says it of; tests where they are not full."""
+    """Where logs of the fit begin that nobody states the start of; tests where they are not full.
+
+    The fit's own deviation knows the model that it made to be right; this one the model's error.
+    """
     found = []
     for one in own:
         log, start = one.simulation.log, one.start

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from cellwise.arguments import check_kind, choice, number, shown
-from cellwise.cell.initial_soc.initial_soc import STATED_STD, InitialSoc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import ErrorMetrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.simulate import Simulation
@@ -206,8 +206,7 @@ class Start(NamedTuple):
     """A log, the SOC at which it begins, the rows that are compared, and why it is left out.
 
     ``rows`` None: all; ``left_out`` empty: it takes part in the fit; ``capacity_scale``: what its
-    cell held over the capacity of the model; ``soc0_std``: deviation of the SOC, with all that the
-    fit left open.
+    cell held over the capacity of the model.
     """
 
     log: CellLog
@@ -215,13 +214,6 @@ class Start(NamedTuple):
     rows: BoolArray | None = None
     left_out: str = ""
     capacity_scale: float = 1.0
-    soc0_std: float = STATED_STD
-
-    @property
-    def found(self) -> InitialSoc:
-        """As every other command says where a log begins; no start is surer than a stated one."""
-        std = max(self.soc0_std, STATED_STD)
-        return InitialSoc(self.soc0, std, "as the fit has it")
 
 
 @dataclass(frozen=True)
@@ -311,7 +303,7 @@ Role = Literal["hppc", "ocv", "capacity", "drive"]
 
 @dataclass(frozen=True, eq=False)
 class OwnLog:
-    """A log of the identification simulated back from ``start``, where the fit has it begin.
+    """A log of the identification simulated back from ``start``, where its model finds it to begin.
 
     ``used`` says whether it took part in the fit; ``compared`` are the rows that did (None: all);
     ``sides_V`` the RMSE of discharge and charge of a low-rate or capacity test; ``reason`` why it

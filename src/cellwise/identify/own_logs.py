@@ -8,7 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from cellwise.cell.initial_soc.initial_soc import initial_soc
+from cellwise.cell.initial_soc.initial_soc import InitialSoc, initial_soc
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     NO_MODEL_V,
@@ -33,6 +33,7 @@ from cellwise.wording import joined_texts
 
 CLEAR_GAP_V = 0.02  # between a side of a test and the model: hysteresis and resistance of others
 CLEARLY_WORSE = 1.1  # a likelihood weighs rows otherwise than an RMSE does: a tenth is no loss
+WORSE = 2.0  # times the error with the fit's start: then the found one is no start of this log
 # Left out at each end: a pulse of a few rows in hours of rest counts, a sensor's spike does not.
 TRIMMED_ROWS, TRIMMED_SHARE = 2, 2e-5
 
@@ -42,9 +43,9 @@ def simulate_back(
 ) -> tuple[OwnLog, ...]:
     """Every log from where it begins by the finished model, in the order in which it was given.
 
-    The start is the fit's, which knows what a test begins with; of a log that had no part in it
-    the one that every other command finds with this model. Beside it what ``prior``, the model that
-    was updated, leaves of the same rows from the start that it finds.
+    The start is what every other command finds with this model; the fit's own, which knows what a
+    test begins with, where the found one errs twice as much on the rows compared. Beside it what
+    ``prior``, the model that was updated, leaves of the same rows from the start that it finds.
     """
     starts = {id(s.log): s for s in fitted.starts}
     roles: list[tuple[Role, CellLog]] = [
@@ -68,11 +69,13 @@ def _beside_prior(own: OwnLog, prior: CellModel) -> OwnLog:
 
 def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) -> OwnLog:
     of_log = own_model(model, start.capacity_scale)
+    begins = initial_soc(of_log, log, whole_log=True)
+    simulation = simulate(of_log, log, begins.soc)
     if start.left_out:
-        begins = initial_soc(of_log, log, whole_log=True)
-        simulation = simulate(of_log, log, begins.soc)
         return OwnLog(role, False, simulation, begins, None, {}, start.left_out)
-    simulation = simulate(of_log, log, start.soc0)
+    fits = simulate(of_log, log, start.soc0)
+    if _rmse_V(simulation, start.rows) > WORSE * _rmse_V(fits, start.rows):
+        begins, simulation = InitialSoc(start.soc0, begins.std, "as the fit has it"), fits
     sides = directions(log) if role in ("ocv", "capacity") else {}
     rmse = {n: _rmse_V(simulation, x) for n, x in sides.items() if _known(simulation, x).size}
     away = start.capacity_scale - 1.0
@@ -81,7 +84,7 @@ def _simulated_back(model: CellModel, role: Role, log: CellLog, start: Start) ->
         said.insert(
             0, f"simulated with a capacity of its own, {100.0 * away:+.1f} % of the model's"
         )
-    return OwnLog(role, True, simulation, start.found, start.rows, rmse, "; ".join(said))
+    return OwnLog(role, True, simulation, begins, start.rows, rmse, "; ".join(said))
 
 
 def check_possible(model: CellModel, found: Sequence[Notice]) -> None:

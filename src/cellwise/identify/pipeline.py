@@ -18,6 +18,7 @@ import numpy as np
 
 from cellwise.arguments import check_kind
 from cellwise.cell.equations import ZERO_CELSIUS_K
+from cellwise.cell.initial_soc.initial_soc import InitialSoc
 from cellwise.cell.metrics import error_metrics
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import in_order
@@ -161,7 +162,7 @@ def _fitted(
         model = replace(model, capacity_Ah=capacity.capacity_Ah)
     starts = fit.starts
     say("OCV and pulses")
-    begun = {id(s.log): s.found for s in starts}
+    begun = {id(s.log): InitialSoc(s.soc0, 0.01, "as the fit has it") for s in starts}
     curve, wrong, said = _curve(checked, model)
     pulses = measure_pulses(checked, curve, model.capacity_Ah, settings, begun)
     if not settings.refine:
