@@ -52,11 +52,12 @@ Costs = dict[str, dict[str, Any]]
 
 
 def measured() -> dict[str, Any]:
-    """A lean step, one with all care, and one of a bank, of three states, on every core here."""
+    """A lean step, one with all care, that with an offset and a bank's, of three states, by core."""
     model = two_branches()
     tables = {
         "lean": fixed_step_tables(model, DT_S, points=POINTS, wide=False),
         "wide": fixed_step_tables(model, DT_S, points=POINTS),
+        "offset": fixed_step_tables(model, DT_S, points=POINTS, offset=True),
     }
     records = samples_of(model, load_log(STEPS), DT_S).records
     costs: dict[str, Costs] = {}
@@ -101,6 +102,7 @@ def cost_table(results: dict[str, Any]) -> str:
         f"|---|{'---|' * len(cores)}",
         row("a step with `--lean`, mean / most on the drive", instructions("lean")),
         row("a step without, mean / most on the drive", instructions("wide")),
+        row("a step with `--offset`, mean / most on the drive", instructions("offset")),
         row(f"a step of a bank of {COMPONENTS} components, mean / most", instructions("bank")),
         row("flash for code with `--lean` / without",
             lambda c: f"{c['lean']['text_bytes']:,} / {c['wide']['text_bytes']:,} B"),
