@@ -45,7 +45,8 @@ def check_current(log: CellLog, capacity_Ah: float) -> None:
             f"{capacity_Ah:g} Ah within {hours:.2g} h in log '{log.name}'",
             "amperes, and the log of a cell of this size",
             "Milliamperes? A column of a file is then named current_mA. Write "
-            "dataclasses.replace(log, current_A=log.current_A / 1000).",
+            "dataclasses.replace(log, current_A=log.current_A / 1000). Of cells in parallel, "
+            "divide it by their number.",
         )
 
 
