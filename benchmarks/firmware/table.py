@@ -52,7 +52,7 @@ Costs = dict[str, dict[str, Any]]
 
 
 def measured() -> dict[str, Any]:
-    """A lean step, one with all care, that with an offset and a bank's, of three states, by core."""
+    """Steps of three states by core: lean, with all care, with an offset, a bank's."""
     model = two_branches()
     tables = {
         "lean": fixed_step_tables(model, DT_S, points=POINTS, wide=False),

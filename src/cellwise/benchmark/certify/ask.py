@@ -156,7 +156,7 @@ def ask_finding(data: Mapping[str, Any]) -> str:
     """The first line: whether the limit is reached, and how many ways there are."""
     ask = data["ask"]
     limit = f"{100.0 * ask['limit']:g} % {ask['figure']} at {ask['temperature_C']:g} degC"
-    what = f"{limit} after {ask['years']:g} years"
+    what = f"{limit} after {ask['years']:g} year{'' if ask['years'] == 1 else 's'}"
     count = len(data["front"])
     return f"{what}: {count} ways" if data["reached"] else f"{what}: not reached; {count} nearest"
 
