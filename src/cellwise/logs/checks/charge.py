@@ -44,9 +44,9 @@ def check_current(log: CellLog, capacity_Ah: float) -> None:
             f"a current that moves {moved_Ah / capacity_Ah:.0f} times the model's capacity of "
             f"{capacity_Ah:g} Ah within {hours:.2g} h in log '{log.name}'",
             "amperes, and the log of a cell of this size",
-            "Milliamperes? A column of a file is then named current_mA. Write "
-            "dataclasses.replace(log, current_A=log.current_A / 1000). Of cells in parallel, "
-            "divide it by their number.",
+            "Of cells in parallel, divide the current by their number. Milliamperes? A column of "
+            "a file is then named current_mA. Write "
+            "dataclasses.replace(log, current_A=log.current_A / 1000).",
         )
 
 
