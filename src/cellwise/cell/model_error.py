@@ -201,6 +201,22 @@ class ModelError:
             persistent_share=persistent,
         )
 
+    def moved(self, after_s: float, seen_s: float) -> ModelError:
+        """What is new of the error ``after_s`` a mean over ``seen_s`` of it is taken off.
+
+        What no test could show, of loads that last, is as slow as the slowest process.
+        """
+        part = moved_part(np.array(self.scales_s), after_s, seen_s)
+        charge = self.unseen_charge_share
+        return replace(
+            self,
+            std_V=_tuples((part[:, None, None] * np.array(self.std_V)).tolist()),
+            share=tuple((part * self.shares()).tolist()),
+            charge_share=tuple((part * self.shares(-1.0)).tolist()),
+            unseen_share=float(part[-1] * self.unseen_share),
+            unseen_charge_share=None if charge is None else float(part[-1] * charge),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """JSON values: the fields, and the SOC grid that ``std_V`` is over."""
         soc = np.linspace(0.0, 1.0, len(self.std_V[0][0]))
@@ -213,6 +229,23 @@ class ModelError:
 
     def _mean_V2(self, scale: int) -> float:
         return float(np.mean(np.square(self.std_V[scale])))
+
+
+def moved_part(memory_s: FloatArray, after_s: float, seen_s: float) -> FloatArray:
+    r"""Of the deviation of first-order processes what is left once a mean is taken off.
+
+    The mean is over ``seen_s``, the process ``after_s`` later; of its variance that leaves
+
+    .. math:: 1 + \frac{2}{b^2} \left(b - 1 + e^{-b}\right)
+       - \frac{2}{b}\, e^{-h / \tau} \left(1 - e^{-b}\right), \qquad b = s / \tau
+
+    with h and s for the two times: little of a slow one, more than all of a quick one.
+    """
+    tau = np.maximum(memory_s, 1e-3)
+    b = seen_s / tau
+    fallen = -np.expm1(-b)
+    left = 1.0 + 2.0 * (b - fallen) / b**2 - 2.0 * np.exp(-after_s / tau) * fallen / b
+    return np.asarray(np.sqrt(np.maximum(left, 0.0)))
 
 
 def with_temperature(error: ModelError, temperature_C: float, times: float) -> ModelError:

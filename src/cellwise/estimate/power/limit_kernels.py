@@ -10,6 +10,7 @@ from cellwise.cell.equations import CellTables, with_soc
 from cellwise.cell.packed import changed, record_at
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.power.load_kernels import (
+    BIAS_S,
     LoadedState,
     OperatingPoint,
     end_variance,
@@ -47,6 +48,13 @@ class LimitScalars(NamedTuple):
     charge_A: float
     low_soc: float
     high_soc: float
+
+
+class Stated(NamedTuple):
+    """A model, and by how much it says that it is off."""
+
+    tables: CellTables
+    noise: NoiseScalars
 
 
 class Question(NamedTuple):
@@ -106,7 +114,7 @@ def trial(q: Question, load: float) -> Trial:
 
     Margins are compared as shares: a volt, the largest current, all of the SOC. The slope of the
     voltage over SOC is the chord to the SOC that is ``sigmas`` deviations worse, so that a
-    resistance that rises there counts.
+    resistance that rises there counts; what that SOC makes of the voltage at no load is seen.
     """
     soc = q.now.cell.soc
     there = led_to(q, load, soc)
@@ -119,6 +127,7 @@ def trial(q: Question, load: float) -> Trial:
             worse = led_to(q, load, soc - q.side * off_soc).now
             possible = worse.possible
             slope_V = (there.now.voltage_V - worse.voltage_V) / (q.side * off_soc)
+        slope_V -= seen_slope_V(q, off_soc)
         variance_V2 = end_variance(q.tables, q.noise, q.now, there, slope_V)
         off_V = q.sigmas * math.sqrt(variance_V2)
     if not possible:
@@ -141,6 +150,23 @@ def trial(q: Question, load: float) -> Trial:
         margin = left_soc
         reason = BY_SOC
     return Trial(there, off_V, margin, reason)
+
+
+@part
+def seen_slope_V(q: Question, off_soc: float) -> float:
+    """Of the voltage at no load over SOC, where ``BIAS_S`` of voltages have been seen; else 0.
+
+    A SOC that is off has moved these as well, and the bias has taken that away.
+    """
+    now = q.now
+    if now.but.seen_s < BIAS_S:
+        return 0.0
+    here = moment_of(q.tables, now.cell, 0.0, False, now.temperature_C, now.but)
+    if off_soc <= SMALLEST_SHIFT:
+        return here.point.ocv_slope_V
+    shifted = with_soc(now.cell, now.cell.soc - q.side * off_soc)
+    worse = moment_of(q.tables, shifted, 0.0, False, now.temperature_C, now.but)
+    return (here.voltage_V - worse.voltage_V) / (q.side * off_soc)
 
 
 @kernel
@@ -219,32 +245,36 @@ def present_at(values: FloatArray, k: int) -> OperatingPoint:
 
 @rows
 def power_rows(
-    tables: CellTables,
-    noise: NoiseScalars,
+    unseen: Stated,
+    seen: Stated,
     limits: LimitScalars,
     power: bool,
-    horizons_s: FloatArray,
+    horizon_s: float,
     present: FloatArray,
-    guess: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Power of every row, shape (rows, horizons, ways, 5), from rows of an `OperatingPoint` each.
+    """Power of every row, shape (rows, ways, 5), from rows of an `OperatingPoint` each.
 
     On discharge and on charge the power, its lower bound, current and voltage at the horizon's end
-    and what limits it. ``guess``, of the shape of a row, holds loads to begin at; it is written.
+    and what limits it. ``unseen`` is what the model states, ``seen`` what it states of a cell whose
+    voltages have been seen for `BIAS_S`. The search begins at the loads of the row before.
     """
+    down, down_low, up, up_low = 0.0, 0.0, 0.0, 0.0
     for k in range(present.shape[0]):
         now = present_at(present, k)
-        for j in range(horizons_s.size):
-            for way in range(2):
-                side = 1.0 - 2.0 * way
-                value = Question(tables, noise, limits, now, power, horizons_s[j], side, 0.0)
-                sure = changed(value, "sigmas", SUSTAINED_SIGMAS)
-                found = largest_load(value, guess[j, way, 0])
-                low = largest_load(sure, guess[j, way, 1])
-                guess[j, way, 0], guess[j, way, 1] = found.load, low.load
-                out[k, j, way, 0] = found.power_W
-                out[k, j, way, 1] = min(low.power_W, found.power_W)
-                out[k, j, way, 2] = found.current_A
-                out[k, j, way, 3] = found.voltage_V
-                out[k, j, way, 4] = found.reason
+        tables, noise = seen if now.but.seen_s >= BIAS_S else unseen
+        for way in range(2):
+            side = 1.0 - 2.0 * way
+            value = Question(tables, noise, limits, now, power, horizon_s, side, 0.0)
+            sure = changed(value, "sigmas", SUSTAINED_SIGMAS)
+            found = largest_load(value, up if way else down)
+            low = largest_load(sure, up_low if way else down_low)
+            if way:
+                up, up_low = found.load, low.load
+            else:
+                down, down_low = found.load, low.load
+            out[k, way, 0] = found.power_W
+            out[k, way, 1] = min(low.power_W, found.power_W)
+            out[k, way, 2] = found.current_A
+            out[k, way, 3] = found.voltage_V
+            out[k, way, 4] = found.reason

@@ -31,6 +31,8 @@ from cellwise.estimate.noise import NoiseScalars
 STEPS = 5
 # A resistance that follows the current is found by repetition.
 REPETITIONS = 2
+# What the model has been off by over the longest usual horizon is taken to stay over the next.
+BIAS_S = 30.0
 
 
 class CorrectionCovariance(NamedTuple):
@@ -48,21 +50,22 @@ class Correction(NamedTuple):
     """What a cell is seen to differ by from its model.
 
     R0 I + V1 counts 1 + ``common`` + ``falling`` f times, where f falls with the current from 1 on,
-    V2 counts 1 + ``tail`` times. ``bias_V`` is measured less modelled voltage of late, which is
-    taken to stay over the horizon.
+    V2 counts 1 + ``tail`` times. ``bias_V`` is measured less modelled voltage of late, a mean over
+    ``seen_s`` of voltages, which is taken to stay over the horizon.
     """
 
     common: float
     falling: float
     tail: float
     bias_V: float
+    seen_s: float
     spread: CorrectionCovariance
 
 
 # Of each number beforehand: resistances differ by a fifth from cell to cell and over a life.
 FACTOR_VARIANCE = 0.2**2
 UNSEEN = CorrectionCovariance(FACTOR_VARIANCE, 0.0, 0.0, FACTOR_VARIANCE, 0.0, FACTOR_VARIANCE)
-AS_MODEL = Correction(0.0, 0.0, 0.0, 0.0, UNSEEN)
+AS_MODEL = Correction(0.0, 0.0, 0.0, 0.0, 0.0, UNSEEN)
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 
 

@@ -30,6 +30,7 @@ from cellwise.estimate.filters.kalman_kernels import AdaptiveState, reading_of
 from cellwise.estimate.power.limits import KnownLimits
 from cellwise.estimate.power.load_kernels import (
     AS_MODEL,
+    BIAS_S,
     FACTOR_VARIANCE,
     Correction,
     CorrectionCovariance,
@@ -45,8 +46,6 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.plotting import Tabular
 from cellwise.typing import FloatArray, IntArray
 
-# What the model has been off by over the longest usual horizon is taken to stay over the next.
-BIAS_S = 30.0
 # A factor is judged by what moves between the shortest and the longest usual horizon.
 NEAR_S, FAR_S = 2.0, BIAS_S
 FORGOTTEN_PER_S = FACTOR_VARIANCE / 40_000.0  # half a day: SOC and temperature are others then
@@ -64,14 +63,13 @@ class Smoothed(NamedTuple):
 
 
 class CorrectionMemory(NamedTuple):
-    """A correction, the voltages ``seen_s`` it goes by, and the means it is estimated from.
+    """A correction, and the means it is estimated from.
 
     ``fast`` is R0 I + V1, ``fallen`` the same times the share that falls with the current, ``tail``
     V2, ``miss`` measured less modelled voltage; the last two are mean squares of what moves.
     """
 
     but: Correction
-    seen_s: float
     fast: Smoothed
     fallen: Smoothed
     tail: Smoothed
@@ -84,7 +82,7 @@ class CorrectionMemory(NamedTuple):
 def no_memory() -> CorrectionMemory:
     """Before any sample."""
     none = Smoothed(0.0, 0.0)
-    return CorrectionMemory(AS_MODEL, 0.0, none, none, none, none, 0.0, 0.0)
+    return CorrectionMemory(AS_MODEL, none, none, none, none, 0.0, 0.0)
 
 
 @inline
@@ -124,7 +122,9 @@ def least_squares(
         max(s.ff - k * f * f, 0.0), s.ft - k * f * t, max(s.tt - k * t * t, 0.0),
     )  # fmt: skip
     k *= left_V
-    return Correction(but.common - k * c, but.falling - k * f, but.tail - k * t, but.bias_V, spread)
+    return Correction(
+        but.common - k * c, but.falling - k * f, but.tail - k * t, but.bias_V, but.seen_s, spread
+    )  # fmt: skip
 
 
 @kernel
@@ -147,7 +147,7 @@ def remembered(
     if not math.isfinite(miss_V) or status & UNUSED:
         return was
     near, far = min(dt_s / NEAR_S, 1.0), min(dt_s / FAR_S, 1.0)
-    if was.seen_s <= 0.0:
+    if was.but.seen_s <= 0.0:
         near = far = 1.0
     fast_V, old = now.point.r0_ohm * seen_A + x.v1_V, was.but
     fallen_V = fast_V * falling_share(tables.cell, seen_A)
@@ -165,11 +165,12 @@ def remembered(
         # One piece of evidence in twice the time of the band.
         noise_V2 = max(miss_V2, LEAST_MISS_V2) * max(2.0 * FAR_S / dt_s, 1.0)
         but = least_squares(but, a, b, c, left_V, noise_V2)
-    seen_s = min(was.seen_s + dt_s, BIAS_S)
+    seen_s = min(old.seen_s + dt_s, BIAS_S)
     off_V = miss_V + taken_off(but, fast_V, fallen_V, x.v2_V)
     share = min(dt_s / seen_s, 1.0) if seen_s > 0.0 else 1.0
     but = changed(but, "bias_V", but.bias_V + share * (off_V - but.bias_V))
-    return CorrectionMemory(but, seen_s, fast, fallen, tail, miss, swing_V2, miss_V2)
+    but = changed(but, "seen_s", seen_s)
+    return CorrectionMemory(but, fast, fallen, tail, miss, swing_V2, miss_V2)
 
 
 class Carried(NamedTuple):

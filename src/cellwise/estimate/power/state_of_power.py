@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -11,15 +12,16 @@ from cellwise.arguments import numbers, shown
 from cellwise.cell.compiled import announce
 from cellwise.cell.equations import CellState, CellTables
 from cellwise.cell.model import CellModel
+from cellwise.cell.model_error import moved_part
 from cellwise.cell.packed import row_of
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.noise import Noise, noise_for
-from cellwise.estimate.power.limit_kernels import power_rows
+from cellwise.estimate.power.limit_kernels import Stated, power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import AS_MODEL, Correction, OperatingPoint
+from cellwise.estimate.power.load_kernels import AS_MODEL, BIAS_S, Correction, OperatingPoint
 from cellwise.typing import FloatArray
 
 Hold = Literal["power", "current"]
@@ -61,7 +63,11 @@ class StateOfPower(NamedTuple):
 
 
 class PowerSettings(NamedTuple):
-    """What the power of a model is asked for: horizons, limits, what is held, the kernels' view."""
+    """What the power of a model is asked for: horizons, limits, what is held, the kernels' view.
+
+    ``seen`` is for each horizon the same model, and what its error may still do by then where the
+    voltages of `BIAS_S` are known.
+    """
 
     horizons_s: tuple[float, ...]
     hold: Hold
@@ -69,6 +75,7 @@ class PowerSettings(NamedTuple):
     tables: CellTables
     noise: Noise
     model: CellModel
+    seen: tuple[Stated, ...]
 
     def rows(self, present: FloatArray) -> FloatArray:
         """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
@@ -76,12 +83,12 @@ class PowerSettings(NamedTuple):
         ``present`` are operating points in rows, shape (rows, numbers of an OperatingPoint).
         """
         announce(power_rows, "the state of power")
-        out = np.empty((len(present), len(self.horizons_s), 2, len(PowerLimit._fields)))
-        power_rows(
-            self.tables, self.noise.scalars(self.model), self.known.scalars(),
-            self.hold == "power", np.array(self.horizons_s), present, np.zeros(out[0].shape), out,
-        )  # fmt: skip
-        return out
+        out = np.empty((len(self.horizons_s), len(present), 2, len(PowerLimit._fields)))
+        unseen = Stated(self.tables, self.noise.scalars(self.model))
+        limits, power = self.known.scalars(), self.hold == "power"
+        for horizon_s, seen, found in zip(self.horizons_s, self.seen, out, strict=True):
+            power_rows(unseen, seen, limits, power, horizon_s, present, found)
+        return np.ascontiguousarray(out.swapaxes(0, 1))
 
     def states(self, row: FloatArray) -> tuple[StateOfPower, ...]:
         """One row of these by name, at every horizon."""
@@ -127,8 +134,24 @@ def power_settings(
     if hold not in get_args(Hold):
         raise InputError(f"hold '{hold}'", f"one of {', '.join(get_args(Hold))}", "Choose one.")
     known = operating_limits(model, limits)
-    noise = noise_for(model, noise)
-    return PowerSettings(horizons, hold, known, model.parameters(), noise, model)
+    seen = tuple(_seen(model, noise, h) for h in horizons)
+    return PowerSettings(
+        horizons, hold, known, model.parameters(), noise_for(model, noise), model, seen
+    )
+
+
+def _seen(model: CellModel, noise: Noise | None, horizon_s: float) -> Stated:
+    """A model after `BIAS_S` of voltages: what its error may do in a horizon, not what it was.
+
+    An error along the SOC axis is as slow as the slowest; a ``noise`` that was given stays.
+    """
+    slowest_s = np.array(model.error.scales_s[-1:])
+    model = replace(model, error=model.error.moved(horizon_s, BIAS_S))
+    known = noise_for(model, noise)
+    if noise is None:
+        (part,) = moved_part(slowest_s, horizon_s, BIAS_S).tolist()
+        known = replace(known, ocv_soc=part * known.ocv_soc)
+    return Stated(model.parameters(), known.scalars(model))
 
 
 def power_limits(
