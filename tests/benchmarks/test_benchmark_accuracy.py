@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from benchmarks.accuracy import __main__ as accuracy
 from benchmarks.accuracy.judging import from_the_middle, judge_soc, voltage_rmse_mV
+from benchmarks.accuracy.power import reading_of
 from benchmarks.example_cell import START_SOC, load_log, three_branches
 from benchmarks.firmware import __main__ as firmware
 from benchmarks.measured_data import data_folder
 from benchmarks.parts import measure
 from benchmarks.speed import __main__ as speed
 
+from cellwise.identify.hppc.pulse_quality import Pulse
 from cellwise.logs import CellLog
 
 
@@ -85,3 +87,32 @@ def test_measured_cells_meet_their_targets(real_data):
     assert [m for m in missed if not any(known in m for known in SHORT)] == []
     assert len(missed) <= len(SHORT)
     assert sum(f.passed is not None for f in figures) >= 31  # so many are judged
+
+
+def a_pulse(
+    size_A: float = 6.0, every_s: float = 1.0, first_s: float = 1.0, scatter_V: float = 0.0
+) -> tuple[CellLog, Pulse]:
+    """Rest, a row in which nothing flows yet, 12 s of a current; scatter in turn up and down."""
+    pulse_s = np.concatenate(([first_s], np.full(int(12 / every_s) - 1, every_s)))
+    time_s = np.cumsum(np.concatenate((np.full(5, 10.0), [6.0], pulse_s))) - 10.0
+    current_A = np.concatenate((np.zeros(5), [0.03], np.full(pulse_s.size, size_A)))
+    voltage_V = 3.7 - 0.04 * current_A + scatter_V * (-1.0) ** np.arange(time_s.size)
+    log = CellLog(time_s, current_A, voltage_V)
+    stop = time_s.size
+    return log, Pulse(5, stop, stop, 0, stop, size_A, 18.0, 0.02, "pulse")
+
+
+def test_a_pulse_is_read_from_where_its_current_begins():
+    log, pulse = a_pulse()
+    before, end = reading_of(log, pulse)
+    assert before == 5  # not row 4: in row 5 nothing flows yet
+    assert log.time_s[end] - log.time_s[before] == 10.0
+
+
+@pytest.mark.parametrize(
+    "unread",
+    [{"first_s": 10.0}, {"size_A": 0.1, "scatter_V": 5e-4}, {"every_s": 4.0}],
+    ids=["nobody knows when it began", "its fall scatters", "too few rows to see its scatter"],
+)
+def test_a_pulse_that_no_log_shows_judges_nothing(unread):
+    assert reading_of(*a_pulse(**unread)) is None

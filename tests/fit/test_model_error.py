@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellwise.cell.model_error import SCALES_S, ModelError, in_bands
+from cellwise.cell.model_error import SCALES_S, ModelError, in_bands, moved_part
 from cellwise.fit.model_error import (
     ResidualLog,
     estimate_model_error,
@@ -177,3 +177,33 @@ def test_unseen_shares_are_handed_on():
     found = estimate_model_error([log], unseen=(0.2, 0.3))
     assert (found.unseen_share, found.unseen_charge_share) == (0.2, 0.3)
     assert found.whole_share() == pytest.approx(np.hypot(found.shown_share(), 0.2))
+
+
+@pytest.mark.parametrize("memory_s", [1.0, 30.0, 300.0])
+def test_what_is_new_of_an_error_after_its_mean_is_taken_off(memory_s):
+    """Drawn by the second: a first-order process 10 s after a mean over 30 s of it."""
+    rng = np.random.default_rng(5)
+    keep = np.exp(-0.1 / memory_s)
+    value = rng.normal(size=20_000)
+    seen = np.zeros(20_000)
+    for _ in range(300):
+        seen += value / 300.0
+        value = keep * value + np.sqrt(1.0 - keep * keep) * rng.normal(size=value.size)
+    later_keep = np.exp(-10.0 / memory_s)
+    later = later_keep * value + np.sqrt(1.0 - later_keep**2) * rng.normal(size=value.size)
+    (part,) = moved_part(np.array([memory_s]), 10.0, 30.0)
+    assert float(np.std(later - seen)) == pytest.approx(part, rel=0.03)
+
+
+def test_each_process_of_an_error_moves_by_its_own_memory():
+    error = ModelError(
+        scales_s=(1.0, 1000.0), std_V=(((0.004,),), ((0.010,),)), share=(0.01, 0.05),
+        charge_share=(0.02, 0.06), unseen_share=0.2, unseen_charge_share=0.3,
+    )  # fmt: skip
+    quick, slow = moved_part(np.array([1.0, 1000.0]), 10.0, 30.0)
+    moved = error.moved(10.0, 30.0)
+    np.testing.assert_allclose(np.ravel(moved.std_V), [quick * 0.004, slow * 0.010])
+    np.testing.assert_allclose(moved.shares(), [quick * 0.01, slow * 0.05])
+    np.testing.assert_allclose(moved.shares(-1.0), [quick * 0.02, slow * 0.06])
+    assert moved.hidden_share() == pytest.approx(slow * 0.2)
+    assert moved.hidden_share(-1.0) == pytest.approx(slow * 0.3)

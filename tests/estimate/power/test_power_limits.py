@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cellwise.cell.equations import CellState, advance, empty_state, voltage_of
-from cellwise.cell.model_error import ModelError
+from cellwise.cell.model_error import ModelError, moved_part
 from cellwise.cell.plausibility.validity import Validity
 from cellwise.errors import InputError
 from cellwise.estimate.noise import Noise
 from cellwise.estimate.power.limit_kernels import Question, largest_load
 from cellwise.estimate.power.limits import OperatingLimits, operating_limits
-from cellwise.estimate.power.load_kernels import AS_MODEL, OperatingPoint
+from cellwise.estimate.power.load_kernels import AS_MODEL, BIAS_S, OperatingPoint
 from cellwise.estimate.power.state_of_power import power_limits, power_settings
 from example_cells import EFFECTS, curved_cell, lfp_cell, linear_cell, random_model
 
@@ -155,6 +155,30 @@ def test_of_draws_of_the_soc_95_of_100_sustain_the_lower_bound(side):
         [side * constant_current(model, LOADED._replace(soc=x), limit_V, 10.0) for x in socs]
     )
     assert np.mean(able >= current_A) == pytest.approx(0.95, abs=0.012)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_error_that_was_seen_leaves_the_bound_what_it_may_still_do(side):
+    """Half a minute of voltages: of a slow error a fifth is left, of a SOC on a line nothing."""
+    slow = ModelError.of_white_and_slow(1e-6, 0.030, 1000.0, resistance_share=0.0)
+    model = linear_cell(error=slow)
+    noise = replace(Noise.of_model(model), ocv_soc=0.0, current_A=0.0)
+    settings = power_settings(model, horizons_s=(10.0,), limits=LIMITS, noise=noise)
+    (seen,) = settings.seen
+    low_A = {}
+    for known, seen_s in ((settings, 0.0), (seen, BIAS_S)):
+        scalars = noise.scalars(model)
+        now = OperatingPoint(LOADED, 0.02**2, WARM_C, AS_MODEL._replace(seen_s=seen_s))
+        limits = settings.known.scalars()
+        asked = Question(known.tables, scalars, limits, now, False, 10.0, side, 1.6449)
+        low_A[seen_s] = largest_load(asked, 0.0).current_A
+    limit_V = 3.0 if side > 0 else 4.2
+    of_soc_V = 0.02 * 0.9
+    (part,) = moved_part(np.array([1000.0]), 10.0, BIAS_S).tolist()
+    for seen_s, off_V in ((0.0, np.hypot(0.030, of_soc_V)), (BIAS_S, part * 0.030)):
+        kept_V = limit_V + side * 1.6449 * off_V
+        expected_A = side * constant_current(model, LOADED, kept_V, 10.0)
+        assert low_A[seen_s] == pytest.approx(expected_A, rel=2e-3)
 
 
 def test_a_model_that_is_less_sure_promises_less():
