@@ -16,8 +16,8 @@ from cellwise.estimate.replay import expected_convergence_s, replay
 CAPACITY_AH = 2.9973
 # The issue asks for 3 % in the median; measured with the EKF.
 SHORT = {
-    -10.0: "4.4 %: what a pulse says at one SOC is another tenth of SOC away no longer so",
-    -20.0: "3.3 %: as at -10 degC",
+    -10.0: "5.5 %: C/2 gives 7 % less than predicted, 2C 7 % more, at SOC levels of the fit, too",
+    -20.0: "5.2 %: as at -10 degC",
 }
 
 
@@ -52,9 +52,11 @@ def test_pulse_power_within_the_bounds_of_the_issue(predicted, temperature_C):
 
 
 @pytest.mark.slow
-def test_the_lower_bound_is_sustained(predicted):
+def test_the_lower_bound_is_sustained_by_as_many_as_the_issue_asks(predicted):
+    """90 to 98 of 100: a bound that every pulse sustains is too wide."""
     pulses = [p for found in predicted.values() for p in found]
-    assert np.mean([p.predicted_low_W <= p.power_W for p in pulses]) >= 0.95
+    held = np.mean([p.predicted_low_W <= p.power_W for p in pulses])
+    assert 90 <= round(100 * held) <= 98
 
 
 @pytest.mark.slow
