@@ -109,12 +109,30 @@ def led_to(q: Question, load: float, soc: float) -> LoadedState:
 
 
 @part
-def trial(q: Question, load: float) -> Trial:
+def known_slope_V(q: Question) -> float:
+    """Of the voltage at no load over SOC, where ``BIAS_S`` of voltages have been seen; else 0.
+
+    A SOC that is off has moved these as well, and the bias has taken that away.
+    """
+    now = q.now
+    if not q.sigmas > 0.0 or now.but.seen_s < BIAS_S:
+        return 0.0
+    here = moment_of(q.tables, now.cell, 0.0, False, now.temperature_C, now.but)
+    off_soc = q.side * q.sigmas * math.sqrt(now.soc_variance)
+    if abs(off_soc) <= SMALLEST_SHIFT:
+        return here.point.ocv_slope_V
+    shifted = with_soc(now.cell, now.cell.soc - off_soc)
+    worse = moment_of(q.tables, shifted, 0.0, False, now.temperature_C, now.but)
+    return (here.voltage_V - worse.voltage_V) / off_soc
+
+
+@part
+def trial(q: Question, load: float, seen_slope_V: float) -> Trial:
     """Hold one load, without sign; the margin to the nearest limit is above 0 within all.
 
     Margins are compared as shares: a volt, the largest current, all of the SOC. The slope of the
     voltage over SOC is the chord to the SOC that is ``sigmas`` deviations worse, so that a
-    resistance that rises there counts; what that SOC makes of the voltage at no load is seen.
+    resistance that rises there counts; ``seen_slope_V`` of it is known.
     """
     soc = q.now.cell.soc
     there = led_to(q, load, soc)
@@ -127,7 +145,7 @@ def trial(q: Question, load: float) -> Trial:
             worse = led_to(q, load, soc - q.side * off_soc).now
             possible = worse.possible
             slope_V = (there.now.voltage_V - worse.voltage_V) / (q.side * off_soc)
-        slope_V -= seen_slope_V(q, off_soc)
+        slope_V -= seen_slope_V
         variance_V2 = end_variance(q.tables, q.noise, q.now, there, slope_V)
         off_V = q.sigmas * math.sqrt(variance_V2)
     if not possible:
@@ -152,23 +170,6 @@ def trial(q: Question, load: float) -> Trial:
     return Trial(there, off_V, margin, reason)
 
 
-@part
-def seen_slope_V(q: Question, off_soc: float) -> float:
-    """Of the voltage at no load over SOC, where ``BIAS_S`` of voltages have been seen; else 0.
-
-    A SOC that is off has moved these as well, and the bias has taken that away.
-    """
-    now = q.now
-    if now.but.seen_s < BIAS_S:
-        return 0.0
-    here = moment_of(q.tables, now.cell, 0.0, False, now.temperature_C, now.but)
-    if off_soc <= SMALLEST_SHIFT:
-        return here.point.ocv_slope_V
-    shifted = with_soc(now.cell, now.cell.soc - q.side * off_soc)
-    worse = moment_of(q.tables, shifted, 0.0, False, now.temperature_C, now.but)
-    return (here.voltage_V - worse.voltage_V) / (q.side * off_soc)
-
-
 @kernel
 def largest_load(q: Question, guess: float) -> Capability:
     """The largest load that stays within the limits; ``guess`` is a neighbour's, or 0.
@@ -188,20 +189,21 @@ def largest_load(q: Question, guess: float) -> Capability:
     b = min(b, 1.001 * (limits.discharge_A if discharge else limits.charge_A) + 1e-9)
     if q.power:
         b *= max(limits.low_V if discharge else limits.high_V, 1e-3)
+    known_V = known_slope_V(q)
     a = (1.0 - SEARCH.near) * guess
-    best = trial(q, a)
+    best = trial(q, a, known_V)
     if a > 0.0 and best.margin > 0.0:
         b = (1.0 + SEARCH.near) * guess
     elif a > 0.0:
         b = a
         a = 0.0
-        best = trial(q, a)
+        best = trial(q, a, known_V)
     fa = best.margin
     if not fa > 0.0:
         return Capability(0.0, 0.0, best.load.now.voltage_V, best.reason, 0.0)
     worst = best
     for _ in range(SEARCH.widenings):
-        worst = trial(q, b)
+        worst = trial(q, b, known_V)
         if not worst.margin > 0.0:
             break
         a, fa, best = b, worst.margin, worst
@@ -216,7 +218,7 @@ def largest_load(q: Question, guess: float) -> Capability:
         # A jump (a power that no current gives) or a kink: halve now and then.
         if k % 4 == 3 or not (a < c < b):
             c = 0.5 * (a + b)
-        there = trial(q, c)
+        there = trial(q, c, known_V)
         if there.margin > 0.0:
             a, fa, best = c, there.margin, there
             if last == 1:
