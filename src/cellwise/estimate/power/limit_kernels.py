@@ -50,7 +50,7 @@ class LimitScalars(NamedTuple):
     high_soc: float
 
 
-class Stated(NamedTuple):
+class StatedModel(NamedTuple):
     """A model, and by how much it says that it is off."""
 
     tables: CellTables
@@ -247,8 +247,8 @@ def present_at(values: FloatArray, k: int) -> OperatingPoint:
 
 @rows
 def power_rows(
-    unseen: Stated,
-    seen: Stated,
+    unseen: StatedModel,
+    seen: StatedModel,
     limits: LimitScalars,
     power: bool,
     horizon_s: float,

@@ -19,7 +19,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman_kernels import AdaptiveState
 from cellwise.estimate.noise import Noise, noise_for
-from cellwise.estimate.power.limit_kernels import Stated, power_rows
+from cellwise.estimate.power.limit_kernels import StatedModel, power_rows
 from cellwise.estimate.power.limits import KnownLimits, OperatingLimits, operating_limits
 from cellwise.estimate.power.load_kernels import AS_MODEL, BIAS_S, Correction, OperatingPoint
 from cellwise.typing import FloatArray
@@ -75,7 +75,7 @@ class PowerSettings(NamedTuple):
     tables: CellTables
     noise: Noise
     model: CellModel
-    seen: tuple[Stated, ...]
+    seen: tuple[StatedModel, ...]
 
     def rows(self, present: FloatArray) -> FloatArray:
         """Numbers of a `PowerLimit` of every row, horizon and way: (rows, horizons, 2, 5).
@@ -84,7 +84,7 @@ class PowerSettings(NamedTuple):
         """
         announce(power_rows, "the state of power")
         out = np.empty((len(self.horizons_s), len(present), 2, len(PowerLimit._fields)))
-        unseen = Stated(self.tables, self.noise.scalars(self.model))
+        unseen = StatedModel(self.tables, self.noise.scalars(self.model))
         limits, power = self.known.scalars(), self.hold == "power"
         for horizon_s, seen, found in zip(self.horizons_s, self.seen, out, strict=True):
             power_rows(unseen, seen, limits, power, horizon_s, present, found)
@@ -140,7 +140,7 @@ def power_settings(
     )
 
 
-def _seen(model: CellModel, noise: Noise | None, horizon_s: float) -> Stated:
+def _seen(model: CellModel, noise: Noise | None, horizon_s: float) -> StatedModel:
     """A model after `BIAS_S` of voltages: what its error may do in a horizon, not what it was.
 
     An error along the SOC axis is as slow as the slowest; a ``noise`` that was given stays.
@@ -151,7 +151,7 @@ def _seen(model: CellModel, noise: Noise | None, horizon_s: float) -> Stated:
     if noise is None:
         (part,) = moved_part(slowest_s, horizon_s, BIAS_S).tolist()
         known = replace(known, ocv_soc=part * known.ocv_soc)
-    return Stated(model.parameters(), known.scalars(model))
+    return StatedModel(model.parameters(), known.scalars(model))
 
 
 def power_limits(
