@@ -14,7 +14,6 @@ from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Forecast, ForecastTrace
-from cellwise.notices import Code, coded
 from cellwise.plotting import Line, Panel
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import (
@@ -283,9 +282,9 @@ def replay_page(
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    unsure = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
+    unsure = [say(r) for r in last for say in (narrow_band, unknown_start)]
     lines[1:1] = filter(None, unsure)
-    lines = [*filter(None, (warning(r) for r in replays)), *lines]
+    lines = [*filter(None, dict.fromkeys(warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections([*last, *before], simulations))
     if any(r.power is not None for r in replays):
@@ -335,12 +334,6 @@ def unknown_start(replay: Replay) -> str | None:
         f"SOC ends no better than ± {percent(last, 0)}, since this log does not show where it "
         f"began ({soc_at_start(replay)}): state it where it is known (LOG@soc0=1 after a charge)."
     )
-
-
-def beyond_its_statement(replay: Replay) -> str | None:
-    """That the voltage is missed by more than two of the model's own deviations on some scale."""
-    found = [n for n in coded(replay.notices, Code.MODEL_OFF) if n not in replay.log.notices]
-    return f"{capitalised(found[0].text)}." if found else None
 
 
 def noticed(
