@@ -1,4 +1,4 @@
-"""Seventh station: what the model errs on loads that its fit has not seen, each left out once.
+"""Station "error": what the model errs on loads that its fit has not seen, each left out once.
 
 Of drives one of every temperature is left out at a time; of a single load, or of pulses alone,
 every other stretch of SOC. The tables begin at those of all logs, so a fit takes few steps.
