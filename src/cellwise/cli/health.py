@@ -72,7 +72,7 @@ def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
     percent, amount, data = printing.percent, printing.amount, found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
-    first = found.notices[:1] if found.far_off else ()
+    first = found.notices[:1] if found.model_mismatch else ()
     printing.say_notices(first)
     printing.table(
         f"{data['cells']} cells, {len(found.days)} log(s)",
@@ -140,7 +140,7 @@ def said_of_change(found: AgeingHistory) -> str:
 def print_life(found: AgeingHistory) -> None:
     """A life for people."""
     data = found.to_dict()
-    printing.say_notices(found.far_off)
+    printing.say_notices(found.mismatches)
     printing.record_table(
         f"{len(found.logs)} logs over {found.way[-1]:.0f} {found.over}",
         log_rows(found),
@@ -157,4 +157,4 @@ def print_life(found: AgeingHistory) -> None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")
     printing.say(f"next reference test: {trend['next_reference']}")
     notices = (*found.notices, *(n for one in found.logs for n in one.log.notices))
-    printing.say_notices(n for n in notices if n not in found.far_off)
+    printing.say_notices(n for n in notices if n not in found.mismatches)

@@ -51,7 +51,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         said = [within(statement(diagnosis.causes[0], diagnosis))]
         if judged is not None:  # that the log is corrected stands before it
             size = change(judged).removesuffix(CORRECTED)
-            still = ", still far off" if judged.explained.far_off else ""
+            still = ", still far off" if judged.explained.model_mismatch else ""
             said.append(f"{named_log(judged)} {size}{still}")
         lost = losses(diagnosis)
         but = f", but {listed(lost)}" if lost else ""

@@ -310,7 +310,7 @@ def warning(replay: Replay) -> str | None:
     critical = next((n for n in replay.log.notices if n.is_critical), None)
     if critical is not None:
         return f"{capitalised(critical.text)}."
-    far = replay.far_off
+    far = replay.model_mismatch
     return None if far is None else f"{far.head}: neither SOC nor time can be used."
 
 

@@ -269,7 +269,7 @@ ESTIMATED = {
 
 def estimated_content(replay: Replay) -> Markup:
     """What an adaptive filter estimates of sensor and cell; nothing of another filter."""
-    rows = [] if replay.far_off else estimated_rows(replay)
+    rows = [] if replay.model_mismatch else estimated_rows(replay)
     caption = f"Beside SOC, by {replay_name(replay)}."
     shown = table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
     return shown if rows else EMPTY
