@@ -69,42 +69,19 @@ class ModelError:
         correlation_s: float = 300.0,
         resistance_share: float = 0.05,
         *,
-        charge_share: float | None = None,
-        temperature_C: tuple[float, ...] = (),
-        temperature_factor: tuple[float, ...] = (),
         persistent_share: float = 1.0,
-        correlation_soc: float | None = None,
         unseen_share: float = 0.0,
         unseen_charge_share: float | None = None,
-        activation_std_K: float | None = None,
     ) -> ModelError:
-        """White noise and one slow process over SOC, the share of the polarisation in the slow one.
-
-        ``temperature_factor`` multiplies the slow part over ``temperature_C``.
-        """
+        """White noise and one slow process over SOC, with the share of the polarisation in it."""
         slow = (float(slow_V),) if isinstance(slow_V, int | float) else tuple(slow_V)
-        if len(temperature_C) != len(temperature_factor):
-            raise InputError(
-                f"a model error over temperatures {temperature_C} with "
-                f"{len(temperature_factor)} factors",
-                "ascending temperatures, a factor for each",
-                "Give both, or neither.",
-            )
-        factors = temperature_factor or (1.0,)
         return cls(
             scales_s=(min(WHITE_BELOW_S / 5.0, 0.5 * correlation_s), correlation_s),
-            std_V=(
-                tuple((white_V,) * len(slow) for _ in factors),
-                tuple(tuple(f * v for v in slow) for f in factors),
-            ),
-            temperature_C=temperature_C,
+            std_V=(((white_V,) * len(slow),), (slow,)),
             share=(0.0, resistance_share),
-            charge_share=None if charge_share is None else (0.0, charge_share),
             persistent_share=persistent_share,
-            correlation_soc=correlation_soc,
             unseen_share=unseen_share,
             unseen_charge_share=unseen_charge_share,
-            activation_std_K=activation_std_K,
         )
 
     def variance_V2(

@@ -121,9 +121,9 @@ def counted(count: int) -> str:
     return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
-def plural(count: int, one: str, many: str = "") -> str:
+def plural(count: int, one: str) -> str:
     """``1 log``, ``3 logs``."""
-    return f"{count}{SPACE}{one if count == 1 else many or one + 's'}"
+    return f"{count}{SPACE}{one if count == 1 else one + 's'}"
 
 
 def listed(words: list[str]) -> str:

@@ -117,11 +117,11 @@ def labels(axes: Axes, x: str = "", y: str = "") -> None:
     axes.set_ylabel(y)
 
 
-def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
+def legend(axes: Axes, *, place: str = "best") -> None:
     """A legend, if there is anything to name."""
     handles, names = axes.get_legend_handles_labels()
     if handles:
-        axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
+        axes.legend(handles, names, loc=cast(Any, place)).set_zorder(6)
 
 
 def key_below(axes: Axes, keys: Sequence[Artist] = ()) -> None:
