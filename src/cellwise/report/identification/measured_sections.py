@@ -202,8 +202,8 @@ def ocv_error_picture(identification: Identification) -> style.Figure:
     axes.set_ylim(min(low, 0.0) - room, max(high, 0.0) + room)
     style.zero_line(axes)
     style.finding(axes, title)
-    style.soc_axis(axes, "minus the model [mV]")
-    style.legend(axes)
+    style.soc_axis(axes, "above the model [mV]")
+    style.key_below(axes)
     return figure
 
 

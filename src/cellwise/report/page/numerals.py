@@ -126,6 +126,11 @@ def plural(count: int, one: str) -> str:
     return f"{count}{SPACE}{one if count == 1 else one + 's'}"
 
 
+def spoken_name(name: str) -> str:
+    """A name of the contract, of a cause or an effect, for people."""
+    return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
+
+
 def listed(words: list[str]) -> str:
     """Items as text lists them: ``a, b and c``."""
     if len(words) < 2:
