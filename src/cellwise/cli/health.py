@@ -41,8 +41,7 @@ from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
 from cellwise.report.history_page import LOG_COLUMNS, history_page, log_rows
 from cellwise.report.pack_page import CELL_COLUMNS, pack_page
-
-SHOWN_CELLS = 6
+from cellwise.report.page.markup import MOST
 
 
 def run_pack(arguments: argparse.Namespace) -> None:
@@ -94,7 +93,7 @@ def print_pack(found: PackEstimate) -> None:
     rows = sorted(
         data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
     )
-    rows = rows[:SHOWN_CELLS]
+    rows = rows[: MOST.listed]
     printing.record_table(f"the {len(rows)} cells of least capacity", rows, *CELL_COLUMNS)
     for cause in data["causes"]:
         said = "; ".join(cause["evidence"])

@@ -28,6 +28,7 @@ from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.files.times import DAY_S
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import check_order, day_of_name
 from cellwise.notices import Code, Notice
@@ -242,7 +243,7 @@ def regressors(mean: MeanCell, ocv: OcvSlope, days: float) -> Regressors:
     rows[:, OFFSET] = 1.0
     rows[:, LAG] = -before
     rows[:, LEAD] = -after
-    rows[:, SELF_DISCHARGE] = -slope * (days + log.time_s / 86_400.0)
+    rows[:, SELF_DISCHARGE] = -slope * (days + log.time_s / DAY_S)
     rows[:, SELF_DISCHARGE + 1 :] = np.clip(1.0 - np.abs(z[:, None] - SHAPES) / SHAPE_WIDTH, 0, 1)
     rows[~used] = 0.0
     return Regressors(rows, change, used)

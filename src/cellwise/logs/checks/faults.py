@@ -36,8 +36,7 @@ LATE_S = 3.0  # what one channel shows of the other may come so much later, or e
 LOST_ROWS = 20  # without a value: fewer are samples that were missed
 
 # When a channel is at the end of its range.
-HELD_ROWS = 3  # in a row
-HELD_VISITS = 3
+HELD = 3  # rows in a row, and so often
 
 # When a single row is a spike.
 LEAST_SPIKE_V = 0.05
@@ -204,10 +203,10 @@ def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
         for extreme in (np.nanmax(values), np.nanmin(values)):
             at_end = values == extreme
             first, last = run_edges(at_end)
-            visits = np.count_nonzero(last - first + 1 >= HELD_ROWS)
+            visits = np.count_nonzero(last - first + 1 >= HELD)
             inside = at_end & np.concatenate(([False], at_end[:-1]))
             moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-            held = visits >= HELD_VISITS and extreme != 0.0
+            held = visits >= HELD and extreme != 0.0
             if held and moves >= MOVES and jump > 0.0:
                 runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
     return runs

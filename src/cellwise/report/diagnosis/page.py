@@ -93,7 +93,7 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
     explained = bool(diagnosis.causes)
     plots = tuple(
         before_after_plot(run, explained, f"before-after-{k}")
-        for k, run in enumerate(runs[: MOST.diagnosed], start=1)
+        for k, run in enumerate(runs[: MOST.plots], start=1)
     )
     title = "Before and after" if explained else "Measured and simulated"
     first: Blocks = (*plots[:1], runs_table(runs, explained))
@@ -282,7 +282,7 @@ def limits_table(diagnosis: Diagnosis) -> Markup:
 def candidates_table(diagnosis: Diagnosis) -> Markup:
     """All candidates, the likeliest first; those beyond a few are folded away."""
     order = sorted(diagnosis.candidates, key=lambda c: -np.nan_to_num(c.score, nan=-np.inf))
-    few, rest = order[: MOST.candidates], order[MOST.candidates :]
+    few, rest = order[: MOST.listed], order[MOST.listed :]
 
     def figures(shown: Sequence[TriedCause], **options: Any) -> Markup:
         return record_table(shown, *TRIED_COLUMNS, text_columns=(0, 3), **options)

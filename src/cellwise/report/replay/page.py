@@ -357,9 +357,9 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
-    text = f"The first {MOST.replays} replays have plots of their own; the table has all."
-    few = (paragraph(text),) if len(replays) > MOST.replays else ()
-    found = map(estimated_content, replays[: MOST.replays])
+    text = f"The first {MOST.plots} replays have plots of their own; the table has all."
+    few = (paragraph(text),) if len(replays) > MOST.plots else ()
+    found = map(estimated_content, replays[: MOST.plots])
     sections = [
         Section("soc", "State of charge", (*few, *plots_within(replay_plots(replays)))),
         Section("figures", "All figures", (*found, replay_content(replays))),

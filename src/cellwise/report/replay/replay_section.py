@@ -83,7 +83,7 @@ def replay_plots(replays: Sequence[Replay]) -> tuple[Plot, ...]:
     """Comparison of all replays of a log, then each of the first few."""
     shown = [
         replay_plot(r, f"replay-{k}-{safe_key(r.estimator)}-{safe_key(clock_of(r.log))}")
-        for k, r in enumerate(replays[: MOST.replays], start=1)
+        for k, r in enumerate(replays[: MOST.plots], start=1)
     ]
     if shown:
         text = CAPTION.format(reference=REFERENCE if replays[0].reference_soc is not None else "")
@@ -225,7 +225,7 @@ def replay_content(replays: Sequence[Replay]) -> Markup:
     note = Markup(paragraph(EXPLAINED, "note"))
     if all(r.reference_soc is None for r in replays):
         note = Markup(paragraph(WITHOUT_REFERENCE, "note"))
-    if len(columns) <= MOST.replays_as_columns:
+    if len(columns) <= MOST.listed:
         return Markup(note + table(("", *(r.estimator for r in replays)), known))
     rows = zip((r.estimator for r in replays), *(line[1:] for line in known), strict=True)
     head = ("estimator", *(line[0] for line in known))
