@@ -147,9 +147,11 @@ def note(
 
 
 def error_dots(axes: Axes, x: FloatArray, y: FloatArray, std: FloatArray, **looks: Any) -> None:
-    """Dots with bars of two standard deviations."""
+    """Dots with bars of two standard deviations; many bars are pale, or they hide the dots."""
     drawn: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "linewidth": 0.8} | looks
-    axes.errorbar(x, y, 2.0 * std, **drawn)
+    _, _, bars = axes.errorbar(x, y, 2.0 * std, **drawn)
+    for bar in bars:
+        bar.set_alpha(min(1.0, 30.0 / x.size))
 
 
 def dots_on_bars(
