@@ -105,23 +105,25 @@ class ModelError:
         parts = [self.variance_V2(k, soc, temperature_C) for k in self._slow]
         return np.asarray(np.sqrt(np.sum(parts, axis=0)))
 
-    def shown_share(self, drop_V: float = 1.0) -> float:
+    def shown_share(self, polarisation_V: float = 1.0) -> float:
         """Share of a polarisation that the tests showed to be wrong: discharge, or charge."""
-        return math.hypot(*self.shares(drop_V))
+        return math.hypot(*self.shares(polarisation_V))
 
-    def hidden_share(self, drop_V: float = 1.0) -> float:
+    def hidden_share(self, polarisation_V: float = 1.0) -> float:
         """The share that no test could show: of loads, or charges, that last."""
-        if drop_V >= 0.0 or self.unseen_charge_share is None:
+        if polarisation_V >= 0.0 or self.unseen_charge_share is None:
             return self.unseen_share
         return self.unseen_charge_share
 
-    def whole_share(self, drop_V: float = 1.0) -> float:
+    def whole_share(self, polarisation_V: float = 1.0) -> float:
         """Both together."""
-        return math.hypot(self.shown_share(drop_V), self.hidden_share(drop_V))
+        return math.hypot(self.shown_share(polarisation_V), self.hidden_share(polarisation_V))
 
-    def shares(self, drop_V: float = 1.0) -> tuple[float, ...]:
+    def shares(self, polarisation_V: float = 1.0) -> tuple[float, ...]:
         """The shown share by time scale, on discharge or charge."""
-        return self.share if drop_V >= 0.0 or self.charge_share is None else self.charge_share
+        return (
+            self.share if polarisation_V >= 0.0 or self.charge_share is None else self.charge_share
+        )
 
     @property
     def white_V(self) -> float:
