@@ -31,7 +31,6 @@ MOST_IMPOSSIBLE = 0.25  # share of the rows: more are another unit or another ba
 REPEATS = 19
 MOVES = 2  # of the other channel, each way
 MOVED_SHARE = 0.1  # of what the other channel does in this log
-MOVED_STEPS = 5.0  # of its usual ones
 LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
 LOST_ROWS = 20  # without a value: fewer are samples that were missed
 
@@ -268,19 +267,11 @@ def step_resistance(log: CellLog) -> float:
 def _current_jump(log: CellLog) -> float:
     """A step of the voltage that only a current makes [V].
 
-    The way from full to empty is no part of it, and neither is what the voltage usually does from
-    row to row.
+    The way from full to empty is no part of it.
     """
     swing = _swing(log.voltage_V)
     moved = min(swing, step_resistance(log) * _swing(log.current_A)) or swing
-    return max(MOVED_SHARE * moved, MOVED_STEPS * _usual_step(log.voltage_V))
-
-
-def _usual_step(values: FloatArray) -> float:
-    """A step that is noise or a digit: of those that are none, a tenth is smaller."""
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 0.0]
-    return float(np.quantile(steps, 0.1)) if steps.size else 0.0
+    return MOVED_SHARE * moved
 
 
 def _swing(values: FloatArray) -> float:
