@@ -112,7 +112,7 @@ def test_every_code_is_said_somewhere():
 
 # ---- nobody parses a notice's text ----
 
-HOLDERS = {"notices", "far_off", "contradictions"}  # fields that hold notices
+HOLDERS = {"notices", "model_mismatch", "mismatches", "contradictions"}  # fields that hold notices
 METHODS = {"rendered", "behind_name"}  # what gives the text of a notice
 FIELDS = {"text", "head", "said", "before"}  # fields of a notice that are text
 SEARCHES = {
@@ -192,7 +192,7 @@ def _parses_in(scope: ast.AST) -> Iterator[int]:
         '[t for t in texts(log.notices) if "series" in t]',
         "PLACES.search(notice.text)",
         're.findall("row", str(log.notices[0]))',
-        'run.far_off.text.partition(": ")[0]',
+        'run.model_mismatch.text.partition(": ")[0]',
         "next(m[1] for n in log.notices if (m := SIGN.search(n.text)))",
         "[n for n in notices if n.text.startswith('a pack of')]",
     ],

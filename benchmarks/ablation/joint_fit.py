@@ -28,7 +28,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.cell.stock import stock_model
-from cellwise.fit.model_error import polarisation_V
+from cellwise.fit.model_error import polarisation_of
 from cellwise.fit.problem import EVIDENCE
 from cellwise.identify import Identification, effect_selection
 from cellwise.identify.joint_fit import ROLES
@@ -243,7 +243,7 @@ def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[fl
     known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
     warm = known_temperature_C(model, log)[known]
     soc = simulation.soc[known]
-    drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
+    drop = polarisation_of(model, soc, warm, simulation.voltage_V[known])
     measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
     stated = np.array([stated_V2(model, k, soc, drop, warm) for k in range(measured.shape[0])])
     rows = soc > 0.15
@@ -251,13 +251,13 @@ def bands_of(model: CellModel, log: CellLog, soc0: float | None) -> list[list[fl
 
 
 def stated_V2(
-    model: CellModel, band: int, soc: FloatArray, drop_V: FloatArray, warm_C: FloatArray
+    model: CellModel, band: int, soc: FloatArray, polarisation_V: FloatArray, warm_C: FloatArray
 ) -> FloatArray:
     """Stated variance of one band at every row."""
     error = model.error
-    share = np.where(drop_V < 0.0, error.shares(-1.0)[band], error.shares()[band])
+    share = np.where(polarisation_V < 0.0, error.shares(-1.0)[band], error.shares()[band])
     warm = float(np.median(warm_C))
-    return np.asarray(error.variance_V2(band, soc, warm) + (share * drop_V) ** 2)
+    return np.asarray(error.variance_V2(band, soc, warm) + (share * polarisation_V) ** 2)
 
 
 def start_of(model: CellModel, log: CellLog, soc0: float | None) -> float:

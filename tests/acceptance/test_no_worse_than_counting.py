@@ -15,7 +15,7 @@ import pytest
 from cellwise.cell.model_error import in_bands
 from cellwise.cell.simulate import known_temperature_C, simulate
 from cellwise.estimate.estimators import make_estimator
-from cellwise.fit.model_error import polarisation_V
+from cellwise.fit.model_error import polarisation_of
 from cellwise.identify import CellTests, IdentifySettings
 from cellwise.logs import read_log
 from measured_models import AT_ITS_BOUND, identify_once, missed, rmse
@@ -227,7 +227,7 @@ def bands(nca):
             known = np.isfinite(simulation.residual_V) & (simulation.soc >= 0.0)
             warm = known_temperature_C(model, log)[known]
             soc = simulation.soc[known]
-            drop = polarisation_V(model, soc, warm, simulation.voltage_V[known])
+            drop = polarisation_of(model, soc, warm, simulation.voltage_V[known])
             measured = in_bands(log.time_s[known], simulation.residual_V[known]) ** 2
             stated = stated_V2(model, soc, drop, warm)
             rows = soc > 0.15
@@ -262,12 +262,12 @@ def test_so_it_is_at_each_temperature(bands, tag):
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
 
 
-def stated_V2(model, soc, drop_V, warm_C):
+def stated_V2(model, soc, polarisation_V, warm_C):
     """The variance that a model states in each band, shape (scales, rows)."""
     error = model.error
     found = []
     for k in range(len(error.scales_s)):
-        share = np.where(drop_V >= 0.0, error.shares()[k], error.shares(-1.0)[k])
+        share = np.where(polarisation_V >= 0.0, error.shares()[k], error.shares(-1.0)[k])
         size2 = error.variance_V2(k, soc, float(np.median(warm_C)))
-        found.append(size2 + (share * drop_V) ** 2)
+        found.append(size2 + (share * polarisation_V) ** 2)
     return np.array(found)

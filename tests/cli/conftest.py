@@ -73,7 +73,7 @@ def refused(capsys) -> Callable[..., str]:
         capsys.readouterr()
         try:
             code = main(list(arguments))
-        except SystemExit as stop:  # argparse refuses by itself, with the usage before the message
+        except SystemExit as stop:  # the parser refuses by itself
             code = int(stop.code or 0)
         captured = capsys.readouterr()
         assert code == 2
@@ -81,8 +81,6 @@ def refused(capsys) -> Callable[..., str]:
         assert "Traceback" not in captured.err
         assert not IN_PYTHON.search(captured.err)
         lines = captured.err.splitlines()
-        if lines[0].startswith("usage:"):
-            return lines[-1]
         assert len(lines) == 1, "one message"
         assert "; expected " in lines[0], "what was found, what was expected, what to do"
         return lines[0]

@@ -93,7 +93,9 @@ def test_charge_has_a_share_of_its_own():
     logs = []
     for share, sign in ((0.05, 1.0), (0.25, -1.0)):
         for log in (residual_log(rng, slow_V=0.001) for _ in range(2)):
-            drop = sign * np.abs(log.drop_V)  # one direction: a band longer than a pulse sees both
+            drop = sign * np.abs(
+                log.polarisation_V
+            )  # one direction: a band longer than a pulse sees both
             logs.append(ResidualLog(log.time_s, log.soc, drop, log.residual_V + share * drop))
     found = estimate_model_error(logs)
     assert found.shown_share(-1.0) > 2.0 * found.shown_share(1.0)
@@ -113,7 +115,9 @@ def test_where_no_load_has_been_other_tests_count():
     rng = np.random.default_rng(8)
     log = residual_log(rng, slow_V=0.003)
     half = log.soc > 0.5
-    upper = ResidualLog(*(getattr(log, n)[half] for n in ("time_s", "soc", "drop_V", "residual_V")))
+    upper = ResidualLog(
+        *(getattr(log, n)[half] for n in ("time_s", "soc", "polarisation_V", "residual_V"))
+    )
     other = residual_log(rng, slow_V=0.030)
     alone, both = estimate_model_error([upper]), estimate_model_error([upper], [other])
     assert total_V(both, 0.9) < 2.0 * total_V(alone, 0.9)

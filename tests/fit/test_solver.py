@@ -47,7 +47,7 @@ def test_a_linear_problem_ends_in_one_step_at_its_posterior_and_its_marginal_lik
     assert evidence == pytest.approx(marginal.logpdf(y), rel=1e-9)
     # Known from any point: the quadratic is exact.
     away = PRIOR.mean + 1.0
-    here = PRIOR.with_rows(away, 0.5 * float(np.sum((y - a @ away) ** 2)), a.T @ (y - a @ away),
+    here = PRIOR.with_data(away, 0.5 * float(np.sum((y - a @ away) ** 2)), a.T @ (y - a @ away),
                            a.T @ a)  # fmt: skip
     assert here.lowest(ALL)[0] == pytest.approx(found.cost, rel=1e-9)
 

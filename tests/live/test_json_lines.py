@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from cellwise.errors import InputError
 from cellwise.live import Sample, Stray, open_source
-from cellwise.live.source import LONGEST_LINE, JsonLines
-from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
+from cellwise.live.source import JsonLines
+from cellwise.logs.files.source import HEAD_BYTES, NOTHING_SAID, ReadOptions
 from streams import Given
 
 
@@ -61,7 +61,7 @@ def test_garbage_is_reported_and_passed_over(garbage):
 
 
 def test_a_line_without_an_end_does_not_fill_the_memory():
-    pieces = [b"x" * 10_000] * (2 * LONGEST_LINE // 10_000 + 2) + [b"\n", LINES.encode()]
+    pieces = [b"x" * 10_000] * (2 * HEAD_BYTES // 10_000 + 2) + [b"\n", LINES.encode()]
     kinds = [type(s) for s in found(b"", pieces=pieces) if s is not None]
     assert kinds.count(Sample) == 6
     assert 1 <= kinds.count(Stray) <= 4

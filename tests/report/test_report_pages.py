@@ -180,7 +180,7 @@ def test_many_replays_are_rows_and_few_pictures():
     sections = {s.key: s for s in replay_sections(runs)}
     table_text = rendered(sections["figures"])
     assert table_text.count("<tr") == 9
-    assert len(pictures_of([sections["soc"]])) == 1 + MOST.replays
+    assert len(pictures_of([sections["soc"]])) == 1 + MOST.plots
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])

@@ -100,7 +100,7 @@ class CellModel(Plottable, Summarised, Tabular):
     tau1_s: FloatArray = field(default_factory=lambda: np.array(10.0))
     r2_ohm: FloatArray = field(default_factory=lambda: np.array(NO_BRANCH_OHM))
     tau2_s: FloatArray = field(default_factory=lambda: np.array(1000.0))
-    temperature_C: FloatArray = field(default_factory=lambda: np.array([25.0]))
+    temperature_C: FloatArray = field(default_factory=lambda: np.array([USUAL_C]))
     effects: tuple[Effect, ...] = ()
     charge_efficiency: float = 1.0
     error: ModelError = field(default_factory=ModelError)

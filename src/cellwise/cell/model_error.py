@@ -69,42 +69,19 @@ class ModelError:
         correlation_s: float = 300.0,
         resistance_share: float = 0.05,
         *,
-        charge_share: float | None = None,
-        temperature_C: tuple[float, ...] = (),
-        temperature_factor: tuple[float, ...] = (),
         persistent_share: float = 1.0,
-        correlation_soc: float | None = None,
         unseen_share: float = 0.0,
         unseen_charge_share: float | None = None,
-        activation_std_K: float | None = None,
     ) -> ModelError:
-        """White noise and one slow process over SOC, the share of the polarisation in the slow one.
-
-        ``temperature_factor`` multiplies the slow part over ``temperature_C``.
-        """
+        """White noise and one slow process over SOC, with the share of the polarisation in it."""
         slow = (float(slow_V),) if isinstance(slow_V, int | float) else tuple(slow_V)
-        if len(temperature_C) != len(temperature_factor):
-            raise InputError(
-                f"a model error over temperatures {temperature_C} with "
-                f"{len(temperature_factor)} factors",
-                "ascending temperatures, a factor for each",
-                "Give both, or neither.",
-            )
-        factors = temperature_factor or (1.0,)
         return cls(
             scales_s=(min(WHITE_BELOW_S / 5.0, 0.5 * correlation_s), correlation_s),
-            std_V=(
-                tuple((white_V,) * len(slow) for _ in factors),
-                tuple(tuple(f * v for v in slow) for f in factors),
-            ),
-            temperature_C=temperature_C,
+            std_V=(((white_V,) * len(slow),), (slow,)),
             share=(0.0, resistance_share),
-            charge_share=None if charge_share is None else (0.0, charge_share),
             persistent_share=persistent_share,
-            correlation_soc=correlation_soc,
             unseen_share=unseen_share,
             unseen_charge_share=unseen_charge_share,
-            activation_std_K=activation_std_K,
         )
 
     def variance_V2(
@@ -128,23 +105,25 @@ class ModelError:
         parts = [self.variance_V2(k, soc, temperature_C) for k in self._slow]
         return np.asarray(np.sqrt(np.sum(parts, axis=0)))
 
-    def shown_share(self, drop_V: float = 1.0) -> float:
+    def shown_share(self, polarisation_V: float = 1.0) -> float:
         """Share of a polarisation that the tests showed to be wrong: discharge, or charge."""
-        return math.hypot(*self.shares(drop_V))
+        return math.hypot(*self.shares(polarisation_V))
 
-    def hidden_share(self, drop_V: float = 1.0) -> float:
+    def hidden_share(self, polarisation_V: float = 1.0) -> float:
         """The share that no test could show: of loads, or charges, that last."""
-        if drop_V >= 0.0 or self.unseen_charge_share is None:
+        if polarisation_V >= 0.0 or self.unseen_charge_share is None:
             return self.unseen_share
         return self.unseen_charge_share
 
-    def whole_share(self, drop_V: float = 1.0) -> float:
+    def whole_share(self, polarisation_V: float = 1.0) -> float:
         """Both together."""
-        return math.hypot(self.shown_share(drop_V), self.hidden_share(drop_V))
+        return math.hypot(self.shown_share(polarisation_V), self.hidden_share(polarisation_V))
 
-    def shares(self, drop_V: float = 1.0) -> tuple[float, ...]:
+    def shares(self, polarisation_V: float = 1.0) -> tuple[float, ...]:
         """The shown share by time scale, on discharge or charge."""
-        return self.share if drop_V >= 0.0 or self.charge_share is None else self.charge_share
+        return (
+            self.share if polarisation_V >= 0.0 or self.charge_share is None else self.charge_share
+        )
 
     @property
     def white_V(self) -> float:

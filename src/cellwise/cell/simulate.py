@@ -29,7 +29,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     along_notices,
     error_notices,
-    far_off,
+    find_mismatch,
     in_order,
     stated_error_V,
 )
@@ -110,15 +110,15 @@ class Simulation(Plottable, Tabular):
     @property
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = [] if self.far_off is None else [self.far_off]
+        found = [] if self.model_mismatch is None else [self.model_mismatch]
         found += along_notices(self.model, self.validity, self.log, self.soc)
         found += error_notices(self.model, self.log, self.residual_V, self.soc)
         return in_order(found, self.log.notices)
 
     @property
-    def far_off(self) -> Notice | None:
+    def model_mismatch(self) -> Notice | None:
         """That the log is many times as far off as the model states of itself; None: it is not."""
-        return far_off(self.model, self.log, self.residual_V, self.soc)
+        return find_mismatch(self.model, self.log, self.residual_V, self.soc)
 
     @property
     def bands(self) -> tuple[BandMetrics, ...]:
@@ -200,7 +200,7 @@ class Simulation(Plottable, Tabular):
         return (
             f"Simulation({self.log.name or 'log'}: RMSE {1e3 * m.rmse_V:.1f} mV, "
             f"MAE {1e3 * m.mae_V:.1f} mV, max {1e3 * m.max_error_V:.0f} mV over {m.samples} rows"
-            f"{', FAR OFF this model' if self.far_off else ''})"
+            f"{', FAR OFF this model' if self.model_mismatch else ''})"
         )
 
 

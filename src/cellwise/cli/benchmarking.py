@@ -1,6 +1,6 @@
 """Estimators, and an export, judged.
 
-cellwise benchmark: estimators x logs x start errors x sensor faults, yours among them
+cellwise benchmark: estimators, yours among them, x logs x sensor faults
     requires nothing (the embedded suite), or the file or name of a suite
     $ benchmark --estimator ekf --estimator ukf -o results
     $ benchmark suite.toml --estimator mine.py:Mine -o results
@@ -24,7 +24,7 @@ cellwise benchmark: estimators x logs x start errors x sensor faults, yours amon
 <figures>
 <log options>
 
-cellwise certify: an exported filter, or any gauge in C, over a virtual fleet: how wrong, and where
+cellwise certify: how wrong exported or any C will be, on a virtual fleet
     requires a folder that `cellwise export` wrote, or a gauge's source; and a C compiler
     $ certify firmware --sensor sensor.toml --most-p95 0.05 --least-coverage 0.9 -o certificate
     $ certify --gauge gauge.c --model nmc-18650 -o certificate

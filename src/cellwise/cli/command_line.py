@@ -8,46 +8,46 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 from importlib import import_module
 from types import FrameType
 
 from cellwise.cli.common.options import check_overwriting
+from cellwise.cli.common.parser import REFUSED, CommandParser
 from cellwise.cli.common.printing import worded
-from cellwise.cli.common.usage import add_commands
+from cellwise.cli.common.usage import add_commands, listed_commands
 from cellwise.errors import InputError
 
-REFUSED = 2
 BUG = 1
 INTERRUPTED = 130
 # What stands at the beginning of a first hour: the kernels of all of them are compiled beside it.
 COMPUTING = ("demo", "identify", "simulate", "replay", "diagnose")
 
 
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> CommandParser:
     """The parser of every command."""
     from importlib.metadata import version
 
-    parser = argparse.ArgumentParser(
+    parser = CommandParser(
         prog="cellwise",
-        description="Battery cells: identify a model from laboratory tests, simulate it, "
-        "estimate SOC. Begin with `cellwise start FOLDER`, or `cellwise demo`.",
+        usage="cellwise [-h] [--version] COMMAND ...   (of one: COMMAND -h)",
+        description=listed_commands(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=False,
     )
-    parser.add_argument("--version", action="version", version=f"cellwise {version('cellwise')}")
+    quiet = argparse.SUPPRESS  # the usage names them
+    parser.add_argument("-h", "--help", action="help", help=quiet)
+    text = f"cellwise {version('cellwise')}"
+    parser.add_argument("--version", action="version", version=text, help=quiet)
     add_commands(parser)
     return parser
 
 
-def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+def _parsed(parser: CommandParser, arguments: Sequence[str] | None) -> argparse.Namespace:
     """The arguments; an option that no command has is refused with the one it is like."""
     parsed, unknown = parser.parse_known_args(arguments)
     if unknown:
         commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-        known = commands.choices[parsed.command]._option_string_actions
-        like = [get_close_matches(one.partition("=")[0], known, 1) for one in unknown]
-        meant = ", ".join(dict.fromkeys(f"'{names[0]}'" for names in like if names))
-        said = f"unrecognized arguments: {' '.join(unknown)}"
-        parser.error(f"{said}; did you mean {meant}?" if meant else said)
+        commands.choices[parsed.command].refuse_unknown(unknown)
     return parsed
 
 

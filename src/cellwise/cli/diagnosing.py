@@ -35,8 +35,7 @@ from cellwise.files import made_folder
 from cellwise.logs import CellLog, write_log
 from cellwise.logs.stated import logs_of
 from cellwise.notices import critical_first
-
-SHOWN = 6
+from cellwise.report.page.markup import MOST
 
 
 def run_diagnose(arguments: argparse.Namespace) -> None:
@@ -203,7 +202,7 @@ def print_figures(found: Diagnosis) -> None:
             ("probability", lambda w: w[1]),
         )
     if found.candidates:
-        tried = found.candidates[:SHOWN]
+        tried = found.candidates[: MOST.listed]
         printing.record_table("what was tried", tried, *page.TRIED_COLUMNS)
 
 

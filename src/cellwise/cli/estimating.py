@@ -145,8 +145,8 @@ def asked_of(model: CellModel, arguments: argparse.Namespace) -> ReplayRequest:
 
 def print_simulation(found: Simulation, start: InitialSoc) -> None:
     """A simulation for people."""
-    millivolt, notices, far_off = printing.millivolt, found.notices, found.far_off
-    first = () if far_off is None else notices[: notices.index(far_off) + 1]
+    millivolt, notices, mismatch = printing.millivolt, found.notices, found.model_mismatch
+    first = () if mismatch is None else notices[: notices.index(mismatch) + 1]
     printing.say_notices(first)
     began = (
         f"{start.soc:.3f}" if start.how == "given" else f"{start.soc:.3f} +- {2 * start.std:.3f}"

@@ -41,8 +41,7 @@ from cellwise.pack.pack_estimate import PackEstimate, estimate_pack
 from cellwise.pack.pack_state import read_state, write_state
 from cellwise.report.history_page import LOG_COLUMNS, history_page, log_rows
 from cellwise.report.pack_page import CELL_COLUMNS, pack_page
-
-SHOWN_CELLS = 6
+from cellwise.report.page.markup import MOST
 
 
 def run_pack(arguments: argparse.Namespace) -> None:
@@ -72,7 +71,7 @@ def print_pack(found: PackEstimate) -> None:
     """A pack for people: the whole, the cells at the ends, what is odd."""
     percent, amount, data = printing.percent, printing.amount, found.to_dict()
     soc, weakest = data["soc"], data["weakest"]
-    first = found.notices[:1] if found.far_off else ()
+    first = found.notices[:1] if found.model_mismatch else ()
     printing.say_notices(first)
     printing.table(
         f"{data['cells']} cells, {len(found.days)} log(s)",
@@ -94,7 +93,7 @@ def print_pack(found: PackEstimate) -> None:
     rows = sorted(
         data["per_cell"], key=lambda row: (math.isnan(row["capacity_Ah"]), row["capacity_Ah"])
     )
-    rows = rows[:SHOWN_CELLS]
+    rows = rows[: MOST.listed]
     printing.record_table(f"the {len(rows)} cells of least capacity", rows, *CELL_COLUMNS)
     for cause in data["causes"]:
         said = "; ".join(cause["evidence"])
@@ -140,7 +139,7 @@ def said_of_change(found: AgeingHistory) -> str:
 def print_life(found: AgeingHistory) -> None:
     """A life for people."""
     data = found.to_dict()
-    printing.say_notices(found.far_off)
+    printing.say_notices(found.mismatches)
     printing.record_table(
         f"{len(found.logs)} logs over {found.way[-1]:.0f} {found.over}",
         log_rows(found),
@@ -157,4 +156,4 @@ def print_life(found: AgeingHistory) -> None:
         printing.say(f"the fade is faster from '{trend['knee']}' on")
     printing.say(f"next reference test: {trend['next_reference']}")
     notices = (*found.notices, *(n for one in found.logs for n in one.log.notices))
-    printing.say_notices(n for n in notices if n not in found.far_off)
+    printing.say_notices(n for n in notices if n not in found.mismatches)

@@ -83,7 +83,7 @@ def run_live(arguments: argparse.Namespace) -> None:
             idle_s=arguments.idle,
         )
     if arguments.json:
-        printing.print_json({**end, "far_off": far_off_of(stream.followed)})
+        printing.print_json({**end, "far_off": mismatch_of(stream.followed)})
     elif viewed or arguments.output:
         _print_end(stream, end)
 
@@ -126,7 +126,7 @@ def _takers(
     takers.append(warned_once(lambda _: getattr(stream.source, "note", None)))
     if not viewed:  # the panel shows both
         takers.append(warned_once(followed.outside))
-        takers.append(warned_once(lambda _: far_off_of(followed)))
+        takers.append(warned_once(lambda _: mismatch_of(followed)))
     return takers, look
 
 
@@ -166,7 +166,7 @@ def _print_end(stream: FollowedStream, end: dict[str, Any]) -> None:
     if not end:
         return
     slow, start = end["latency"], end["soc0"]
-    printing.say_notices(filter(None, [followed.far_off]))
+    printing.say_notices(filter(None, [followed.model_mismatch]))
     printing.say(
         f"{counts.samples:,} samples, SOC {end['soc']:.4f} +- {2 * end['soc_std']:.4f} "
         f"(start {start['value']:.4f} +- {2 * start['std']:.4f}, {start['how']}); "
@@ -178,10 +178,10 @@ def _print_end(stream: FollowedStream, end: dict[str, Any]) -> None:
         printing.say(assumed_text(end["sensor"]))
 
 
-def far_off_of(followed: FollowedFilter) -> str | None:
+def mismatch_of(followed: FollowedFilter) -> str | None:
     """Why nothing is foreseen, in a command's words; None where something is."""
-    far_off = followed.far_off
-    return None if far_off is None else far_off.rendered(printing.in_command)
+    mismatch = followed.model_mismatch
+    return None if mismatch is None else mismatch.rendered(printing.in_command)
 
 
 class LineWriter:
@@ -250,8 +250,8 @@ def panel(name: str, followed: FollowedFilter, counts: Counts, silent_s: float =
     if last is None:
         return Panel(f"waiting for samples ({stray} not readable)", title=name)
     row, late = followed.row(last), counts.latency.to_dict()
-    far_off = far_off_of(followed)
-    said = {} if far_off is None else {"far off": far_off}
+    mismatch = mismatch_of(followed)
+    said = {} if mismatch is None else {"far off": mismatch}
     said |= {
         "current": f"{row['current_A']:.3f} A",
         "voltage": f"{row['measured_voltage_V']:.4f} V, {row['voltage_V']:.4f} expected",

@@ -27,11 +27,11 @@ from cellwise.cli.common import printing
 from cellwise.errors import InputError
 from cellwise.files import made_folder
 from cellwise.identify.measured_capacity import LIMITS as SIZES
+from cellwise.report.page.markup import MOST
 from cellwise.workflows.found_files import TESTS, FoundFile, look_at
 
 UNKNOWN = "X"  # stands for what has to be stated
 DRIVES = ("drive", "flight", "pack")
-MOST_SAID = 6  # files of a folder that gives nothing to do
 MISSING = {
     "hppc": "a pulse test (HPPC: 10 s pulses after rests, every 5 to 10 % of SOC): without it "
     "resistances and time constants come from drives and a prior",
@@ -115,7 +115,7 @@ def _nothing(folder: Path, files: list[FoundFile]) -> InputError:
     unread = [f for f in files if f.kind in ("unread", "several")]
     inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and p.name[0] not in "._")
     what = f"no battery log in the folder '{folder}' ({len(files)} file(s)"
-    what += "".join(f"; '{f.name}': {why_of(f).rstrip('.')}" for f in unread[:MOST_SAID]) + ")"
+    what += "".join(f"; '{f.name}': {why_of(f).rstrip('.')}" for f in unread[: MOST.listed]) + ")"
     hint = f"Name one of its folders: {', '.join(inside[:8])}." if inside else "Check the path."
     return InputError(what, "logs with time, current and voltage of a cell", hint)
 

@@ -17,7 +17,7 @@ from cellwise.diagnose.fit.noise import STATED, share_claimed
 from cellwise.diagnose.fit.rows import ScoredRows
 from cellwise.diagnose.result import LogRun
 from cellwise.errors import InputError
-from cellwise.fit.model_error import charged_for_minutes, polarisation_V
+from cellwise.fit.model_error import charged_for_minutes, polarisation_of
 from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks.units import check_is_log
 from cellwise.wording import arg
@@ -196,7 +196,7 @@ def claim_checks(
         if not known.any():
             continue
         warm = float(np.median(rows.temperature_C))
-        drop = polarisation_V(model, soc, np.full(soc.size, warm), run.before.voltage_V)
+        drop = polarisation_of(model, soc, np.full(soc.size, warm), run.before.voltage_V)
         share = share_claimed(model.error, drop, charged_for_minutes(run.log))
         slope = np.gradient(model.ocv_at(warm), model.soc)
         start = rows.start.std * np.interp(soc, model.soc, slope)

@@ -26,9 +26,7 @@ STEP_K = 5.0  # of temperature
 MOST_TEMPERATURES = 12
 
 
-def residual_analysis(
-    model: CellModel, log: CellLog, soc0: float, h0: float | None = None
-) -> dict[str, Any]:
+def residual_analysis(model: CellModel, log: CellLog, soc0: float) -> dict[str, Any]:
     """Where measured minus simulated voltage sits.
 
     Parameters
@@ -36,7 +34,6 @@ def residual_analysis(
     model : CellModel
     log : CellLog
     soc0 : float          SOC at the first row, 0..1
-    h0 : float or None    hysteresis state there, see :func:`cellwise.cell.simulate.simulate`
 
     Returns
     -------
@@ -56,7 +53,7 @@ def residual_analysis(
     ------
     InputError        soc0 outside 0..1
     """
-    run = simulate(model, log, soc0, h0)
+    run = simulate(model, log, soc0)
     error_V, elapsed_s = run.residual_V, log.time_s - log.time_s[0]
     known = np.isfinite(error_V)
     e = error_V[known]

@@ -231,8 +231,8 @@ def could_explain(
         at = [place.get((key, n), place.get((0, n), -1)) for n in wide.names]
         known = wide.prior()
         # What the prior costs at the start is not gained by a cause that widens it.
-        rows = 0.0, gradient[at], normal[np.ix_(at, at)]
-        return -known.with_rows(wide.point(base.z), *rows).lowest(known.free)[0]
+        data = 0.0, gradient[at], normal[np.ix_(at, at)]
+        return -known.with_data(wide.point(base.z), *data).lowest(known.free)[0]
 
     none = gain(0, prior)
     left, errors = fits.squares(base)

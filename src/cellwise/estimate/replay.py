@@ -18,7 +18,7 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.notice import (
     ASSUMED_V,
     along_notices,
-    far_off,
+    find_mismatch,
     in_order,
     prediction_notices,
     times_stated,
@@ -176,24 +176,24 @@ class Replay(Plottable, Tabular):
         return self.model, self.log, np.asarray(self.trace.innovation_V), self.trace.soc
 
     @cached_property
-    def far_off(self) -> Notice | None:
+    def model_mismatch(self) -> Notice | None:
         """That the voltages are many times as far off as the model states; None: they are not.
 
         A filter moves the SOC to where another cell is followed best: where half of the rows stay
         beyond what the model states even so, the log simulated by itself says it.
         """
         model, log, innovation_V, soc = self._seen
-        found = far_off(model, log, innovation_V, soc)
+        found = find_mismatch(model, log, innovation_V, soc)
         if model is None or found is not None:
             return found
         if times_stated(model, log, innovation_V, soc)[0] <= 1.0:
             return None
-        return simulate(model, log, initial_soc(model, log, whole_log=True).soc).far_off
+        return simulate(model, log, initial_soc(model, log, whole_log=True).soc).model_mismatch
 
     @property
     def notices(self) -> tuple[Notice, ...]:
         """What a person should know, the most harmful first; those of reading the log last."""
-        found = [] if self.far_off is None else [self.far_off]
+        found = [] if self.model_mismatch is None else [self.model_mismatch]
         trace = self.trace
         found += along_notices(self.model, self.validity, self.log, trace.soc)
         if np.any(np.isfinite((trace.innovation_V, trace.voltage_V))):  # counting predicts none
@@ -297,7 +297,7 @@ class Replay(Plottable, Tabular):
         text += f"SOC {self.start.soc:.3f} -> {self.trace.soc[-1]:.3f}"
         if self.settled is not None:
             text += f", settled RMSE {100 * self.settled.rmse:.2f} %"
-        if self.far_off:
+        if self.model_mismatch:
             text += ", FAR OFF this model"
         return text + f", {self.ns_per_step:.0f} ns/step)"
 

@@ -81,17 +81,17 @@ MIDDLE = (0.1, 0.9)
 class ResidualLog:
     """Residual of one log, arrays of shape (n,): measured minus model [V].
 
-    ``drop_V`` is the model's polarisation, positive on discharge; ``temperature_C`` the log's.
+    ``polarisation_V`` is of the model, positive on discharge; ``temperature_C`` of the log.
     """
 
     time_s: FloatArray
     soc: FloatArray
-    drop_V: FloatArray
+    polarisation_V: FloatArray
     residual_V: FloatArray
     temperature_C: float = 25.0
 
 
-def polarisation_V(
+def polarisation_of(
     model: CellModel, soc: FloatArray, temperature_C: FloatArray, voltage_V: FloatArray
 ) -> FloatArray:
     """What a simulated voltage lies below the model's OCV, shape (n,) [V]."""
@@ -208,7 +208,7 @@ def _cells(log: ResidualLog, group: int) -> _Cells:
     bands = in_bands(log.time_s, log.residual_V)
     step = np.diff(log.time_s, append=log.time_s[-1])
     step = np.clip(step, 1e-9, 10.0 * max(float(np.median(step)), 1e-9))
-    charged = (log.drop_V < 0.0).astype(np.int64)
+    charged = (log.polarisation_V < 0.0).astype(np.int64)
     _, first, cell = np.unique(
         2 * _place(log.soc) + charged, return_index=True, return_inverse=True
     )
@@ -226,7 +226,7 @@ def _cells(log: ResidualLog, group: int) -> _Cells:
         np.clip(mean(log.soc), 0.0, 1.0),
         charged[first].astype(np.float64),
         np.full(first.size, group),
-        mean(log.drop_V**2),
+        mean(log.polarisation_V**2),
         np.array([mean(band**2) for band in bands]),
         errors,
     )

@@ -212,7 +212,7 @@ class Problem:
         with ThreadPoolExecutor(max(1, min(4, cpu_count() or 1))) as pool:
             return list(pool.map(lambda i: self._one(i, theta), every))
 
-    def rows(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
+    def normal_of_logs(self, theta: FloatArray) -> tuple[Normal, tuple[FloatArray, ...]]:
         """What the logs say, and the residuals of each; the logs run side by side."""
         matrix = np.zeros((theta.size, theta.size))
         gradient = np.zeros(theta.size)
@@ -228,7 +228,7 @@ class Problem:
 
     def normal_equations(self, theta: FloatArray) -> Normal:
         """Cost, gradient and matrix of logs and prior."""
-        return self.prior.with_rows(theta, *self.rows(theta)[0])
+        return self.prior.with_data(theta, *self.normal_of_logs(theta)[0])
 
     def minimise(
         self, theta: FloatArray, iterations: int
@@ -236,13 +236,13 @@ class Problem:
         """The most probable unknowns near a point, steps, logs and prior there, and residuals."""
 
         def cost_of(theta: FloatArray) -> tuple[float, tuple[Normal, tuple[FloatArray, ...]]]:
-            seen = self.rows(theta)
+            seen = self.normal_of_logs(theta)
             return seen[0].cost, seen
 
         search = SolverSettings(iterations, largest_step=LARGEST_STEP)
         found = minimise(self.prior, cost_of, lambda _, x: x[0][1:], theta, search, self.inside)
-        rows, residuals = found.seen
-        return found.theta, found.steps, self.prior.with_rows(found.theta, *rows), residuals
+        of_logs, residuals = found.seen
+        return found.theta, found.steps, self.prior.with_data(found.theta, *of_logs), residuals
 
     def ln_sizes(self) -> float:
         """What widening the rows costs: the logarithm of what each may be, as a log counts.

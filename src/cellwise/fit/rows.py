@@ -138,7 +138,7 @@ class BaseOcv(NamedTuple):
 
     voltage_V: FloatArray
 
-    def rows(self, soc: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at_soc(self, soc: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Voltage and slope at each SOC; beyond the ends the end value holds."""
         steps = self.voltage_V.size - 1
         at = np.clip(soc, 0.0, 1.0) * steps
@@ -152,7 +152,7 @@ def _at_soc(
     rows: FittedRows, soc: FloatArray, depth: FloatArray, used: FloatArray, base: BaseOcv
 ) -> FittedRows:
     shown = soc[rows.evaluate]
-    base_V, slope_V = base.rows(shown)
+    base_V, slope_V = base.at_soc(shown)
     ends = rows.ends
     below = np.clip(soc[ends] - depth[ends], 0.0, 1.0) if depth.any() else soc[ends]
     return rows._replace(

@@ -179,8 +179,8 @@ def fit_logs(
         theta, done, _, residuals = problem.minimise(theta, iterations // PASSES)
         steps += done
         problem.judge(theta, residuals)
-    rows, residuals = problem.rows(theta)
-    normal = problem.prior.with_rows(theta, *rows)
+    of_logs, residuals = problem.normal_of_logs(theta)
+    normal = problem.prior.with_data(theta, *of_logs)
     return FitResult(
         layout=layout,
         theta=theta,

@@ -1,4 +1,4 @@
-"""The most probable unknowns under a normal prior, and what rows leave open of them (Laplace)."""
+"""The most probable unknowns under a normal prior, and what data leave open of them (Laplace)."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ class Prior:
         away = theta - self.mean
         return 0.5 * float(away @ self.precision @ away)
 
-    def with_rows(
+    def with_data(
         self, theta: FloatArray, cost: float, gradient: FloatArray, matrix: FloatArray
     ) -> Normal:
-        """What rows say at a point, and the prior."""
+        """What the data say at a point, and the prior."""
         held = self.precision @ (theta - self.mean)
         return Normal(cost + self.cost(theta), gradient - held, matrix + self.precision)
 
@@ -128,7 +128,7 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[T]):
-    """Where a search ended: the point, what the rows showed there, and how many steps it took.
+    """Where a search ended: the point, what the data showed there, and how many steps it took.
 
     ``normal`` is the posterior's where the last step began.
     """
@@ -155,16 +155,16 @@ def minimise(
 
     Parameters
     ----------
-    cost_of : callable        what the rows cost at a point [nats], and what was seen there
+    cost_of : callable        what the data cost at a point [nats], and what was seen there
     normal_of : callable      their gradient and matrix, from a point and what was seen there
     theta : (size,) float     where to begin, inside the bounds
     inside : callable or None     projects a point on what is possible; None: on the bounds
     """
     inside = inside or prior.inside
-    rows, seen = cost_of(theta)
-    cost, damping = rows + prior.cost(theta), search.damping
+    data, seen = cost_of(theta)
+    cost, damping = data + prior.cost(theta), search.damping
     for steps in range(1, search.iterations + 1):
-        normal = prior.with_rows(theta, rows, *normal_of(theta, seen))
+        normal = prior.with_data(theta, data, *normal_of(theta, seen))
         least = max(search.least_gain, search.least_share * cost)
         # What `inside` has put beyond a bound, since an order goes before it, stays there.
         low = np.minimum(np.maximum(prior.low - theta, -search.largest_step), 0.0)
@@ -176,11 +176,11 @@ def minimise(
             if not expected > least:
                 return Minimum(theta, seen, cost, normal, steps)
             trial = inside(theta + step)
-            trial_rows, trial_seen = cost_of(trial)
-            gain = cost - trial_rows - prior.cost(trial)
+            trial_data, trial_seen = cost_of(trial)
+            gain = cost - trial_data - prior.cost(trial)
             if not gain > 0.0:
                 damping, harder = max(harder * damping, DAMPED), 2.0 * harder
-        theta, rows, seen, cost = trial, trial_rows, trial_seen, cost - gain
+        theta, data, seen, cost = trial, trial_data, trial_seen, cost - gain
         damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain / expected - 1.0) ** 3)
         damping = max(damping, UNDAMPED)
         if gain < least:

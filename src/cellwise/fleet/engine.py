@@ -204,8 +204,7 @@ def _rows(task: Task | bytes, folder: str, names: Sequence[str]) -> Rows:
 # How a run is cut: what is lost with a worker, and what is written at once.
 MOST_IN_BATCH = 32  # logs
 BATCHES = 16  # for each worker, so that all end together
-ROWS_IN_PART = 2_000  # of the results
-PART_S = 10.0  # or seconds, from which on a part is written
+PART_S = 10.0  # from which on a part of the results is written
 
 
 # Called with the logs done, those that failed, and all there are.
@@ -299,7 +298,7 @@ def run_fleet(
                     refusals += refused(rows)
                     if progress is not None:
                         progress(len(ready) + done, failed, len(there))
-                    if len(kept) >= ROWS_IN_PART or time.monotonic() - written_s >= PART_S:
+                    if time.monotonic() - written_s >= PART_S:
                         store.add(kept)
                         kept, written_s = [], time.monotonic()
             finally:

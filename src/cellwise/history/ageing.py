@@ -112,7 +112,7 @@ class AgeingRecord:
 class AgeingHistory(Plottable, Tabular):
     """A life: its logs, the trend of the capacity over ``way`` (named by ``over``).
 
-    ``model`` is that of the new cell. ``far_off`` names the logs that were left out for it.
+    ``model`` is that of the new cell. ``mismatches`` names the logs that were left out for it.
     ``withheld``: all are, and capacity and resistance are NaN.
     """
 
@@ -121,7 +121,7 @@ class AgeingHistory(Plottable, Tabular):
     over: str
     way: FloatArray
     trend: Trend
-    far_off: tuple[Notice, ...] = ()
+    mismatches: tuple[Notice, ...] = ()
     withheld: bool = False
 
     def __repr__(self) -> str:
@@ -174,7 +174,7 @@ class AgeingHistory(Plottable, Tabular):
         """
         if self.withheld:
             raise InputError(
-                f"no log that is not far off: {self.far_off[0]}",
+                f"no log that is not far off: {self.mismatches[0]}",
                 "logs of the model's cell, aged or not",
                 "Check the model and how the logs are read.",
             )
@@ -237,7 +237,7 @@ class AgeingHistory(Plottable, Tabular):
             for one in self.logs
             if one.log.temperature_C is not None and np.any(np.isfinite(one.log.temperature_C))
         ]
-        found = [*self.far_off]
+        found = [*self.mismatches]
         first = next((one for one in self.logs if one.counted), None)
         if first is not None and not self.withheld:
             text = (
@@ -277,7 +277,7 @@ class AgeingHistory(Plottable, Tabular):
             "notices": texts(self.notices),
         }
 
-    def without_health(self, far_off: Sequence[Notice]) -> AgeingHistory:
+    def without_health(self, mismatches: Sequence[Notice]) -> AgeingHistory:
         """The same of logs that are all far off, without what would be made of them."""
         health = ("capacity", "share", "spread", "level", "new", "resistance")
         unknown: dict[str, Any] = {
@@ -288,7 +288,7 @@ class AgeingHistory(Plottable, Tabular):
             self,
             logs=tuple(replace(one, **unknown) for one in self.logs),
             trend=Trend(nothing, nothing, None),
-            far_off=tuple(map(withheld, far_off)),
+            mismatches=tuple(map(withheld, mismatches)),
             withheld=True,
         )
 
@@ -342,20 +342,20 @@ def ageing_history(
         raise InputError("no log", "logs of one cell in order", "Name them.")
     found: list[AgeingRecord] = []
     references: list[tuple[CurrentSegment, AgeingRecord | None]] = []
-    far_off: list[Notice] = []
+    mismatches: list[Notice] = []
     for log in (one for whole in logs for one in cut_at_cycles(whole, model.capacity_Ah)):
         one = _by_stretch(model, log, references, found)
         fit = log_health(model, log) if one is None or not found else None
-        if fit is not None and fit.far_off and not anyway:
-            far_off.append(fit.far_off)
+        if fit is not None and fit.model_mismatch and not anyway:
+            mismatches.append(fit.model_mismatch)
             references.clear()
             continue
         if one is None and fit is not None:
             one = _by_fit(model, log, fit)
         if one is not None:
             found.append(one)
-    if not found and far_off:
-        return ageing_history(model, logs, anyway=True).without_health(far_off)
+    if not found and mismatches:
+        return ageing_history(model, logs, anyway=True).without_health(mismatches)
     if not found:
         raise InputError(
             f"{len(logs)} log(s), none of which moves enough charge or has enough voltages",
@@ -374,7 +374,7 @@ def ageing_history(
         Deviations(*np.array([one.deviations for one in found]).T),
         _start_std(model, found),
     )
-    return AgeingHistory(model, tuple(found), over, way, trend, tuple(far_off))
+    return AgeingHistory(model, tuple(found), over, way, trend, tuple(mismatches))
 
 
 def _start_std(model: CellModel, logs: Sequence[AgeingRecord]) -> float:

@@ -73,8 +73,8 @@ class LogHealth:
     """What one log says of the cell.
 
     ``capacity_Ah``, ``resistance_scale`` (on the model's) with standard deviations; SOC at the
-    first and last row; ``covered`` the share of the SOC range that was seen; ``far_off`` says that
-    the log is many times as far off the fitted model as that states of itself.
+    first and last row; ``covered`` the share of the SOC range that was seen; ``model_mismatch``
+    says that the log is many times as far off the fitted model as that states of itself.
     """
 
     capacity_Ah: float
@@ -84,7 +84,7 @@ class LogHealth:
     soc_start: float
     soc_end: float
     covered: float
-    far_off: Notice | None
+    model_mismatch: Notice | None
 
 
 class _Fitted(NamedTuple):
@@ -119,9 +119,9 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
     # So it is where no ageing would make the cell follow the log.
     most = FAR_DEVIATIONS * np.array([AGED.ln_capacity, AGED.ln_resistance])
     impossible = bool(np.any(np.abs(fitted.mean) > most))
-    far_off = None
-    if impossible or aged.far_off is not None:
-        far_off = simulate(model, log, float(np.clip(item.soc0, 0.0, 1.0))).far_off
+    mismatch = None
+    if impossible or aged.model_mismatch is not None:
+        mismatch = simulate(model, log, float(np.clip(item.soc0, 0.0, 1.0))).model_mismatch
     away_K = _away_K(model, log)
     unseen = (1.0 - fitted.covered) * AGED.ln_capacity
     capacity, scale = model.capacity_Ah * math.exp(ln_capacity), math.exp(ln_scale)
@@ -133,7 +133,7 @@ def log_health(model: CellModel, log: CellLog) -> LogHealth | None:
         soc_start=start,
         soc_end=float(np.clip(aged.soc[-1], 0.0, 1.0)),
         covered=fitted.covered,
-        far_off=far_off,
+        model_mismatch=mismatch,
     )
 
 

@@ -103,7 +103,7 @@ def fitted_tables(result: FitResult) -> ModelTables:
     # In order at the temperatures of the grid; carried on beyond them they might cross.
     tau1 = np.minimum(_table(result, lay.tau(0)), tau2 / LEAST_RATIO)
     return ModelTables(
-        ocv_V=monotone(result.base.rows(SOC_GRID)[0] + correction),
+        ocv_V=monotone(result.base.at_soc(SOC_GRID)[0] + correction),
         r0_ohm=_table(result, lay.r0),
         r1_ohm=_table(result, lay.r(0)),
         tau1_s=tau1,

@@ -1,4 +1,4 @@
-"""First station: logs that no cell can have are refused, the others sorted by what they are."""
+"""Station "logs": those that no cell can have are refused, the others sorted by what they are."""
 
 from __future__ import annotations
 

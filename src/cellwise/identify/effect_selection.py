@@ -1,4 +1,4 @@
-"""Sixth station: which effects a cell needs, by the loads that predict what was held out best.
+"""Station "effects": which effects a cell needs, by the loads that predict what was held out best.
 
 A candidate is fitted beside the plain model to everything that is not held out, and judged on what
 is. It is part of the model where it is better there, by more than a share, and surely so.

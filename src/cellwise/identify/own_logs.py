@@ -1,4 +1,4 @@
-"""Eighth station: every log that was given, simulated back; what those of the fit covered."""
+"""Station "own logs": every one that was given, simulated back; what those of the fit covered."""
 
 from __future__ import annotations
 

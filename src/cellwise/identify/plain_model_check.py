@@ -1,4 +1,4 @@
-"""Eighth station: the fit against a plain model of the same logs, which is handed out if better.
+"""Station "plain model": one of the same logs beside the fit, handed out where it is better.
 
 The plain model is a low-rate curve, R0 and two branches of fixed time constants: one regularised
 linear least squares that shares no table, no solver and no likelihood with the fit. It takes the
@@ -179,7 +179,7 @@ def _base_ocv(checked: CheckedLogs, fit: JointFit) -> tuple[BaseOcv, float]:
         return mean, 1.0
     shown = np.clip(SOC, max(curve.points_soc[0], 0.0), min(curve.points_soc[-1], 1.0))
     own = curve.function.evaluate(shown)
-    return BaseOcv(monotone(own + mean.voltage_V - mean.rows(shown)[0])), PLAIN.measured
+    return BaseOcv(monotone(own + mean.voltage_V - mean.at_soc(shown)[0])), PLAIN.measured
 
 
 def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _ComparedRows:
@@ -199,7 +199,7 @@ def _rows(fit: JointFit, item: FitLog, base: BaseOcv, usual: FloatArray) -> _Com
     slow = zip(driven[1:], PLAIN.tau_s, strict=True)
     drops = [driven[0], *(_branch(u, rows.dt_s / tau) for u, tau in slow)]
     matrix = np.hstack([_hats(soc[shown], _ocv_nodes()), *(-drop[shown] for drop in drops)])
-    level_V, slope_V = base.rows(soc[shown])
+    level_V, slope_V = base.at_soc(soc[shown])
     size_V = np.hypot(PLAIN.size_V, PLAIN.off_soc * slope_V)
     weight = evidence_of(known) / known.compared / size_V**2
     row = np.searchsorted(item.log.time_s, known.time_s)

@@ -1,4 +1,4 @@
-"""Seventh station: what the model errs on loads that its fit has not seen, each left out once.
+"""Station "error": what the model errs on loads that its fit has not seen, each left out once.
 
 Of drives one of every temperature is left out at a time; of a single load, or of pulses alone,
 every other stretch of SOC. The tables begin at those of all logs, so a fit takes few steps.
@@ -23,7 +23,7 @@ from cellwise.fit.model_error import (
     SAME_TEMPERATURE_K,
     ResidualLog,
     estimate_model_error,
-    polarisation_V,
+    polarisation_of,
     unseen_shares,
 )
 from cellwise.fit.rows import FitLog, inverse_K
@@ -141,7 +141,7 @@ def residual_log(model: CellModel, item: FitLog, rows: BoolArray | None = None) 
     use &= True if rows is None else rows
     warm = known_temperature_C(model, log)[use]
     soc = simulation.soc[use]
-    drop = polarisation_V(model, soc, warm, simulation.voltage_V[use])
+    drop = polarisation_of(model, soc, warm, simulation.voltage_V[use])
     usual = float(np.median(warm)) if warm.size else 0.0
     return ResidualLog(log.time_s[use], soc, drop, simulation.residual_V[use], usual)
 
@@ -154,7 +154,7 @@ def _joined(parts: Sequence[ResidualLog]) -> ResidualLog:
         return np.concatenate([getattr(p, name) for p in parts])[order]
 
     warm = float(np.mean([p.temperature_C for p in parts]))
-    return ResidualLog(of("time_s"), of("soc"), of("drop_V"), of("residual_V"), warm)
+    return ResidualLog(of("time_s"), of("soc"), of("polarisation_V"), of("residual_V"), warm)
 
 
 def _folds(logs: Sequence[FitLog], capacity_Ah: float) -> list[dict[int, BoolArray]]:

@@ -53,7 +53,7 @@ class FollowedFilter:
             self.power.take(reading, state, info.status)
 
     @property
-    def far_off(self) -> Notice | None:
+    def model_mismatch(self) -> Notice | None:
         """What is said of a stream that is far off its model; then nothing is foreseen."""
         found = None if self.far is None else self.far.notice
         return None if found is None else withheld(found)
@@ -64,7 +64,7 @@ class FollowedFilter:
         foreseen = self.outlook.columns(state, warm)
         foreseen |= {} if self.power is None else self.power.columns(state, warm)
         cells = {} if self.live.pack is None else self.live.pack.columns()
-        if self.far_off is not None:
+        if self.model_mismatch is not None:
             foreseen = dict.fromkeys(foreseen)
             cells = {k: {n: c[n] for n in ("soc", "soc_std")} for k, c in cells.items()}
         shown = {} if self.displayed is None else {"displayed_percent": self.percent}

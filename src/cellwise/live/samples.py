@@ -15,7 +15,7 @@ from typing import IO, Any, NamedTuple, Protocol
 from cellwise.errors import InputError
 from cellwise.estimate.fixed.options import MOST_CELLS
 from cellwise.logs.files.columns import TIDY_NAMES, Unit, listed, tidy_name
-from cellwise.logs.files.source import ReadOptions
+from cellwise.logs.files.source import HEAD_BYTES, ReadOptions
 from cellwise.logs.packs.cells import CellColumn, known_column
 from cellwise.wording import arg
 
@@ -244,7 +244,6 @@ class ObjectReader:
         return self.readings.sample(time_s, arrived_s)
 
 
-PIECE_BYTES = 65_536
 STDIN = "-"
 
 
@@ -281,14 +280,14 @@ class Pieces:
         number = _descriptor(self._file)
         while True:
             if number is None:
-                piece = self._file.read(PIECE_BYTES)
+                piece = self._file.read(HEAD_BYTES)
             else:
                 # Not the buffered reader: it would wait for a whole buffer.
                 ready, _, _ = select.select([number], [], [], POLL_S)
                 if not ready:
                     yield b""
                     continue
-                piece = os.read(number, PIECE_BYTES)
+                piece = os.read(number, HEAD_BYTES)
             if piece:
                 yield piece
             elif self._follow:

@@ -12,10 +12,9 @@ from typing import Any
 from cellwise.errors import InputError
 from cellwise.live.live_filter import Update
 from cellwise.live.samples import STDIN, ObjectReader, Pieces, Readings, Sample, Source, Stray
-from cellwise.logs.files.source import NOTHING_SAID, ReadOptions
+from cellwise.logs.files.source import HEAD_BYTES, NOTHING_SAID, ReadOptions
 from cellwise.wording import arg
 
-LONGEST_LINE = 65_536  # bytes; what goes on for longer is no line
 WAYS = "stdin, json:FILE, csv:FILE, can:INTERFACE:CHANNEL, ulog:FILE (- for standard input), "
 WAYS += "mavlink:LINK, mqtt://HOST/TOPIC, ble:DEVICE"
 
@@ -109,7 +108,7 @@ class JsonLines:
             for line in lines:
                 if line.strip():
                     yield from self._read(line, arrived_s)
-            if len(kept) > LONGEST_LINE:
+            if len(kept) > HEAD_BYTES:  # what goes on for longer is no line
                 kept = b""
                 yield Stray("a line without an end")
         if kept.strip():

@@ -11,6 +11,7 @@ from cellwise.logs.cell_log import CellLog
 from cellwise.logs.checks import critical, faults, units
 from cellwise.logs.checks.sign import SignCheck, Verdict, contradiction, verify_sign
 from cellwise.logs.checks.units import check_is_log
+from cellwise.logs.files.times import DAY_S
 from cellwise.logs.gaps import Gap, run_edges
 from cellwise.notices import Code, Notice, coded, critical_first
 from cellwise.typing import BoolArray, FloatArray
@@ -228,7 +229,7 @@ def _channel_notices(
 
 def _duration(seconds: float) -> str:
     """A time in the unit a person would use."""
-    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+    for unit, length in (("d", DAY_S), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.1f} {unit}"
     return f"{seconds:.3g} s"

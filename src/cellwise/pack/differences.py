@@ -28,6 +28,7 @@ from cellwise.cell.simulate import known_temperature_C
 from cellwise.errors import InputError
 from cellwise.estimate.filters.kalman import Ekf
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.files.times import DAY_S
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.logs.stated import check_order, day_of_name
 from cellwise.notices import Code, Notice
@@ -71,17 +72,12 @@ class MeanCell:
         return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
 
 
-def mean_cell(model: CellModel, log: CellLog, soc0: float | None = None) -> MeanCell:
-    """Estimate the mean cell's SOC.
-
-    Parameters
-    ----------
-    soc0 : float or None      at the first row; None: as :func:`initial_soc` finds it
-    """
+def mean_cell(model: CellModel, log: CellLog) -> MeanCell:
+    """Estimate the mean cell's SOC, from where :func:`initial_soc` finds its start."""
     n = len(log)
     soc, std, voltage = (np.full(n, np.nan) for _ in range(3))
     part: IndexArray = np.full(n, -1, dtype=np.intp)
-    ekf, begun = Ekf(model), initial_soc(model, log, soc0, whole_log=True)
+    ekf, begun = Ekf(model), initial_soc(model, log, whole_log=True)
     long = [s for s in stretches(model, log, begun) if s.stop - s.first >= FEWEST_ROWS]
     for count, one in enumerate(long):
         trace = ekf.run(one.of(log), one.start.soc, one.start.std)
@@ -172,14 +168,16 @@ def periods(days: Sequence[PackDay]) -> tuple[tuple[PackDay, ...], ...]:
     return tuple(tuple(part) for part in found)
 
 
+SMOOTHED_SOC = 0.02  # to each side, over which a slope is taken
+
+
 class OcvSlope:
     """OCV and its slope over SOC at one temperature, smoothed over what cells may differ by."""
 
-    def __init__(self, model: CellModel, log: CellLog, half_width: float = 0.02) -> None:
+    def __init__(self, model: CellModel, log: CellLog) -> None:
         warm = float(np.median(known_temperature_C(model, log)))
         self._soc = model.soc
         self._ocv = model.at_temperature(warm).ocv_V[0]
-        self._half = half_width
 
     def ocv_V(self, soc: FloatArray) -> FloatArray:
         """OCV [V]."""
@@ -187,7 +185,7 @@ class OcvSlope:
 
     def slope_V(self, soc: FloatArray) -> FloatArray:
         """Its slope [V per unit of SOC]."""
-        low, high = np.clip(soc - self._half, 0.0, 1.0), np.clip(soc + self._half, 0.0, 1.0)
+        low, high = np.clip(soc - SMOOTHED_SOC, 0.0, 1.0), np.clip(soc + SMOOTHED_SOC, 0.0, 1.0)
         return np.asarray((self.ocv_V(high) - self.ocv_V(low)) / (high - low))
 
 
@@ -245,7 +243,7 @@ def regressors(mean: MeanCell, ocv: OcvSlope, days: float) -> Regressors:
     rows[:, OFFSET] = 1.0
     rows[:, LAG] = -before
     rows[:, LEAD] = -after
-    rows[:, SELF_DISCHARGE] = -slope * (days + log.time_s / 86_400.0)
+    rows[:, SELF_DISCHARGE] = -slope * (days + log.time_s / DAY_S)
     rows[:, SELF_DISCHARGE + 1 :] = np.clip(1.0 - np.abs(z[:, None] - SHAPES) / SHAPE_WIDTH, 0, 1)
     rows[~used] = 0.0
     return Regressors(rows, change, used)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellwise.arguments import several
 from cellwise.cell.model import CellModel
-from cellwise.cell.plausibility.notice import far_off, in_order, outside_notices, withheld
+from cellwise.cell.plausibility.notice import find_mismatch, in_order, outside_notices, withheld
 from cellwise.cell.plausibility.sizes import check_is_model
 from cellwise.logs.packs.pack_log import PackLog
 from cellwise.notices import Code, Notice, texts
@@ -111,12 +111,12 @@ class PackEstimate(Plottable, Tabular):
         )
 
     @property
-    def far_off(self) -> Notice | None:
+    def model_mismatch(self) -> Notice | None:
         """What is said first where most rows are of logs that are wrong or far off the model."""
         means = [day.mean for day in self.days]
         graves = (next((n for n in m.log.notices if n.is_critical), None) for m in means)
         said = [
-            g or far_off(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
+            g or find_mismatch(self.model, m.log, m.log.voltage_V - m.voltage_V, m.soc)
             for g, m in zip(graves, means, strict=True)
         ]
         rows = sum(len(m.log) for m, one in zip(means, said, strict=True) if one)
@@ -125,7 +125,7 @@ class PackEstimate(Plottable, Tabular):
 
     def without_health(self) -> PackEstimate:
         """The same where it is far off, without what would be made of it: SOC is left."""
-        far = self.far_off
+        far = self.model_mismatch
         if far is None:
             return self
         unknown = np.full(len(self.names), np.nan)
@@ -194,7 +194,7 @@ class PackEstimate(Plottable, Tabular):
             text = "no stretch between pauses is long enough to be estimated"
             of_reading.insert(0, Notice(Code.NO_STRETCH, text))
         said = (*self.exchanged, *self._drift, *in_order(found, tuple(dict.fromkeys(of_reading))))
-        far = self.far_off
+        far = self.model_mismatch
         if far is None:
             return said
         return (self.withheld or far, *(one for one in said if one != far))

@@ -10,6 +10,7 @@ import numpy as np
 from cellwise.cell.simulate import Simulation
 from cellwise.estimate.replay import Replay
 from cellwise.identify.identification import Identification
+from cellwise.notices import Code, coded
 from cellwise.report.identification.page import (
     cell_name,
     fitted_logs,
@@ -18,10 +19,10 @@ from cellwise.report.identification.page import (
 )
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import bullets, details, lead_of, paragraph
-from cellwise.report.page.numerals import ampere_hours, millivolt, plural
+from cellwise.report.page.numerals import ampere_hours, capitalised, millivolt, plural
 from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, write_page
-from cellwise.report.replay.page import beyond_its_statement, replay_data
+from cellwise.report.replay.page import replay_data
 from cellwise.report.replay.replay_section import replay_content, replay_finding, replay_plots
 
 INTRODUCTION = (
@@ -50,7 +51,8 @@ def demo_page(
     path, figures : as of `write_page`, whose errors it raises
     """
     judged = [replay_finding(r) for r in replays if r.settled is not None][:1]
-    judged += [*filter(None, map(beyond_its_statement, replays))][:1]
+    off = (n for r in replays for n in coded(r.notices, Code.MODEL_OFF) if n not in r.log.notices)
+    judged += [f"{capitalised(n.text)}." for n in off][:1]
     return write_page(
         path,
         demo_finding(identification, simulations),

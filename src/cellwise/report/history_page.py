@@ -101,8 +101,8 @@ def _first_line(found: AgeingHistory) -> str:
     if len(found.logs) == 1:
         return f"Capacity {capacity} by one log"
     return (
-        f"Capacity {capacity} by all {len(found.logs)} logs; no change shown: "
-        f"{percent(change.share, 1)} ± {percent(2.0 * change.std, 1)} of the new cell's"
+        f"Capacity {capacity} by all {len(found.logs)} logs; no change shown since the first "
+        f"({percent(change.share, 1)} ± {percent(2.0 * change.std, 1)} of the new cell's)"
     )
 
 
@@ -126,7 +126,7 @@ def capacity_picture(found: AgeingHistory) -> style.Figure:
             looks: dict[str, Any] = {"color": colour, "label": label}
             style.error_dots(axes, found.way[rows], share[rows], std[rows], **looks)
     trend, band = 100.0 * found.trend.share, 200.0 * found.trend.std
-    axes.plot(found.way, trend, color=style.BLUE, label="trend")
+    axes.plot(found.way, trend, color=style.BLUE, label="trend", zorder=4)
     looks = {"color": style.BLUE, "alpha": 0.18, "linewidth": 0}
     axes.fill_between(found.way, trend - band, trend + band, **looks)
     low = min(np.min(trend - band), np.min(share - 2.0 * std))
@@ -137,7 +137,7 @@ def capacity_picture(found: AgeingHistory) -> style.Figure:
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, label="knee")
     style.key_below(axes)
     style.finding(axes, f"{_now(found)} of the new cell's capacity at the last log")
-    style.labels(axes, UNITS[found.over], "share of the new cell's capacity [%]")
+    style.labels(axes, UNITS[found.over], "share of new capacity [%]")
     return figure
 
 

@@ -136,13 +136,13 @@ class FollowedStream:
 
     def to_dict(self) -> dict[str, Any]:
         """The last state and what was counted, as ``cellwise live --json`` prints it."""
-        last, live, far_off = self.counts.last, self.followed.live, self.followed.far_off
+        last, live, mismatch = self.counts.last, self.followed.live, self.followed.model_mismatch
         if last is None or live.start is None:
             return {}
         return {
             **state_row(last),
             **self.followed.columns(last),
-            "far_off": None if far_off is None else far_off.text,
+            "far_off": None if mismatch is None else mismatch.text,
             "estimator": live.filter.name,
             "soc0": live.start.to_dict(),
             "sensor": assumed(self.asked.sensor, live.model.capacity_Ah),

@@ -255,7 +255,7 @@ def replay_and_forecast(
     )
     model, noise = seen_by(model, asked.sensor)
     begun = found.start.how in ("given", "stated")
-    far = None if ahead.anyway else ends_forecasts(found.far_off, found.log)
+    far = None if ahead.anyway else ends_forecasts(found.model_mismatch, found.log)
     run = ReplayAndForecast(
         found,
         expected_convergence_s(model, found, make_estimator(asked.estimator, model, noise)),

@@ -18,6 +18,7 @@ import cellwise
 from cellwise import CellLog, InputError, write_log
 from cellwise.cli.command_line import build_parser
 from cellwise.cli.common.printing import in_command, worded
+from cellwise.cli.common.usage import sections
 from cellwise.logs import read_log
 from cellwise.wording import Option, Text, arg, joined_texts, within
 from sources import tree_of
@@ -199,6 +200,16 @@ def test_the_help_of_every_command_says_what_it_does_and_ends_with_examples_that
             words = shlex.split(line.partition(" < ")[0])
             assert words[0] == "cellwise"
             assert build_parser().parse_args(words[1:]).command == parser.prog.split()[1]
+
+
+def test_the_commands_are_listed_in_the_order_of_work_on_one_screen():
+    said = build_parser().format_help().splitlines()
+    assert len(said) <= 24
+    assert max(map(len, said)) <= 80
+    listed = [line[9:].split()[0] for line in said[2:]]
+    work = ["start", "identify", "simulate", "replay", "diagnose", "export", "certify"]
+    assert sorted(listed) == sorted({name.partition(" ")[0] for name in sections()})
+    assert [name for name in listed if name in work] == work
 
 
 @pytest.mark.parametrize("before", [True, False])

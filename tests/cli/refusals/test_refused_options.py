@@ -5,24 +5,28 @@ A block is a command; below it a line for each refusal: options, and a part of t
 
 from __future__ import annotations
 
+import argparse
 import shlex
 
 import pytest
 
+from cellwise.cli import main
+from cellwise.cli.command_line import build_parser
 from cellwise.data import datasets_folder
 
 HPPC = str(datasets_folder() / "nmc" / "hppc.parquet")
 REFUSED = """
 |
-  | error:
-  conjure | error:
-  inspect | error:
-  convert a.csv | error:
-  identify | error:
-  simulate a.csv | error:
-  data | error:
-  data steal | error:
-  inspect a.csv --sign upside-down | error:
+  | no COMMAND; expected one of start, demo, inspect
+  conjure | 'conjure'; expected one of start
+  identfy | Did you mean 'identify'?
+  inspect | Add it: cellwise inspect nmc_drive_a
+  convert a.csv | Add it: cellwise convert a.csv -o test.csv
+  data | no ACTION; expected one of fetch
+  data steal | 'steal'; expected one of fetch
+  inspect a.csv --sign upside-down | 'upside-down'; expected --sign auto|charge-positive
+  inspect a.csv --s auto | --s could match --sign, --series
+  pack --model nmc-18650 | no PACKLOG; expected PACKLOG: one pack
 inspect DRIVE
   --series four | --series four
   --series 0 | series = 0
@@ -51,13 +55,13 @@ replay --model nmc-18650 DRIVE
 replay --model MODEL DRIVE
   --soc0=1.01 | 0 to 1
   --estimator oracle | coulomb, ekf, ukf, adaptive
-  --estimater ekf | did you mean '--estimator'?
+  --estimater ekf | Did you mean '--estimator'?
   --dt 0 | step
   --dt -1 | step
   --dt nan | step
   --dt 1e9 | step
   --dt 1e-9 | step
-  --dt soon | --dt
+  --dt soon | --dt S: a number
   --soc0-std -0.1 | 0.1
   --reference-capacity-ah 0 | reference capacity
   --reference-capacity-ah nan | reference capacity
@@ -107,7 +111,7 @@ diagnose --model MODEL DRIVE -o new.json
 diagnose --model missing.json DRIVE
   | missing.json
 diagnose --model MODEL
-  | error:
+  | Add it: cellwise diagnose nmc_drive_a --model MODEL
 fleet replay --model MODEL LOGS -o out
   --estimator oracle | oracle
   --soc0 80 | 80
@@ -142,13 +146,22 @@ POWER = """\
   --power --voltage-limits 9 12 | not of the pack"""
 
 
+def commands(parser):
+    """Every command and every action of one, the program first."""
+    yield parser
+    for part in parser._actions:
+        if isinstance(part, argparse._SubParsersAction):
+            for inner in part.choices.values():
+                yield from commands(inner)
+
+
 def cases():
     """Command line and a part of its message."""
     text = REFUSED.replace("  POWER", POWER) + "\n".join(f"{page}\n{PAGE}" for page in PAGES)
     command = ""
     for line in text.strip().splitlines():
         if line.startswith("  "):
-            options, _, says = line.strip().rpartition("| ")
+            options, _, says = line.strip().partition("| ")
             yield f"{command} {options}".strip(), says
         else:
             command = line.strip("|")
@@ -177,3 +190,25 @@ def test_a_wrong_option_is_refused_with_what_to_do(
         says = says.replace(name, value[:20])
     assert says in refused(*shlex.split(line))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("line", ["inspect", "simulate", "replay DRIVE", "convert"])
+def test_the_line_that_a_refusal_proposes_runs_as_it_is_pasted(
+    line, drive, refused, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    said = refused(*line.replace("DRIVE", drive).split())
+    proposed = shlex.split(said.rpartition("Add it: ")[2])
+    assert proposed[0] == "cellwise"
+    assert main(proposed[1:]) == 0
+
+
+@pytest.mark.parametrize("parser", [pytest.param(p, id=p.prog) for p in commands(build_parser())])
+def test_every_command_without_what_it_requires_says_so_in_the_house_s_words(parser, refused):
+    needed = [action for action in parser._actions if action.required]
+    if needed:
+        said = refused(*parser.prog.split()[1:])
+        assert said.startswith(f"{parser.prog}: found no ")
+        assert all((a.option_strings or [a.metavar])[0] in said for a in needed)
+        assert f"Add it: {parser.prog} " in said or said.endswith(f"See {parser.prog} --help")
+    assert {a.required for a in needed} <= {True}  # the help still marks it

@@ -51,12 +51,12 @@ def test_what_no_test_could_show_of_charges_is_not_held_against_a_model():
     error = ModelError.of_white_and_slow(
         resistance_share=0.03, unseen_share=0.2, unseen_charge_share=0.1
     )
-    drop_V = np.array([0.2, -0.2, -0.2, 0.2])
+    polarisation_V = np.array([0.2, -0.2, -0.2, 0.2])
     charged = np.array([False, False, True, True])
-    shares = share_claimed(error, drop_V, charged)
+    shares = share_claimed(error, polarisation_V, charged)
     np.testing.assert_allclose(shares, [0.03, 0.03, np.hypot(0.03, 0.1), 0.03])
     shown = replace(error, unseen_share=0.0, unseen_charge_share=None)
-    np.testing.assert_allclose(share_claimed(shown, drop_V, charged), 0.03)
+    np.testing.assert_allclose(share_claimed(shown, polarisation_V, charged), 0.03)
 
 
 def test_a_charge_lasts_once_more_went_in_than_out_for_minutes():

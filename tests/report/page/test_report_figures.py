@@ -118,8 +118,8 @@ def test_of_very_many_logs_the_worst_are_shown():
     log = drive(60)
     sims = [simulation(log, np.full(60, 0.001 * (k % 12))) for k in range(12)]
     keys = [b.key for b in simulation_blocks(sims) if isinstance(b, Plot)]
-    assert len(keys) == MOST.simulations
-    assert keys[0].startswith("simulation-5-")  # 4 mV is the eighth largest
+    assert len(keys) == MOST.plots
+    assert keys[0].startswith(f"simulation-{13 - MOST.plots}-")  # the least of the worst
 
 
 def test_the_worst_minutes_are_those_of_a_burst():

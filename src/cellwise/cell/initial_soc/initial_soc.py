@@ -278,8 +278,6 @@ def ln_likelihood_of_starts(
     past: UnknownPast,
     before: Callable[[FloatArray], FloatArray] | None,
     soc0: FloatArray,
-    *,
-    other_resistance: float = 0.0,
 ) -> FloatArray:
     """Ln likelihood of a log's voltages from every start, (m,); a constant is left out.
 
@@ -293,11 +291,9 @@ def ln_likelihood_of_starts(
     ----------
     before : callable or None       ln likelihood of starts by what is known besides: a rest's OCV
     soc0 : (m,) float               one of them is taken to be near the truth
-    other_resistance : float        share by which the cell's resistance may differ, where the log
-                                    is too short to show it
     """
     sums = _sums_of_errors(model, log, soc0)
-    return _ln_likelihood(model, log, past, before, other_resistance, soc0, sums)
+    return _ln_likelihood(model, log, past, before, 0.0, soc0, sums)
 
 
 def _sums_of_errors(model: CellModel, log: CellLog, soc0: FloatArray) -> FloatArray:

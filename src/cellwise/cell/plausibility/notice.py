@@ -102,7 +102,7 @@ def times_stated(
     return times, float(np.median(error))
 
 
-def far_off(
+def find_mismatch(
     model: CellModel | None, log: CellLog, error_V: FloatArray, soc: FloatArray
 ) -> Notice | None:
     """What is said first of a log that is far off; None of one that is not, or without a model."""

@@ -17,10 +17,11 @@ from cellwise.cell.protocol import supply_kernels as kernel
 from cellwise.cell.simulate import check_soc0, start_hysteresis
 from cellwise.errors import InputError
 from cellwise.logs.cell_log import CellLog
+from cellwise.logs.files.times import DAY_S
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
-LONGEST_S = 30 * 86400.0  # a step that has not ended by then ends, and the log says so
+LONGEST_S = 30.0 * DAY_S  # a step that has not ended by then ends, and the log says so
 CHUNK_ROWS = 4096
 SLIVER = 1e-9  # intervals shorter than this share of a period are rounding
 

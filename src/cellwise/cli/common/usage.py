@@ -30,6 +30,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+# The commands in the order of work, as the help lists them.
+WORK = {
+    "begin": ("start", "demo", "inspect", "convert", "data"),
+    "model": ("identify", "simulate", "replay", "diagnose", "capacity-study"),
+    "in use": ("history", "pack", "live", "fleet"),
+    "compare": ("benchmark", "papers"),
+    "target": ("export", "certify"),
+}
+ORDER = tuple(name for names in WORK.values() for name in names)
+
 SECTION = re.compile(r"^cellwise ([a-z -]+): (.*)$", re.MULTILINE)
 SET = re.compile(r"^<([a-z -]+)>$", re.MULTILINE)
 CONTINUED = re.compile(r"\n {5,}")  # deeper than what an item stands at
@@ -46,12 +56,33 @@ def sections() -> dict[str, tuple[str, str, str]]:
         parts = SECTION.split(docstring)[1:]
         for name, about, items in zip(parts[::3], parts[1::3], parts[2::3], strict=True):
             found[name] = path.stem, about, items
-    return dict(sorted(found.items()))
+    return dict(sorted(found.items(), key=_place))
+
+
+def _place(section: tuple[str, tuple[str, str, str]]) -> tuple[int, str]:
+    """By the order of work; an action behind its command."""
+    return ORDER.index(section[0].partition(" ")[0]), section[0]
+
+
+def listed_commands() -> str:
+    """The commands with what they do, grouped in the order of work."""
+    about = {name: said for name, (_, said, _) in sections().items()}
+    lines = [
+        f"{group if name == names[0] else '':<9}{name:<15}{about[name]}"
+        for group, names in WORK.items()
+        for name in names
+    ]
+    return "\n".join(lines)
 
 
 def add_commands(parser: argparse.ArgumentParser) -> None:
     """Add every command, those of one word first."""
-    commands = {"": parser.add_subparsers(dest="command", metavar="COMMAND", required=True)}
+    listed = argparse.SUPPRESS  # the description lists them
+    commands = {
+        "": parser.add_subparsers(
+            dest="command", metavar="COMMAND", required=True, help=listed, prog=parser.prog
+        )
+    }
     for name, (module, about, items) in sections().items():
         outer, _, action = name.rpartition(" ")
         one = commands[outer].add_parser(
@@ -59,6 +90,7 @@ def add_commands(parser: argparse.ArgumentParser) -> None:
             help=about,
             description=f"{about[:1].upper()}{about[1:]}.",
             epilog=_guide(items) if items.strip() else None,
+            examples=_examples(items),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         # An action's own default would hide what stands before it.
@@ -79,7 +111,13 @@ def _guide(items: str) -> str:
     """The end of a command's help."""
     said = [line.strip() for line in items.splitlines()]
     needs = "".join(f"requires: {s[9:]}\n\n" for s in said if s.startswith("requires "))
-    return needs + "\n".join(["examples:", *(f"  cellwise{s[1:]}" for s in said if s[:1] == "$")])
+    return needs + "\n".join(["examples:", *(f"  {one}" for one in _examples(items))])
+
+
+def _examples(items: str) -> tuple[str, ...]:
+    """The lines that a command's help shows."""
+    said = (line.strip() for line in items.splitlines())
+    return tuple(f"cellwise{line[1:]}" for line in said if line[:1] == "$")
 
 
 def _lines(items: str) -> Iterator[str]:

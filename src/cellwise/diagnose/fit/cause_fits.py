@@ -190,7 +190,7 @@ class CauseFits:
             r, ln_scale = times**-2.0, self.known.ln_density(times * scale)
             here = plain - 0.5 * r * squares - count * math.log(times) + ln_scale
             for one in priors:
-                both = one.with_rows(x, -here, r * gradient, r * normal)
+                both = one.with_data(x, -here, r * gradient, r * normal)
                 cost, step = both.lowest(inside)
                 value = one.ln_kept(both.matrix) - cost
                 totals.append(value)

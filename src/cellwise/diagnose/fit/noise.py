@@ -22,7 +22,7 @@ import numpy as np
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.diagnose.fit.rows import SPLIT, ScoredRows
-from cellwise.fit.model_error import charged_for_minutes, polarisation_V
+from cellwise.fit.model_error import charged_for_minutes, polarisation_of
 from cellwise.typing import BoolArray, FloatArray
 
 
@@ -184,7 +184,7 @@ def stated_objective(
     for g, rows in evidence.each():
         warm = float(np.median(g.temperature_C))
         at = np.clip(soc[rows], 0.0, 1.0)
-        drop = polarisation_V(model, at, np.full(at.size, warm), voltage_V[rows])
+        drop = polarisation_of(model, at, np.full(at.size, warm), voltage_V[rows])
         charged = charged_for_minutes(g.log)[:: g.stride]
         size[rows] = np.hypot(lasting_V(error, at, warm, drop, charged), STATED.least_V)
         own = np.hypot(error.at(at, warm), share_claimed(error, drop, charged) * drop)
@@ -205,15 +205,19 @@ def slow_scales(error: ModelError) -> tuple[int, ...]:
 
 
 def lasting_V(
-    error: ModelError, soc: FloatArray, temperature_C: float, drop_V: FloatArray, charged: BoolArray
+    error: ModelError,
+    soc: FloatArray,
+    temperature_C: float,
+    polarisation_V: FloatArray,
+    charged: BoolArray,
 ) -> FloatArray:
     """All that is stated of an error that lasts for minutes [V]."""
     slow = slow_scales(error)
     own = np.sum([error.variance_V2(k, soc, temperature_C) for k in slow], axis=0)
     out, into = (math.hypot(*(error.shares(sign)[k] for k in slow)) for sign in (1.0, -1.0))
     hidden = np.where(charged, error.hidden_share(-1.0), 0.0)
-    share = np.where(drop_V >= 0.0, out, np.hypot(into, hidden))
-    return np.asarray(np.sqrt(own + (share * drop_V) ** 2))
+    share = np.where(polarisation_V >= 0.0, out, np.hypot(into, hidden))
+    return np.asarray(np.sqrt(own + (share * polarisation_V) ** 2))
 
 
 def independent_errors(error: ModelError, span_s: float, span_soc: float) -> float:
@@ -227,7 +231,7 @@ def independent_errors(error: ModelError, span_s: float, span_soc: float) -> flo
     return 1.0 + span_s / (2.0 * max(memory_s, 1e-3)) + by_soc
 
 
-def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> FloatArray:
+def share_claimed(error: ModelError, polarisation_V: FloatArray, charged: BoolArray) -> FloatArray:
     """Share of the polarisation at every row that a diagnosis does not hold against a model.
 
     What its tests did show to be wrong: what they could not show is for the diagnosis to find. Of
@@ -235,4 +239,4 @@ def share_claimed(error: ModelError, drop_V: FloatArray, charged: BoolArray) -> 
     concentrations there than on discharge, and no cause has that shape.
     """
     charge = np.where(charged, error.whole_share(-1.0), error.shown_share(-1.0))
-    return np.where(drop_V >= 0.0, error.shown_share(1.0), charge)
+    return np.where(polarisation_V >= 0.0, error.shown_share(1.0), charge)

@@ -31,13 +31,11 @@ MOST_IMPOSSIBLE = 0.25  # share of the rows: more are another unit or another ba
 REPEATS = 19
 MOVES = 2  # of the other channel, each way
 MOVED_SHARE = 0.1  # of what the other channel does in this log
-MOVED_STEPS = 5.0  # of its usual ones
 LATE_S = 3.0  # what one channel shows of the other may come so much later, or earlier
 LOST_ROWS = 20  # without a value: fewer are samples that were missed
 
 # When a channel is at the end of its range.
-HELD_ROWS = 3  # in a row
-HELD_VISITS = 3
+HELD = 3  # rows in a row, and so often
 
 # When a single row is a spike.
 LEAST_SPIKE_V = 0.05
@@ -204,10 +202,10 @@ def clipped_runs(log: CellLog) -> dict[str, list[RowRange]]:
         for extreme in (np.nanmax(values), np.nanmin(values)):
             at_end = values == extreme
             first, last = run_edges(at_end)
-            visits = np.count_nonzero(last - first + 1 >= HELD_ROWS)
+            visits = np.count_nonzero(last - first + 1 >= HELD)
             inside = at_end & np.concatenate(([False], at_end[:-1]))
             moves = min(np.sum(change[inside] > jump), np.sum(change[inside] < -jump))
-            held = visits >= HELD_VISITS and extreme != 0.0
+            held = visits >= HELD and extreme != 0.0
             if held and moves >= MOVES and jump > 0.0:
                 runs[channel] = sorted([*runs.get(channel, []), *runs_of(at_end)])
     return runs
@@ -269,19 +267,11 @@ def step_resistance(log: CellLog) -> float:
 def _current_jump(log: CellLog) -> float:
     """A step of the voltage that only a current makes [V].
 
-    The way from full to empty is no part of it, and neither is what the voltage usually does from
-    row to row.
+    The way from full to empty is no part of it.
     """
     swing = _swing(log.voltage_V)
     moved = min(swing, step_resistance(log) * _swing(log.current_A)) or swing
-    return max(MOVED_SHARE * moved, MOVED_STEPS * _usual_step(log.voltage_V))
-
-
-def _usual_step(values: FloatArray) -> float:
-    """A step that is noise or a digit: of those that are none, a tenth is smaller."""
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 0.0]
-    return float(np.quantile(steps, 0.1)) if steps.size else 0.0
+    return MOVED_SHARE * moved
 
 
 def _swing(values: FloatArray) -> float:

@@ -23,7 +23,6 @@ LARGEST_SERIES = 100_000  # rows; a longer log is first averaged down to this
 # What a log must show before it says anything of its sign.
 VARIANCE_RATIO = 20.0  # an F statistic: white noise reaches it less than once in a thousand windows
 LEAST_SCORE = 0.7  # lead of one sign over the other, weighed over all windows
-LEAST_LEAD = 0.05  # in each of them: less is none
 LEAST_CURRENT_A = 0.02  # less is a sensor's zero
 LEAST_MOVE_V = 0.005  # by less a voltage has not moved
 # Of its range, root mean square from row to row: a small cell's current, which holds its levels,
@@ -126,7 +125,7 @@ def verify_sign(log: CellLog) -> SignCheck:
         return SignCheck("undetermined", (none,), follows=False)
     score = sum(c.lead * abs(c.lead) for c in votes) / sum(c.lead**2 for c in votes)
     verdict: Verdict = "undetermined"
-    if abs(score) >= LEAST_SCORE and max(abs(c.lead) for c in votes) >= LEAST_LEAD:
+    if abs(score) >= LEAST_SCORE:
         verdict = "verified" if score > 0 else "contradicted"
     return SignCheck(verdict, tuple(c.text() for c in votes), float(score))
 

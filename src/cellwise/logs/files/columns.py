@@ -161,7 +161,7 @@ def folded(name: str) -> str:
     return name.casefold().replace(" ", "").replace("_", "").strip('"\t\ufeff')
 
 
-def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:
+def listed(names: Sequence[str]) -> str:
     """Names in quotes, the first dozen."""
-    shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+    shown = ", ".join(f"'{name[:LONGEST_LISTED]}'" for name in names[:MOST_LISTED])
+    return shown + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")

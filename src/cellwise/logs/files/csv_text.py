@@ -36,7 +36,7 @@ from cellwise.logs.files.source import (
     damaged_gzip,
     decoded,
 )
-from cellwise.logs.files.tables import arrow_type, column_values
+from cellwise.logs.files.tables import LOOKED_AT, arrow_type, column_values
 from cellwise.notices import Code, Notice
 from cellwise.typing import FloatArray
 
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 MOST_UNIT_ROWS = 2
 MOST_FOOTER_LINES = 20
 FOOTER_BYTES = 8192
-LOOKED_AT = 50  # rows below the header
 
 BLOCK_BYTES = 4 << 20
 MOST_ODD_ROWS = 100

@@ -24,7 +24,7 @@ from cellwise.wording import arg
 # Called with the bytes (or columns) done and the number there are in all.
 Progress = Callable[[int, int], None]
 
-HEAD_BYTES = 65_536
+HEAD_BYTES = 65_536  # read at a time; of a line no more
 GZIP_MAGIC = b"\x1f\x8b"
 TEXT_CONTROLS = b"\t\n\r\f"
 NO_TEXT = bytes(byte for byte in range(32) if byte not in TEXT_CONTROLS)
@@ -378,7 +378,7 @@ class TimedStream:
         self._content = source.content_of(self._file)
         self.closed = False
         self._left = None if end is None else end - skipped
-        while skipped > 0 and (part := self._content.read(min(skipped, 65_536))):
+        while skipped > 0 and (part := self._content.read(min(skipped, HEAD_BYTES))):
             skipped -= len(part)
 
     def read(self, size: int = -1) -> bytes:

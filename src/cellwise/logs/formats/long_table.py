@@ -9,10 +9,11 @@ import numpy as np
 from cellwise.errors import InputError
 from cellwise.logs.files.choice import choose_columns, says_its_sign
 from cellwise.logs.files.columns import TIDY_CHANNELS
-from cellwise.logs.files.csv_text import LOOKED_AT, csv_layout
+from cellwise.logs.files.csv_text import csv_layout
 from cellwise.logs.files.format import Format
 from cellwise.logs.files.header import header_cells
 from cellwise.logs.files.source import LogSource, RawLog, lines_of
+from cellwise.logs.files.tables import LOOKED_AT
 from cellwise.logs.files.times import epoch_unit, seconds_of, time_kind
 from cellwise.logs.files.words import PART, likeness, long_table
 from cellwise.notices import Code, Notice

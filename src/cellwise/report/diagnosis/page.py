@@ -16,7 +16,6 @@ from cellwise.notices import Code
 from cellwise.report.diagnosis.pictures import before_after_plot, residual_section
 from cellwise.report.diagnosis.statements import (
     KINDS,
-    cause_name,
     corrected_mV,
     diagnosis_finding,
     in_words,
@@ -53,6 +52,7 @@ from cellwise.report.page.numerals import (
     percent,
     plural,
     significant,
+    spoken_name,
 )
 from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, plots_within, write_page
@@ -93,7 +93,7 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
     explained = bool(diagnosis.causes)
     plots = tuple(
         before_after_plot(run, explained, f"before-after-{k}")
-        for k, run in enumerate(runs[: MOST.diagnosed], start=1)
+        for k, run in enumerate(runs[: MOST.plots], start=1)
     )
     title = "Before and after" if explained else "Measured and simulated"
     first: Blocks = (*plots[:1], runs_table(runs, explained))
@@ -109,7 +109,7 @@ def diagnosis_sections(diagnosis: Diagnosis, runs: Sequence[LogRun]) -> tuple[Se
         )
         sections.append(Section("evidence", "What was tried", tried, "Evidence"))
     if diagnosis.limits:
-        alike = [listed([cause_name(c) for c in group]) for group in diagnosis.inseparable]
+        alike = [listed([spoken_name(c) for c in group]) for group in diagnosis.inseparable]
         lines = bullets(f"These logs do not separate {names}." for names in alike)
         limits = (lines, limits_table(diagnosis))
         sections.append(Section("limits", "What these logs could show", limits, "Limits"))
@@ -156,7 +156,7 @@ def lead_lines(diagnosis: Diagnosis) -> list[str]:
     ]
     kinds = list(dict.fromkeys(c.kind for c in diagnosis.causes))
     for kind in kinds:
-        names = listed([cause_name(c.name) for c in diagnosis.causes if c.kind == kind])
+        names = listed([spoken_name(c.name) for c in diagnosis.causes if c.kind == kind])
         prefix = f"{capitalised(names)} – " if len(kinds) > 1 else ""
         lines.append(f"{prefix}{within(KINDS[kind])}" if prefix else KINDS[kind])
     if diagnosis.causes:
@@ -189,7 +189,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
         *(in_words(e) for e in cause.evidence if e != known.signature),
     ]
     if cause.confusable_with:
-        names = listed([cause_name(c) for c in cause.confusable_with])
+        names = listed([spoken_name(c) for c in cause.confusable_with])
         lines.append(f"Easily confused with {names}.")
 
     def numbers(parameters: Sequence[tuple[str, float]]) -> Markup:
@@ -204,7 +204,7 @@ def cause_content(cause: FoundCause, diagnosis: Diagnosis) -> Markup:
     folded = [p for p in cause.parameters.items() if p not in shown]
     what = f"{plural(len(folded), 'parameter')} of which these logs say no more than is usual"
     return Markup(
-        f"<h3>{escape(capitalised(cause_name(cause.name)) + sure)}</h3>"
+        f"<h3>{escape(capitalised(spoken_name(cause.name)) + sure)}</h3>"
         + paragraph(f"{statement(cause, diagnosis)}. {cause.meaning}")
         + bullets(lines)
         + numbers(shown)
@@ -269,20 +269,20 @@ def limits_table(diagnosis: Diagnosis) -> Markup:
     without = sorted({c.name for c in diagnosis.candidates} - set(diagnosis.limits))
     found = record_table(
         diagnosis.limits.items(),
-        ("cause", lambda one: cause_name(one[0])),
+        ("cause", lambda one: spoken_name(one[0])),
         ("smallest change", lambda one: _values(*one)),
         caption="From sensitivities and noise, before any cause was fitted: smaller changes look "
         "the same as what a good laboratory leaves uncertain.",
         text_columns=(0, 1),
     )
-    none = f"These logs could show no change of {listed([cause_name(c) for c in without])}."
+    none = f"These logs could show no change of {listed([spoken_name(c) for c in without])}."
     return Markup(found + (paragraph(none) if without else ""))
 
 
 def candidates_table(diagnosis: Diagnosis) -> Markup:
     """All candidates, the likeliest first; those beyond a few are folded away."""
     order = sorted(diagnosis.candidates, key=lambda c: -np.nan_to_num(c.score, nan=-np.inf))
-    few, rest = order[: MOST.candidates], order[MOST.candidates :]
+    few, rest = order[: MOST.listed], order[MOST.listed :]
 
     def figures(shown: Sequence[TriedCause], **options: Any) -> Markup:
         return record_table(shown, *TRIED_COLUMNS, text_columns=(0, 3), **options)
@@ -298,7 +298,7 @@ def candidates_table(diagnosis: Diagnosis) -> Markup:
 
 # Of a candidate: how it reads on a page and in a command.
 TRIED_COLUMNS: tuple[tuple[str, Callable[[TriedCause], str]], ...] = (
-    ("cause", lambda c: cause_name(c.name)),
+    ("cause", lambda c: spoken_name(c.name)),
     ("held-out RMSE", lambda c: millivolt(c.holdout_rmse_V)),
     ("evidence", lambda c: significant(c.score)),
     ("its parameters", lambda c: _values(c.name, c.parameters, 2)),

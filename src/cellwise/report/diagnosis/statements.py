@@ -18,6 +18,7 @@ from cellwise.report.page.numerals import (
     percent,
     points,
     significant,
+    spoken_name,
 )
 
 KINDS = {
@@ -31,17 +32,12 @@ CERTAIN = 0.9994  # a probability that is no longer written out
 CORRECTED = " with the log corrected"
 
 
-def cause_name(name: str) -> str:
-    """A name of the contract for people."""
-    return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
-
-
 NAMED = re.compile("|".join(sorted((n for n in CAUSES if "_" in n), key=len, reverse=True)))
 
 
 def in_words(text: str) -> str:
     """A line of the diagnosis with its causes named for people."""
-    return NAMED.sub(lambda m: cause_name(m[0]), text)
+    return NAMED.sub(lambda m: spoken_name(m[0]), text)
 
 
 def diagnosis_finding(diagnosis: Diagnosis) -> str:
@@ -51,7 +47,7 @@ def diagnosis_finding(diagnosis: Diagnosis) -> str:
         said = [within(statement(diagnosis.causes[0], diagnosis))]
         if judged is not None:  # that the log is corrected stands before it
             size = change(judged).removesuffix(CORRECTED)
-            still = ", still far off" if judged.explained.far_off else ""
+            still = ", still far off" if judged.explained.model_mismatch else ""
             said.append(f"{named_log(judged)} {size}{still}")
         lost = losses(diagnosis)
         but = f", but {listed(lost)}" if lost else ""
@@ -99,13 +95,13 @@ def losses(diagnosis: Diagnosis) -> list[str]:
 def unsure_lines(diagnosis: Diagnosis) -> list[str]:
     """What the logs leave open: how probable a cause is, what is not separated, what not judged."""
     lines = [
-        f"The gain by {cause_name(c.name)} is not sure: {percent(c.gain, 0)} less error on "
+        f"The gain by {spoken_name(c.name)} is not sure: {percent(c.gain, 0)} less error on "
         f"held-out data, {' to '.join(percent(v, 0) for v in c.gain_ci95)} in 95 of 100 cases."
         for c in diagnosis.causes
         if c.gain_ci95[0] < 0.0
     ]
     sure = [
-        f"{cause_name(c.name)} {probability(c.probability)}"
+        f"{spoken_name(c.name)} {probability(c.probability)}"
         for c in diagnosis.causes
         if c.probability <= CERTAIN
     ]
@@ -116,7 +112,7 @@ def unsure_lines(diagnosis: Diagnosis) -> list[str]:
     named = {c.name for c in diagnosis.causes}
     for group in diagnosis.inseparable:
         if named & set(group):
-            names = listed([cause_name(c) for c in group])
+            names = listed([spoken_name(c) for c in group])
             lines.append(f"Small effects of {names} look alike in these logs.")
     if diagnosis.no_soc_gain:
         lines.append(f"No gain in SOC is claimed: {diagnosis.no_soc_gain}.")
@@ -125,7 +121,7 @@ def unsure_lines(diagnosis: Diagnosis) -> list[str]:
 
 def explanation(one: Weighed) -> str:
     """A set of causes for people."""
-    return " with ".join(cause_name(c) for c in one.causes) or "none of the causes tried"
+    return " with ".join(spoken_name(c) for c in one.causes) or "none of the causes tried"
 
 
 def probability(share: float) -> str:
@@ -142,7 +138,7 @@ def weights(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     if rest > 5e-4:
         rows.append(("all others together", probability(rest)))
     rows += [
-        (f"{cause_name(c.name)}, whatever is beside it", probability(c.probability))
+        (f"{spoken_name(c.name)}, whatever is beside it", probability(c.probability))
         for c in diagnosis.causes
         if c.probability < 1.0
     ]

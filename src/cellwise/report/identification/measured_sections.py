@@ -202,8 +202,8 @@ def ocv_error_picture(identification: Identification) -> style.Figure:
     axes.set_ylim(min(low, 0.0) - room, max(high, 0.0) + room)
     style.zero_line(axes)
     style.finding(axes, title)
-    style.soc_axis(axes, "minus the model [mV]")
-    style.legend(axes)
+    style.soc_axis(axes, "above the model [mV]")
+    style.key_below(axes)
     return figure
 
 
@@ -293,7 +293,7 @@ VERDICTS = {
 
 def _caption(identification: Identification) -> str:
     """What the marks that are there mean."""
-    sets = [s for _, s in pulse_sets(identification)[: MOST.pulse_logs]]
+    sets = [s for _, s in pulse_sets(identification)[: MOST.plots]]
     found = {p.quality for s in sets for p in judged(s)}
     text = "Every short pulse at its SOC and current (discharge positive)"
     if any(len(judged(s)) < len(s.pulses) for s in sets):
@@ -304,7 +304,7 @@ def _caption(identification: Identification) -> str:
 def pulse_pictures(identification: Identification) -> tuple[Picture, ...]:
     """One per HPPC log, the first one explained."""
     capacity_Ah, text = identification.model.capacity_Ah, _caption(identification)
-    sets = pulse_sets(identification)[: MOST.pulse_logs]
+    sets = pulse_sets(identification)[: MOST.plots]
     return tuple(
         pulse_picture(found, temperature, capacity_Ah)._replace(
             key="pulses" if k == 0 else f"pulses-{k + 1}", caption="" if k else text

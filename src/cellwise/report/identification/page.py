@@ -49,6 +49,7 @@ from cellwise.report.page.numerals import (
     percent,
     plural,
     significant,
+    spoken_name,
 )
 from cellwise.report.page.picture import Figures
 from cellwise.report.page.section import Blocks, Section, write_page
@@ -97,7 +98,7 @@ def fitted_logs(identification: Identification) -> str:
 
 def model_kind(identification: Identification) -> str:
     """``2-RC model with a slow third branch and hysteresis``."""
-    extra = [EFFECTS.get(e.name, e.name.replace("_", " ")) for e in identification.model.effects]
+    extra = [EFFECTS.get(e.name, spoken_name(e.name)) for e in identification.model.effects]
     return "2-RC model" + (f" with {listed(extra)}" if extra else "")
 
 
@@ -133,7 +134,7 @@ def _effect_rows(model: CellModel) -> list[tuple[str, str]]:
     for effect in model.effects:
         values = ((one.name, np.asarray(getattr(effect, one.name))) for one in fields(effect))
         known = (f"{name} {_spread(v)}" for name, v in values if v.dtype.kind == "f" and v.any())
-        rows.append((effect.name.replace("_", " "), ", ".join(known)))
+        rows.append((spoken_name(effect.name), ", ".join(known)))
     return rows
 
 
@@ -188,7 +189,7 @@ def _own_logs(logs: tuple[OwnLog, ...]) -> Markup:
 
 def _effects(identification: Identification) -> Markup:
     def name(one: Mapping[str, Any]) -> str:
-        return str(one["name"]).replace("_", " ")
+        return spoken_name(str(one["name"]))
 
     effects = identification.to_dict()["effects"]
     plain = [one for one in effects if one["accepted"] and one["gain"] is None]

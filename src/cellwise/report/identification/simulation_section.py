@@ -51,7 +51,7 @@ def simulation_blocks(
 ) -> tuple[Block, ...]:
     """Figures of every log, links to their worst minutes, then plots of those with most error."""
     order = sorted(simulations, key=lambda s: -np.nan_to_num(s.rmse_V))
-    worst = {id(s) for s in order[: MOST.simulations]}
+    worst = {id(s) for s in order[: MOST.plots]}
     shown = [(k, s) for k, s in enumerate(simulations, start=1) if id(s) in worst]
     plots = [_plot(s, f"{prefix}-{k}-{safe_key(clock_of(s.log))}") for k, s in shown]
     if plots:
@@ -67,8 +67,8 @@ def simulation_blocks(
 
 def _table(simulations: Sequence[Simulation]) -> Markup:
     text = "Measured minus simulated voltage. 95 % interval: 1.96 sd to either side of the mean."
-    if len(simulations) > MOST.simulations:
-        text += f" Plots show the {MOST.simulations} logs with the largest errors."
+    if len(simulations) > MOST.plots:
+        text += f" Plots show the {MOST.plots} logs with the largest errors."
     return record_table(
         simulations,
         ("log", lambda s: clock_of(s.log)),

@@ -32,12 +32,8 @@ class PageLimits(NamedTuple):
 
     bullets: int = 3  # before the first picture
     columns: int = 9  # of a table whose head stays on one line
-    replays_as_columns: int = 6  # in the table of replays; of more each is a row
-    simulations: int = 8  # plots of simulated logs
-    replays: int = 4  # with plots of their own
-    diagnosed: int = 4  # plots of logs before and after
-    candidates: int = 6  # causes that were tried, of a diagnosis
-    pulse_logs: int = 6
+    plots: int = 6  # of one kind: of simulations, of replays, of pulses
+    listed: int = 6  # of what is compared: causes, cells, replays side by side
     pulses: int = 300  # rows of the table of those not healthy
     cells: int = 2000  # rows of a fleet's table
     samples: int = 3_000_000  # in the plots of every sample

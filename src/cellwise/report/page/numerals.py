@@ -121,9 +121,14 @@ def counted(count: int) -> str:
     return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
-def plural(count: int, one: str, many: str = "") -> str:
+def plural(count: int, one: str) -> str:
     """``1 log``, ``3 logs``."""
-    return f"{count}{SPACE}{one if count == 1 else many or one + 's'}"
+    return f"{count}{SPACE}{one if count == 1 else one + 's'}"
+
+
+def spoken_name(name: str) -> str:
+    """A name of the contract, of a cause or an effect, for people."""
+    return name.replace("_", " ").replace("ocv", "OCV").replace("soc", "SOC")
 
 
 def listed(words: list[str]) -> str:

@@ -20,6 +20,7 @@ from cellwise.typing import BoolArray, FloatArray
 
 MISSING = np.iinfo(np.uint16).max
 UNEVEN = 1e-3  # of a step
+NEARLY_ALL = 99.5  # per cent of the values, which an axis shows in any case
 OFF_SCALE = 2.2  # times most of the values: an axis leaves out what lies beyond
 CLOSE_UP_S, CLOSE_UP_ROWS = 300.0, 60  # a close-up shows so much of a log at least
 
@@ -98,10 +99,10 @@ def as_model(simulation: Simulation, name: str = "simulated") -> tuple[str, Floa
     return name, simulation.voltage_V, simulation.residual_V
 
 
-def robust_limits(values: FloatArray, share: float = 99.5) -> tuple[float, float] | None:
+def robust_limits(values: FloatArray) -> tuple[float, float] | None:
     """Limits of an axis around zero where a few values lie far beyond most; None: all are shown."""
     size = np.abs(values[np.isfinite(values)])
-    most = float(np.percentile(size, share)) if size.size else 0.0
+    most = float(np.percentile(size, NEARLY_ALL)) if size.size else 0.0
     if most == 0.0 or size.max() <= OFF_SCALE * most:
         return None
     return -1.6 * most, 1.6 * most

@@ -117,11 +117,11 @@ def labels(axes: Axes, x: str = "", y: str = "") -> None:
     axes.set_ylabel(y)
 
 
-def legend(axes: Axes, *, columns: int = 1, place: str = "best") -> None:
+def legend(axes: Axes, *, place: str = "best") -> None:
     """A legend, if there is anything to name."""
     handles, names = axes.get_legend_handles_labels()
     if handles:
-        axes.legend(handles, names, ncols=columns, loc=cast(Any, place)).set_zorder(6)
+        axes.legend(handles, names, loc=cast(Any, place)).set_zorder(6)
 
 
 def key_below(axes: Axes, keys: Sequence[Artist] = ()) -> None:
@@ -147,9 +147,11 @@ def note(
 
 
 def error_dots(axes: Axes, x: FloatArray, y: FloatArray, std: FloatArray, **looks: Any) -> None:
-    """Dots with bars of two standard deviations."""
+    """Dots with bars of two standard deviations; many bars are pale, or they hide the dots."""
     drawn: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "linewidth": 0.8} | looks
-    axes.errorbar(x, y, 2.0 * std, **drawn)
+    _, _, bars = axes.errorbar(x, y, 2.0 * std, **drawn)
+    for bar in bars:
+        bar.set_alpha(min(1.0, 30.0 / x.size))
 
 
 def dots_on_bars(

@@ -14,7 +14,6 @@ from cellwise.estimate.power.power_along_log import PowerTrace
 from cellwise.estimate.power.state_of_power import PowerLimit
 from cellwise.estimate.replay import Replay
 from cellwise.forecast.remaining import Forecast, ForecastTrace
-from cellwise.notices import Code, coded
 from cellwise.plotting import Line, Panel
 from cellwise.report.identification.simulation_section import simulation_blocks, simulation_finding
 from cellwise.report.page.markup import (
@@ -283,9 +282,9 @@ def replay_page(
         place = 0 if now.reference_soc is None else len(lines)
         lines.insert(place, flight_finding(flights[-1]))
     lines += [power_finding(now.power)] if now.power is not None else []
-    unsure = [say(r) for r in last for say in (narrow_band, unknown_start, beyond_its_statement)]
+    unsure = [say(r) for r in last for say in (narrow_band, unknown_start)]
     lines[1:1] = filter(None, unsure)
-    lines = [*filter(None, (warning(r) for r in replays)), *lines]
+    lines = [*filter(None, dict.fromkeys(warning(r) for r in replays)), *lines]
     of_model, of_reading = noticed(replays, simulations, flights)
     sections = list(replay_sections([*last, *before], simulations))
     if any(r.power is not None for r in replays):
@@ -311,7 +310,7 @@ def warning(replay: Replay) -> str | None:
     critical = next((n for n in replay.log.notices if n.is_critical), None)
     if critical is not None:
         return f"{capitalised(critical.text)}."
-    far = replay.far_off
+    far = replay.model_mismatch
     return None if far is None else f"{far.head}: neither SOC nor time can be used."
 
 
@@ -337,12 +336,6 @@ def unknown_start(replay: Replay) -> str | None:
     )
 
 
-def beyond_its_statement(replay: Replay) -> str | None:
-    """That the voltage is missed by more than two of the model's own deviations on some scale."""
-    found = [n for n in coded(replay.notices, Code.MODEL_OFF) if n not in replay.log.notices]
-    return f"{capitalised(found[0].text)}." if found else None
-
-
 def noticed(
     replays: Sequence[Replay],
     simulations: Sequence[Simulation],
@@ -364,9 +357,9 @@ def replay_sections(
     replays: Sequence[Replay], simulations: Sequence[Simulation] = ()
 ) -> tuple[Section, ...]:
     """The parts of a replay page."""
-    text = f"The first {MOST.replays} replays have plots of their own; the table has all."
-    few = (paragraph(text),) if len(replays) > MOST.replays else ()
-    found = map(estimated_content, replays[: MOST.replays])
+    text = f"The first {MOST.plots} replays have plots of their own; the table has all."
+    few = (paragraph(text),) if len(replays) > MOST.plots else ()
+    found = map(estimated_content, replays[: MOST.plots])
     sections = [
         Section("soc", "State of charge", (*few, *plots_within(replay_plots(replays)))),
         Section("figures", "All figures", (*found, replay_content(replays))),

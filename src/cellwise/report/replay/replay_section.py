@@ -79,16 +79,16 @@ def replay_name(replay: Replay) -> str:
     return f"{replay.estimator} on {replay.log.name or 'log'} from {points(replay.start.soc)}"
 
 
-def replay_plots(replays: Sequence[Replay], prefix: str = "replay") -> tuple[Plot, ...]:
+def replay_plots(replays: Sequence[Replay]) -> tuple[Plot, ...]:
     """Comparison of all replays of a log, then each of the first few."""
     shown = [
-        replay_plot(r, f"{prefix}-{k}-{safe_key(r.estimator)}-{safe_key(clock_of(r.log))}")
-        for k, r in enumerate(replays[: MOST.replays], start=1)
+        replay_plot(r, f"replay-{k}-{safe_key(r.estimator)}-{safe_key(clock_of(r.log))}")
+        for k, r in enumerate(replays[: MOST.plots], start=1)
     ]
     if shown:
         text = CAPTION.format(reference=REFERENCE if replays[0].reference_soc is not None else "")
         shown[0] = shown[0]._replace(caption=text)
-    return (*comparison_plots(replays, prefix), *shown)
+    return (*comparison_plots(replays), *shown)
 
 
 def replay_plot(replay: Replay, key: str) -> Plot:
@@ -143,14 +143,14 @@ def _title(replay: Replay) -> str:
     return text
 
 
-def comparison_plots(replays: Sequence[Replay], prefix: str = "replay") -> list[Plot]:
+def comparison_plots(replays: Sequence[Replay]) -> list[Plot]:
     """One per log that was replayed more than once and has a reference."""
     groups: dict[tuple[str, int], list[Replay]] = {}
     for r in replays:
         if r.reference_soc is not None:
             groups.setdefault((r.log.name, len(r.log)), []).append(r)
     several = [own for own in groups.values() if len(own) > 1]
-    return [comparison_plot(own, f"{prefix}-comparison-{k}") for k, own in enumerate(several, 1)]
+    return [comparison_plot(own, f"replay-comparison-{k}") for k, own in enumerate(several, 1)]
 
 
 def comparison_plot(replays: Sequence[Replay], key: str) -> Plot:
@@ -225,7 +225,7 @@ def replay_content(replays: Sequence[Replay]) -> Markup:
     note = Markup(paragraph(EXPLAINED, "note"))
     if all(r.reference_soc is None for r in replays):
         note = Markup(paragraph(WITHOUT_REFERENCE, "note"))
-    if len(columns) <= MOST.replays_as_columns:
+    if len(columns) <= MOST.listed:
         return Markup(note + table(("", *(r.estimator for r in replays)), known))
     rows = zip((r.estimator for r in replays), *(line[1:] for line in known), strict=True)
     head = ("estimator", *(line[0] for line in known))
@@ -269,7 +269,7 @@ ESTIMATED = {
 
 def estimated_content(replay: Replay) -> Markup:
     """What an adaptive filter estimates of sensor and cell; nothing of another filter."""
-    rows = [] if replay.far_off else estimated_rows(replay)
+    rows = [] if replay.model_mismatch else estimated_rows(replay)
     caption = f"Beside SOC, by {replay_name(replay)}."
     shown = table(("", "value", ""), rows, caption=caption, text_columns=(0, 1, 2))
     return shown if rows else EMPTY
