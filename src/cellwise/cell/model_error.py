@@ -211,7 +211,7 @@ class ModelError:
 
 
 def moved_part(memory_s: FloatArray, after_s: float, seen_s: float) -> FloatArray:
-    r"""Of the deviation of first-order processes what is left once a mean is taken off.
+    r"""How much of the deviation of first-order processes stays once a mean is taken off.
 
     The mean is over ``seen_s``, the process ``after_s`` later; of its variance that leaves
 
