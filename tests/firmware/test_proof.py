@@ -65,6 +65,7 @@ LEAN = {"model": curved_cell(5), "wide": False}
 BESIDE = {
     "power": {**LEAN, "power": power_asked(curved_cell(5))},
     "cells": {**LEAN, "health": True, "cells": CellSettings()},
+    "learn": {**LEAN, "learn": True},
     "remaining": {**LEAN, "remaining_V": cutoff_asked(curved_cell(5))},
 }
 # What is entered with any bits, and the build that it is in.
@@ -77,6 +78,7 @@ PROVED = [
     ("eva_any_remaining", "remaining"),
     ("eva_any_plan", "remaining"),
     ("eva_any_cells", "cells"),
+    ("eva_any_learner", "learn"),
 ]
 
 

@@ -41,6 +41,8 @@ PUBLIC = {
     "step_cells": "cellwise_cells_step",
     "cell_of": "cellwise_cell_of",
     "pack_power": "cellwise_pack_power",
+    "start_learner": "cellwise_learner_init",
+    "learn": "cellwise_learn",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -63,6 +65,7 @@ ASKED = {
     "set_health": ("HEALTH",),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
+    **dict.fromkeys(("start_learner", "learn"), ("LEARN",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
@@ -98,6 +101,7 @@ PARTS = {
     "plan": "A plan of loads, and where it ends.",
     "cells": "Cells of a pack on one table: their difference from the mean cell.",
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
+    "capacity": "Capacity learnt between two rests far apart.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -106,7 +110,7 @@ FIRST = {
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
-    "fixed_cells.py": "cells", "with_cell": "pack_power",
+    "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "capacity",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",

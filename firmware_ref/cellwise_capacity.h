@@ -1,0 +1,286 @@
+/* Part of cellwise_ekf.c. Capacity learnt between two rests far apart. Printed from src/cellwise/estimate by `python
+ * -m cellwise.printing`; do not edit. */
+#ifndef CELLWISE_CAPACITY_H
+#define CELLWISE_CAPACITY_H
+
+#include "cellwise_pack_power.h"
+
+/* SOC of a cell at rest by its OCV, and the variance of that. */
+typedef struct {
+    float soc;
+    float variance;
+} cellwise_restedsoc;
+
+/* Of a pair of rests for the share and the offset; `total` is the variance of its count. */
+typedef struct {
+    float total;
+    float share;
+    float off;
+} cellwise_weight;
+
+/* Nothing is known of the capacity, nor of an offset, but what is usual. */
+static void forget_share(cellwise_learner *a)
+{
+    a->share_variance = LEARN_VARIANCE;
+    a->off = 0.0f;
+    a->qq = LEARN_VARIANCE;
+    a->qo = 0.0f;
+    a->oo = CHANCE;
+    a->own_qq = LEARN_VARIANCE;
+    a->own_qo = 0.0f;
+    a->own_oo = CHANCE;
+    a->share_error = 0.0f;
+    a->off_error = 0.0f;
+    a->refused = 0u;
+}
+
+/* Count from a rest; a variance of 0: from none. What flowed until then has aged the cell. */
+static void begin_at_rest(cellwise_learner *a, float soc, float variance)
+{
+    a->qq = at_most(a->qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
+    a->own_qq = at_most(a->own_qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
+    a->share_variance = a->own_qq + (a->share_error * a->share_error);
+    a->soc = soc;
+    a->variance = variance;
+    a->counted = 0.0f;
+    a->counted_carry = 0.0f;
+    a->moved = 0.0f;
+    a->unsure = 0.0f;
+    a->steps = 0u;
+}
+
+void cellwise_learner_init(const cellwise_model *m, cellwise_learner *a)
+{
+    (void)m;
+    a->share = 1.0f;
+    forget_share(a);
+    a->moved = 0.0f;
+    begin_at_rest(a, 0.0f, 0.0f);
+    a->current_A = 0.0f;
+    a->voltage_V = 0.0f;
+    a->held_V = 0.0f;
+    a->rest = 0u;
+    a->silent = 0u;
+    a->pairs = 0u;
+    a->sequence = 0u;
+    a->begun = 0u;
+}
+
+/* Every number in its range: memory that lost its content, or was never set, is noticed. */
+static bool learner_is_sound(const cellwise_learner *a)
+{
+    if (!POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE)) { return false; }
+    if (!(NOT_NEGATIVE(a->share_variance, LARGE) && SIZE_WITHIN(a->off, REACH_MOST))) { return false; }
+    if (!(POSITIVE_WITHIN(a->qq, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->qo, 1.0f))) { return false; }
+    if (!(POSITIVE_WITHIN(a->oo, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->share_error, REACH_MOST))) { return false; }
+    if (!(POSITIVE_WITHIN(a->own_qq, VARIANCE_FLOOR, 1.0f) && SIZE_WITHIN(a->own_qo, 1.0f))) { return false; }
+    if (!POSITIVE_WITHIN(a->own_oo, VARIANCE_FLOOR, 1.0f)) { return false; }
+    if (!(SIZE_WITHIN(a->off_error, REACH_MOST) && NOT_NEGATIVE(a->soc, 1.0f))) { return false; }
+    if (!(NOT_NEGATIVE(a->variance, 1.0f) && SIZE_WITHIN(a->counted, REACH_MOST))) { return false; }
+    if (!(SIZE_WITHIN(a->counted_carry, CARRY_MOST) && NOT_NEGATIVE(a->moved, SINCE_MOST))) { return false; }
+    if (!(NOT_NEGATIVE(a->unsure, SINCE_MOST) && SIZE_WITHIN(a->current_A, LARGE))) { return false; }
+    return NOT_NEGATIVE(a->voltage_V, LARGE) && NOT_NEGATIVE(a->held_V, LARGE);
+}
+
+/* Where the OCV has a voltage, within 0..1: halved down to a millionth. */
+static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, float ocv_V)
+{
+    const cellwise_row *const low = m->row[place->low];
+    const cellwise_row *const high = m->row[place->low + 1u];
+    const uint32_t points = CELLWISE_POINTS;
+    float below = 0.0f;
+    float above = 1.0f;
+    for (uint32_t k = 0u; k < 20u; k++) {
+        const float middle = 0.5f * (below + above);
+        cellwise_socplace z;
+        soc_place(place, points, middle, &z);
+        if (READ(z.k, ocv_V, z.beyond) < ocv_V) {
+            below = middle;
+        } else {
+            above = middle;
+        }
+    }
+    return 0.5f * (below + above);
+}
+
+/* The SOC that the last voltage of a rest says. What the branches still hold is part of its error: they were
+ * corrected by voltages that the capacity has moved, and say nothing independent of it. */
+static NOINLINE void rested(const cellwise_model *m, const cellwise_state *x, const cellwise_learner *a,
+                            cellwise_restedsoc *restedsoc)
+{
+    cellwise_place place;
+    place_now(m, x, &place);
+    float ocv_V = a->voltage_V;
+    cellwise_point before;
+    look_up(m, &place, x->soc, 0.0f, &before);
+    ocv_V = ocv_V - (before.m_V * x->h);
+    restedsoc->soc = soc_of_ocv(m, &place, ocv_V);
+    cellwise_point p;
+    look_up(m, &place, restedsoc->soc, 0.0f, &p);
+    const float missed_V = ocv_V - p.ocv_V;
+    float variance_V2 = (p.noise_V2 + ((a->held_V * a->held_V) + (missed_V * missed_V))) + ((p.m_V * p.m_V) * x->phh);
+    const float beyond_V = extrapolated(&m->constant, x, 0.0f, a->held_V);
+    variance_V2 = variance_V2 + (beyond_V * beyond_V);
+    restedsoc->variance = 1.0f;
+    if (p.slope_V > LEAST_SLOPE_V) {
+        restedsoc->variance = clip(variance_V2 / (p.slope_V * p.slope_V), VARIANCE_FLOOR, 1.0f);
+    }
+}
+
+/* What a pair of rests weighs: errors of the OCV as if each pair had its own. */
+static void weigh_pair(const cellwise_learner *a, float far, float gone, float count_soc2, float both_soc2,
+                       cellwise_weight *weight)
+{
+    const float qh = (a->qq * far) + (a->qo * gone);
+    const float oh = (a->qo * far) + (a->oo * gone);
+    weight->total = ((far * qh) + (gone * oh)) + (count_soc2 + both_soc2);
+    const float per = 1.0f / weight->total;
+    weight->share = qh * per;
+    weight->off = oh * per;
+}
+
+/* A pair of rests: counted = share far + off gone. `both_soc2` is the variance of both OCVs. Two covariances: one
+ * weighs, as if each pair had an error of the OCV of its own; of what is stated the other one is the part beside
+ * that error. */
+static void learn_from(const cellwise_constants *c, cellwise_learner *a, float far, float gone, float counted,
+                       float both_soc2)
+{
+    const float count_soc2 = a->unsure + ((float)a->steps * c->soc_walk);
+    cellwise_weight w;
+    weigh_pair(a, far, gone, count_soc2, both_soc2, &w);
+    const float missed = counted - ((a->share * far) + (a->off * gone));
+    if ((missed * missed) > (c->gate_square * w.total)) {
+        a->refused = a->refused + 1u;
+        if (a->refused >= LEARN_REFUSED) {
+            forget_share(a);
+        }
+    } else {
+        a->share = clip(a->share + (w.share * missed), LEAST_SHARE, MOST_SHARE);
+        a->off = clip(a->off + (w.off * missed), -REACH_MOST, REACH_MOST);
+        a->qq = clip(a->qq - ((w.share * w.share) * w.total), VARIANCE_FLOOR, 1.0f);
+        a->qo = clip(a->qo - ((w.share * w.off) * w.total), -1.0f, 1.0f);
+        a->oo = clip(a->oo - ((w.off * w.off) * w.total), VARIANCE_FLOOR, 1.0f);
+        /* (I - K H) own (I - K H)' + K K' count_soc2 */
+        const float qh = (a->own_qq * far) + (a->own_qo * gone);
+        const float oh = (a->own_qo * far) + (a->own_oo * gone);
+        const float whole = ((far * qh) + (gone * oh)) + count_soc2;
+        const float qq = (a->own_qq - ((2.0f * w.share) * qh)) + ((w.share * w.share) * whole);
+        const float qo = (a->own_qo - ((w.share * oh) + (w.off * qh))) + ((w.share * w.off) * whole);
+        const float oo = (a->own_oo - ((2.0f * w.off) * oh)) + ((w.off * w.off) * whole);
+        a->own_qq = clip(qq, VARIANCE_FLOOR, 1.0f);
+        a->own_qo = clip(qo, -1.0f, 1.0f);
+        a->own_oo = clip(oo, VARIANCE_FLOOR, 1.0f);
+        const float more = root(both_soc2) - ((far * a->share_error) + (gone * a->off_error));
+        a->share_error = clip(a->share_error + (w.share * more), -1.0f, 1.0f);
+        a->off_error = clip(a->off_error + (w.off * more), -REACH_MOST, REACH_MOST);
+        a->refused = 0u;
+        a->pairs = a->pairs + 1u;
+    }
+}
+
+/* A long rest is over: its SOC, and with the rest that was counted from what that shows. A rest that is near is
+ * passed over, until the count from the older one is worse than both OCVs. A pair is taken from the lower to the
+ * higher rest, so that an error of the table is the same in every pair, either way. */
+static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a)
+{
+    const cellwise_constants *const c = &m->constant;
+    cellwise_restedsoc now;
+    rested(m, x, a, &now);
+    if (now.variance <= LEARN_SOC_VARIANCE) {
+        const float steps = (float)a->steps;
+        const float drift = steps * c->learn_drift;
+        const float both_soc2 = a->variance + now.variance;
+        const float lost_soc2 = (a->unsure + (steps * c->soc_walk)) + (a->oo * (drift * drift));
+        const float apart = now.soc - a->soc;
+        const float side = (apart > 0.0f) ? 1.0f : -1.0f;
+        const float far = side * apart;
+        if ((a->variance > 0.0f) && (far >= LEARN_APART)) {
+            learn_from(c, a, far, -(side * drift), side * a->counted, both_soc2);
+            begin_at_rest(a, now.soc, now.variance);
+        } else if (!(a->variance > 0.0f) || (lost_soc2 > both_soc2)) {
+            begin_at_rest(a, now.soc, now.variance);
+        } else { /* as before */
+        }
+    }
+}
+
+/* SOC of the tables' capacity that a current takes in one step. */
+static float moved_by(const cellwise_constants *c, const cellwise_state *x, float current_A)
+{
+    float used = taken(c, x, current_A);
+    used = used / x->per_capacity;
+    return used;
+}
+
+/* The charge of an interval, and of samples that are missing, as the step counts them. */
+static void count_on(const cellwise_constants *c, const cellwise_state *x, cellwise_learner *a, uint32_t missing)
+{
+    float used = moved_by(c, x, x->current_A);
+    if (missing != 0u) {
+        if (missing <= c->gap_steps) {
+            used = used + (moved_by(c, x, 0.5f * (x->current_A + a->current_A)) * (float)missing);
+        } else {
+            a->unsure = at_most(a->unsure + c->gap_variance, SINCE_MOST);
+        }
+    }
+    add(&a->counted, &a->counted_carry, -used);
+    a->moved = at_most(a->moved + magnitude(used), SINCE_MOST);
+    if (a->steps < COUNT_MOST) {
+        a->steps = (a->steps + missing) + 1u;
+    }
+}
+
+/* How long the cell has rested, and what its voltage was last. */
+static void watch_rest(const cellwise_constants *c, const cellwise_state *x, cellwise_learner *a, uint32_t missing,
+                       float voltage_V)
+{
+    if (SIZE_BELOW(x->current_A, c->learn_rest_A)) {
+        if (a->rest < COUNT_MOST) {
+            a->rest = (a->rest + missing) + 1u;
+        }
+        const bool shown = POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V);
+        if (shown && (a->rest >= c->learn_steps)) {
+            const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
+            a->voltage_V = voltage_V;
+            a->held_V = magnitude(held_V);
+        }
+    } else {
+        a->rest = 0u;
+        a->voltage_V = 0.0f;
+    }
+}
+
+void cellwise_learn(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a, const cellwise_input *sample)
+{
+    const cellwise_constants *const c = &m->constant;
+    if (!learner_is_sound(a)) {
+        cellwise_learner_init(m, a);
+    }
+    const uint32_t elapsed = sample->sequence - a->sequence;
+    if (a->begun == 0u) {
+        a->begun = 1u;
+    } else if (elapsed != 0u) {
+        uint32_t missing = elapsed - 1u;
+        missing = (missing < LONGEST_GAP) ? missing : LONGEST_GAP;
+        if ((a->voltage_V > 0.0f) && !SIZE_BELOW(x->current_A, c->learn_rest_A)) {
+            end_rest(m, x, a);
+        }
+        count_on(c, x, a, missing);
+        a->silent = SIZE_WITHIN(sample->current_A, c->current_limit_A) ? 0u : (a->silent + 1u);
+        if (x->no_current > c->gap_steps) {
+            a->silent = x->no_current;
+        }
+        if (a->silent > c->gap_steps) {
+            begin_at_rest(a, 0.0f, 0.0f);
+            a->rest = 0u;
+            a->voltage_V = 0.0f;
+        } else {
+            watch_rest(c, x, a, missing, sample->voltage_V);
+        }
+    } else { /* as before */
+    }
+    a->sequence = sample->sequence;
+    a->current_A = x->current_A;
+}
+
+#endif

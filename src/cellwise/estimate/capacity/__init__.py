@@ -1,0 +1,1 @@
+"""Capacity learnt on a target."""
