@@ -37,8 +37,10 @@ static void forget_share(cellwise_learner *a)
 /* Count from a rest; a variance of 0: from none. What flowed until then has aged the cell. */
 static void begin_at_rest(cellwise_learner *a, float soc, float variance)
 {
-    a->qq = at_most(a->qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
-    a->own_qq = at_most(a->own_qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
+    if (NOT_NEGATIVE(a->moved, SINCE_MOST)) {
+        a->qq = at_most(a->qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
+        a->own_qq = at_most(a->own_qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
+    }
     a->share_variance = a->own_qq + (a->share_error * a->share_error);
     a->soc = soc;
     a->variance = variance;
@@ -196,6 +198,9 @@ static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, 
         const float far = side * apart;
         if ((a->variance > 0.0f) && (far >= LEARN_APART)) {
             learn_from(c, a, far, -(side * drift), side * a->counted, both_soc2);
+            if (!learner_is_sound(a)) {
+                cellwise_learner_init(m, a);
+            }
             begin_at_rest(a, now.soc, now.variance);
         } else if (!(a->variance > 0.0f) || (lost_soc2 > both_soc2)) {
             begin_at_rest(a, now.soc, now.variance);

@@ -56,8 +56,9 @@ def forget_share(a: Learner) -> None:
 
 def begin_at_rest(a: Learner, soc: float, variance: float) -> None:
     """Count from a rest; a variance of 0: from none. What flowed until then has aged the cell."""
-    a.qq = at_most(a.qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
-    a.own_qq = at_most(a.own_qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
+    if not_negative(a.moved, SINCE_MOST):
+        a.qq = at_most(a.qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
+        a.own_qq = at_most(a.own_qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
     a.share_variance = a.own_qq + (a.share_error * a.share_error)
     a.soc = soc
     a.variance = variance
@@ -219,6 +220,8 @@ def end_rest(m: Model, x: State, a: Learner) -> None:
         far = side * apart
         if a.variance > 0.0 and far >= LEARN_APART:
             learn_from(c, a, far, -(side * drift), side * a.counted, both_soc2)
+            if not learner_is_sound(a):
+                start_learner(m, a)
             begin_at_rest(a, now.soc, now.variance)
         elif not (a.variance > 0.0) or lost_soc2 > both_soc2:
             begin_at_rest(a, now.soc, now.variance)
