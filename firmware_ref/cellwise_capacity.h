@@ -34,21 +34,25 @@ static void forget_share(cellwise_learner *a)
     a->refused = 0u;
 }
 
-/* Count from a rest; a variance of 0: from none. What flowed until then has aged the cell. */
+/* Count from a rest; a variance of 0: from none. */
 static void begin_at_rest(cellwise_learner *a, float soc, float variance)
 {
-    if (NOT_NEGATIVE(a->moved, SINCE_MOST)) {
-        a->qq = at_most(a->qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
-        a->own_qq = at_most(a->own_qq + (LEARN_WALK * a->moved), LEARN_VARIANCE);
-    }
-    a->share_variance = a->own_qq + (a->share_error * a->share_error);
     a->soc = soc;
     a->variance = variance;
     a->counted = 0.0f;
     a->counted_carry = 0.0f;
-    a->moved = 0.0f;
     a->unsure = 0.0f;
     a->steps = 0u;
+}
+
+/* What has flowed may have aged the cell. */
+static void age(cellwise_learner *a)
+{
+    const float more = LEARN_WALK * a->moved;
+    a->qq = at_most(a->qq + more, LEARN_VARIANCE);
+    a->own_qq = at_most(a->own_qq + more, LEARN_VARIANCE);
+    a->share_variance = a->own_qq + (a->share_error * a->share_error);
+    a->moved = 0.0f;
 }
 
 void cellwise_learner_init(const cellwise_model *m, cellwise_learner *a)
@@ -107,25 +111,32 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
 
 /* The SOC that the last voltage of a rest says. What the branches still hold is part of its error: they were
  * corrected by voltages that the capacity has moved, and say nothing independent of it. */
-static NOINLINE void rested(const cellwise_model *m, const cellwise_state *x, const cellwise_learner *a,
-                            cellwise_restedsoc *restedsoc)
+static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
+                            const cellwise_learner *a, cellwise_restedsoc *restedsoc)
 {
-    cellwise_place place;
-    place_now(m, x, &place);
+    const cellwise_row *const low = m->row[place->low];
+    const cellwise_row *const high = m->row[place->low + 1u];
+    const cellwise_constants *const c = &m->constant;
+    const uint32_t points = CELLWISE_POINTS;
     float ocv_V = a->voltage_V;
-    cellwise_point before;
-    look_up(m, &place, x->soc, 0.0f, &before);
-    ocv_V = ocv_V - (before.m_V * x->h);
-    restedsoc->soc = soc_of_ocv(m, &place, ocv_V);
-    cellwise_point p;
-    look_up(m, &place, restedsoc->soc, 0.0f, &p);
-    const float missed_V = ocv_V - p.ocv_V;
-    float variance_V2 = (p.noise_V2 + ((a->held_V * a->held_V) + (missed_V * missed_V))) + ((p.m_V * p.m_V) * x->phh);
-    const float beyond_V = extrapolated(&m->constant, x, 0.0f, a->held_V);
+    cellwise_socplace before;
+    soc_place(place, points, x->soc, &before);
+    ocv_V = ocv_V - (READ(before.k, m_V, before.within) * x->h);
+    restedsoc->soc = soc_of_ocv(m, place, ocv_V);
+    cellwise_socplace z;
+    soc_place(place, points, restedsoc->soc, &z);
+    const float missed_V = ocv_V - READ(z.k, ocv_V, z.beyond);
+    const float slope_V = RISE(z.k, ocv_V) * (float)(points - 1u);
+    const float error_V = READ(z.k, error_V, z.within);
+    float variance_V2 = error_variance(c->fixed_V2, error_V, c->ocv_soc2, slope_V) +
+        ((a->held_V * a->held_V) + (missed_V * missed_V));
+    const float m_V = READ(z.k, m_V, z.within);
+    variance_V2 = variance_V2 + ((m_V * m_V) * x->phh);
+    const float beyond_V = extrapolated(c, x, 0.0f, a->held_V);
     variance_V2 = variance_V2 + (beyond_V * beyond_V);
     restedsoc->variance = 1.0f;
-    if (p.slope_V > LEAST_SLOPE_V) {
-        restedsoc->variance = clip(variance_V2 / (p.slope_V * p.slope_V), VARIANCE_FLOOR, 1.0f);
+    if (slope_V > LEAST_SLOPE_V) {
+        restedsoc->variance = clip(variance_V2 / (slope_V * slope_V), VARIANCE_FLOOR, 1.0f);
     }
 }
 
@@ -175,6 +186,7 @@ static void learn_from(const cellwise_constants *c, cellwise_learner *a, float f
         const float more = root(both_soc2) - ((far * a->share_error) + (gone * a->off_error));
         a->share_error = clip(a->share_error + (w.share * more), -1.0f, 1.0f);
         a->off_error = clip(a->off_error + (w.off * more), -REACH_MOST, REACH_MOST);
+        a->share_variance = a->own_qq + (a->share_error * a->share_error);
         a->refused = 0u;
         a->pairs = a->pairs + 1u;
     }
@@ -186,9 +198,15 @@ static void learn_from(const cellwise_constants *c, cellwise_learner *a, float f
 static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a)
 {
     const cellwise_constants *const c = &m->constant;
+    if (!learner_is_sound(a)) {
+        cellwise_learner_init(m, a);
+    }
+    cellwise_place place;
+    place_now(m, x, &place);
     cellwise_restedsoc now;
-    rested(m, x, a, &now);
+    rested(m, &place, x, a, &now);
     if (now.variance <= LEARN_SOC_VARIANCE) {
+        age(a);
         const float steps = (float)a->steps;
         const float drift = steps * c->learn_drift;
         const float both_soc2 = a->variance + now.variance;
@@ -258,7 +276,8 @@ static void watch_rest(const cellwise_constants *c, const cellwise_state *x, cel
 void cellwise_learn(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a, const cellwise_input *sample)
 {
     const cellwise_constants *const c = &m->constant;
-    if (!learner_is_sound(a)) {
+    const bool shown = NOT_NEGATIVE(a->share_variance, LARGE);
+    if (!(shown && POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE))) {
         cellwise_learner_init(m, a);
     }
     const uint32_t elapsed = sample->sequence - a->sequence;

@@ -277,7 +277,8 @@ typedef struct {
 void cellwise_learner_init(const cellwise_model *m, cellwise_learner *a);
 
 /* After each step, with its sample: count, watch for rests, and learn the capacity of a pair. A current that is
- * missing for longer than what is bridged makes the count worthless: it begins again at the next rest. */
+ * missing for longer than what is bridged makes the count worthless: it begins again at the next rest. Of memory
+ * that lost its content what is shown is noticed at once, the rest before it is used. */
 void cellwise_learn(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a, const cellwise_input *sample);
 
 #ifdef __cplusplus

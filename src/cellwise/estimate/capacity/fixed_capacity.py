@@ -17,10 +17,20 @@ from typing import NamedTuple
 
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.unrolled import unrolled_by_option
+from cellwise.estimate.equations.evidence import error_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
-from cellwise.estimate.fixed.lookup import OCV_V, Place, look_up, place_now, read, soc_place
+from cellwise.estimate.fixed.lookup import (
+    ERROR_V,
+    M_V,
+    OCV_V,
+    Place,
+    place_now,
+    read,
+    rise,
+    soc_place,
+)
 from cellwise.estimate.fixed.state import taken
 
 
@@ -55,18 +65,22 @@ def forget_share(a: Learner) -> None:
 
 
 def begin_at_rest(a: Learner, soc: float, variance: float) -> None:
-    """Count from a rest; a variance of 0: from none. What flowed until then has aged the cell."""
-    if not_negative(a.moved, SINCE_MOST):
-        a.qq = at_most(a.qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
-        a.own_qq = at_most(a.own_qq + (LEARN_WALK * a.moved), LEARN_VARIANCE)
-    a.share_variance = a.own_qq + (a.share_error * a.share_error)
+    """Count from a rest; a variance of 0: from none."""
     a.soc = soc
     a.variance = variance
     a.counted = 0.0
     a.counted_carry = 0.0
-    a.moved = 0.0
     a.unsure = 0.0
     a.steps = U(0)
+
+
+def age(a: Learner) -> None:
+    """What has flowed may have aged the cell."""
+    more = LEARN_WALK * a.moved
+    a.qq = at_most(a.qq + more, LEARN_VARIANCE)
+    a.own_qq = at_most(a.own_qq + more, LEARN_VARIANCE)
+    a.share_variance = a.own_qq + (a.share_error * a.share_error)
+    a.moved = 0.0
 
 
 def start_learner(m: Model, a: Learner) -> None:
@@ -127,29 +141,36 @@ def soc_of_ocv(m: Model, place: Place, ocv_V: float) -> float:
 
 @noinline
 @unrolled_by_option
-def rested(m: Model, x: State, a: Learner) -> RestedSoc:
+def rested(m: Model, place: Place, x: State, a: Learner) -> RestedSoc:
     """The SOC that the last voltage of a rest says.
 
     What the branches still hold is part of its error: they were corrected by voltages that the
     capacity has moved, and say nothing independent of it.
     """
-    place = place_now(m, x)
+    c = m.constant
+    points = U(m.row.shape[1])
     ocv_V = a.voltage_V
-    before = look_up(m, place, x.soc, 0.0)
-    for i in (H,):
-        ocv_V = ocv_V - (before.m_V * x.state[i])
+    if HYSTERESIS:
+        before = soc_place(place, points, x.soc)
+        for i in (H,):
+            ocv_V = ocv_V - (read(m, place, before.k, M_V, before.within) * x.state[i])
     soc = soc_of_ocv(m, place, ocv_V)
-    p = look_up(m, place, soc, 0.0)
-    missed_V = ocv_V - p.ocv_V
-    variance_V2 = p.noise_V2 + ((a.held_V * a.held_V) + (missed_V * missed_V))
-    for i in (H,):
-        variance_V2 = variance_V2 + ((p.m_V * p.m_V) * x.p[i, i])
+    z = soc_place(place, points, soc)
+    missed_V = ocv_V - read(m, place, z.k, OCV_V, z.beyond)
+    slope_V = rise(m, place, z.k, OCV_V) * F(points - 1)
+    error_V = read(m, place, z.k, ERROR_V, z.within)
+    variance_V2 = error_variance(c.fixed_V2, error_V, c.ocv_soc2, slope_V)
+    variance_V2 = variance_V2 + ((a.held_V * a.held_V) + (missed_V * missed_V))
+    if HYSTERESIS:
+        m_V = read(m, place, z.k, M_V, z.within)
+        for i in (H,):
+            variance_V2 = variance_V2 + ((m_V * m_V) * x.p[i, i])
     if VALIDITY:
-        beyond_V = extrapolated(m.constant, x, 0.0, a.held_V)
+        beyond_V = extrapolated(c, x, 0.0, a.held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)
     variance = 1.0
-    if p.slope_V > LEAST_SLOPE_V:
-        variance = clip(variance_V2 / (p.slope_V * p.slope_V), VARIANCE_FLOOR, 1.0)
+    if slope_V > LEAST_SLOPE_V:
+        variance = clip(variance_V2 / (slope_V * slope_V), VARIANCE_FLOOR, 1.0)
     return RestedSoc(soc, variance)
 
 
@@ -196,6 +217,7 @@ def learn_from(
         more = root(both_soc2) - ((far * a.share_error) + (gone * a.off_error))
         a.share_error = clip(a.share_error + (w.share * more), -1.0, 1.0)
         a.off_error = clip(a.off_error + (w.off * more), -REACH_MOST, REACH_MOST)
+        a.share_variance = a.own_qq + (a.share_error * a.share_error)
         a.refused = U(0)
         a.pairs = U(a.pairs + 1)
 
@@ -209,8 +231,12 @@ def end_rest(m: Model, x: State, a: Learner) -> None:
     every pair, either way.
     """
     c = m.constant
-    now = rested(m, x, a)
+    if not learner_is_sound(a):
+        start_learner(m, a)
+    place = place_now(m, x)
+    now = rested(m, place, x, a)
     if now.variance <= LEARN_SOC_VARIANCE:
+        age(a)
         steps = F(a.steps)
         drift = steps * c.learn_drift
         both_soc2 = a.variance + now.variance
@@ -271,10 +297,12 @@ def learn(m: Model, x: State, a: Learner, sample: Sample) -> None:
     """After each step, with its sample: count, watch for rests, and learn the capacity of a pair.
 
     A current that is missing for longer than what is bridged makes the count worthless: it begins
-    again at the next rest.
+    again at the next rest. Of memory that lost its content what is shown is noticed at once, the
+    rest before it is used.
     """
     c = m.constant
-    if not learner_is_sound(a):
+    shown = not_negative(a.share_variance, LARGE)
+    if not (shown and positive_within(a.share, LEAST_SHARE, MOST_SHARE)):
         start_learner(m, a)
     elapsed = U(sample.sequence - a.sequence)
     if a.begun == U(0):
