@@ -1,4 +1,4 @@
-"""Capacity learnt on the target of measured cells: an ageing one against its own discharges, new ones.
+"""Capacity learnt on the target, of measured cells: an ageing one and new ones.
 
 Samsung 30Q: the model is of two other cells, each log a charge between two rests and the discharge
 that says what is left. LG HG2: the model knows no capacity test, at 25 degC but for a drive.
