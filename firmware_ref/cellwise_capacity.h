@@ -1,5 +1,5 @@
-/* Part of cellwise_ekf.c. Capacity learnt between two rests far apart. Printed from src/cellwise/estimate by `python
- * -m cellwise.printing`; do not edit. */
+/* Part of cellwise_ekf.c. What a pair of rests far apart says of the capacity. Printed from src/cellwise/estimate by
+ * `python -m cellwise.printing`; do not edit. */
 #ifndef CELLWISE_CAPACITY_H
 #define CELLWISE_CAPACITY_H
 
@@ -19,14 +19,14 @@ typedef struct {
 } cellwise_weight;
 
 /* Nothing is known of the capacity, nor of an offset, but what is usual. */
-static void forget_share(cellwise_learner *a)
+static void forget_share(cellwise_soh *a)
 {
-    a->share_variance = LEARN_VARIANCE;
+    a->share_variance = SOH_VARIANCE;
     a->off = 0.0f;
-    a->qq = LEARN_VARIANCE;
+    a->qq = SOH_VARIANCE;
     a->qo = 0.0f;
     a->oo = CHANCE;
-    a->own_qq = LEARN_VARIANCE;
+    a->own_qq = SOH_VARIANCE;
     a->own_qo = 0.0f;
     a->own_oo = CHANCE;
     a->share_error = 0.0f;
@@ -35,7 +35,7 @@ static void forget_share(cellwise_learner *a)
 }
 
 /* Count from a rest; a variance of 0: from none. */
-static void begin_at_rest(cellwise_learner *a, float soc, float variance)
+static void begin_at_rest(cellwise_soh *a, float soc, float variance)
 {
     a->soc = soc;
     a->variance = variance;
@@ -46,16 +46,16 @@ static void begin_at_rest(cellwise_learner *a, float soc, float variance)
 }
 
 /* What has flowed may have aged the cell. */
-static void age(cellwise_learner *a)
+static void age(cellwise_soh *a)
 {
-    const float more = LEARN_WALK * a->moved;
-    a->qq = at_most(a->qq + more, LEARN_VARIANCE);
-    a->own_qq = at_most(a->own_qq + more, LEARN_VARIANCE);
+    const float more = SOH_WALK * a->moved;
+    a->qq = at_most(a->qq + more, SOH_VARIANCE);
+    a->own_qq = at_most(a->own_qq + more, SOH_VARIANCE);
     a->share_variance = a->own_qq + (a->share_error * a->share_error);
     a->moved = 0.0f;
 }
 
-void cellwise_learner_init(const cellwise_model *m, cellwise_learner *a)
+void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a)
 {
     (void)m;
     a->share = 1.0f;
@@ -73,7 +73,7 @@ void cellwise_learner_init(const cellwise_model *m, cellwise_learner *a)
 }
 
 /* Every number in its range: memory that lost its content, or was never set, is noticed. */
-static bool learner_is_sound(const cellwise_learner *a)
+static bool soh_is_sound(const cellwise_soh *a)
 {
     if (!POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE)) { return false; }
     if (!(NOT_NEGATIVE(a->share_variance, LARGE) && SIZE_WITHIN(a->off, REACH_MOST))) { return false; }
@@ -112,7 +112,7 @@ static float soc_of_ocv(const cellwise_model *m, const cellwise_place *place, fl
 /* The SOC that the last voltage of a rest says. What the branches still hold is part of its error: they were
  * corrected by voltages that the capacity has moved, and say nothing independent of it. */
 static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place, const cellwise_state *x,
-                            const cellwise_learner *a, cellwise_restedsoc *restedsoc)
+                            const cellwise_soh *a, cellwise_restedsoc *restedsoc)
 {
     const cellwise_row *const low = m->row[place->low];
     const cellwise_row *const high = m->row[place->low + 1u];
@@ -141,7 +141,7 @@ static NOINLINE void rested(const cellwise_model *m, const cellwise_place *place
 }
 
 /* What a pair of rests weighs: errors of the OCV as if each pair had its own. */
-static void weigh_pair(const cellwise_learner *a, float far, float gone, float count_soc2, float both_soc2,
+static void weigh_pair(const cellwise_soh *a, float far, float gone, float count_soc2, float both_soc2,
                        cellwise_weight *weight)
 {
     const float qh = (a->qq * far) + (a->qo * gone);
@@ -152,19 +152,18 @@ static void weigh_pair(const cellwise_learner *a, float far, float gone, float c
     weight->off = oh * per;
 }
 
-/* A pair of rests: counted = share far + off gone. `both_soc2` is the variance of both OCVs. Two covariances: one
- * weighs, as if each pair had an error of the OCV of its own; of what is stated the other one is the part beside
- * that error. */
-static void learn_from(const cellwise_constants *c, cellwise_learner *a, float far, float gone, float counted,
-                       float both_soc2)
+/* A pair of rests: counted = share far + off gone. `count_soc2` is the variance of the count, `both_soc2` that of
+ * both OCVs. Two covariances: one weighs, as if each pair had an error of the OCV of its own; of what is stated the
+ * other one is the part beside that error. */
+static void use_pair(const cellwise_constants *c, cellwise_soh *a, float far, float gone, float counted,
+                     float count_soc2, float both_soc2)
 {
-    const float count_soc2 = a->unsure + ((float)a->steps * c->soc_walk);
     cellwise_weight w;
     weigh_pair(a, far, gone, count_soc2, both_soc2, &w);
     const float missed = counted - ((a->share * far) + (a->off * gone));
     if ((missed * missed) > (c->gate_square * w.total)) {
         a->refused = a->refused + 1u;
-        if (a->refused >= LEARN_REFUSED) {
+        if (a->refused >= SOH_REFUSED) {
             forget_share(a);
         }
     } else {
@@ -195,116 +194,37 @@ static void learn_from(const cellwise_constants *c, cellwise_learner *a, float f
 /* A long rest is over: its SOC, and with the rest that was counted from what that shows. A rest that is near is
  * passed over, until the count from the older one is worse than both OCVs. A pair is taken from the lower to the
  * higher rest, so that an error of the table is the same in every pair, either way. */
-static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a)
+static NOINLINE void end_rest(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a)
 {
     const cellwise_constants *const c = &m->constant;
-    if (!learner_is_sound(a)) {
-        cellwise_learner_init(m, a);
+    if (!soh_is_sound(a)) {
+        cellwise_soh_init(m, a);
     }
     cellwise_place place;
     place_now(m, x, &place);
     cellwise_restedsoc now;
     rested(m, &place, x, a, &now);
-    if (now.variance <= LEARN_SOC_VARIANCE) {
+    if (now.variance <= SOH_SOC_VARIANCE) {
         age(a);
         const float steps = (float)a->steps;
-        const float drift = steps * c->learn_drift;
+        const float drift = steps * c->soh_drift;
         const float both_soc2 = a->variance + now.variance;
-        const float lost_soc2 = (a->unsure + (steps * c->soc_walk)) + (a->oo * (drift * drift));
+        const float count_soc2 = a->unsure + (steps * c->soc_walk);
+        const float offset_soc2 = a->oo * (drift * drift);
         const float apart = now.soc - a->soc;
         const float side = (apart > 0.0f) ? 1.0f : -1.0f;
         const float far = side * apart;
-        if ((a->variance > 0.0f) && (far >= LEARN_APART)) {
-            learn_from(c, a, far, -(side * drift), side * a->counted, both_soc2);
-            if (!learner_is_sound(a)) {
-                cellwise_learner_init(m, a);
+        if ((a->variance > 0.0f) && (far >= SOH_APART)) {
+            use_pair(c, a, far, -(side * drift), side * a->counted, count_soc2, both_soc2);
+            if (!soh_is_sound(a)) {
+                cellwise_soh_init(m, a);
             }
             begin_at_rest(a, now.soc, now.variance);
-        } else if (!(a->variance > 0.0f) || (lost_soc2 > both_soc2)) {
+        } else if (!(a->variance > 0.0f) || ((count_soc2 + offset_soc2) > both_soc2)) {
             begin_at_rest(a, now.soc, now.variance);
         } else { /* as before */
         }
     }
-}
-
-/* SOC of the tables' capacity that a current takes in one step. */
-static float moved_by(const cellwise_constants *c, const cellwise_state *x, float current_A)
-{
-    float used = taken(c, x, current_A);
-    used = used / x->per_capacity;
-    return used;
-}
-
-/* The charge of an interval, and of samples that are missing, as the step counts them. */
-static void count_on(const cellwise_constants *c, const cellwise_state *x, cellwise_learner *a, uint32_t missing)
-{
-    float used = moved_by(c, x, x->current_A);
-    if (missing != 0u) {
-        if (missing <= c->gap_steps) {
-            used = used + (moved_by(c, x, 0.5f * (x->current_A + a->current_A)) * (float)missing);
-        } else {
-            a->unsure = at_most(a->unsure + c->gap_variance, SINCE_MOST);
-        }
-    }
-    add(&a->counted, &a->counted_carry, -used);
-    a->moved = at_most(a->moved + magnitude(used), SINCE_MOST);
-    if (a->steps < COUNT_MOST) {
-        a->steps = (a->steps + missing) + 1u;
-    }
-}
-
-/* How long the cell has rested, and what its voltage was last. */
-static void watch_rest(const cellwise_constants *c, const cellwise_state *x, cellwise_learner *a, uint32_t missing,
-                       float voltage_V)
-{
-    if (SIZE_BELOW(x->current_A, c->learn_rest_A)) {
-        if (a->rest < COUNT_MOST) {
-            a->rest = (a->rest + missing) + 1u;
-        }
-        const bool shown = POSITIVE_WITHIN(voltage_V, c->voltage_low_V, c->voltage_high_V);
-        if (shown && (a->rest >= c->learn_steps)) {
-            const float held_V = ((0.0f + x->v1_V) + x->v2_V) + x->v3_V;
-            a->voltage_V = voltage_V;
-            a->held_V = magnitude(held_V);
-        }
-    } else {
-        a->rest = 0u;
-        a->voltage_V = 0.0f;
-    }
-}
-
-void cellwise_learn(const cellwise_model *m, const cellwise_state *x, cellwise_learner *a, const cellwise_input *sample)
-{
-    const cellwise_constants *const c = &m->constant;
-    const bool shown = NOT_NEGATIVE(a->share_variance, LARGE);
-    if (!(shown && POSITIVE_WITHIN(a->share, LEAST_SHARE, MOST_SHARE))) {
-        cellwise_learner_init(m, a);
-    }
-    const uint32_t elapsed = sample->sequence - a->sequence;
-    if (a->begun == 0u) {
-        a->begun = 1u;
-    } else if (elapsed != 0u) {
-        uint32_t missing = elapsed - 1u;
-        missing = (missing < LONGEST_GAP) ? missing : LONGEST_GAP;
-        if ((a->voltage_V > 0.0f) && !SIZE_BELOW(x->current_A, c->learn_rest_A)) {
-            end_rest(m, x, a);
-        }
-        count_on(c, x, a, missing);
-        a->silent = SIZE_WITHIN(sample->current_A, c->current_limit_A) ? 0u : (a->silent + 1u);
-        if (x->no_current > c->gap_steps) {
-            a->silent = x->no_current;
-        }
-        if (a->silent > c->gap_steps) {
-            begin_at_rest(a, 0.0f, 0.0f);
-            a->rest = 0u;
-            a->voltage_V = 0.0f;
-        } else {
-            watch_rest(c, x, a, missing, sample->voltage_V);
-        }
-    } else { /* as before */
-    }
-    a->sequence = sample->sequence;
-    a->current_A = x->current_A;
 }
 
 #endif

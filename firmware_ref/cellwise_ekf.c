@@ -27,3 +27,4 @@
 #include "cellwise_cells.h"
 #include "cellwise_pack_power.h"
 #include "cellwise_capacity.h"
+#include "cellwise_rests.h"

@@ -221,12 +221,12 @@ void eva_any_cells(void)
 }
 #endif
 
-#if CELLWISE_LEARN
-void eva_any_learner(void)
+#if CELLWISE_SOH
+void eva_any_soh(void)
 {
     cellwise_state x;
     cellwise_input in;
-    cellwise_learner a;
+    cellwise_soh a;
     any_state(&x);
     in.current_A = any_float;
     in.voltage_V = any_float;
@@ -259,7 +259,7 @@ void eva_any_learner(void)
     a.refused = any_integer;
     a.sequence = any_integer;
     a.begun = any_integer;
-    cellwise_learn(&cellwise_cell, &x, &a, &in);
+    cellwise_soh_step(&cellwise_cell, &x, &a, &in);
     /*@ assert share_in_bounds: 0.09 <= a.share <= 2.0; */
     /*@ assert variance_is_finite: \is_finite(a.share_variance); */
 }

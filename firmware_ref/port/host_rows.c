@@ -8,8 +8,8 @@ void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwi
                         uint32_t count, const cellwise_input *in, cellwise_output *out,
                         uint32_t samples);
 #endif
-#if CELLWISE_LEARN
-void cellwise_learn_rows(const cellwise_model *model, cellwise_state *x, cellwise_learner *learner,
+#if CELLWISE_SOH
+void cellwise_soh_rows(const cellwise_model *model, cellwise_state *x, cellwise_soh *soh,
                          const cellwise_input *in, cellwise_output *out, uint32_t samples);
 #endif
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
@@ -37,13 +37,13 @@ void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwi
 }
 #endif
 
-#if CELLWISE_LEARN
-void cellwise_learn_rows(const cellwise_model *model, cellwise_state *x, cellwise_learner *learner,
+#if CELLWISE_SOH
+void cellwise_soh_rows(const cellwise_model *model, cellwise_state *x, cellwise_soh *soh,
                          const cellwise_input *in, cellwise_output *out, uint32_t samples)
 {
     for (uint32_t k = 0u; k < samples; k++) {
         (void)cellwise_step(model, x, &in[k], &out[k]);
-        cellwise_learn(model, x, learner, &in[k]);
+        cellwise_soh_step(model, x, soh, &in[k]);
     }
 }
 #endif

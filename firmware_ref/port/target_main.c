@@ -3,8 +3,8 @@
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
  * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
- * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, MEASURE_LEARN
- * cellwise_learn, with
+ * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, MEASURE_SOH
+ * cellwise_soh_step, with
  * MEASURE_BANK a step of a bank of COMPONENTS. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
@@ -59,13 +59,13 @@ static __attribute__((noinline)) void begin_trial(void)
         trial[k] = of[k];
     }
 }
-#elif defined(MEASURE_LEARN)
-static cellwise_learner learner;
-static cellwise_learner trial_learner;
+#elif defined(MEASURE_SOH)
+static cellwise_soh soh;
+static cellwise_soh trial_soh;
 
 static __attribute__((noinline)) void begin_trial(void)
 {
-    trial_learner = learner;
+    trial_soh = soh;
 }
 #else
 static void begin_trial(void)
@@ -166,14 +166,14 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
     return 0u;
 }
 #define whole_step cellwise_step
-#elif defined(MEASURE_LEARN)
+#elif defined(MEASURE_SOH)
 static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
                                                         const cellwise_input *in,
                                                         cellwise_output *out)
 {
     (void)out;
     begin_trial();
-    cellwise_learn(m, x, &trial_learner, in);
+    cellwise_soh_step(m, x, &trial_soh, in);
     return 0u;
 }
 
@@ -181,7 +181,7 @@ static uint32_t whole_step(const cellwise_model *m, cellwise_state *x, const cel
                            cellwise_output *out)
 {
     const uint32_t status = cellwise_step(m, x, in, out);
-    cellwise_learn(m, x, &learner, in);
+    cellwise_soh_step(m, x, &soh, in);
     return status;
 }
 #else
@@ -251,8 +251,8 @@ int main(void)
 #if defined(MEASURE_BANK)
     (void)cellwise_bank_init(&cellwise_cell, &bank, of, COMPONENTS, asked.soc, asked.soc_variance);
 #endif
-#if defined(MEASURE_LEARN)
-    cellwise_learner_init(&cellwise_cell, &learner);
+#if defined(MEASURE_SOH)
+    cellwise_soh_init(&cellwise_cell, &soh);
 #endif
 #if defined(MEASURE_CELLS)
     cellwise_cells_init(&cellwise_cell, cells, MEASURE_CELLS);

@@ -1,1 +1,1 @@
-"""Capacity learnt on a target."""
+"""Capacity that is left, estimated on a target."""

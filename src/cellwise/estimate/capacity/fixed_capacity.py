@@ -1,4 +1,4 @@
-"""Capacity learnt on a target, between two rests far apart, beside the fixed step.
+"""Capacity that is left, estimated on a target between two rests far apart, beside the fixed step.
 
 After a long rest the voltage is the OCV, and the OCV gives the SOC whatever the capacity is. What
 was counted between two such rests is the SOC between them times the share of the model's capacity
@@ -49,14 +49,14 @@ class Weight(NamedTuple):
     off: float
 
 
-def forget_share(a: Learner) -> None:
+def forget_share(a: Soh) -> None:
     """Nothing is known of the capacity, nor of an offset, but what is usual."""
-    a.share_variance = LEARN_VARIANCE
+    a.share_variance = SOH_VARIANCE
     a.off = 0.0
-    a.qq = LEARN_VARIANCE
+    a.qq = SOH_VARIANCE
     a.qo = 0.0
     a.oo = CHANCE
-    a.own_qq = LEARN_VARIANCE
+    a.own_qq = SOH_VARIANCE
     a.own_qo = 0.0
     a.own_oo = CHANCE
     a.share_error = 0.0
@@ -64,7 +64,7 @@ def forget_share(a: Learner) -> None:
     a.refused = U(0)
 
 
-def begin_at_rest(a: Learner, soc: float, variance: float) -> None:
+def begin_at_rest(a: Soh, soc: float, variance: float) -> None:
     """Count from a rest; a variance of 0: from none."""
     a.soc = soc
     a.variance = variance
@@ -74,16 +74,16 @@ def begin_at_rest(a: Learner, soc: float, variance: float) -> None:
     a.steps = U(0)
 
 
-def age(a: Learner) -> None:
+def age(a: Soh) -> None:
     """What has flowed may have aged the cell."""
-    more = LEARN_WALK * a.moved
-    a.qq = at_most(a.qq + more, LEARN_VARIANCE)
-    a.own_qq = at_most(a.own_qq + more, LEARN_VARIANCE)
+    more = SOH_WALK * a.moved
+    a.qq = at_most(a.qq + more, SOH_VARIANCE)
+    a.own_qq = at_most(a.own_qq + more, SOH_VARIANCE)
     a.share_variance = a.own_qq + (a.share_error * a.share_error)
     a.moved = 0.0
 
 
-def start_learner(m: Model, a: Learner) -> None:
+def start_soh(m: Model, a: Soh) -> None:
     """Before the first sample: the capacity of the tables, known as that of any used cell."""
     a.share = 1.0
     forget_share(a)
@@ -99,7 +99,7 @@ def start_learner(m: Model, a: Learner) -> None:
     a.begun = U(0)
 
 
-def learner_is_sound(a: Learner) -> bool:
+def soh_is_sound(a: Soh) -> bool:
     """Every number in its range: memory that lost its content, or was never set, is noticed."""
     if not positive_within(a.share, LEAST_SHARE, MOST_SHARE):
         return False
@@ -141,7 +141,7 @@ def soc_of_ocv(m: Model, place: Place, ocv_V: float) -> float:
 
 @noinline
 @unrolled_by_option
-def rested(m: Model, place: Place, x: State, a: Learner) -> RestedSoc:
+def rested(m: Model, place: Place, x: State, a: Soh) -> RestedSoc:
     """The SOC that the last voltage of a rest says.
 
     What the branches still hold is part of its error: they were corrected by voltages that the
@@ -174,7 +174,7 @@ def rested(m: Model, place: Place, x: State, a: Learner) -> RestedSoc:
     return RestedSoc(soc, variance)
 
 
-def weigh_pair(a: Learner, far: float, gone: float, count_soc2: float, both_soc2: float) -> Weight:
+def weigh_pair(a: Soh, far: float, gone: float, count_soc2: float, both_soc2: float) -> Weight:
     """What a pair of rests weighs: errors of the OCV as if each pair had its own."""
     qh = (a.qq * far) + (a.qo * gone)
     oh = (a.qo * far) + (a.oo * gone)
@@ -183,20 +183,25 @@ def weigh_pair(a: Learner, far: float, gone: float, count_soc2: float, both_soc2
     return Weight(total, qh * per, oh * per)
 
 
-def learn_from(
-    c: Constants, a: Learner, far: float, gone: float, counted: float, both_soc2: float
+def use_pair(
+    c: Constants,
+    a: Soh,
+    far: float,
+    gone: float,
+    counted: float,
+    count_soc2: float,
+    both_soc2: float,
 ) -> None:
     """A pair of rests: counted = share far + off gone.
 
-    ``both_soc2`` is the variance of both OCVs. Two covariances: one weighs, as if each pair had an
+    ``count_soc2`` is the variance of the count, ``both_soc2`` that of both OCVs. Two covariances: one weighs, as if each pair had an
     error of the OCV of its own; of what is stated the other one is the part beside that error.
     """
-    count_soc2 = a.unsure + (F(a.steps) * c.soc_walk)
     w = weigh_pair(a, far, gone, count_soc2, both_soc2)
     missed = counted - ((a.share * far) + (a.off * gone))
     if (missed * missed) > (c.gate_square * w.total):
         a.refused = U(a.refused + 1)
-        if a.refused >= LEARN_REFUSED:
+        if a.refused >= SOH_REFUSED:
             forget_share(a)
     else:
         a.share = clip(a.share + (w.share * missed), LEAST_SHARE, MOST_SHARE)
@@ -223,7 +228,7 @@ def learn_from(
 
 
 @noinline
-def end_rest(m: Model, x: State, a: Learner) -> None:
+def end_rest(m: Model, x: State, a: Soh) -> None:
     """A long rest is over: its SOC, and with the rest that was counted from what that shows.
 
     A rest that is near is passed over, until the count from the older one is worse than both OCVs.
@@ -231,25 +236,26 @@ def end_rest(m: Model, x: State, a: Learner) -> None:
     every pair, either way.
     """
     c = m.constant
-    if not learner_is_sound(a):
-        start_learner(m, a)
+    if not soh_is_sound(a):
+        start_soh(m, a)
     place = place_now(m, x)
     now = rested(m, place, x, a)
-    if now.variance <= LEARN_SOC_VARIANCE:
+    if now.variance <= SOH_SOC_VARIANCE:
         age(a)
         steps = F(a.steps)
-        drift = steps * c.learn_drift
+        drift = steps * c.soh_drift
         both_soc2 = a.variance + now.variance
-        lost_soc2 = (a.unsure + (steps * c.soc_walk)) + (a.oo * (drift * drift))
+        count_soc2 = a.unsure + (steps * c.soc_walk)
+        offset_soc2 = a.oo * (drift * drift)
         apart = now.soc - a.soc
         side = 1.0 if apart > 0.0 else -1.0
         far = side * apart
-        if a.variance > 0.0 and far >= LEARN_APART:
-            learn_from(c, a, far, -(side * drift), side * a.counted, both_soc2)
-            if not learner_is_sound(a):
-                start_learner(m, a)
+        if a.variance > 0.0 and far >= SOH_APART:
+            use_pair(c, a, far, -(side * drift), side * a.counted, count_soc2, both_soc2)
+            if not soh_is_sound(a):
+                start_soh(m, a)
             begin_at_rest(a, now.soc, now.variance)
-        elif not (a.variance > 0.0) or lost_soc2 > both_soc2:
+        elif not (a.variance > 0.0) or count_soc2 + offset_soc2 > both_soc2:
             begin_at_rest(a, now.soc, now.variance)
 
 
@@ -261,7 +267,7 @@ def moved_by(c: Constants, x: State, current_A: float) -> float:
     return F(used)
 
 
-def count_on(c: Constants, x: State, a: Learner, missing: int) -> None:
+def count_on(c: Constants, x: State, a: Soh, missing: int) -> None:
     """The charge of an interval, and of samples that are missing, as the step counts them."""
     used = moved_by(c, x, x.current_A)
     if missing != U(0):
@@ -276,13 +282,13 @@ def count_on(c: Constants, x: State, a: Learner, missing: int) -> None:
 
 
 @unrolled_by_option
-def watch_rest(c: Constants, x: State, a: Learner, missing: int, voltage_V: float) -> None:
+def watch_rest(c: Constants, x: State, a: Soh, missing: int, voltage_V: float) -> None:
     """How long the cell has rested, and what its voltage was last."""
-    if size_below(x.current_A, c.learn_rest_A):
+    if size_below(x.current_A, c.soh_rest_A):
         if a.rest < COUNT_MOST:
             a.rest = U(a.rest + missing + 1)
         shown = positive_within(voltage_V, c.voltage_low_V, c.voltage_high_V)
-        if shown and a.rest >= c.learn_steps:
+        if shown and a.rest >= c.soh_steps:
             held_V = 0.0
             for i in BRANCHES:
                 held_V = held_V + x.state[i]
@@ -293,8 +299,8 @@ def watch_rest(c: Constants, x: State, a: Learner, missing: int, voltage_V: floa
         a.voltage_V = 0.0
 
 
-def learn(m: Model, x: State, a: Learner, sample: Sample) -> None:
-    """After each step, with its sample: count, watch for rests, and learn the capacity of a pair.
+def step_soh(m: Model, x: State, a: Soh, sample: Sample) -> None:
+    """After each step, with its sample: count, watch for rests, and use a pair of them.
 
     A current that is missing for longer than what is bridged makes the count worthless: it begins
     again at the next rest. Of memory that lost its content what is shown is noticed at once, the
@@ -303,14 +309,14 @@ def learn(m: Model, x: State, a: Learner, sample: Sample) -> None:
     c = m.constant
     shown = not_negative(a.share_variance, LARGE)
     if not (shown and positive_within(a.share, LEAST_SHARE, MOST_SHARE)):
-        start_learner(m, a)
+        start_soh(m, a)
     elapsed = U(sample.sequence - a.sequence)
     if a.begun == U(0):
         a.begun = U(1)
     elif elapsed != U(0):
         missing = U(elapsed - 1)
         missing = missing if missing < LONGEST_GAP else LONGEST_GAP
-        if a.voltage_V > 0.0 and not size_below(x.current_A, c.learn_rest_A):
+        if a.voltage_V > 0.0 and not size_below(x.current_A, c.soh_rest_A):
             end_rest(m, x, a)
         count_on(c, x, a, missing)
         a.silent = U(0) if size_within(sample.current_A, c.current_limit_A) else U(a.silent + 1)

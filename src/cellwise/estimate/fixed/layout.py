@@ -143,9 +143,9 @@ CONSTANTS = (
     Field("cell_least_soc2", "what a sensor's offset leaves unknown of a cell's SOC", "CELLS"),
     Field("cell_turns", "samples in which every cell has its turn once", "CELLS", "u4"),
     Field("cell_recovery", "rejections in a row, then a cell's SOC is unknown", "CELLS", "u4"),
-    Field("learn_rest_A", "below it a cell rests, to millivolts,", "LEARN"),
-    Field("learn_steps", "and after so many steps its voltage is the OCV", "LEARN", "u4"),
-    Field("learn_drift", "SOC that an offset of one deviation takes in one step", "LEARN"),
+    Field("soh_rest_A", "below it a cell rests, to millivolts,", "SOH"),
+    Field("soh_steps", "and after so many steps its voltage is the OCV", "SOH", "u4"),
+    Field("soh_drift", "SOC that an offset of one deviation takes in one step", "SOH"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
     Field("arrhenius_low_C", "", "ARRHENIUS"),
@@ -293,7 +293,7 @@ RECORDS = {
         Field("resistance_variance"),
         Field("status", "of the last sample: bits", "", "u4"),
     ),
-    "Learner": (
+    "Soh": (
         Field("share", "of the tables' capacity that is left,"),
         Field("share_variance", "and its variance"),
         Field("off", "offset of the current, in its deviations beforehand"),
@@ -351,7 +351,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, LEARNER = (
+BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH = (
     _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
 )
 

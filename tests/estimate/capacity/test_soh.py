@@ -1,4 +1,4 @@
-"""Capacity learnt between two rests: made cells against truth, the same bits in Python and C."""
+"""Capacity that is left, between two rests: made cells against truth, the same bits in Python and C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from cellwise.cell.effects import Hysteresis, SlowDiffusion
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
-from cellwise.estimate.capacity.learner import CapacityLearner, LearntCapacity
+from cellwise.estimate.capacity.soh import EstimatedSoh, SohEstimator
 from cellwise.estimate.fixed import layout
 from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
 from cellwise.estimate.fixed.stepper import numba_stepper
@@ -47,14 +47,14 @@ def field_log(model, share, rate_C, *, offset_A=0.0, noise_V=0.001, seed=1, soc0
     return CellLog(time_s, current + offset_A, volts)
 
 
-def learnt(model, log, soc0=0.9, **noise):
+def estimated(model, log, soc0=0.9, **noise):
     of = replace(Noise.of_model(model), **{**KEPT, **noise})
-    return CapacityLearner(FixedStep(model, of, dt_s=DT_S, learn=True)).run(log, soc0)
+    return SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True)).run(log, soc0)
 
 
 @pytest.mark.parametrize("share", [0.7, 0.8, 0.9, 1.0])
-def test_the_share_that_is_left_is_learnt_within_its_deviation(share):
-    found = learnt(curved_cell(), field_log(curved_cell(), share, use(LONG_S)))
+def test_the_share_that_is_left_is_found_within_its_deviation(share):
+    found = estimated(curved_cell(), field_log(curved_cell(), share, use(LONG_S)))
     assert found.pairs >= 5
     assert found.share == pytest.approx(share, abs=0.01)
     assert abs(found.share - share) < 2.0 * found.share_std
@@ -65,14 +65,14 @@ def test_a_sensor_that_is_off_is_told_from_a_capacity_that_is_lost(offset_share)
     """Charge and discharge of one cell see an offset with opposite signs."""
     model = curved_cell()
     log = field_log(model, 0.85, use(LONG_S), offset_A=offset_share * model.capacity_Ah)
-    found = learnt(model, log, offset_share=0.03)
+    found = estimated(model, log, offset_share=0.03)
     assert found.share == pytest.approx(0.85, abs=0.02)
     assert abs(found.share - 0.85) < 2.0 * found.share_std
 
 
 @pytest.mark.parametrize("rate_C", [use(SHORT_S), use(LONG_S, hours=0.3)], ids=["short", "close"])
 def test_short_rests_or_rests_close_together_say_nothing(rate_C):
-    found = learnt(curved_cell(), field_log(curved_cell(), 0.8, rate_C))
+    found = estimated(curved_cell(), field_log(curved_cell(), 0.8, rate_C))
     assert (found.share, found.pairs) == (1.0, 0)
     assert found.share_std == pytest.approx(0.15)
 
@@ -80,7 +80,8 @@ def test_short_rests_or_rests_close_together_say_nothing(rate_C):
 def test_an_error_of_the_ocv_is_not_averaged_out():
     """The table of the OCV is as wrong in every pair: twenty times as many say hardly more."""
     once, often = (
-        learnt(curved_cell(), field_log(curved_cell(), 0.8, use(LONG_S, cycles=n))) for n in (1, 20)
+        estimated(curved_cell(), field_log(curved_cell(), 0.8, use(LONG_S, cycles=n)))
+        for n in (1, 20)
     )
     assert often.pairs > 15 * once.pairs
     assert often.share_std > 0.8 * once.share_std
@@ -91,7 +92,7 @@ def test_an_ocv_that_is_off_is_within_the_stated_deviation():
     model = curved_cell()
     error_V = float(np.mean(model.slow_error_tables_V()))
     moved = model.ocv_V + error_V * np.cos(np.pi * model.soc)
-    found = learnt(model, field_log(replace(model, ocv_V=moved), 0.8, use(LONG_S, cycles=20)))
+    found = estimated(model, field_log(replace(model, ocv_V=moved), 0.8, use(LONG_S, cycles=20)))
     assert abs(found.share - 0.8) > 0.002  # it does matter
     assert abs(found.share - 0.8) < 2.0 * found.share_std
 
@@ -101,38 +102,38 @@ def test_a_current_that_is_lost_ends_the_count():
     current = np.array(log.current_A)
     for first in np.flatnonzero(current)[::100]:
         current[first : first + 30] = np.nan
-    assert learnt(curved_cell(), replace(log, current_A=current)).pairs == 0
+    assert estimated(curved_cell(), replace(log, current_A=current)).pairs == 0
 
 
-def test_a_cell_that_is_replaced_is_learnt_anew():
-    """What is learnt of an old cell does not refuse a new one for good."""
+def test_a_cell_that_is_replaced_is_found_anew():
+    """What is known of an old cell does not refuse a new one for good."""
     model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
-    learner = CapacityLearner(FixedStep(model, of, dt_s=DT_S, learn=True))
-    kept = learner.begin()
-    old = learner.run(field_log(model, 0.65, use(LONG_S, cycles=20)), 0.9, kept)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    kept = estimator.begin()
+    old = estimator.run(field_log(model, 0.65, use(LONG_S, cycles=20)), 0.9, kept)
     assert old.share == pytest.approx(0.65, abs=0.01)
-    new = learner.run(field_log(model, 1.0, use(LONG_S, cycles=8)), 0.9, kept)
+    new = estimator.run(field_log(model, 1.0, use(LONG_S, cycles=8)), 0.9, kept)
     assert new.share == pytest.approx(1.0, abs=0.02)
 
 
 def test_memory_that_lost_a_bit_begins_anew():
     model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
-    learner = CapacityLearner(FixedStep(model, of, dt_s=DT_S, learn=True))
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
     log = field_log(model, 0.8, use(LONG_S))
     for name, bad in (("share", np.nan), ("own_qq", -1.0), ("counted", np.inf), ("soc", 7.0)):
-        kept = learner.begin()
+        kept = estimator.begin()
         kept[name] = bad
-        found = learner.run(log, 0.9, kept)
+        found = estimator.run(log, 0.9, kept)
         assert found.share == pytest.approx(0.8, abs=0.01)
         assert abs(found.share - 0.8) < 2.0 * found.share_std
 
 
-def test_what_does_not_learn_is_refused():
-    with pytest.raises(InputError, match="learn=True"):
-        CapacityLearner(FixedStep(curved_cell(), dt_s=DT_S))
-    learner = CapacityLearner(FixedStep(curved_cell(), dt_s=DT_S, learn=True))
+def test_a_filter_without_it_is_refused():
+    with pytest.raises(InputError, match="soh=True"):
+        SohEstimator(FixedStep(curved_cell(), dt_s=DT_S))
+    estimator = SohEstimator(FixedStep(curved_cell(), dt_s=DT_S, soh=True))
     with pytest.raises(InputError, match="begin"):
-        learner.run(field_log(curved_cell(), 0.8, use(LONG_S)), 0.9, np.zeros(3))
+        estimator.run(field_log(curved_cell(), 0.8, use(LONG_S)), 0.9, np.zeros(3))
 
 
 needs_c = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
@@ -147,32 +148,32 @@ MODELS = {
 
 @needs_c
 @pytest.mark.parametrize("name", MODELS)
-def test_the_c_learns_the_same_bits(name):
+def test_the_c_has_the_same_bits(name):
     pytest.importorskip("cffi")
     model, asked = MODELS[name]
     noise = replace(Noise.of_model(model), **KEPT)
-    tables = fixed_step_tables(model, DT_S, noise, learn=True, **asked)
+    tables = fixed_step_tables(model, DT_S, noise, soh=True, **asked)
     used = samples_of(model, field_log(model, 0.8, use(LONG_S, cycles=3)), DT_S).records
     found = []
     for twin in (numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])):
-        state, learner = twin.state(), np.zeros(1, layout.LEARNER)
+        state, record = twin.state(), np.zeros(1, layout.SOH)
         twin.begin(state, 0.9, 0.02)
-        twin.call("start_learner", learner)
+        twin.call("start_soh", record)
         said = []
         for samples in (used, stress_samples(4000), used):
-            said += [twin.learn_rows(state, learner, samples).tobytes(), learner.tobytes()]
-        found.append((said, LearntCapacity.of(learner)))
+            said += [twin.soh_rows(state, record, samples).tobytes(), record.tobytes()]
+        found.append((said, EstimatedSoh.of(record)))
     assert found[0] == found[1]
     assert found[0][1].pairs >= 1
 
 
 @needs_c
-def test_firmware_is_a_filter_that_learns():
+def test_firmware_is_a_filter_for_it():
     pytest.importorskip("cffi")
     log = field_log(curved_cell(), 0.8, use(LONG_S, cycles=2))
     noise = replace(Noise.of_model(curved_cell()), **KEPT)
     ours, theirs = (
-        CapacityLearner(kind(curved_cell(), noise, dt_s=DT_S, learn=True)).run(log, 0.9)
+        SohEstimator(kind(curved_cell(), noise, dt_s=DT_S, soh=True)).run(log, 0.9)
         for kind in (FixedStep, Firmware)
     )
     assert ours == theirs
