@@ -163,7 +163,8 @@ def run_on_target(
     measure_every : int            count instructions and stack of every so many samples; 0: none
     measure_first : int            the first of them
     of : str                       measure the ``step``, that of a ``bank`` of COMPONENTS, the state
-                                   of ``power``, the ``remaining`` time, a ``plan`` of four phases, ``soh``
+                                   of ``power``, the ``remaining`` time, a ``plan`` of four
+                                   phases, what follows a step for the ``soh``
     cells : int                    measure a sample of a pack of so many cells; 0: of one
 
     Raises

@@ -194,8 +194,9 @@ def use_pair(
 ) -> None:
     """A pair of rests: counted = share far + off gone.
 
-    ``count_soc2`` is the variance of the count, ``both_soc2`` that of both OCVs. Two covariances: one weighs, as if each pair had an
-    error of the OCV of its own; of what is stated the other one is the part beside that error.
+    ``count_soc2`` is the variance of the count, ``both_soc2`` that of both OCVs. Two covariances:
+    one weighs, as if each pair had an error of the OCV of its own; of what is stated the other one
+    is the part beside that error.
     """
     w = weigh_pair(a, far, gone, count_soc2, both_soc2)
     missed = counted - ((a.share * far) + (a.off * gone))
