@@ -1,4 +1,4 @@
-"""Capacity that is left, between two rests: made cells against truth, the same bits in Python and C."""
+"""Capacity that is left, between two rests: made cells against truth, the same bits in C."""
 
 from __future__ import annotations
 
