@@ -104,7 +104,7 @@
 #define SOH_WALK 0x1.4f8b58p-17f /* 1e-05: and per SOC that flows: 0.1 over 500 cycles of two each */
 #define SOH_APART 0x1.333334p-2f /* 0.3: SOC between two rests of a pair */
 #define SOH_SOC_VARIANCE 0x1.47ae14p-9f /* 0.0025: an OCV that says the SOC no better than to 0.05 is none */
-#define SOH_REFUSED 3u /* pairs in a row beyond the gate, then the estimate begins anew */
+#define SOH_REFUSED 3u /* pairs in a row beyond the gate, then the estimate begins again */
 #define LEAST_SLOPE_V 0x1.0624dep-10f /* 0.001: of an OCV that says a SOC */
 
 /* Whether two numbers are the same. */
