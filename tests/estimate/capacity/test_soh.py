@@ -105,7 +105,7 @@ def test_a_current_that_is_lost_ends_the_count():
     assert estimated(curved_cell(), replace(log, current_A=current)).pairs == 0
 
 
-def test_a_cell_that_is_replaced_is_found_anew():
+def test_a_cell_that_is_replaced_is_found_again():
     """What is known of an old cell does not refuse a new one for good."""
     model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
     estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
@@ -116,7 +116,20 @@ def test_a_cell_that_is_replaced_is_found_anew():
     assert new.share == pytest.approx(1.0, abs=0.02)
 
 
-def test_memory_that_lost_a_bit_begins_anew():
+def test_a_charge_while_the_target_is_off_is_not_counted_over():
+    model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    kept = estimator.begin()
+    estimator.run(field_log(model, 0.8, use(LONG_S)[:-2000]), 0.9, kept)
+    kept["begun"], kept["variance"] = 0, 0.0
+    pairs = int(kept["pairs"][0])
+    found = estimator.run(field_log(model, 0.8, use(LONG_S), soc0=0.75), 0.75, kept)
+    assert found.pairs > pairs
+    assert found.share == pytest.approx(0.8, abs=0.01)
+    assert abs(found.share - 0.8) < 2.0 * found.share_std
+
+
+def test_memory_that_lost_a_bit_begins_again():
     model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
     estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
     log = field_log(model, 0.8, use(LONG_S))
