@@ -20,7 +20,7 @@ from cellwise.estimate.noise import Noise
 from cellwise.export.firmware import Firmware, HostLibrary
 from cellwise.logs import CellLog
 from example_cells import curved_cell
-from firmware_cases import stress_samples
+from firmware_cases import full_model, stress_samples
 
 DT_S = 10.0
 LONG_S, SHORT_S = 7200.0, 600.0
@@ -153,6 +153,7 @@ needs_c = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-ge
 MODELS = {
     "lean": (curved_cell(), {"wide": False}),
     "wide": (curved_cell(), {"health": True, "offset": True}),
+    "every effect": (full_model(), {"health": True}),
     "slow, hysteresis": (
         curved_cell(effects=(SlowDiffusion(0.01, 900.0), Hysteresis(m_V=0.01, gamma=40.0))), {}
     ),
