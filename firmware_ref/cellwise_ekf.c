@@ -26,3 +26,5 @@
 #include "cellwise_plan.h"
 #include "cellwise_cells.h"
 #include "cellwise_pack_power.h"
+#include "cellwise_capacity.h"
+#include "cellwise_rests.h"

@@ -246,4 +246,5 @@ void cellwise_pack_power(const cellwise_model *m, const cellwise_state *x, const
 }
 #endif
 
+#include "cellwise_soh.h"
 #endif

@@ -124,6 +124,9 @@ typedef struct {
     float cell_least_soc2; /* what a sensor's offset leaves unknown of a cell's SOC */
     uint32_t cell_turns; /* samples in which every cell has its turn once */
     uint32_t cell_recovery; /* rejections in a row, then a cell's SOC is unknown */
+    float soh_rest_A; /* below it a cell rests, to millivolts, */
+    uint32_t soh_steps; /* and after so many steps its voltage is the OCV */
+    float soh_drift; /* SOC that an offset of one deviation takes in one step */
     float grid_C[CELLWISE_TEMPERATURES]; /* temperatures of the tables */
     float per_K[CELLWISE_TEMPERATURES - 1u]; /* 1 / distance of neighbours */
     float arrhenius_low_C;

@@ -220,3 +220,47 @@ void eva_any_cells(void)
     /*@ assert resistance_is_finite: \is_finite(found.resistance_scale); */
 }
 #endif
+
+#if CELLWISE_SOH
+void eva_any_soh(void)
+{
+    cellwise_state x;
+    cellwise_input in;
+    cellwise_soh a;
+    any_state(&x);
+    in.current_A = any_float;
+    in.voltage_V = any_float;
+    in.temperature_C = any_float;
+    in.sequence = any_integer;
+    a.share = any_float;
+    a.share_variance = any_float;
+    a.off = any_float;
+    a.qq = any_float;
+    a.qo = any_float;
+    a.oo = any_float;
+    a.own_qq = any_float;
+    a.own_qo = any_float;
+    a.own_oo = any_float;
+    a.share_error = any_float;
+    a.off_error = any_float;
+    a.soc = any_float;
+    a.variance = any_float;
+    a.counted = any_float;
+    a.counted_carry = any_float;
+    a.moved = any_float;
+    a.unsure = any_float;
+    a.current_A = any_float;
+    a.voltage_V = any_float;
+    a.held_V = any_float;
+    a.steps = any_integer;
+    a.rest = any_integer;
+    a.silent = any_integer;
+    a.pairs = any_integer;
+    a.refused = any_integer;
+    a.sequence = any_integer;
+    a.begun = any_integer;
+    cellwise_soh_step(&cellwise_cell, &x, &a, &in);
+    /*@ assert share_in_bounds: 0.09 <= a.share <= 2.0; */
+    /*@ assert variance_is_finite: \is_finite(a.share_variance); */
+}
+#endif

@@ -8,6 +8,10 @@ void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwi
                         uint32_t count, const cellwise_input *in, cellwise_output *out,
                         uint32_t samples);
 #endif
+#if CELLWISE_SOH
+void cellwise_soh_rows(const cellwise_model *model, cellwise_state *x, cellwise_soh *soh,
+                         const cellwise_input *in, cellwise_output *out, uint32_t samples);
+#endif
 void cellwise_pack_rows(const cellwise_model *model, cellwise_state *x, cellwise_pack_cell *cells,
                         uint32_t count, cellwise_input *in, const float *voltage_V,
                         cellwise_output *out, uint32_t samples);
@@ -29,6 +33,17 @@ void cellwise_bank_rows(const cellwise_model *model, cellwise_bank *bank, cellwi
 {
     for (uint32_t k = 0u; k < samples; k++) {
         (void)cellwise_bank_step(model, bank, of, count, &in[k], &out[k]);
+    }
+}
+#endif
+
+#if CELLWISE_SOH
+void cellwise_soh_rows(const cellwise_model *model, cellwise_state *x, cellwise_soh *soh,
+                         const cellwise_input *in, cellwise_output *out, uint32_t samples)
+{
+    for (uint32_t k = 0u; k < samples; k++) {
+        (void)cellwise_step(model, x, &in[k], &out[k]);
+        cellwise_soh_step(model, x, soh, &in[k]);
     }
 }
 #endif

@@ -3,7 +3,8 @@
  *
  * in.bin: soc, soc_variance (float), every how many samples to measure and the first of them (uint32),
  * then records of cellwise_input. With MEASURE_POWER it is cellwise_power that is measured, with
- * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, with
+ * MEASURE_REMAINING cellwise_remaining at LOAD_A, its power held, MEASURE_PLAN cellwise_plan of four phases, MEASURE_SOH
+ * cellwise_soh_step, with
  * MEASURE_BANK a step of a bank of COMPONENTS. With MEASURE_CELLS a sample is one of a pack of so many cells, whose voltages are the sample's and
  * OFFSET_V times -6..6 each; the cells follow the state in out.bin. */
 #include <stddef.h>
@@ -57,6 +58,14 @@ static __attribute__((noinline)) void begin_trial(void)
     for (uint32_t k = 0u; k <= COMPONENTS; k++) {
         trial[k] = of[k];
     }
+}
+#elif defined(MEASURE_SOH)
+static cellwise_soh soh;
+static cellwise_soh trial_soh;
+
+static __attribute__((noinline)) void begin_trial(void)
+{
+    trial_soh = soh;
 }
 #else
 static void begin_trial(void)
@@ -157,6 +166,24 @@ static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m,
     return 0u;
 }
 #define whole_step cellwise_step
+#elif defined(MEASURE_SOH)
+static __attribute__((noinline)) uint32_t measured_step(const cellwise_model *m, cellwise_state *x,
+                                                        const cellwise_input *in,
+                                                        cellwise_output *out)
+{
+    (void)out;
+    begin_trial();
+    cellwise_soh_step(m, x, &trial_soh, in);
+    return 0u;
+}
+
+static uint32_t whole_step(const cellwise_model *m, cellwise_state *x, const cellwise_input *in,
+                           cellwise_output *out)
+{
+    const uint32_t status = cellwise_step(m, x, in, out);
+    cellwise_soh_step(m, x, &soh, in);
+    return status;
+}
 #else
 #define measured_step cellwise_step
 #define whole_step cellwise_step
@@ -223,6 +250,9 @@ int main(void)
     (void)cellwise_init(&cellwise_cell, &state, asked.soc, asked.soc_variance);
 #if defined(MEASURE_BANK)
     (void)cellwise_bank_init(&cellwise_cell, &bank, of, COMPONENTS, asked.soc, asked.soc_variance);
+#endif
+#if defined(MEASURE_SOH)
+    cellwise_soh_init(&cellwise_cell, &soh);
 #endif
 #if defined(MEASURE_CELLS)
     cellwise_cells_init(&cellwise_cell, cells, MEASURE_CELLS);

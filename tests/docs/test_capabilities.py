@@ -56,6 +56,8 @@ CAPABILITIES = (
                why_none="the fault is put into the cells of whole months in Python"),
     Capability("rest voltages of 96 cells", "acceptance/test_leaf_rests.py",
                why_none="`pack` does not print the rests it found"),
+    Capability("the capacity that a target estimates", "estimate/capacity/test_soh_measured.py",
+               why_none="it is read in the target's firmware: no command steps it"),
     Capability("a life by drives and rests", "acceptance/test_panasonic_life.py",
                why_none="two capacities bound it, which the test works out from rests"),
     Capability("rates and temperatures without pulses",

@@ -46,6 +46,7 @@ MUTANTS = {
 # States are kept apart where the sentences after them depend on it; elsewhere they are joined.
 PRECISION = ["-eva-precision", "1", "-eva-split-return", "full"]
 APART = "is_sound:900,covariance_is_sound:400,see:200,count_charge:200,cellwise_step:200"
+OF_SOH = ",soh_is_sound:400,cellwise_soh_step:200,end_rest:200"
 OF_CELLS = ",cell_is_sound:400,step_cell:60,cellwise_cell_of:60,cellwise_cells_step:60"
 # 5 SOC points: the code does not depend on their number.
 BUILDS = {
@@ -65,6 +66,7 @@ LEAN = {"model": curved_cell(5), "wide": False}
 BESIDE = {
     "power": {**LEAN, "power": power_asked(curved_cell(5))},
     "cells": {**LEAN, "health": True, "cells": CellSettings()},
+    "soh": {**LEAN, "soh": True},
     "remaining": {**LEAN, "remaining_V": cutoff_asked(curved_cell(5))},
 }
 # What is entered with any bits, and the build that it is in.
@@ -77,6 +79,7 @@ PROVED = [
     ("eva_any_remaining", "remaining"),
     ("eva_any_plan", "remaining"),
     ("eva_any_cells", "cells"),
+    ("eva_any_soh", "soh"),
 ]
 
 
@@ -89,7 +92,8 @@ def eva(folder, entry, mutant=None, build="lean"):
         sources[name] = sources[name].replace(*mutant)
     put(sources, folder)
     analysis = firmware_folder() / "analysis"
-    apart = APART + (OF_CELLS if build == "cells" else "")  # a name that is not there is refused
+    # A name that is not there is refused.
+    apart = APART + {"cells": OF_CELLS, "soh": OF_SOH}.get(build, "")
     command = ["frama-c", "-eva", *PRECISION, "-eva-slevel-function", apart]
     command += ["-warn-special-float", "none"]
     command += ["-machdep", "gcc_x86_32", "-main", entry]

@@ -60,7 +60,7 @@ def tables_of(name, dt_s=1.0):
     if more:  # pack, beside
         asked |= {"power": power_asked(model), "health": True, "cells": CellSettings()}
     if more == "beside":
-        asked["remaining_V"] = cutoff_asked(model)
+        asked |= {"remaining_V": cutoff_asked(model), "soh": True}
     return fixed_step_tables(model, dt_s, wide=kind != "lean", **asked)
 
 

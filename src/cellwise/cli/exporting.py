@@ -29,6 +29,7 @@ cellwise export: model to C sources and other programs' formats
     --remaining V  time and energy left down to V volts per cell
     --cells N=0  follow N cells in series, on one table
     --health  take capacity and resistance from `cellwise history` without a new export
+    --soh  estimate on the target the capacity that is left, between rests far apart
     --log LOG  accuracy lost, against the float64 EKF
     --soc0 X  SOC at the log's start [auto]
 <page>
@@ -130,6 +131,7 @@ def export_of(model: CellModel, arguments: argparse.Namespace) -> Export:
             health=arguments.health,
             cells=CellSettings() if arguments.cells else None,
             offset=arguments.offset,
+            soh=arguments.soh,
         ),
         noise=noise_of(arguments.noise),
         sensor=options.sensor_of(arguments),

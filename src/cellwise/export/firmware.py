@@ -40,6 +40,9 @@ void cellwise_pack_rows(const void *model, void *x, void *cells, uint32_t count,
                         const void *voltage_V, void *out, uint32_t samples);
 void cellwise_cells_of(const void *model, const void *x, const void *cells, uint32_t count,
                        void *out);
+void cellwise_soh_init(const void *model, void *soh);
+void cellwise_soh_rows(const void *model, void *x, void *soh, const void *in, void *out,
+                         uint32_t samples);
 void cellwise_keep(void *into, const void *x, const void *newest);
 uint32_t cellwise_newest_slot(const void *first, const void *second);
 uint32_t cellwise_restore(const void *model, void *x, const void *from, uint32_t age_s);

@@ -41,6 +41,8 @@ PUBLIC = {
     "step_cells": "cellwise_cells_step",
     "cell_of": "cellwise_cell_of",
     "pack_power": "cellwise_pack_power",
+    "start_soh": "cellwise_soh_init",
+    "step_soh": "cellwise_soh_step",
 }
 # Numbers of the requirements (docs/firmware.md) that a function meets, said where it stands in C.
 REQUIREMENTS = {
@@ -63,6 +65,7 @@ ASKED = {
     "set_health": ("HEALTH",),
     **dict.fromkeys(("start_cells", "mean_voltage", "step_cells", "cell_of"), ("CELLS",)),
     "pack_power": ("CELLS", "POWER"),
+    **dict.fromkeys(("start_soh", "step_soh"), ("SOH",)),
 }
 ALWAYS = ("between",)  # in the macros of cellwise_float.h
 # Tables of two temperatures and over the Arrhenius factor, every effect, every function.
@@ -98,6 +101,8 @@ PARTS = {
     "plan": "A plan of loads, and where it ends.",
     "cells": "Cells of a pack on one table: their difference from the mean cell.",
     "pack_power": "What a pack gives and takes as its weakest cell allows.",
+    "capacity": "What a pair of rests far apart says of the capacity.",
+    "rests": "The charge between rests, and how long a cell has rested.",
 }
 FIRST = {
     "components.py": "likelihood",
@@ -106,11 +111,13 @@ FIRST = {
     "bank.py": "components", "left_by_load": "past", "step_components": "bank",
     "is_lost": "bank",
     "fixed_power.py": "power", "fixed_remaining.py": "remaining", "is_plan_sound": "plan",
-    "fixed_cells.py": "cells", "with_cell": "pack_power",
+    "fixed_cells.py": "cells", "with_cell": "pack_power", "fixed_capacity.py": "capacity",
+    "moved_by": "rests",
 }  # fmt: skip
 HEADERS = {
     "cellwise_model.h": "Tables of one cell, as `cellwise export` writes them.",
     "cellwise_ekf.h": "State of charge of one battery cell: a Kalman filter at a fixed time step.",
+    "cellwise_soh.h": "Capacity that is left, estimated between two rests far apart.",
 }
 WHOLE = (
     "The filter, its parts compiled as one. In objects of their own a step of three states takes "
@@ -320,7 +327,7 @@ def is_used(node: ast.ClassDef, made: Program) -> bool:
 
 
 def print_headers(made: Program, options: Options) -> dict[str, str]:
-    """``cellwise_model.h``, ``cellwise_ekf.h``: the templates with what is printed into them."""
+    """The public headers: the templates with what is printed into them."""
     blocks = {"status": status_bits(), "row": record("cellwise_row", layout.ROW, options)}
     for kind, table in layout.RECORDS.items():
         name = layout.c_name(kind)

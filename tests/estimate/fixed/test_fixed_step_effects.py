@@ -130,6 +130,7 @@ ASKED = {
     "remaining": ({"remaining_V": 3.2}, ("remaining_low_V", "cellwise_plan(")),
     "health": ({"health": True}, ("per_capacity", "cellwise_set_health(")),
     "cells": ({"cells": CellSettings()}, ("cell_soc2", "cellwise_cells_step(")),
+    "soh": ({"soh": True}, ("soh_drift", "cellwise_soh_step(")),
 }
 
 

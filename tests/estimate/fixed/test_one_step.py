@@ -132,7 +132,7 @@ def test_no_equation_is_written_a_second_time():
 
 def test_no_equation_stands_in_both_rooms():
     """Of a step: what stands beside it (power, cells of a pack) has its own."""
-    beside = ("power", "cells")
+    beside = ("power", "cells", "capacity")
     step = [m.__file__ for m in STEP_MODULES if not m.__name__.endswith(beside)]
     longer = EQUATION + 1  # a running mean of squares is none of a filter
     fixed: dict[str, str] = {}

@@ -34,6 +34,7 @@ def test_layouts_are_the_compilers(case, tmp_path):
         "capability": layout.CAPABILITY, "outlook": layout.OUTLOOK,
         "plan_result": layout.PLAN_RESULT,
         "pack_cell": layout.CELL, "cell_output": layout.CELL_OUTPUT,
+        "soh": layout.SOH,
         **({"bank": layout.BANK} if o.bank else {}),
     }  # fmt: skip
     lines, expected = [], []

@@ -38,6 +38,7 @@ Phase: TypeAlias = Any
 Cell: TypeAlias = Any
 Bank: TypeAlias = Any
 CellOutput: TypeAlias = Any
+Soh: TypeAlias = Any
 States: TypeAlias = Any  # arrays: of states, cells, floats, phases, samples, outputs
 Cells: TypeAlias = Any
 Floats: TypeAlias = Any
@@ -62,6 +63,7 @@ POWER = REMAINING = 0  # state of power, time and energy to empty: functions bes
 HEALTH = CELLS = 0  # what a history says, the cells of a pack
 BANK = 0  # components for a start that nobody knows
 OFFSET = 0  # the hypothesis of a current that is off
+SOH = 0  # the capacity that is left, between rests
 
 SIXTH, TWENTY_FOURTH = F(1.0 / 6.0), F(1.0 / 24.0)
 THIRD, FIFTH, SEVENTH = F(1.0 / 3.0), F(1.0 / 5.0), F(1.0 / 7.0)
@@ -111,6 +113,12 @@ COUNT_MOST = U(2_000_000_000)
 REACH_MOST = F(1024.0)  # of an offset: SOC, deviations, and volts
 SCORE_MOST = F(1e9)  # of what is known of an offset
 SINCE_MOST = F(1e9)  # steps, until the past is looked at
+SOH_VARIANCE = F(0.0225)  # of a used cell's share of capacity: 0.15, half of what a life takes
+SOH_WALK = F(1e-5)  # and per SOC that flows: 0.1 over 500 cycles of two each
+SOH_APART = F(0.3)  # SOC between two rests of a pair
+SOH_SOC_VARIANCE = F(0.0025)  # an OCV that says the SOC no better than to 0.05 is none
+SOH_REFUSED = U(3)  # pairs in a row beyond the gate, then the estimate begins again
+LEAST_SLOPE_V = F(1e-3)  # of an OCV that says a SOC
 
 # ---- tests and operations that C does on the bits of a float: cellwise_float.h ----
 

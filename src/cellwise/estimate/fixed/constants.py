@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from cellwise.estimate.power.state_of_power import PowerSettings
 
 BRIDGED_S = 5.0  # missing samples up to here are bridged by the currents on both sides
+SOH_REST_RATE = 0.02  # below C/50 a drop is a millivolt or two
+SOH_REST_S = 1800.0  # of a rest until its voltage is the OCV, to the model's stated error
 MISSING_S = 60.0  # in a lean build: for how long a current that nobody measures keeps its sign
 LEAST_CUTOFF_V = 0.1
 MONTH_S = 30.0 * 86_400.0
@@ -140,6 +142,9 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "offset_A": noise.offset_share * model.capacity_Ah,
         "rate_A": model.capacity_Ah,
         "rest_steps": np.ceil(OFFSET_REST_S / dt_s),
+        "soh_rest_A": SOH_REST_RATE * model.capacity_Ah,
+        "soh_steps": np.ceil(SOH_REST_S / dt_s),
+        "soh_drift": noise.offset_share * dt_s / 3600.0,
         "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),

@@ -143,6 +143,9 @@ CONSTANTS = (
     Field("cell_least_soc2", "what a sensor's offset leaves unknown of a cell's SOC", "CELLS"),
     Field("cell_turns", "samples in which every cell has its turn once", "CELLS", "u4"),
     Field("cell_recovery", "rejections in a row, then a cell's SOC is unknown", "CELLS", "u4"),
+    Field("soh_rest_A", "below it a cell rests, to millivolts,", "SOH"),
+    Field("soh_steps", "and after so many steps its voltage is the OCV", "SOH", "u4"),
+    Field("soh_drift", "SOC that an offset of one deviation takes in one step", "SOH"),
     Field("grid_C", "temperatures of the tables", "TEMPERATURES", "f4", "temperatures"),
     Field("per_K", "1 / distance of neighbours", "TEMPERATURES", "f4", "temperatures", 1),
     Field("arrhenius_low_C", "", "ARRHENIUS"),
@@ -290,6 +293,35 @@ RECORDS = {
         Field("resistance_variance"),
         Field("status", "of the last sample: bits", "", "u4"),
     ),
+    "Soh": (
+        Field("share", "of the tables' capacity that is left,"),
+        Field("share_variance", "and its variance"),
+        Field("off", "offset of the current, in its deviations beforehand"),
+        Field("qq", "covariance of the two that weighs,"),
+        Field("qo"),
+        Field("oo"),
+        Field("own_qq", "and that beside an error of the OCV's table"),
+        Field("own_qo"),
+        Field("own_oo"),
+        Field("share_error", "what an error of the OCV's table has moved in them"),
+        Field("off_error"),
+        Field("soc", "of the rest that is counted from,"),
+        Field("variance", "its variance; 0: there is none"),
+        Field("counted", "SOC since"),
+        Field("counted_carry", "what rounding has kept from it"),
+        Field("moved", "SOC that flowed since, either way"),
+        Field("unsure", "variance of what flowed in gaps since"),
+        Field("current_A", "of the last sample"),
+        Field("voltage_V", "last one of a long rest; 0: none"),
+        Field("held_V", "by the branches then"),
+        Field("steps", "since the rest that is counted from", "", "u4"),
+        Field("rest", "steps at rest", "", "u4"),
+        Field("silent", "steps without a current", "", "u4"),
+        Field("pairs", "of rests that were used", "", "u4"),
+        Field("refused", "pairs in a row that were not", "", "u4"),
+        Field("sequence", "of the last sample", "", "u4"),
+        Field("begun", "0: no sample yet", "", "u4"),
+    ),
 }
 IN_C = {"Sample": "input", "Cell": "pack_cell"}  # where its name in C is another
 
@@ -319,7 +351,7 @@ def _record_type(table: tuple[Field, ...], options: Options) -> np.dtype[Any]:
     )
 
 
-BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT = (
+BANK, INPUT, OUTPUT, CAPABILITY, OUTLOOK, PHASE, PLAN_RESULT, CELL, CELL_OUTPUT, SOH = (
     _record_type(fields, Options(points=3)) for fields in [*RECORDS.values()][2:]
 )
 

@@ -91,7 +91,8 @@ class Options:
     model's data covered, 2 the temperature, too; ``power`` gives the state of power,
     ``remaining`` time and energy to empty; ``health`` takes a capacity and a resistance that a
     history gives, ``cells`` follows the cells of a pack beside the mean cell; ``bank`` has
-    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off.
+    components for a start that nobody knows, ``offset`` the hypothesis of a current that is off,
+    ``soh`` the capacity that rests show.
     """
 
     points: int
@@ -116,6 +117,7 @@ class Options:
     cells: int = 0
     bank: int = 0
     offset: int = 0
+    soh: int = 0
 
     @property
     def needs_temperature(self) -> bool:
@@ -151,6 +153,7 @@ class Asked:
     components : int          filters side by side while the SOC is not known; 1: one alone
     offset : bool             ask rests and voltages whether the current is off all the time, as the
                               float64 filters do
+    soh : bool                estimate the capacity that is left between two rests far apart
     """
 
     points: int | None = None
@@ -161,6 +164,7 @@ class Asked:
     cells: CellSettings | None = None
     components: int = COMPONENTS
     offset: bool = False
+    soh: bool = False
 
 
 def options_of(model: CellModel, asked: Asked) -> Options:
@@ -198,6 +202,7 @@ def options_of(model: CellModel, asked: Asked) -> Options:
         cells=int(asked.cells is not None),
         bank=int(asked.wide and asked.components > 1),
         offset=int(asked.offset),
+        soh=int(asked.soh),
     )
 
 

@@ -22,6 +22,8 @@ from cellwise.cell.compiled import BY, cached
 from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
+from cellwise.estimate.capacity import fixed_capacity
+from cellwise.estimate.capacity.fixed_capacity import step_soh
 from cellwise.estimate.equations import bank as whole_bank
 from cellwise.estimate.equations import components, constants, evidence, offset, sensors
 from cellwise.estimate.equations import covariance as whole_covariance
@@ -59,6 +61,7 @@ MADE_WITH = {
     ),
     "remaining": ("remaining time", "FixedStep(..., remaining_V=3.0)"),
     "health": ("capacity and resistance of a history", "FixedStep(..., health=True)"),
+    "soh": ("capacity between rests", "FixedStep(..., soh=True)"),
 }
 
 
@@ -87,6 +90,7 @@ STEP_MODULES = (
     fixed_power,
     fixed_remaining,
     fixed_cells,
+    fixed_capacity,
 )
 
 
@@ -144,6 +148,13 @@ def cells_of(m: Model, x: State, cells: Cells, count: int, outputs: Outputs) -> 
         cell_of(m, x, cells[k], outputs[k])
 
 
+def soh_rows(m: Model, x: State, a: Soh, samples: Samples, outputs: Outputs, count: int) -> None:
+    """Step every sample, and what follows each for the capacity."""
+    for k in range(count):
+        step(m, x, samples[k], outputs[k])
+        step_soh(m, x, a, samples[k])
+
+
 inner: Callable[..., Any] = step  # in `entry` the function that it is compiled for
 
 
@@ -155,7 +166,7 @@ def entry(constants: Any, table: Any, *handed: Any) -> Any:
 ARRAYS = ("States", "Cells", "Floats", "Phases", "Samples", "Outputs")
 FUNCTIONS = {
     f.__name__: f for module in STEP_MODULES for f in functions_of(module)
-} | {f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of)}  # fmt: skip
+} | {f.__name__: f for f in (rows, bank_rows, pack_rows, cells_of, soh_rows)}  # fmt: skip
 
 
 @lru_cache
@@ -168,6 +179,7 @@ def specialised(options: Options) -> dict[str, Any]:
     absent |= set() if options.remaining else {fixed_remaining}
     absent |= set() if options.cells else {fixed_cells}
     absent |= set() if options.bank else {whole_bank, bank}
+    absent |= set() if options.soh else {fixed_capacity}
     gone = {module.__name__ for module in absent}
     for f in FUNCTIONS.values():
         if f.__module__ not in gone:
@@ -273,6 +285,16 @@ class Stepper:
             samples = np.ascontiguousarray(samples, dtype=INPUT)
             count = states.size - 1
             self.call("bank_rows", one, states, count, samples, outputs, samples.size)
+        return outputs
+
+    def soh_rows(
+        self, state: NDArray[Any], record: NDArray[Any], samples: NDArray[Any]
+    ) -> NDArray[Any]:
+        """Step every sample, and the capacity: records of OUTPUT, shape (samples,)."""
+        outputs = np.zeros(samples.size, dtype=OUTPUT)
+        if samples.size:
+            samples = np.ascontiguousarray(samples, dtype=INPUT)
+            self.call("soh_rows", state, record, samples, outputs, samples.size)
         return outputs
 
     def pack_rows(

@@ -1,0 +1,55 @@
+/* Capacity that is left, estimated between two rests far apart. Printed from src/cellwise/estimate by `python -m
+ * cellwise.printing`; do not edit. */
+/* Where it is compiled in: cellwise_soh_step after each cellwise_step, on a record that is kept over a switch-off beside
+ * the state. As the current sensor counts it: one that shows too much shows too much capacity. */
+#ifndef CELLWISE_SOH_H
+#define CELLWISE_SOH_H
+
+#include "cellwise_ekf.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct {
+    float share; /* of the tables' capacity that is left, */
+    float share_variance; /* and its variance */
+    float off; /* offset of the current, in its deviations beforehand */
+    float qq; /* covariance of the two that weighs, */
+    float qo;
+    float oo;
+    float own_qq; /* and that beside an error of the OCV's table */
+    float own_qo;
+    float own_oo;
+    float share_error; /* what an error of the OCV's table has moved in them */
+    float off_error;
+    float soc; /* of the rest that is counted from, */
+    float variance; /* its variance; 0: there is none */
+    float counted; /* SOC since */
+    float counted_carry; /* what rounding has kept from it */
+    float moved; /* SOC that flowed since, either way */
+    float unsure; /* variance of what flowed in gaps since */
+    float current_A; /* of the last sample */
+    float voltage_V; /* last one of a long rest; 0: none */
+    float held_V; /* by the branches then */
+    uint32_t steps; /* since the rest that is counted from */
+    uint32_t rest; /* steps at rest */
+    uint32_t silent; /* steps without a current */
+    uint32_t pairs; /* of rests that were used */
+    uint32_t refused; /* pairs in a row that were not */
+    uint32_t sequence; /* of the last sample */
+    uint32_t begun; /* 0: no sample yet */
+} cellwise_soh;
+/* Before the first sample: the capacity of the tables, known as that of any used cell. */
+void cellwise_soh_init(const cellwise_model *m, cellwise_soh *a);
+
+/* After each step, with its sample: count, watch for rests, and use a pair of them. A current that is missing for
+ * longer than what is bridged makes the count worthless: it begins again at the next rest. Of memory that lost its
+ * content what is shown is noticed at once, the rest before it is used. */
+void cellwise_soh_step(const cellwise_model *m, const cellwise_state *x, cellwise_soh *a, const cellwise_input *sample);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,1 @@
+"""Capacity that is left, estimated on a target."""

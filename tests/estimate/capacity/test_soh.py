@@ -1,0 +1,193 @@
+"""Capacity that is left, between two rests: made cells against truth, the same bits in C."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellwise.cell.effects import Hysteresis, SlowDiffusion
+from cellwise.cell.simulate import simulate
+from cellwise.errors import InputError
+from cellwise.estimate.capacity.soh import EstimatedSoh, SohEstimator
+from cellwise.estimate.fixed import layout
+from cellwise.estimate.fixed.fixed_step import FixedStep, samples_of
+from cellwise.estimate.fixed.stepper import numba_stepper
+from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.noise import Noise
+from cellwise.export.firmware import Firmware, HostLibrary
+from cellwise.logs import CellLog
+from example_cells import curved_cell
+from firmware_cases import full_model, stress_samples
+
+DT_S = 10.0
+LONG_S, SHORT_S = 7200.0, 600.0
+KEPT = {"offset_share": 0.001, "gap_soc": 0.002}  # a good sensor; nothing flows while it sleeps
+
+
+def use(rest_s, cycles=6, rate_C=0.5, hours=1.4):
+    """Currents in C of charges and discharges with a rest after each."""
+    rest = np.zeros(int(rest_s / DT_S))
+    half = np.full(int(hours * 3600.0 / DT_S), rate_C)
+    return np.concatenate(
+        [rest, *(part for _ in range(cycles) for part in (half, rest, -half, rest))]
+    )
+
+
+def field_log(model, share, rate_C, *, offset_A=0.0, noise_V=0.001, seed=1, soc0=0.9):
+    """What a target sees of a cell of which a share of the capacity is left."""
+    aged = replace(model, capacity_Ah=share * model.capacity_Ah)
+    current = rate_C * model.capacity_Ah * share
+    time_s = DT_S * np.arange(current.size)
+    true = simulate(aged, CellLog(time_s, current, np.full(current.size, 3.7)), soc0=soc0)
+    rng = np.random.default_rng(seed)
+    volts = true.voltage_V + noise_V * rng.standard_normal(current.size)
+    return CellLog(time_s, current + offset_A, volts)
+
+
+def estimated(model, log, soc0=0.9, **noise):
+    of = replace(Noise.of_model(model), **{**KEPT, **noise})
+    return SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True)).run(log, soc0)
+
+
+@pytest.mark.parametrize("share", [0.7, 0.8, 0.9, 1.0])
+def test_the_share_that_is_left_is_found_within_its_deviation(share):
+    found = estimated(curved_cell(), field_log(curved_cell(), share, use(LONG_S)))
+    assert found.pairs >= 5
+    assert found.share == pytest.approx(share, abs=0.01)
+    assert abs(found.share - share) < 2.0 * found.share_std
+
+
+@pytest.mark.parametrize("offset_share", [-0.01, 0.01])
+def test_a_sensor_that_is_off_is_told_from_a_capacity_that_is_lost(offset_share):
+    """Charge and discharge of one cell see an offset with opposite signs."""
+    model = curved_cell()
+    log = field_log(model, 0.85, use(LONG_S), offset_A=offset_share * model.capacity_Ah)
+    found = estimated(model, log, offset_share=0.03)
+    assert found.share == pytest.approx(0.85, abs=0.02)
+    assert abs(found.share - 0.85) < 2.0 * found.share_std
+
+
+@pytest.mark.parametrize("rate_C", [use(SHORT_S), use(LONG_S, hours=0.3)], ids=["short", "close"])
+def test_short_rests_or_rests_close_together_say_nothing(rate_C):
+    found = estimated(curved_cell(), field_log(curved_cell(), 0.8, rate_C))
+    assert (found.share, found.pairs) == (1.0, 0)
+    assert found.share_std == pytest.approx(0.15)
+
+
+def test_an_error_of_the_ocv_is_not_averaged_out():
+    """The table of the OCV is as wrong in every pair: twenty times as many say hardly more."""
+    once, often = (
+        estimated(curved_cell(), field_log(curved_cell(), 0.8, use(LONG_S, cycles=n)))
+        for n in (1, 20)
+    )
+    assert often.pairs > 15 * once.pairs
+    assert often.share_std > 0.8 * once.share_std
+
+
+def test_an_ocv_that_is_off_is_within_the_stated_deviation():
+    """A cell whose OCV is a deviation of the model's error higher at every SOC but the full one."""
+    model = curved_cell()
+    error_V = float(np.mean(model.slow_error_tables_V()))
+    moved = model.ocv_V + error_V * np.cos(np.pi * model.soc)
+    found = estimated(model, field_log(replace(model, ocv_V=moved), 0.8, use(LONG_S, cycles=20)))
+    assert abs(found.share - 0.8) > 0.002  # it does matter
+    assert abs(found.share - 0.8) < 2.0 * found.share_std
+
+
+def test_a_current_that_is_lost_ends_the_count():
+    log = field_log(curved_cell(), 0.8, use(LONG_S))
+    current = np.array(log.current_A)
+    for first in np.flatnonzero(current)[::100]:
+        current[first : first + 30] = np.nan
+    assert estimated(curved_cell(), replace(log, current_A=current)).pairs == 0
+
+
+def test_a_cell_that_is_replaced_is_found_again():
+    """What is known of an old cell does not refuse a new one for good."""
+    model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    kept = estimator.begin()
+    old = estimator.run(field_log(model, 0.65, use(LONG_S, cycles=20)), 0.9, kept)
+    assert old.share == pytest.approx(0.65, abs=0.01)
+    new = estimator.run(field_log(model, 1.0, use(LONG_S, cycles=8)), 0.9, kept)
+    assert new.share == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_charge_while_the_target_is_off_is_not_counted_over():
+    model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    kept = estimator.begin()
+    estimator.run(field_log(model, 0.8, use(LONG_S)[:-2000]), 0.9, kept)
+    kept["begun"], kept["variance"] = 0, 0.0
+    pairs = int(kept["pairs"][0])
+    found = estimator.run(field_log(model, 0.8, use(LONG_S), soc0=0.75), 0.75, kept)
+    assert found.pairs > pairs
+    assert found.share == pytest.approx(0.8, abs=0.01)
+    assert abs(found.share - 0.8) < 2.0 * found.share_std
+
+
+def test_memory_that_lost_a_bit_begins_again():
+    model, of = curved_cell(), replace(Noise.of_model(curved_cell()), **KEPT)
+    estimator = SohEstimator(FixedStep(model, of, dt_s=DT_S, soh=True))
+    log = field_log(model, 0.8, use(LONG_S))
+    for name, bad in (("share", np.nan), ("own_qq", -1.0), ("counted", np.inf), ("soc", 7.0)):
+        kept = estimator.begin()
+        kept[name] = bad
+        found = estimator.run(log, 0.9, kept)
+        assert found.share == pytest.approx(0.8, abs=0.01)
+        assert abs(found.share - 0.8) < 2.0 * found.share_std
+
+
+def test_a_filter_without_it_is_refused():
+    with pytest.raises(InputError, match="soh=True"):
+        SohEstimator(FixedStep(curved_cell(), dt_s=DT_S))
+    estimator = SohEstimator(FixedStep(curved_cell(), dt_s=DT_S, soh=True))
+    with pytest.raises(InputError, match="begin"):
+        estimator.run(field_log(curved_cell(), 0.8, use(LONG_S)), 0.9, np.zeros(3))
+
+
+needs_c = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
+MODELS = {
+    "lean": (curved_cell(), {"wide": False}),
+    "wide": (curved_cell(), {"health": True, "offset": True}),
+    "every effect": (full_model(), {"health": True}),
+    "slow, hysteresis": (
+        curved_cell(effects=(SlowDiffusion(0.01, 900.0), Hysteresis(m_V=0.01, gamma=40.0))), {}
+    ),
+}  # fmt: skip
+
+
+@needs_c
+@pytest.mark.parametrize("name", MODELS)
+def test_the_c_has_the_same_bits(name):
+    pytest.importorskip("cffi")
+    model, asked = MODELS[name]
+    noise = replace(Noise.of_model(model), **KEPT)
+    tables = fixed_step_tables(model, DT_S, noise, soh=True, **asked)
+    used = samples_of(model, field_log(model, 0.8, use(LONG_S, cycles=3)), DT_S).records
+    found = []
+    for twin in (numba_stepper(tables), HostLibrary(tables, ["gcc", "-O2"])):
+        state, record = twin.state(), np.zeros(1, layout.SOH)
+        twin.begin(state, 0.9, 0.02)
+        twin.call("start_soh", record)
+        said = []
+        for samples in (used, stress_samples(4000), used):
+            said += [twin.soh_rows(state, record, samples).tobytes(), record.tobytes()]
+        found.append((said, EstimatedSoh.of(record)))
+    assert found[0] == found[1]
+    assert found[0][1].pairs >= 1
+
+
+@needs_c
+def test_firmware_is_a_filter_for_it():
+    pytest.importorskip("cffi")
+    log = field_log(curved_cell(), 0.8, use(LONG_S, cycles=2))
+    noise = replace(Noise.of_model(curved_cell()), **KEPT)
+    ours, theirs = (
+        SohEstimator(kind(curved_cell(), noise, dt_s=DT_S, soh=True)).run(log, 0.9)
+        for kind in (FixedStep, Firmware)
+    )
+    assert ours == theirs
