@@ -45,8 +45,9 @@ def own(tmp_path):
         source = tmp_path / "own.c"
         source.write_text(
             f'#include "gauge.h"\n#include <math.h>\n#include <stdlib.h>\n#include <unistd.h>\n'
-            "static int n; static float told;\n"
-            "void gauge_init(const gauge_config *c) { told = c->soc0; }\n"
+            "static int n; static float told, capacity;\n"
+            "void gauge_init(const gauge_config *c)\n"
+            "{ told = c->soc0; capacity = c->capacity_Ah; }\n"
             "float gauge_step(float i, float v, float t, float dt, float *std)\n"
             f"{{ n++; *std = NAN; {step} return told; }}\n{more}"
         )
@@ -113,10 +114,14 @@ def test_a_record_that_was_cut_is_for_the_gauge_to_refuse(own):
 
 
 def test_updated_tables_are_told_after_the_restart(own):
-    gauge = own("*std = told;")
+    """The capacity is the new one, the SOC what was said last."""
+    gauge = own("told -= 0.1f * i / capacity; *std = capacity;")
     told = config_of(gauge.model, 0.9)
-    said = gauge.run(told, samples(20, r10=UPDATED), told._replace(soc0=0.4))
-    assert (said.soc[9], said.soc[10]) == pytest.approx((0.9, 0.4))
+    driven = samples(20, r10=UPDATED)
+    driven["current_A"][:10] = told.capacity_Ah / 10.0
+    said = gauge.run(told, driven, told._replace(capacity_Ah=2.0))
+    assert said.soc[9:11] == pytest.approx((0.8, 0.8))
+    assert said.std[9:11] == pytest.approx((told.capacity_Ah, 2.0))
 
 
 def test_a_gauge_that_does_not_compile_is_refused(tmp_path):
