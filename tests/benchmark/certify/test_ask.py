@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from cellwise.benchmark.certify.ask import DesignResult, find_designs, front, parse_ask
-from cellwise.benchmark.certify.designs import STEPS, Ask, Design, DesignOption
+from cellwise.benchmark.certify.designs import (
+    CAUSES,
+    STEPS,
+    Ask,
+    Design,
+    DesignOption,
+    FleetErrors,
+    all_options,
+)
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
@@ -94,6 +102,46 @@ def test_a_limit_that_all_keep_needs_the_cheapest_alone():
 
 
 @needs_compiler
+@pytest.mark.parametrize("limit", [3, 12])
+def test_the_front_is_that_of_a_search_that_tries_everything_on_every_cell(limit):
+    """Kept and not kept: a largest error grows with the cells, so what is left out is beaten."""
+    ask = parse_ask(f"{limit} % worst at 0 degC, 2 years")
+    design = Design(stock_model(MODEL), ask, 60.0, 8.0, 1)
+    options = [one for one in all_options() if one.step in ("lean", "offset") and one.points == 11]
+    found = find_designs(design, 9, options)
+    everything = []
+    for option in options:
+        errors = FleetErrors()
+        design.try_on([errors], [option], 9)
+        everything.append(DesignResult(option, errors.worst, errors.cells, design.costs(option)))
+    kept = [one for one in everything if one.error <= ask.limit]
+    assert bool(kept) == (limit == 12)
+    wanted = {one.option: one for one in front(kept or everything, bool(kept))}
+    assert {one.option: one for one in found} == wanted
+
+
+@needs_compiler
+def test_what_carries_the_error_is_found_by_leaving_it_out():
+    """New cells have no age to lose; what is made perfect is the truth, and all else the same."""
+    design = Design(stock_model(MODEL), parse_ask("1 % worst at 20 degC, 0 years"), 60.0, 6.0, 1)
+    option = DesignOption("hall", "lean", 11, "none", False)
+    errors = FleetErrors()
+    design.try_on([errors], [option], 3)
+    left = design.without_each(option, 3)
+    assert left["age"] == errors.worst
+    assert set(left) == set(CAUSES)
+    for number in range(3):
+        seen = design.life(option, number, "sensor").seen
+        life = design.life(option, number)
+        assert np.array_equal(life.log.current_A, seen.current_A)
+        assert not np.array_equal(life.log.current_A, life.seen.current_A)
+        known = design.life(option, number, "start")
+        assert known.about["started_at"] == pytest.approx(min(max(known.soc[0], 0.0), 1.0))
+        usual = design.life(option, number, "temperature").log.temperature_C
+        assert np.all(usual == design.model.usual_temperature_C)
+
+
+@needs_compiler
 def test_the_command_prints_the_front_and_writes_its_page(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("cellwise.benchmark.certify.designs.POINTS", (11,))
     monkeypatch.setattr("cellwise.benchmark.certify.designs.CLASSES", {"car": CLASSES["car"]})
@@ -105,7 +153,11 @@ def test_the_command_prints_the_front_and_writes_its_page(tmp_path, capsys, monk
     assert data["front"]
     assert {"bytes", "instructions", "hours", "error"} <= set(data["front"][0])
     assert json.loads((tmp_path / "d" / "design.json").read_text()) == data
-    assert "not reached" in (tmp_path / "d" / "index.html").read_text()
+    left = [cause["error_without"] for cause in data["causes_of_best"]]
+    assert left == sorted(left)
+    page = (tmp_path / "d" / "index.html").read_text()
+    assert "not reached" in page
+    assert "What it takes" in page
 
 
 def test_a_limit_without_a_model_is_refused(capsys):

@@ -7,9 +7,11 @@ cells of one type leave; what the circuit itself gets wrong stays as it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -18,6 +20,7 @@ import numpy as np
 from cellwise.benchmark.certify.certificate import BINS
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread
+from cellwise.benchmark.certify.worlds import PERFECT
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
 from cellwise.estimate.fixed.options import Options
@@ -44,6 +47,19 @@ POINTS = (11, 21, 51)  # of the tables over SOC
 # Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten
 # levels with rests of an hour; C/20 both ways.
 TESTS = {"none": 0, "capacity": 10, "pulses": 26, "ocv": 68}
+
+
+# What makes a design wrong, and what of the cells' spread is perfect without it.
+CAUSES: dict[str, dict[str, float]] = {
+    "age": {"age": 0.0},
+    "temperature": {},
+    "cells": dict.fromkeys(
+        ("capacity", "resistance", "branch", "hysteresis_V", "activation_K"), 0.0
+    ),
+    "model_error": {"model_error": 0.0},
+    "sensor": {},
+    "start": {},
+}
 
 
 class Ask(NamedTuple):
@@ -97,34 +113,64 @@ class Design:
     hours: float
     seed: int
 
-    def errors(self, options: Sequence[DesignOption], cells: int) -> Iterator[float]:
-        """The figure asked for of options that share their lives, over cells."""
+    def try_on(
+        self, found: Sequence[FleetErrors], options: Sequence[DesignOption], cells: int
+    ) -> None:
+        """Add errors of options that share their lives, up to so many cells."""
         steps = [self.step(option) for option in options]
-        found = [FleetErrors() for _ in options]
-        for number in range(cells):
-            life = self.life(options[0], number)
-            for step, own in zip(steps, found, strict=True):
-                own.add(_errors(step, life))
-        return (own.figure(self.ask.figure) for own in found)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for number in range(found[0].cells, cells):
+                life = self.life(options[0], number)
+                for own, error in zip(found, pool.map(partial(_errors, life), steps), strict=True):
+                    own.add(error)
 
     def step(self, option: DesignOption) -> DesignStep:
         """The C of an option."""
+        if option not in self._steps:
+            self._steps[option] = self._made(option)
+        return self._steps[option]
+
+    def _made(self, option: DesignOption) -> DesignStep:
         own = seen_by(self._known(option.tests), CLASSES[option.sensor])
         asked = {**STEPS[option.step][0], "points": option.points}
         return DesignStep(self._libraries, own, self.dt_s, asked)
 
     @cached_property
+    def _steps(self) -> dict[DesignOption, DesignStep]:
+        return {}
+
+    @cached_property
     def _libraries(self) -> dict[Options, HostLibrary]:
         return {}
 
-    def life(self, option: DesignOption, number: int) -> CertifiedLife:
-        """The life of a number, as an option's sensor sees it."""
-        own = CLASSES[option.sensor].of_cell(self.model.capacity_Ah)
+    def without_each(self, option: DesignOption, cells: int) -> dict[str, float]:
+        """The figure asked for over cells, with one of `CAUSES` made perfect in turn."""
+
+        def left(cause: str) -> float:
+            found = FleetErrors()
+            for number in range(cells):
+                found.add(_errors(self.life(option, number, cause), self.step(option)))
+            return found.figure(self.ask.figure)
+
+        return {cause: left(cause) for cause in CAUSES}
+
+    def life(self, option: DesignOption, number: int, without: str = "") -> CertifiedLife:
+        """The life of a number, as an option's sensor sees it; without one of `CAUSES`."""
+        sensor = PERFECT if without == "sensor" else CLASSES[option.sensor]
         spread = self._spread(option.tests, option.updated)
-        hours = min(self.hours, MOST_HOURS)
-        fleet = Fleet(0, 0, (), hours, self.seed, own, spread)
-        # Odd ones have faults.
-        return fleet.life(self._known(option.tests), MODEL, 2 * number, self.dt_s)
+        spread = replace(spread, **CAUSES.get(without, {}))
+        known = self._known(option.tests)
+        if without == "temperature":
+            spread = replace(spread, temperature_C=self.model.usual_temperature_C)
+        if without == "model_error":
+            known = replace(known, posterior=None)
+        own = sensor.of_cell(self.model.capacity_Ah)
+        fleet = Fleet(0, 0, (), min(self.hours, MOST_HOURS), self.seed, own, spread)
+        life = fleet.life(known, MODEL, 2 * number, self.dt_s)  # odd ones have faults
+        if without == "start":
+            known_start = float(np.clip(life.soc[0], 0.0, 1.0))
+            life = replace(life, about={**life.about, "started_at": known_start})
+        return life
 
     def _spread(self, tests: str, updated: bool) -> CellSpread:
         """How cells differ from the tables, at the temperature and the age that are asked for."""
@@ -184,7 +230,7 @@ class DesignStep(Firmware):
         return self._libraries[tables.options].on(tables)
 
 
-def _errors(step: Firmware, life: CertifiedLife) -> FloatArray:
+def _errors(life: CertifiedLife, step: Firmware) -> FloatArray:
     """SOC error of a life after its first hour."""
     start = (life.about["started_at"], START_STD)
     scored = life.log.time_s - life.log.time_s[0] >= SETTLED_S
@@ -192,14 +238,15 @@ def _errors(step: Firmware, life: CertifiedLife) -> FloatArray:
 
 
 class FleetErrors:
-    """SOC errors of many lives: their squares, their largest, how many are of which size."""
+    """SOC errors of many lives: their squares, the largest, how many are of which size."""
 
     def __init__(self) -> None:
-        self.squares, self.rows, self.worst = 0.0, 0, 0.0
+        self.cells, self.squares, self.rows, self.worst = 0, 0.0, 0, 0.0
         self.counts = np.zeros(BINS.size - 1)
 
     def add(self, error: FloatArray) -> None:
         """Errors of one life more."""
+        self.cells += 1
         self.squares += float(np.sum(error**2))
         self.rows += error.size
         self.worst = max(self.worst, float(error.max()))
