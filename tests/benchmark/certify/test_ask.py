@@ -22,6 +22,7 @@ from cellwise.benchmark.certify.designs import (
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.sensor import CLASSES, seen_by
 from cellwise.export.firmware import Firmware
 
@@ -83,12 +84,20 @@ def test_an_option_is_the_exported_c_on_its_tables():
     """Code that is compiled once for many tables says what each table's own code says."""
     design = Design(stock_model(MODEL), parse_ask("5 % worst at 20 degC, 0 years"), 10.0, 4.0, 1)
     options = [DesignOption(sensor, "lean", 21, "none", False) for sensor in ("car", "hall")]
+    bank = design.step(DesignOption("car", "bank", 11, "none", False))
     life = design.life(options[0], 0)
+    samples = samples_of(design.model, life.seen, 10.0)
+    assert np.array_equal(
+        bank.soc_of(samples.records, 0.5)[samples.row_sample], bank.run(life.seen, 0.5, 0.15).soc
+    )
     for option in options:
         own = seen_by(design.model, CLASSES[option.sensor])
         alone = Firmware(own.model, own.noise, dt_s=10.0, wide=False, points=21)
         wanted = alone.run(life.seen, 0.5, 0.15).soc
-        np.testing.assert_array_equal(design.step(option).run(life.seen, 0.5, 0.15).soc, wanted)
+        step = design.step(option)
+        np.testing.assert_array_equal(step.run(life.seen, 0.5, 0.15).soc, wanted)
+        found = step.soc_of(samples.records, 0.5)[samples.row_sample]
+        np.testing.assert_array_equal(found, wanted)
 
 
 @needs_compiler

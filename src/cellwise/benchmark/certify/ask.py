@@ -26,8 +26,8 @@ LIMIT = re.compile(
     r"(?P<limit>[0-9.]+) ?% (?P<figure>rmse|p95|worst) at (?P<temperature_C>[-+0-9.]+) ?"
     r"(?:degC|°C|C), (?P<years>[0-9.]+) years?"
 )
-FIRST_CELLS = 4  # that every option is tried on; twice as many after each round,
-MOST_CELLS = 64  # up to so many
+FIRST_CELLS = 4  # that every option is tried on,
+GROWS, MOST_CELLS = 4, 64  # then those that may stand on the front on so many times, up to so many
 
 
 class DesignResult(NamedTuple):
@@ -43,7 +43,7 @@ class DesignResult(NamedTuple):
         return {**vars(self.option), "error": self.error, "cells": self.cells, **self.costs}
 
 
-class Tried(NamedTuple):
+class TriedOption(NamedTuple):
     """An option, what it costs, and its errors so far."""
 
     option: DesignOption
@@ -105,27 +105,26 @@ def find_designs(
     """
     cells, limit = min(cells, MOST_CELLS), design.ask.limit
     asked = all_options() if options is None else options
-    tried = [Tried(option, design.costs(option), FleetErrors()) for option in asked]
-    open_ones, most = tried, min(FIRST_CELLS, cells)
+    tried = [TriedOption(option, design.costs(option), FleetErrors()) for option in asked]
+    open_ones = tried
     while open_ones:
         done = 0
-        for _, group in groupby(sorted(open_ones, key=_lives_of), _lives_of):
+        for key, group in groupby(sorted(open_ones, key=_lives_of), _lives_of):
             own = list(group)
-            design.try_on([one.errors for one in own], [one.option for one in own], most)
+            more = min(max(FIRST_CELLS, GROWS * key[-1]), cells)
+            design.try_on([one.errors for one in own], [one.option for one in own], more)
             done += len(own)
             if follow is not None:
                 follow(done, len(open_ones))
         found = [one.result(design.ask.figure) for one in tried]
         kept = [one for one in found if one.error <= limit]
         best = front(kept or found, bool(kept))
-        least = min((one.cells for one in best), default=cells)
-        most = min(2 * least, cells)
-        named = {one.option for one in best if one.cells < most}
+        named = {one.option for one in best if one.cells < cells}
         open_ones = [one for one in tried if one.option in named]
     return sorted(best, key=lambda one: one.error)
 
 
-def _lives_of(one: Tried) -> tuple[str, str, bool, int]:
+def _lives_of(one: TriedOption) -> tuple[str, str, bool, int]:
     option = one.option
     return option.sensor, option.tests, option.updated, one.errors.cells
 

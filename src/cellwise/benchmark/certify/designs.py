@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellwise.benchmark.certify.certificate import BINS
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
@@ -23,8 +24,9 @@ from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread
 from cellwise.benchmark.certify.worlds import PERFECT
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import Options
-from cellwise.estimate.fixed.stepper import Stepper
+from cellwise.estimate.fixed.stepper import Stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sensor import CAR, CLASSES, SensorReadings, seen_by
 from cellwise.export.firmware import Firmware, HostLibrary
@@ -120,8 +122,8 @@ class Design:
         steps = [self.step(option) for option in options]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for number in range(found[0].cells, cells):
-                life = self.life(options[0], number)
-                for own, error in zip(found, pool.map(partial(_errors, life), steps), strict=True):
+                errors = _errors_of(self.model, self.life(options[0], number), self.dt_s)
+                for own, error in zip(found, pool.map(errors, steps), strict=True):
                     own.add(error)
 
     def step(self, option: DesignOption) -> DesignStep:
@@ -149,7 +151,8 @@ class Design:
         def left(cause: str) -> float:
             found = FleetErrors()
             for number in range(cells):
-                found.add(_errors(self.life(option, number, cause), self.step(option)))
+                life = self.life(option, number, cause)
+                found.add(_errors_of(self.model, life, self.dt_s)(self.step(option)))
             return found.figure(self.ask.figure)
 
         return {cause: left(cause) for cause in CAUSES}
@@ -224,17 +227,34 @@ class DesignStep(Firmware):
         self._libraries = libraries
         super().__init__(own.model, own.noise, dt_s=dt_s, **asked)
 
+    def soc_of(self, records: NDArray[Any], soc: float) -> FloatArray:
+        """SOC after each sample, as `run` says it, of samples that many steps share."""
+        stepper = self.stepper(self.known_dt_s)
+        state = start_state(stepper, soc, START_STD)
+        if not stepper.tables.options.bank:
+            return np.asarray(stepper.rows(state, records)["soc"], dtype=np.float64)
+        components = self._asked.components
+        bank = stepper.start_bank(components, state[0]["soc"], state[0]["ss"])
+        return np.asarray(stepper.bank_rows(*bank, records)["soc"], dtype=np.float64)
+
     def _make(self, tables: FixedStepTables) -> Stepper:
         if tables.options not in self._libraries:
             self._libraries[tables.options] = HostLibrary(tables)
         return self._libraries[tables.options].on(tables)
 
 
-def _errors(life: CertifiedLife, step: Firmware) -> FloatArray:
-    """SOC error of a life after its first hour."""
-    start = (life.about["started_at"], START_STD)
+def _errors_of(
+    model: CellModel, life: CertifiedLife, dt_s: float
+) -> Callable[[DesignStep], FloatArray]:
+    """SOC error of each step that is handed over, in a life after its first hour."""
+    samples, start = samples_of(model, life.seen, dt_s), life.about["started_at"]
     scored = life.log.time_s - life.log.time_s[0] >= SETTLED_S
-    return np.asarray(np.abs(step.run(life.seen, *start).soc - life.soc)[scored])
+    truth, row_sample = life.soc[scored], samples.row_sample[scored]
+
+    def errors(step: DesignStep) -> FloatArray:
+        return np.asarray(np.abs(step.soc_of(samples.records, start)[row_sample] - truth))
+
+    return errors
 
 
 class FleetErrors:
