@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cellwise.benchmark.certify.certificate import soc_error
 from cellwise.benchmark.certify.designs import (
     Ask,
     Design,
     DesignOption,
-    FleetErrors,
+    LifeError,
     all_options,
 )
 from cellwise.errors import InputError
@@ -48,11 +49,12 @@ class TriedOption(NamedTuple):
 
     option: DesignOption
     costs: dict[str, float]
-    errors: FleetErrors
+    errors: list[LifeError]
 
     def result(self, figure: str) -> DesignResult:
         """As far as it has been tried."""
-        return DesignResult(self.option, self.errors.figure(figure), self.errors.cells, self.costs)
+        error = soc_error(self.errors)[figure]
+        return DesignResult(self.option, error, len(self.errors), self.costs)
 
 
 def parse_ask(text: str) -> Ask:
@@ -105,7 +107,7 @@ def find_designs(
     """
     cells, limit = min(cells, MOST_CELLS), design.ask.limit
     asked = all_options() if options is None else options
-    tried = [TriedOption(option, design.costs(option), FleetErrors()) for option in asked]
+    tried = [TriedOption(option, design.costs(option), []) for option in asked]
     open_ones = tried
     while open_ones:
         done = 0
@@ -126,7 +128,7 @@ def find_designs(
 
 def _lives_of(one: TriedOption) -> tuple[str, str, bool, int]:
     option = one.option
-    return option.sensor, option.tests, option.updated, one.errors.cells
+    return option.sensor, option.tests, option.updated, len(one.errors)
 
 
 def front(results: Sequence[DesignResult], is_kept: bool) -> list[DesignResult]:

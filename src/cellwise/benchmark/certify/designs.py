@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cellwise.benchmark.certify.certificate import BINS
+from cellwise.benchmark.certify.certificate import life_error, soc_error
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread
 from cellwise.benchmark.certify.worlds import PERFECT
@@ -33,6 +33,7 @@ from cellwise.export.firmware import Firmware, HostLibrary
 from cellwise.fit.population import SAME_CELL
 from cellwise.typing import FloatArray
 
+LifeError = dict[str, Any]  # of `life_error`
 LIFE_YEARS = 5.0  # to 80 % of the capacity, what UN GTR 22 asks of a vehicle's battery
 UPDATED_YEARS = 1.0  # between two updates of capacity and resistances from a history
 MOST_HOURS = 24.0  # of each cell
@@ -116,15 +117,15 @@ class Design:
     seed: int
 
     def try_on(
-        self, found: Sequence[FleetErrors], options: Sequence[DesignOption], cells: int
+        self, found: Sequence[list[LifeError]], options: Sequence[DesignOption], cells: int
     ) -> None:
-        """Add errors of options that share their lives, up to so many cells."""
+        """Append errors of options that share their lives, up to so many cells."""
         steps = [self.step(option) for option in options]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for number in range(found[0].cells, cells):
+            for number in range(len(found[0]), cells):
                 errors = _errors_of(self.model, self.life(options[0], number), self.dt_s)
                 for own, error in zip(found, pool.map(errors, steps), strict=True):
-                    own.add(error)
+                    own.append(error)
 
     def step(self, option: DesignOption) -> DesignStep:
         """The C of an option."""
@@ -149,11 +150,10 @@ class Design:
         """The figure asked for over cells, with one of `CAUSES` made perfect in turn."""
 
         def left(cause: str) -> float:
-            found = FleetErrors()
-            for number in range(cells):
-                life = self.life(option, number, cause)
-                found.add(_errors_of(self.model, life, self.dt_s)(self.step(option)))
-            return found.figure(self.ask.figure)
+            lives = (self.life(option, number, cause) for number in range(cells))
+            step = self.step(option)
+            found = [_errors_of(self.model, life, self.dt_s)(step) for life in lives]
+            return soc_error(found)[self.ask.figure]
 
         return {cause: left(cause) for cause in CAUSES}
 
@@ -245,35 +245,13 @@ class DesignStep(Firmware):
 
 def _errors_of(
     model: CellModel, life: CertifiedLife, dt_s: float
-) -> Callable[[DesignStep], FloatArray]:
-    """SOC error of each step that is handed over, in a life after its first hour."""
+) -> Callable[[DesignStep], LifeError]:
+    """The error of each step that is handed over, in a life after its first hour."""
     samples, start = samples_of(model, life.seen, dt_s), life.about["started_at"]
     scored = life.log.time_s - life.log.time_s[0] >= SETTLED_S
     truth, row_sample = life.soc[scored], samples.row_sample[scored]
 
-    def errors(step: DesignStep) -> FloatArray:
-        return np.asarray(np.abs(step.soc_of(samples.records, start)[row_sample] - truth))
+    def errors(step: DesignStep) -> LifeError:
+        return life_error(np.abs(step.soc_of(samples.records, start)[row_sample] - truth))
 
     return errors
-
-
-class FleetErrors:
-    """SOC errors of many lives: their squares, the largest, how many are of which size."""
-
-    def __init__(self) -> None:
-        self.cells, self.squares, self.rows, self.worst = 0, 0.0, 0, 0.0
-        self.counts = np.zeros(BINS.size - 1)
-
-    def add(self, error: FloatArray) -> None:
-        """Errors of one life more."""
-        self.cells += 1
-        self.squares += float(np.sum(error**2))
-        self.rows += error.size
-        self.worst = max(self.worst, float(error.max()))
-        self.counts += np.histogram(np.minimum(error, BINS[-1]), BINS)[0]
-
-    def figure(self, name: str) -> float:
-        """One of ``rmse``, ``p95``, ``worst``."""
-        below = np.searchsorted(np.cumsum(self.counts), 0.95 * self.rows)
-        found = {"rmse": math.sqrt(self.squares / self.rows), "worst": self.worst}
-        return found.get(name, float(BINS[1 + int(below)]))
