@@ -9,6 +9,19 @@
 #define HALF 0x80000000u
 #define LONGEST_GAP 0x100000u /* time steps; a step counts no more */
 
+/* What a state holds: with other tables it goes on where this is the same. */
+#if CELLWISE_NEEDS_TEMPERATURE
+#define WARM_PART 1u
+#else
+#define WARM_PART 0u
+#endif
+#define STATE_PARTS \
+    (WARM_PART + (2u * (uint32_t)CELLWISE_SLOW) + (4u * (uint32_t)CELLWISE_HYSTERESIS) + \
+     (8u * (uint32_t)CELLWISE_HEATING) + (16u * (uint32_t)CELLWISE_SURFACE) + (32u * (uint32_t)CELLWISE_WIDE) + \
+     (64u * (uint32_t)CELLWISE_OFFSET) + (128u * (uint32_t)CELLWISE_BANK) + (256u * (uint32_t)CELLWISE_HEALTH) + \
+     (512u * (uint32_t)CELLWISE_CELLS))
+#define STATE_KIND ((uint32_t)sizeof(cellwise_state) + (0x10000u * STATE_PARTS))
+
 /* Of a head but for the CRC at its end. */
 static uint32_t crc_of_head(const cellwise_stored_head *head)
 {
@@ -56,7 +69,7 @@ uint32_t cellwise_check_model(const cellwise_model *m)
     return cellwise_check_model_part(m, &check, CELLWISE_MODEL_BYTES);
 }
 
-/* CW-011: what is not whole is not used. Of a state of another size the head alone can be checked. */
+/* CW-011: what is not whole is not used. Of a state of another kind the head alone can be checked. */
 static uint32_t fault_of(const cellwise_stored *from)
 {
     const cellwise_stored_head *const head = &from->head;
@@ -67,7 +80,7 @@ static uint32_t fault_of(const cellwise_stored *from)
         found = CELLWISE_OTHER_LAYOUT;
     } else if (head->crc != crc_of_head(head)) {
         found = CELLWISE_BITS_DAMAGED;
-    } else if (head->bytes != (uint32_t)sizeof(cellwise_state)) {
+    } else if (head->kind != STATE_KIND) {
         found = CELLWISE_OTHER_MODEL;
     } else if (from->crc != crc_of_state(from)) {
         found = CELLWISE_BITS_DAMAGED;
@@ -105,7 +118,7 @@ void cellwise_keep(cellwise_stored *into, const cellwise_state *x, const cellwis
     }
     into->head.magic = MAGIC;
     into->head.layout = LAYOUT;
-    into->head.bytes = (uint32_t)sizeof(cellwise_state);
+    into->head.kind = STATE_KIND;
     into->head.model_crc = CELLWISE_MODEL_CRC;
     into->head.generation = generation;
     into->head.soc = x->soc;
@@ -131,16 +144,25 @@ uint32_t cellwise_restore(const cellwise_model *m, cellwise_state *x, const cell
     if (is_gap) {
         variance = variance + m->constant.gap_variance;
     }
-    if (fault == CELLWISE_OTHER_MODEL) { /* CW-013: the SOC goes on, known less well */
-        (void)cellwise_init(m, x, from->head.soc, variance + CELLWISE_CARRIED_VARIANCE);
-    } else if (fault == 0u) {
-        if (is_gap && (CELLWISE_WIDE == 0)) { /* its step leaves branches over a gap where they are */
-            (void)cellwise_init(m, x, from->head.soc, variance);
-        } else {
-            *x = from->state;
-            x->sequence = 0xFFFFFFFFu - missing; /* CW-014: the step at number 0 sees what is missing */
+    const bool is_other = fault == CELLWISE_OTHER_MODEL;
+    if (is_other) {
+        variance = variance + CELLWISE_CARRIED_VARIANCE;
+    }
+    const bool is_another_kind = is_other && (from->head.kind != STATE_KIND);
+    const bool is_at_rest = is_gap && (CELLWISE_WIDE == 0); /* its step leaves branches over a gap where they are */
+    if ((fault != 0u) && !is_other) { /* nothing to go on with */
+    } else if (is_another_kind || is_at_rest) { /* CW-013: the SOC goes on */
+        (void)cellwise_init(m, x, from->head.soc, variance);
+    } else {
+        *x = from->state;
+        x->sequence = 0xFFFFFFFFu - missing; /* CW-014: the step at number 0 sees what is missing */
+        if (is_other) { /* CW-013: known less well, and no patch of the other tables */
+            x->ss = x->ss + CELLWISE_CARRIED_VARIANCE;
+#if CELLWISE_HEALTH
+            x->per_capacity = 1.0f;
+            x->resistance_scale = 1.0f;
+#endif
         }
-    } else { /* nothing to go on with */
     }
     return fault;
 }

@@ -32,7 +32,7 @@ typedef struct {
 typedef struct {
     uint32_t magic;
     uint32_t layout; /* version of this struct */
-    uint32_t bytes; /* of the state behind it */
+    uint32_t kind; /* of the state behind it: its size and its parts */
     uint32_t model_crc; /* of the tables that it was estimated with */
     uint32_t generation; /* counts what was kept, wraps */
     float soc;
@@ -63,7 +63,8 @@ void cellwise_keep(cellwise_stored *into, const cellwise_state *x, const cellwis
 /* Take the state back after `age_s` seconds, or CELLWISE_AGE_UNKNOWN. Sequence numbers begin again: the first sample
  * is number 0, or as much later as it comes, and its step takes the time off into account.
  * 0: the state as it was kept, without CELLWISE_WIDE and after a gap its SOC at rest.
- * CELLWISE_OTHER_MODEL: the SOC alone, at rest, with a variance that is wider for the other tables.
+ * CELLWISE_OTHER_MODEL: the same with a variance that is wider for the other tables; where they come with another
+ * kind of state the SOC alone, at rest.
  * Anything else: `x` is untouched, call cellwise_init. */
 uint32_t cellwise_restore(const cellwise_model *m, cellwise_state *x, const cellwise_stored *from, uint32_t age_s);
 

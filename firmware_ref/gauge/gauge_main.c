@@ -95,7 +95,7 @@ static void run(const head *of, const gauge_config *config, const sample *in, an
         answer one = {NAN, NAN};
         own->done = k;
         if (k != first && in[k].event >= RESTART) {
-            if (in[k].event == TORN) save(own, out[k - 1u].soc, 1);
+            if (in[k].event != RESTART) save(own, out[k - 1u].soc, in[k].event == TORN);
             own->off = 1u;
             _exit(0);
         }

@@ -43,6 +43,7 @@ def program(request, export, tmp_path_factory):
     sources = [*place.glob("src/*.c"), *place.glob("drivers/*.c"), STUB / "main.c"]
     flags = ["-O2", *STRICT_FLAGS, "-Wall", "-Wextra", "-Werror", "-D_DEFAULT_SOURCE"]
     has = f"-DSTUB_HAS_SENSOR={int(request.param == 'sensor')}"
+    flags.append("-DCONFIG_CELLWISE_FUEL_GAUGE_KEEP_MINUTES=10")
     done = subprocess.run(
         ["gcc", *flags, has, *folders, *map(str, sources), "-lm", "-o", str(made)],
         capture_output=True, text=True, check=False,
@@ -51,11 +52,16 @@ def program(request, export, tmp_path_factory):
     return made
 
 
-def lived(program, rows, folder, last="go"):
+def lived(program, rows, folder, how="go", period_ms=5000):
     """Properties after each row, by name."""
     text = "\n".join(" ".join(f"{value:.6f}" for value in row) for row in rows)
     done = subprocess.run(
-        [str(program), last], input=text, cwd=folder, capture_output=True, text=True, check=True
+        [str(program), how, str(period_ms)],
+        input=text,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert not done.stderr
     found = np.array([line.split() for line in done.stdout.splitlines()], dtype=np.int64)
@@ -114,3 +120,48 @@ def test_a_restart_goes_on_from_what_settings_kept(program, log, tmp_path):
     (tmp_path / "1").write_bytes((tmp_path / "1").read_bytes()[:-4] + b"torn")
     torn = lived(program, rows[100:102], tmp_path)["remaining_capacity"][0]
     assert 0 <= torn <= full
+
+
+@pytest.mark.parametrize("period_ms", [1300, 5500])
+def test_charge_is_what_flowed_however_often_the_driver_is_called(
+    program, export, tmp_path, period_ms
+):
+    """A work queue that is late by a tenth takes nothing; between two steps the mean counts."""
+    rows = np.tile([1.0, 3.7, 25.0], (200, 1))
+    rows[:, 0] += np.tile([0.5, -0.5], 100)
+    rows[:, 1] = np.nan  # no voltage corrects it
+    said = lived(program, rows, tmp_path, period_ms=period_ms)["remaining_capacity"]
+    first = 10  # steps are there
+    flowed_uAh = 1e6 * (200 - first) * period_ms / 3.6e6
+    assert said[first - 1] - said[-1] == pytest.approx(flowed_uAh, abs=1e6 * 1.5 * DT_S / 3600.0)
+
+
+def test_a_reading_that_is_missing_has_no_value_and_leaves_the_mean(program, log, tmp_path):
+    rows = np.column_stack([log.current_A, log.voltage_V, log.temperature_C])[:40]
+    whole = lived(program, rows, tmp_path)
+    rows[20] = np.nan
+    said = lived(program, rows, tmp_path)
+    for name in ("current", "voltage", "temperature"):
+        assert said[name][20] == -9  # refused
+        assert said[name][21] == whole[name][21]
+    assert said["avg_current"][20] == whole["avg_current"][19]
+    assert 0 < said["runtime_to_empty"][39] < 65535
+
+
+def test_settings_that_are_loaded_after_the_first_step_count_once(program, log, tmp_path):
+    rows = np.column_stack([log.current_A, log.voltage_V, log.temperature_C])
+    before = lived(program, rows[:100], tmp_path, "keep")["remaining_capacity"][-1]
+    after = lived(program, rows[100:120], tmp_path, "late")
+    in_time = lived(program, rows[101:120], tmp_path)
+    full = after["full_charge_capacity"][0]
+    assert abs(after["remaining_capacity"][1] - before) < 0.01 * full
+    assert (
+        np.abs(after["remaining_capacity"][1:] - in_time["remaining_capacity"]).max() < 0.002 * full
+    )
+
+
+def test_a_node_with_a_sensor_keeps_its_state_every_ten_minutes(program, log, tmp_path, request):
+    rows = np.column_stack([log.current_A, log.voltage_V, log.temperature_C])
+    lived(program, rows[:130], tmp_path)
+    is_sensor = request.node.callspec.params["program"] == "sensor"
+    assert (tmp_path / "1").exists() == is_sensor

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from cellwise.estimate.status import SEQUENCE_GAP
+from cellwise.cell.plausibility.validity import Validity
+from cellwise.estimate.status import SEQUENCE_GAP, TEMPERATURE_INVALID
 from cellwise.export.c_tables import STRICT_FLAGS, WARNING_FLAGS
 from example_cells import curved_cell
 
@@ -33,9 +34,9 @@ pytestmark = pytest.mark.usefixtures("no_cross_compiler")
 def exported(export, tmp_path):
     """The folder of a layout as the command writes it."""
 
-    def run(layout, *more):
+    def run(layout, *more, **of):
         place = tmp_path / "out"
-        told = export("--dt", 1, "-o", place, "--layout", layout, *more)
+        told = export("--dt", 1, "-o", place, "--layout", layout, *more, **of)
         assert all((place / name).is_file() for name in told["files"])
         return place
 
@@ -204,7 +205,8 @@ FOXBMS = {
 typedef enum { DATA_BLOCK_ID_MIN_MAX, DATA_BLOCK_ID_PACK_VALUES } DATA_BLOCK_ID_e;
 typedef struct { DATA_BLOCK_ID_e uniqueId; } DATA_BLOCK_HEADER_s;
 typedef struct { DATA_BLOCK_HEADER_s header; int16_t averageCellVoltage_mV[2];
-  uint16_t validMeasuredCellVoltages[2]; float averageTemperature_ddegC[2]; } DATA_BLOCK_MIN_MAX_s;
+  uint16_t validMeasuredCellVoltages[2]; uint16_t validMeasuredCellTemperatures[2];
+  float averageTemperature_ddegC[2]; } DATA_BLOCK_MIN_MAX_s;
 typedef struct { DATA_BLOCK_HEADER_s header; int32_t stringCurrent_mA[2];
   uint8_t invalidStringCurrent[2]; } DATA_BLOCK_PACK_VALUES_s;
 typedef struct {
@@ -234,11 +236,15 @@ static void keep(uint8_t s, uint8_t slot, const void *from, uint32_t n) {
   memcpy(fram[s][slot], from, n); }
 static uint32_t now_ms = 0xFFFF0000u; /* it wraps within the hour */
 static int32_t current_mA = 0;
+static bool is_valid = true; /* average of none: 0 */
 uint32_t OS_GetTickCount(void) { return now_ms; }
 void read_blocks(void *one, void *two) {
   DATA_BLOCK_MIN_MAX_s *cells = one;
-  for (int s = 0; s < 2; s++) { cells->averageCellVoltage_mV[s] = 3700;
-    cells->validMeasuredCellVoltages[s] = two == 0; cells->averageTemperature_ddegC[s] = 250.0f; }
+  for (int s = 0; s < 2; s++) {
+    cells->averageCellVoltage_mV[s] = is_valid ? 3700 : 0;
+    cells->validMeasuredCellVoltages[s] = is_valid && two == 0;
+    cells->averageTemperature_ddegC[s] = is_valid ? 250.0f : 0.0f;
+    cells->validMeasuredCellTemperatures[s] = is_valid; }
   if (two != 0) { DATA_BLOCK_PACK_VALUES_s *pack = two;
     for (int s = 0; s < 2; s++) { pack->stringCurrent_mA[s] = s * current_mA;
       pack->invalidStringCurrent[s] = 0; } }
@@ -262,6 +268,20 @@ int main(void) {
   fram[1][1][40] ^= 1u;
   SE_InitializeStateOfCharge(&soc, false, 1u);
   printf("%f\\n", soc.averageSoc_perc[1]);
+  SE_CalculateStateOfCharge(&soc);
+  now_ms += 500u;
+  SE_CalculateStateOfCharge(&soc);
+  SE_KeepStateOfCharge(1u);
+  const float kept = soc.averageSoc_perc[1];
+  SE_InitializeStateOfCharge(&soc, false, 1u);
+  printf("%f %f\\n", kept, soc.averageSoc_perc[1]);
+  is_valid = false;
+  memset(fram, 0, sizeof fram);
+  SE_InitializeStateOfCharge(&soc, false, 1u);
+  printf("%f %f", soc.averageSoc_perc[1], soc.maximumSoc_perc[1] - soc.minimumSoc_perc[1]);
+  now_ms += 1000u;
+  SE_CalculateStateOfCharge(&soc);
+  printf(" %u\\n", SE_GetStateOfChargeStatus(1u));
 }
 """,
 }
@@ -270,7 +290,8 @@ int main(void) {
 @pytest.mark.slow
 @needs_gcc
 def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path):
-    place = exported("foxbms")
+    seen = Validity(soc=(0.0, 1.0), temperature_C=(0.0, 40.0), current_A=(-5.0, 9.0))
+    place = exported("foxbms", model=curved_cell(validity=seen))  # its step reads the temperature
     for name, text in FOXBMS.items():
         (tmp_path / name).write_text(text)
     sources = [
@@ -281,7 +302,7 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     run("gcc", "-std=gnu99", "-I", tmp_path, tmp_path / "main.c", *tmp_path.glob("*.o"), "-lm",
         "-I", place, "-o", tmp_path / "app")  # fmt: skip
     lines = [line.split() for line in run(tmp_path / "app").splitlines()]
-    before, after, status, restored, damaged = lines
+    before, after, status, restored, damaged, kept, unseen = lines
     model = curved_cell()
     assert float(before[0]) == pytest.approx(float(before[1]))
     assert 0 < float(before[0]) < 100
@@ -293,5 +314,9 @@ def test_foxbms_calls_it_and_an_hour_at_1_A_takes_its_charge(exported, tmp_path)
     assert status[1] == "0"  # for an hour no cell voltage was valid
     assert float(restored[0]) == pytest.approx(float(after[1]), abs=taken / 5.0)  # ten minutes
     assert float(damaged[0]) == pytest.approx(float(before[1]))  # from the voltage again
+    assert kept[0] == kept[1]  # before the power goes
+    assert float(unseen[0]) == pytest.approx(50.0)  # no voltage is there: not that of 0 V
+    assert float(unseen[1]) == 100.0
+    assert int(unseen[2]) & TEMPERATURE_INVALID  # nor 0 degC
     # The wscript is Python that waf calls with a build context.
     run(sys.executable, "-m", "py_compile", place / "wscript")

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import shutil
 
+import numpy as np
 import pytest
 
 from cellwise.estimate.fixed.options import CellSettings
+from cellwise.estimate.fixed.stepper import numba_stepper
 from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.export.firmware import HostLibrary
 from example_cells import curved_cell
-from firmware_cases import compile_and_run, tables_of
+from firmware_cases import compile_and_run, noisy_samples, tables_of
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc: apt-get install gcc")
 
+OTHER_MODEL = 4  # CELLWISE_OTHER_MODEL
 # With the static functions of the store in reach.
 HEAD = """
 #include <stdio.h>
@@ -204,6 +208,63 @@ READS = """
     CHECK(cellwise_restore(&cellwise_cell, &y, &slot.stored, 0u) == CELLWISE_BITS_DAMAGED);
     (void)fclose(file);
 """
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_state_goes_on_with_new_tables_to_the_bit_of_the_twin(wide):
+    """CW-013: charge under way, branches and the current's offset are the cell's, not the tables'.
+
+    The twin is handed its own state, known less well.
+    """
+    asked = {"wide": wide, "offset": wide}
+    old, new = (fixed_step_tables(curved_cell(capacity_Ah=c), 1.0, **asked) for c in (5.0, 4.4))
+    before, after = (numba_stepper(tables) for tables in (old, new))
+    records = noisy_samples(900)
+    state = before.state()
+    before.begin(state, 0.6, 0.05)
+    before.rows(state, records[:500])
+    slots = np.zeros((2, 32 + state.nbytes + 4), np.uint8)
+    with_C = [HostLibrary(tables) for tables in (old, new)]
+    memory = with_C[0]._ffi.from_buffer
+    with_C[0]._library.cellwise_keep(*map(memory, (slots[0], state, slots[1])))
+    restored = after.state()
+    missing = 7 * wide  # without it a gap begins at rest
+    assert with_C[1].call("restore", restored, slots[0], missing) == OTHER_MODEL
+    state["ss"] += np.float32(0.0025)
+    state["sequence"] = 2**32 - 1 - missing
+    assert restored.tobytes() == state.tobytes()
+    rest = records[500:].copy()
+    rest["sequence"] -= 500
+    twin, found = after.rows(state, rest), with_C[1].rows(restored, rest)
+    assert found.tobytes() == twin.tobytes()
+    assert restored.tobytes() == state.tobytes()
+
+
+ANOTHER_KIND = """
+    cellwise_stored kept, none;
+    cellwise_state y;
+    memset(&none, 0, sizeof none);
+    x.per_capacity = 1.25f; /* a patch of the other tables */
+    cellwise_keep(&kept, &x, &none);
+    for (uint32_t part = 0x10000u; part != 0u; part *= 2u) { /* as large, and other fields in it */
+        kept.head.kind ^= part;
+        kept.head.crc = crc_of_head(&kept.head);
+        kept.crc = crc_of_state(&kept);
+        CHECK(cellwise_restore(&cellwise_cell, &y, &kept, 0u) == CELLWISE_OTHER_MODEL);
+        CHECK(memcmp(&y.soc, &x.soc, sizeof x.soc) == 0 && y.evidence == 0u);
+        kept.head.kind ^= part;
+    }
+    kept.head.model_crc ^= 1u;
+    kept.head.crc = crc_of_head(&kept.head);
+    kept.crc = crc_of_state(&kept);
+    CHECK(cellwise_restore(&cellwise_cell, &y, &kept, 0u) == CELLWISE_OTHER_MODEL);
+    CHECK((y.evidence == x.evidence) && !(y.per_capacity > 1.0f));
+"""
+
+
+def test_a_state_with_other_fields_gives_its_soc_alone(tmp_path):
+    """CW-013."""
+    ran(fixed_step_tables(curved_cell(), 1.0, wide=False, health=True), tmp_path, ANOTHER_KIND)
 
 
 @pytest.mark.parametrize("after", ["lean", "full"])

@@ -49,11 +49,12 @@ static void SOC_Show(DATA_BLOCK_SOC_s *pSocValues, uint8_t s) {
     pSocValues->maximumSoc_perc[s] = 100.0f * fminf(one->soc + band, 1.0f);
 }
 
-static void SOC_Keep(uint8_t s, uint32_t now_ms) {
-    if ((soc_store.write != NULL) && ((now_ms - soc_kept_ms[s]) >= SOC_KEEP_MS)) {
-        const uint32_t slot = cellwise_glue_keep(&soc_string[s]);
-        soc_store.write(s, (uint8_t)slot, &soc_string[s].slots[slot], (uint32_t)sizeof(cellwise_stored));
-        soc_kept_ms[s] = now_ms;
+extern void SE_KeepStateOfCharge(uint8_t stringNumber) {
+    if (soc_store.write != NULL) {
+        cellwise_glue *one  = &soc_string[stringNumber];
+        const uint32_t slot = cellwise_glue_keep(one);
+        soc_store.write(stringNumber, (uint8_t)slot, &one->slots[slot], (uint32_t)sizeof(cellwise_stored));
+        soc_kept_ms[stringNumber] = OS_GetTickCount();
     }
 }
 
@@ -76,7 +77,8 @@ extern void SE_InitializeStateOfCharge(DATA_BLOCK_SOC_s *pSocValues, bool ccPres
     }
     soc_kept_ms[stringNumber] = OS_GetTickCount();
     (void)cellwise_glue_begin(one, soc_kept_ms[stringNumber], SOC_STEP_MS);
-    if ((one->restored != 0u) && (one->restored != CELLWISE_OTHER_MODEL)) { /* nothing to go on with */
+    const bool isRestored = (one->restored == 0u) || (one->restored == CELLWISE_OTHER_MODEL);
+    if (!isRestored && (cells.validMeasuredCellVoltages[stringNumber] != 0u)) { /* without one the average is 0 */
         const float soc = SE_GetStateOfChargeFromVoltage(cells.averageCellVoltage_mV[stringNumber]) / 100.0f;
         cellwise_glue_start(one, soc, SOC_START_VARIANCE);
     }
@@ -101,10 +103,13 @@ extern void SE_CalculateStateOfCharge(DATA_BLOCK_SOC_s *pSocValues) {
         }
         const float voltage_V =
             (cells.validMeasuredCellVoltages[s] != 0u) ? ((float)cells.averageCellVoltage_mV[s] / 1000.0f) : SOC_MISSING_V;
-        const float temperature_C = cells.averageTemperature_ddegC[s] / 10.0f;
+        const float temperature_C =
+            (cells.validMeasuredCellTemperatures[s] != 0u) ? (cells.averageTemperature_ddegC[s] / 10.0f) : NAN;
         if (cellwise_glue_sample(&soc_string[s], now_ms, current_mA / 1000.0f, voltage_V, temperature_C)) {
             SOC_Show(pSocValues, s);
-            SOC_Keep(s, now_ms);
+            if ((now_ms - soc_kept_ms[s]) >= SOC_KEEP_MS) {
+                SE_KeepStateOfCharge(s);
+            }
         }
     }
 }

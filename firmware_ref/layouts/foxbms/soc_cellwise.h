@@ -18,6 +18,9 @@ typedef struct {
 /* Before SE_InitializeStateOfCharge(); without it nothing is kept. */
 extern void SE_SetStateOfChargeStore(const SOC_STORE_s *pStore);
 
+/* Keep the state now: before the power goes, and before new tables; every ten minutes it is kept anyway. */
+extern void SE_KeepStateOfCharge(uint8_t stringNumber);
+
 /* Status bits of the last step of a string (cellwise_ekf.h). */
 extern uint32_t SE_GetStateOfChargeStatus(uint8_t stringNumber);
 

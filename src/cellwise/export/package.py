@@ -49,7 +49,12 @@ MODEL_FILE = "cell.json"  # what the tables were made of, for `cellwise certify`
 # measured US06 the SOC's error is 0.2 % at steps up to 10 s, 0.5 % at 30 s, 0.9 % at 60 s.
 LONGEST_STEP_S = 60.0
 GLUE = "cellwise_glue.h"  # of the layouts that keep a state, a clock and what is valid
-WHOLE_MS = {"foxbms": "foxBMS", "px4": "PX4", "ardupilot": "ArduPilot"}  # their glue counts them
+WHOLE_MS = {
+    "zephyr": "Zephyr",
+    "foxbms": "foxBMS",
+    "px4": "PX4",
+    "ardupilot": "ArduPilot",
+}  # their glue counts them
 
 
 @dataclass(frozen=True, eq=False)

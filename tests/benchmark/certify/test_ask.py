@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from cellwise.benchmark.certify.ask import DesignResult, find_designs, front, parse_ask
-from cellwise.benchmark.certify.designs import STEPS, Ask, Design, DesignOption
+from cellwise.benchmark.certify.designs import (
+    CAUSES,
+    STEPS,
+    Ask,
+    Design,
+    DesignOption,
+    all_options,
+)
 from cellwise.cell.stock import stock_model
 from cellwise.cli import main
 from cellwise.errors import InputError
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.sensor import CLASSES, seen_by
 from cellwise.export.firmware import Firmware
 
@@ -75,12 +83,20 @@ def test_an_option_is_the_exported_c_on_its_tables():
     """Code that is compiled once for many tables says what each table's own code says."""
     design = Design(stock_model(MODEL), parse_ask("5 % worst at 20 degC, 0 years"), 10.0, 4.0, 1)
     options = [DesignOption(sensor, "lean", 21, "none", False) for sensor in ("car", "hall")]
+    bank = design.step(DesignOption("car", "bank", 11, "none", False))
     life = design.life(options[0], 0)
+    samples = samples_of(design.model, life.seen, 10.0)
+    assert np.array_equal(
+        bank.soc_of(samples.records, 0.5)[samples.row_sample], bank.run(life.seen, 0.5, 0.15).soc
+    )
     for option in options:
         own = seen_by(design.model, CLASSES[option.sensor])
         alone = Firmware(own.model, own.noise, dt_s=10.0, wide=False, points=21)
         wanted = alone.run(life.seen, 0.5, 0.15).soc
-        np.testing.assert_array_equal(design.step(option).run(life.seen, 0.5, 0.15).soc, wanted)
+        step = design.step(option)
+        np.testing.assert_array_equal(step.run(life.seen, 0.5, 0.15).soc, wanted)
+        found = step.soc_of(samples.records, 0.5)[samples.row_sample]
+        np.testing.assert_array_equal(found, wanted)
 
 
 @needs_compiler
@@ -91,6 +107,47 @@ def test_a_limit_that_all_keep_needs_the_cheapest_alone():
     found = find_designs(design, 2, dearer)
     assert [one.option for one in found] == [cheapest]
     assert found[0].cells == 2
+
+
+@needs_compiler
+@pytest.mark.parametrize("limit", [3, 12])
+def test_the_front_is_that_of_a_search_that_tries_everything_on_every_cell(limit):
+    """Kept and not kept: a largest error grows with the cells, so what is left out is beaten."""
+    ask = parse_ask(f"{limit} % worst at 0 degC, 2 years")
+    design = Design(stock_model(MODEL), ask, 60.0, 8.0, 1)
+    options = [one for one in all_options() if one.step in ("lean", "offset") and one.points == 11]
+    found = find_designs(design, 9, options)
+    everything = []
+    for option in options:
+        errors = []
+        design.try_on([errors], [option], 9)
+        worst = max(one["worst"] for one in errors)
+        everything.append(DesignResult(option, worst, len(errors), design.costs(option)))
+    kept = [one for one in everything if one.error <= ask.limit]
+    assert bool(kept) == (limit == 12)
+    wanted = {one.option: one for one in front(kept or everything, bool(kept))}
+    assert {one.option: one for one in found} == wanted
+
+
+@needs_compiler
+def test_what_carries_the_error_is_found_by_leaving_it_out():
+    """New cells have no age to lose; what is made perfect is the truth, and all else the same."""
+    design = Design(stock_model(MODEL), parse_ask("1 % worst at 20 degC, 0 years"), 60.0, 6.0, 1)
+    option = DesignOption("hall", "lean", 11, "none", False)
+    errors = []
+    design.try_on([errors], [option], 3)
+    left = design.without_each(option, 3)
+    assert left["age"] == max(one["worst"] for one in errors)
+    assert set(left) == set(CAUSES)
+    for number in range(3):
+        seen = design.life(option, number, "sensor").seen
+        life = design.life(option, number)
+        assert np.array_equal(life.log.current_A, seen.current_A)
+        assert not np.array_equal(life.log.current_A, life.seen.current_A)
+        known = design.life(option, number, "start")
+        assert known.about["started_at"] == pytest.approx(min(max(known.soc[0], 0.0), 1.0))
+        usual = design.life(option, number, "temperature").log.temperature_C
+        assert np.all(usual == design.model.usual_temperature_C)
 
 
 @needs_compiler
@@ -105,7 +162,11 @@ def test_the_command_prints_the_front_and_writes_its_page(tmp_path, capsys, monk
     assert data["front"]
     assert {"bytes", "instructions", "hours", "error"} <= set(data["front"][0])
     assert json.loads((tmp_path / "d" / "design.json").read_text()) == data
-    assert "not reached" in (tmp_path / "d" / "index.html").read_text()
+    left = [cause["error_without"] for cause in data["causes_of_best"]]
+    assert left == sorted(left)
+    page = (tmp_path / "d" / "index.html").read_text()
+    assert "not reached" in page
+    assert "What it takes" in page
 
 
 def test_a_limit_without_a_model_is_refused(capsys):

@@ -165,20 +165,11 @@ def restarted(folder):
     return found
 
 
-def test_a_loss_of_power_costs_an_export_at_most_a_point_beyond_what_flowed(restarted):
+def test_a_restart_costs_an_export_at_most_a_point_beyond_what_flowed(restarted):
+    """Power lost in the middle of a write and for hours; tables updated."""
     for event, error, soc in restarted:
         assert {TORN, RESTART, UPDATED} <= set(event)
-        lost = np.where(event == UPDATED, SAVE, event)
-        assert restart_loss(lost, error, soc) <= 0.01
-
-
-@pytest.mark.xfail(
-    strict=True,
-    reason="7.4 points at most: new tables begin at the SOC alone, and a filter that is 23 points "
-    "unsure follows their first voltage",
-)
-def test_updated_tables_cost_an_export_at_most_a_point_beyond_what_flowed(restarted):
-    assert max(restart_loss(*life) for life in restarted) <= 0.01
+        assert restart_loss(event, error, soc) <= 0.01
 
 
 def test_a_filter_that_keeps_nothing_begins_as_it_is_told(folder):

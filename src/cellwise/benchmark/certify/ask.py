@@ -1,11 +1,7 @@
-"""What a limit needs: which sensor, tests, tables and step keep it, as a front over what they cost.
-
-Options that do not keep the limit on a few cells are not tried on many.
-"""
+"""What a limit needs: sensor, tests, tables and step that keep it, as a front over their costs."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
@@ -13,7 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cellwise.benchmark.certify.designs import Ask, Design, DesignOption, all_options
+from cellwise.benchmark.certify.certificate import soc_error
+from cellwise.benchmark.certify.designs import (
+    Ask,
+    Design,
+    DesignOption,
+    LifeError,
+    all_options,
+)
 from cellwise.errors import InputError
 from cellwise.estimate.sensor import CLASSES
 from cellwise.report.page.markup import paragraph, record_table
@@ -24,9 +27,8 @@ LIMIT = re.compile(
     r"(?P<limit>[0-9.]+) ?% (?P<figure>rmse|p95|worst) at (?P<temperature_C>[-+0-9.]+) ?"
     r"(?:degC|°C|C), (?P<years>[0-9.]+) years?"
 )
-FIRST_CELLS = 4  # that every option is tried on; twice as many after each round,
-MOST_CELLS = 64  # up to so many: half an hour at a time step of one second, on two cores
-KEPT = 0.5  # share of those beyond the limit that goes on
+FIRST_CELLS = 4  # that every option is tried on,
+GROWS, MOST_CELLS = 4, 64  # then those that may stand on the front on so many times, up to so many
 
 
 class DesignResult(NamedTuple):
@@ -40,6 +42,19 @@ class DesignResult(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         return {**vars(self.option), "error": self.error, "cells": self.cells, **self.costs}
+
+
+class TriedOption(NamedTuple):
+    """An option, what it costs, and its errors so far."""
+
+    option: DesignOption
+    costs: dict[str, float]
+    errors: list[LifeError]
+
+    def result(self, figure: str) -> DesignResult:
+        """As far as it has been tried."""
+        error = soc_error(self.errors)[figure]
+        return DesignResult(self.option, error, len(self.errors), self.costs)
 
 
 def parse_ask(text: str) -> Ask:
@@ -75,10 +90,13 @@ def find_designs(
 ) -> list[DesignResult]:
     """Options that keep a limit, none cheaper than another in everything; else the nearest ones.
 
+    Only what may stand on the front is tried on more cells: a largest error grows with the cells,
+    so that ``worst`` gives the front of a search that tries everything on all of them.
+
     Parameters
     ----------
     design : Design
-    cells : int                   that the last options are tried on, `MOST_CELLS` at most
+    cells : int                   that the front is tried on, `MOST_CELLS` at most
     options : sequence or None    None: all of them
     follow : callable or None     called with how many options of a round are done, and of how many
 
@@ -87,29 +105,30 @@ def find_designs(
     list of DesignResult          the smallest error first; without one that keeps the limit the
                                   front over costs and error together
     """
-    options = all_options() if options is None else options
     cells, limit = min(cells, MOST_CELLS), design.ask.limit
-    tried = min(FIRST_CELLS, cells)
-    while True:
-        found: list[tuple[float, DesignOption]] = []
-        for _, group in groupby(sorted(options, key=_lives_of), _lives_of):
+    asked = all_options() if options is None else options
+    tried = [TriedOption(option, design.costs(option), []) for option in asked]
+    open_ones = tried
+    while open_ones:
+        done = 0
+        for key, group in groupby(sorted(open_ones, key=_lives_of), _lives_of):
             own = list(group)
-            found += zip(design.errors(own, tried), own, strict=True)
+            more = min(max(FIRST_CELLS, GROWS * key[-1]), cells)
+            design.try_on([one.errors for one in own], [one.option for one in own], more)
+            done += len(own)
             if follow is not None:
-                follow(len(found), len(options))
-        found.sort(key=lambda one: one[0])
-        kept = [one for one in found if one[0] <= limit]
-        more = [one for one in found if one[0] > limit]
-        if tried >= cells:
-            break
-        options = [option for _, option in kept or more[: math.ceil(KEPT * len(more))]]
-        tried = min(2 * tried, cells)
-    results = [DesignResult(o, e, tried, design.costs(o)) for e, o in kept or more]
-    return front(results, bool(kept))
+                follow(done, len(open_ones))
+        found = [one.result(design.ask.figure) for one in tried]
+        kept = [one for one in found if one.error <= limit]
+        best = front(kept or found, bool(kept))
+        named = {one.option for one in best if one.cells < cells}
+        open_ones = [one for one in tried if one.option in named]
+    return sorted(best, key=lambda one: one.error)
 
 
-def _lives_of(option: DesignOption) -> tuple[str, str, bool]:
-    return option.sensor, option.tests, option.updated
+def _lives_of(one: TriedOption) -> tuple[str, str, bool, int]:
+    option = one.option
+    return option.sensor, option.tests, option.updated, len(one.errors)
 
 
 def front(results: Sequence[DesignResult], is_kept: bool) -> list[DesignResult]:
@@ -129,10 +148,15 @@ def front(results: Sequence[DesignResult], is_kept: bool) -> list[DesignResult]:
 
 
 def ask_data(design: Design, found: Sequence[DesignResult]) -> dict[str, Any]:
-    """JSON values: the limit, whether it is reached, the front."""
+    """JSON values: the limit, whether it is reached, the front; if not, what the best lacks."""
+    best, reached = found[0], found[0].error <= design.ask.limit
+    left = {} if reached else design.without_each(best.option, best.cells)
+    ordered = sorted(left.items(), key=lambda one: one[1])
+    causes = [{"name": name, "error_without": error} for name, error in ordered]
     return {
         "ask": design.ask._asdict(),
-        "reached": bool(found) and found[0].error <= design.ask.limit,
+        "reached": reached,
+        "causes_of_best": causes,
         "front": [one.to_dict() for one in found],
         "settings": {"dt_s": design.dt_s, "hours": design.hours, "seed": design.seed},
         "sensor_classes": {name: one.to_dict(1.0) for name, one in CLASSES.items()},
@@ -151,6 +175,19 @@ FRONT_COLUMNS: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
     ("hours of tests", lambda r: f"{r['hours']:.0f}"),
 )
 
+CAUSE_WORDS = {
+    "age": "age",
+    "temperature": "the cold or heat",
+    "cells": "differences between cells",
+    "model_error": "the model's own error",
+    "sensor": "errors of the sensors",
+    "start": "a start that is off",
+}
+CAUSE_COLUMNS: tuple[tuple[str, Callable[[Mapping[str, Any]], str]], ...] = (
+    ("without", lambda r: CAUSE_WORDS[r["name"]]),
+    ("error", lambda r: f"{100.0 * r['error_without']:.1f} %"),
+)
+
 
 def ask_finding(data: Mapping[str, Any]) -> str:
     """The first line: whether the limit is reached, and how many ways there are."""
@@ -158,7 +195,12 @@ def ask_finding(data: Mapping[str, Any]) -> str:
     limit = f"{100.0 * ask['limit']:g} % {ask['figure']} at {ask['temperature_C']:g} degC"
     what = f"{limit} after {ask['years']:g} year{'' if ask['years'] == 1 else 's'}"
     count = len(data["front"])
-    return f"{what}: {count} ways" if data["reached"] else f"{what}: not reached; {count} nearest"
+    if data["reached"]:
+        return f"{what}: {count} ways"
+    best, first = data["front"][0], data["causes_of_best"][0]
+    size, rest = 100.0 * best["error"], 100.0 * first["error_without"]
+    name = CAUSE_WORDS[first["name"]]
+    return f"{what}: not reached, {size:.1f} % at best, {rest:.1f} % without {name}"
 
 
 def ask_page(data: Mapping[str, Any], model: str, path: str) -> None:
@@ -168,5 +210,10 @@ def ask_page(data: Mapping[str, Any], model: str, path: str) -> None:
         "tables are off by what the tests leave open; instructions on a Cortex-M4F."
     )
     table = record_table(data["front"], *FRONT_COLUMNS, text_columns=(1, 2, 4, 5))
+    sections = [Section("front", "Ways", (said, table))]
+    if not data["reached"]:
+        each = paragraph("The error of the best way where one cause is made perfect in turn.")
+        causes = record_table(data["causes_of_best"], *CAUSE_COLUMNS, text_columns=(0,))
+        sections.append(Section("causes", "What it takes", (each, causes)))
     title = f"What a limit needs, {model or 'an unnamed cell'}, by cellwise"
-    write_page(path, ask_finding(data), title, [Section("front", "Ways", (said, table))], data)
+    write_page(path, ask_finding(data), title, sections, data)

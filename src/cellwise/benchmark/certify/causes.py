@@ -163,7 +163,7 @@ def corrections(gauge: Gauge, config: GaugeConfig) -> list[WorldCorrection]:
 
     return [
         WorldCorrection("capacity", "of the capacity", 0.7, 1.4, capacity),
-        WorldCorrection("resistance", "of R0", -1.0, 2.0, resistance),
+        WorldCorrection("resistance", "of R0", -1.0, 4.0, resistance),
         WorldCorrection("start", "SOC", -0.35, 0.35, start),
         WorldCorrection("current_sensor", "A", -0.04 * size_Ah, 0.04 * size_Ah, offset),
         WorldCorrection("voltage_sensor", "V", -0.06, 0.06, voltage),

@@ -25,6 +25,7 @@ from cellwise.report.page.markup import (
 from cellwise.report.page.numerals import percent
 from cellwise.report.page.picture import pictured
 from cellwise.report.page.section import Blocks, Section, write_page
+from cellwise.typing import FloatArray
 
 Row = Mapping[str, Any]
 
@@ -156,17 +157,33 @@ def fleet_text(sources: Mapping[str, Mapping[str, float]], settings: Mapping[str
     return ", ".join(f"{SOURCES[s]} {one['cells']:.0f}{each[s]}" for s, one in sources.items())
 
 
-def figures_of(rows: Sequence[Row]) -> dict[str, float]:
-    """Figures over all hours of the cells: RMSE, 95 % quantile, worst, coverage, discharges."""
+def life_error(size: FloatArray) -> dict[str, Any]:
+    """What a row keeps of the sizes of a life's SOC errors, for figures over many."""
+    return {
+        "rows": size.size,
+        "squares": float(np.sum(size**2)),
+        "worst": float(size.max()),
+        "counts": np.histogram(np.minimum(size, BINS[-1]), BINS)[0].tolist(),
+    }
+
+
+def soc_error(rows: Sequence[Row]) -> dict[str, float]:
+    """RMSE, 95 % quantile and worst over all hours of the cells."""
     samples = sum(r["rows"] for r in rows)
-    counts = np.sum([r["counts"] for r in rows], axis=0)
-    within = np.cumsum(counts) / max(samples, 1)
-    ends = sum(r["ends"] for r in rows)
+    within = np.cumsum(np.sum([r["counts"] for r in rows], axis=0)) / max(samples, 1)
     return {
         "rmse": math.sqrt(sum(r["squares"] for r in rows) / samples),
         "p95": float(BINS[1 + int(np.searchsorted(within, 0.95))]),
         "worst": max(r["worst"] for r in rows),
-        "coverage": sum(r["inside"] * r["rows"] for r in rows) / samples,
+    }
+
+
+def figures_of(rows: Sequence[Row]) -> dict[str, float]:
+    """Figures over all hours of the cells: RMSE, 95 % quantile, worst, coverage, discharges."""
+    ends = sum(r["ends"] for r in rows)
+    return {
+        **soc_error(rows),
+        "coverage": sum(r["inside"] * r["rows"] for r in rows) / sum(r["rows"] for r in rows),
         "ends": ends,
         "ends_near": sum(r["ends_near"] for r in rows) / ends if ends else math.nan,
     }

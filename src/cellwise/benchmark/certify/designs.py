@@ -7,27 +7,33 @@ cells of one type leave; what the circuit itself gets wrong stays as it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellwise.benchmark.certify.certificate import BINS
+from cellwise.benchmark.certify.certificate import life_error, soc_error
 from cellwise.benchmark.certify.lives import MODEL, SETTLED_S, CertifiedLife, Fleet
 from cellwise.benchmark.certify.virtual_cells import START_STD, CellSpread
+from cellwise.benchmark.certify.worlds import PERFECT
 from cellwise.cell.model import CellModel
 from cellwise.cell.model_error import ModelError
+from cellwise.estimate.fixed.fixed_step import samples_of
 from cellwise.estimate.fixed.options import Options
-from cellwise.estimate.fixed.stepper import Stepper
+from cellwise.estimate.fixed.stepper import Stepper, start_state
 from cellwise.estimate.fixed.tables import FixedStepTables
 from cellwise.estimate.sensor import CAR, CLASSES, SensorReadings, seen_by
 from cellwise.export.firmware import Firmware, HostLibrary
 from cellwise.fit.population import SAME_CELL
 from cellwise.typing import FloatArray
 
+LifeError = dict[str, Any]  # of `life_error`
 LIFE_YEARS = 5.0  # to 80 % of the capacity, what UN GTR 22 asks of a vehicle's battery
 UPDATED_YEARS = 1.0  # between two updates of capacity and resistances from a history
 MOST_HOURS = 24.0  # of each cell
@@ -44,6 +50,19 @@ POINTS = (11, 21, 51)  # of the tables over SOC
 # Tests of one cell, each with those before it, and hours: a charge, rests and C/5; pulses at ten
 # levels with rests of an hour; C/20 both ways.
 TESTS = {"none": 0, "capacity": 10, "pulses": 26, "ocv": 68}
+
+
+# What makes a design wrong, and what of the cells' spread is perfect without it.
+CAUSES: dict[str, dict[str, float]] = {
+    "age": {"age": 0.0},
+    "temperature": {},
+    "cells": dict.fromkeys(
+        ("capacity", "resistance", "branch", "hysteresis_V", "activation_K"), 0.0
+    ),
+    "model_error": {"model_error": 0.0},
+    "sensor": {},
+    "start": {},
+}
 
 
 class Ask(NamedTuple):
@@ -97,34 +116,64 @@ class Design:
     hours: float
     seed: int
 
-    def errors(self, options: Sequence[DesignOption], cells: int) -> Iterator[float]:
-        """The figure asked for of options that share their lives, over cells."""
+    def try_on(
+        self, found: Sequence[list[LifeError]], options: Sequence[DesignOption], cells: int
+    ) -> None:
+        """Append errors of options that share their lives, up to so many cells."""
         steps = [self.step(option) for option in options]
-        found = [FleetErrors() for _ in options]
-        for number in range(cells):
-            life = self.life(options[0], number)
-            for step, own in zip(steps, found, strict=True):
-                own.add(_errors(step, life))
-        return (own.figure(self.ask.figure) for own in found)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for number in range(len(found[0]), cells):
+                errors = _errors_of(self.model, self.life(options[0], number), self.dt_s)
+                for own, error in zip(found, pool.map(errors, steps), strict=True):
+                    own.append(error)
 
     def step(self, option: DesignOption) -> DesignStep:
         """The C of an option."""
+        if option not in self._steps:
+            self._steps[option] = self._made(option)
+        return self._steps[option]
+
+    def _made(self, option: DesignOption) -> DesignStep:
         own = seen_by(self._known(option.tests), CLASSES[option.sensor])
         asked = {**STEPS[option.step][0], "points": option.points}
         return DesignStep(self._libraries, own, self.dt_s, asked)
 
     @cached_property
+    def _steps(self) -> dict[DesignOption, DesignStep]:
+        return {}
+
+    @cached_property
     def _libraries(self) -> dict[Options, HostLibrary]:
         return {}
 
-    def life(self, option: DesignOption, number: int) -> CertifiedLife:
-        """The life of a number, as an option's sensor sees it."""
-        own = CLASSES[option.sensor].of_cell(self.model.capacity_Ah)
+    def without_each(self, option: DesignOption, cells: int) -> dict[str, float]:
+        """The figure asked for over cells, with one of `CAUSES` made perfect in turn."""
+
+        def left(cause: str) -> float:
+            lives = (self.life(option, number, cause) for number in range(cells))
+            step = self.step(option)
+            found = [_errors_of(self.model, life, self.dt_s)(step) for life in lives]
+            return soc_error(found)[self.ask.figure]
+
+        return {cause: left(cause) for cause in CAUSES}
+
+    def life(self, option: DesignOption, number: int, without: str = "") -> CertifiedLife:
+        """The life of a number, as an option's sensor sees it; without one of `CAUSES`."""
+        sensor = PERFECT if without == "sensor" else CLASSES[option.sensor]
         spread = self._spread(option.tests, option.updated)
-        hours = min(self.hours, MOST_HOURS)
-        fleet = Fleet(0, 0, (), hours, self.seed, own, spread)
-        # Odd ones have faults.
-        return fleet.life(self._known(option.tests), MODEL, 2 * number, self.dt_s)
+        spread = replace(spread, **CAUSES.get(without, {}))
+        known = self._known(option.tests)
+        if without == "temperature":
+            spread = replace(spread, temperature_C=self.model.usual_temperature_C)
+        if without == "model_error":
+            known = replace(known, posterior=None)
+        own = sensor.of_cell(self.model.capacity_Ah)
+        fleet = Fleet(0, 0, (), min(self.hours, MOST_HOURS), self.seed, own, spread)
+        life = fleet.life(known, MODEL, 2 * number, self.dt_s)  # odd ones have faults
+        if without == "start":
+            known_start = float(np.clip(life.soc[0], 0.0, 1.0))
+            life = replace(life, about={**life.about, "started_at": known_start})
+        return life
 
     def _spread(self, tests: str, updated: bool) -> CellSpread:
         """How cells differ from the tables, at the temperature and the age that are asked for."""
@@ -178,35 +227,31 @@ class DesignStep(Firmware):
         self._libraries = libraries
         super().__init__(own.model, own.noise, dt_s=dt_s, **asked)
 
+    def soc_of(self, records: NDArray[Any], soc: float) -> FloatArray:
+        """SOC after each sample, as `run` says it, of samples that many steps share."""
+        stepper = self.stepper(self.known_dt_s)
+        state = start_state(stepper, soc, START_STD)
+        if not stepper.tables.options.bank:
+            return np.asarray(stepper.rows(state, records)["soc"], dtype=np.float64)
+        components = self._asked.components
+        bank = stepper.start_bank(components, state[0]["soc"], state[0]["ss"])
+        return np.asarray(stepper.bank_rows(*bank, records)["soc"], dtype=np.float64)
+
     def _make(self, tables: FixedStepTables) -> Stepper:
         if tables.options not in self._libraries:
             self._libraries[tables.options] = HostLibrary(tables)
         return self._libraries[tables.options].on(tables)
 
 
-def _errors(step: Firmware, life: CertifiedLife) -> FloatArray:
-    """SOC error of a life after its first hour."""
-    start = (life.about["started_at"], START_STD)
+def _errors_of(
+    model: CellModel, life: CertifiedLife, dt_s: float
+) -> Callable[[DesignStep], LifeError]:
+    """The error of each step that is handed over, in a life after its first hour."""
+    samples, start = samples_of(model, life.seen, dt_s), life.about["started_at"]
     scored = life.log.time_s - life.log.time_s[0] >= SETTLED_S
-    return np.asarray(np.abs(step.run(life.seen, *start).soc - life.soc)[scored])
+    truth, row_sample = life.soc[scored], samples.row_sample[scored]
 
+    def errors(step: DesignStep) -> LifeError:
+        return life_error(np.abs(step.soc_of(samples.records, start)[row_sample] - truth))
 
-class FleetErrors:
-    """SOC errors of many lives: their squares, their largest, how many are of which size."""
-
-    def __init__(self) -> None:
-        self.squares, self.rows, self.worst = 0.0, 0, 0.0
-        self.counts = np.zeros(BINS.size - 1)
-
-    def add(self, error: FloatArray) -> None:
-        """Errors of one life more."""
-        self.squares += float(np.sum(error**2))
-        self.rows += error.size
-        self.worst = max(self.worst, float(error.max()))
-        self.counts += np.histogram(np.minimum(error, BINS[-1]), BINS)[0]
-
-    def figure(self, name: str) -> float:
-        """One of ``rmse``, ``p95``, ``worst``."""
-        below = np.searchsorted(np.cumsum(self.counts), 0.95 * self.rows)
-        found = {"rmse": math.sqrt(self.squares / self.rows), "worst": self.worst}
-        return found.get(name, float(BINS[1 + int(below)]))
+    return errors

@@ -44,7 +44,7 @@ def run_restarted(
     tables, state = exported.tables(), exported.started(*start)
     for first, last in pairwise([0, *np.flatnonzero(event), records.size]):
         kind = event[first] if last > first else 0
-        if kind and kind != RESTART and kind != UPDATED:
+        if kind and kind != RESTART:
             _write(exported, slots, state, kind == TORN)
         if kind == UPDATED:
             tables = exported.tables(aged_Ah)

@@ -48,6 +48,7 @@ def restart_loss(event: NDArray[Any], error: FloatArray, truth: FloatArray) -> f
     flowed = np.cumsum(np.abs(np.diff(truth, prepend=truth[0])))
     saved = np.maximum.accumulate(np.where(event > 0, np.arange(event.size), 0))
     at = np.flatnonzero(event[1:] >= RESTART) + 1
-    since = flowed[at] - flowed[np.maximum(saved[at - 1] - 1, 0)]
+    written = np.where(event[at] == UPDATED, at, saved[at - 1])  # an update writes first
+    since = flowed[at] - flowed[np.maximum(written - 1, 0)]
     grown = np.abs(error[at]) - np.abs(error[at - 1]) - since
     return float(np.max(np.where(np.isfinite(grown), grown, 1.0), initial=0.0))

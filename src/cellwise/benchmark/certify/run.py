@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cellwise.benchmark.certify.causes import own_causes
-from cellwise.benchmark.certify.certificate import BINS, Certificate, Limits
+from cellwise.benchmark.certify.certificate import Certificate, Limits, life_error
 from cellwise.benchmark.certify.export_restarts import run_restarted
 from cellwise.benchmark.certify.exported import Exported
 from cellwise.benchmark.certify.gauge import Gauge
@@ -191,16 +191,13 @@ def run_life(exported: Exported | Gauge, life: CertifiedLife, seed: int) -> dict
         **life.about,
         "soc0": float(life.soc[0]),
         "hours": float(log.duration_s / 3600.0),
-        "rows": int(scored.sum()),
-        "squares": float(np.sum(size**2)),
+        **life_error(size),
         "inside": float(np.mean(size <= 2.0 * std)) if np.any(np.isfinite(said.std)) else math.nan,
-        "worst": float(size.max()),
         "worst_h": float((log.time_s[worst] - log.time_s[0]) / 3600.0),
         "ends": int(ends.sum()),
         "ends_near": int(np.sum(np.abs(error[ends]) <= NEAR)),
-        "counts": np.histogram(np.minimum(size, BINS[-1]), BINS)[0].tolist(),
+        "restart_loss": said.restart_loss,
     }
-    row["restart_loss"] = said.restart_loss
     return {**row, "failure": said.problem} if isinstance(exported, Gauge) else row
 
 

@@ -1,6 +1,8 @@
 #ifndef STUB_KERNEL_H
 #define STUB_KERNEL_H
 
+#include <stdint.h>
+
 struct k_mutex {
     int depth;
 };
@@ -18,6 +20,7 @@ struct k_work_delayable {
 static inline int k_mutex_init(struct k_mutex *m) { return m->depth = 0; }
 static inline int k_mutex_lock(struct k_mutex *m, int wait) { (void)wait; return m->depth++; }
 static inline int k_mutex_unlock(struct k_mutex *m) { return m->depth--; }
+uint32_t k_uptime_get_32(void);
 int k_work_schedule(struct k_work_delayable *work, int ms);
 
 #endif
