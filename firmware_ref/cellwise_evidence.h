@@ -81,17 +81,16 @@ typedef struct {
 } cellwise_shared;
 
 /* How many samples share one model error, `since` the first one: at least 1. An error of memory tau counts once in 2
- * tau (its spectral density at rest), so many `samples`. It is a sum of processes with memories of a second to half
- * an hour: the quick ones average out first, so the rest of a mean has an ever longer memory. Just after the first
- * it is `early / half`, and half way between after `half`. Evidence that stands `alone` (the first voltage at rest)
- * shares nothing. A repeated sample has no `period`: over zero. */
-static void shared_evidence(float samples, float early, float half, float since, float period, bool alone,
-                            cellwise_shared *shared)
+ * tau (its spectral density at rest): `c.shared`. It is a sum of processes with memories of a second to half an
+ * hour: the quick ones average out first, so the rest of a mean has an ever longer memory. Just after the first it
+ * is `shared_early / shared_half`, half way between after `shared_half`. Evidence that stands `alone` (the first
+ * voltage at rest) shares nothing. A repeated sample has no `period`: over zero. */
+static void shared_evidence(const cellwise_constants *c, float since, float period, bool alone, cellwise_shared *shared)
 {
-    shared->below = (since + half) * period;
+    shared->below = (since + c->shared_half) * period;
     shared->above = shared->below;
     if (!alone) {
-        shared->above = (samples * since) + early;
+        shared->above = (c->shared * since) + c->shared_early;
     }
 }
 

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_STATE_H
 #define CELLWISE_STATE_H
 
-#include "cellwise_covariance.h"
+#include "cellwise_weighing.h"
 
 /* CW-006. Every number in its range: memory that lost its content, or was never set, is noticed. */
 static bool is_sound(const cellwise_constants *c, const cellwise_state *x)

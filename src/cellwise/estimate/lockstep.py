@@ -35,7 +35,7 @@ from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import WIDE_VARIANCE
-from cellwise.estimate.evidence_kernels import gate
+from cellwise.estimate.evidence_kernels import gate, step_constants
 from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
 from cellwise.estimate.filters.filter_state import (
@@ -158,9 +158,10 @@ def plain_step(
         old.watch.evidence_s, drift, None, followed, 0,
     )
     # fmt: on
-    i, seen = innovate(tables, noise, None, s, now)
-    v = gate(cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
-    after, info = say(i, v, update(noise, None, s, now, seen, i, v), v.status)
+    i = innovate(tables, noise, None, s, now)
+    c = step_constants(cell, noise, dt_s)
+    v = gate(c, noise, old, s, now.evidence_s, point.r0_ohm, i)
+    after, info = say(i, v, update(c, noise, None, s, now, i, v), v.status)
     return after, info, v.accepted
 
 

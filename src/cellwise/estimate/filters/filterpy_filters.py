@@ -17,9 +17,13 @@ from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outs
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.cell.unrolled import CALLED
-from cellwise.estimate.equations.constants import REST_RATE
 from cellwise.estimate.equations.start import held_variance
-from cellwise.estimate.evidence_kernels import repeated_evidence, share_variance, variance_about
+from cellwise.estimate.evidence_kernels import (
+    constants_of,
+    repeated_evidence,
+    share_variance,
+    variance_about,
+)
 from cellwise.estimate.filters.kalman import STATES, FilterOfModel, SigmaPoints
 from cellwise.estimate.filters.predict_kernels import RESTED_V2, before_start, gap_variance
 from cellwise.estimate.noise import Noise
@@ -117,8 +121,8 @@ class FilterpyFilter(FilterOfModel):
             self.predict(kf, now._replace(slow_A=slow_A), after, diagonal)
             heat_K, slow_A = after.heat_K, after.slow_A
             one, status[k] = self.voltage_variance(kf.x, now)
-            resting = abs(seen) < REST_RATE * self.model.capacity_Ah
-            shared, below = repeated_evidence(noise, evidence, dt, resting)
+            constants = constants_of(self.cell.charge_As, noise, dt, 1.0)
+            shared, below = repeated_evidence(constants, noise, evidence, dt, seen)
             predicted[k], state_V2 = self.seen(kf, now)
             variance[k] = state_V2 + one
             if np.isfinite(voltage[k]):

@@ -23,7 +23,7 @@ from cellwise.cell.equations import scalar
 from cellwise.cell.simulate import check_soc0, check_soc0_std
 from cellwise.errors import InputError
 from cellwise.estimate.equations import bank as whole_bank
-from cellwise.estimate.equations import components, constants, evidence, offset, sensors
+from cellwise.estimate.equations import components, constants, evidence, offset, sensors, weighing
 from cellwise.estimate.equations import covariance as whole_covariance
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
@@ -76,6 +76,7 @@ STEP_MODULES = (
     components,
     offset,
     whole_covariance,
+    weighing,
     lookup,
     covariance,
     state,
@@ -179,6 +180,7 @@ def specialised(options: Options) -> dict[str, Any]:
                 **made,
                 "F": F,
                 "U": U,
+                "Count": U,
             }
             own = FunctionType(_single(f.__code__), scope, f.__name__)
             made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)
