@@ -57,6 +57,20 @@ static float voltage_variance(float error_V2, float share_variance, float held_V
     return error_V2 + ((share_variance * (held_V * held_V)) + (current_A2 * (r0_ohm * r0_ohm)));
 }
 
+/* By what share the resistances may be wrong under a current, squared. */
+static float share_of(const cellwise_constants *c, float current_A)
+{
+    return (current_A >= 0.0f) ? c->share_variance : c->charge_variance;
+}
+
+/* Of one measured voltage about a perfect state, under a current [V^2]. */
+static float single_variance(const cellwise_constants *c, float error_V2, float current_A, float held_V, float lost_A2,
+                             float r0_ohm)
+{
+    const float current_A2 = c->current_variance_A2 + lost_A2;
+    return voltage_variance(error_V2, share_of(c, current_A), held_V, current_A2, r0_ohm);
+}
+
 /* A variance as many times as innovations have lately shown beyond it. */
 static float as_shown(float variance, float mismatch)
 {

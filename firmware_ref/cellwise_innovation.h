@@ -134,9 +134,7 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     const float drop = p->r0_ohm * s->seen;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
-    const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float current_A2 = c->current_variance_A2 + s->unmeasured_A2;
-    innovation->one_V2 = voltage_variance(p->noise_V2, share, polarisation_V, current_A2, p->r0_ohm);
+    innovation->one_V2 = single_variance(c, p->noise_V2, s->seen, polarisation_V, s->unmeasured_A2, p->r0_ohm);
     const float beyond_V = extrapolated(c, x, s->seen, polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
     column_of(x, w->slope_V, p->m_V, &innovation->column);

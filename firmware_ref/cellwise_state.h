@@ -222,8 +222,7 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
                     float flow, float unmeasured_A2)
 {
-    const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float square_A2 = unknown_square(share, flow, unmeasured_A2);
+    const float square_A2 = unknown_square(share_of(c, flow), flow, unmeasured_A2);
     relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(flow));
     const float keep = 1.0f - rise;

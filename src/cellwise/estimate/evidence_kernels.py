@@ -22,8 +22,8 @@ from cellwise.estimate.equations.evidence import (
     Shared,
     error_variance,
     shared_evidence,
+    single_variance,
     stated_variance,
-    voltage_variance,
 )
 from cellwise.estimate.equations.weighing import Innovation, judge, weight_of
 from cellwise.estimate.noise import NoiseScalars
@@ -40,34 +40,11 @@ if TYPE_CHECKING:
 
 
 @inline
-def share_variance(noise: NoiseScalars, current_A: float) -> float:
-    """By what share the resistances may be wrong under a current, squared."""
-    share = noise.branch_share if current_A >= 0.0 else noise.charge_share
-    return share * share
-
-
-@inline
 def slow_variance(noise: NoiseScalars, fixed_V2: float, point: CellPoint) -> float:
     """Of one voltage, by what is fixed and the model's error at this SOC [V^2]."""
     slow = noise.error_scale * point.error_V
     ocv_soc2 = noise.ocv_soc * noise.ocv_soc
     return error_variance(fixed_V2, slow, ocv_soc2, point.ocv_slope_V)
-
-
-@inline
-def variance_about(
-    noise: NoiseScalars,
-    point: CellPoint,
-    r0_ohm: float,
-    seen_A: float,
-    lost_A: float,
-    branches_V: float,
-) -> float:
-    """Variance of one measured voltage about a perfect state [V^2]."""
-    error_V2 = slow_variance(noise, noise.voltage_V * noise.voltage_V, point)
-    held_V = abs(r0_ohm * seen_A) + branches_V
-    current_A2 = noise.current_A * noise.current_A + lost_A * lost_A
-    return voltage_variance(error_V2, share_variance(noise, seen_A), held_V, current_A2, r0_ohm)
 
 
 class StepConstants(NamedTuple):
@@ -91,6 +68,9 @@ class StepConstants(NamedTuple):
     persistent: float
     drift_soc: float
     contradicted_share: float
+    share_variance: float
+    charge_variance: float
+    current_variance_A2: float
     voltage_low_V: float
     voltage_high_V: float
 
@@ -122,6 +102,9 @@ def constants_of(
         noise.persistent,
         noise.offset_soc_per_s * unit_s,
         min(dt_s * (1.0 / CONTRADICTED_S), 1.0),
+        noise.branch_share * noise.branch_share,
+        noise.charge_share * noise.charge_share,
+        noise.current_A * noise.current_A,
         noise.voltage_low_V,
         noise.voltage_high_V,
     )
@@ -134,6 +117,21 @@ in_seconds = inline(constants_of)
 def step_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> StepConstants:
     """The constants of one step of a filter."""
     return in_seconds(cell.charge_As, noise, dt_s, 1.0)
+
+
+@inline
+def variance_about(
+    c: StepConstants,
+    noise: NoiseScalars,
+    point: CellPoint,
+    seen_A: float,
+    lost_A: float,
+    branches_V: float,
+) -> float:
+    """Variance of one measured voltage about a perfect state [V^2]."""
+    error_V2 = slow_variance(noise, noise.voltage_V * noise.voltage_V, point)
+    held_V = abs(point.r0_ohm * seen_A) + branches_V
+    return single_variance(c, error_V2, seen_A, held_V, lost_A * lost_A, point.r0_ohm)
 
 
 @inline

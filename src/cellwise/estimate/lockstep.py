@@ -149,7 +149,8 @@ def plain_step(
     t = transition(cell, point, flow_A, dt_s)
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
     over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
-    p = with_noise(decayed(old.p, t), noise, s, over, 0.0, tables.cell.charge_As)
+    c = step_constants(cell, noise, dt_s)
+    p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
     x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
@@ -158,8 +159,7 @@ def plain_step(
         old.watch.evidence_s, drift, None, followed, 0,
     )
     # fmt: on
-    i = innovate(tables, noise, None, s, now)
-    c = step_constants(cell, noise, dt_s)
+    i = innovate(c, tables, noise, None, s, now)
     v = gate(c, noise, old, s, now.evidence_s, point.r0_ohm, i)
     after, info = say(i, v, update(c, noise, None, s, now, i, v), v.status)
     return after, info, v.accepted

@@ -91,6 +91,21 @@ def voltage_variance(
 
 
 @inline
+def share_of(c: Constants, current_A: float) -> float:
+    """By what share the resistances may be wrong under a current, squared."""
+    return c.share_variance if current_A >= 0.0 else c.charge_variance  # type: ignore[no-any-return]
+
+
+@inline
+def single_variance(
+    c: Constants, error_V2: float, current_A: float, held_V: float, lost_A2: float, r0_ohm: float
+) -> float:
+    """Of one measured voltage about a perfect state, under a current [V^2]."""
+    current_A2 = c.current_variance_A2 + lost_A2
+    return voltage_variance(error_V2, share_of(c, current_A), held_V, current_A2, r0_ohm)
+
+
+@inline
 def as_shown(variance: float, mismatch: float) -> float:
     """A variance as many times as innovations have lately shown beyond it."""
     shown = variance

@@ -161,8 +161,8 @@ def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
     """A component over an interval: its status; ``out`` is what it has predicted."""
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
-    now = predict(m.tables, noise, m.sigma, None, m.start, old, None, s)
-    i = innovate(m.tables, noise, m.sigma, s, now)
+    now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, s)
+    i = innovate(m.constant, m.tables, noise, m.sigma, s, now)
     if not (a.error_V2 > 0.0):
         a.error_V2 = i.one_V2
     used = use_in_bank(m, a, now.state, s, now, i)

@@ -31,6 +31,7 @@ from cellwise.estimate.equations.evidence import bent_variance
 from cellwise.estimate.equations.weighing import Innovation
 from cellwise.estimate.evidence_kernels import (
     GateResult,
+    StepConstants,
     gate,
     stated_deviation,
     step_constants,
@@ -74,6 +75,7 @@ from cellwise.estimate.status import CLAMPED, OUTSIDE, STATE_RESET
 
 @inline
 def predict(
+    c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
@@ -102,9 +104,9 @@ def predict(
     judged_A = 0.0 if now.status & OUTSIDE else counts * s.flow_A
     free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, judged_A, s.dt_s)
     if sigma is None:
-        x, p, at = by_tangents(tables, noise, s, now, p, state.watch.no_voltage_s)
+        x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
-        x, p, at = by_points(tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
+        x, p, at = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
     drop = drop_of(now.point, x, s.seen_A)
     x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
     status |= now.status
@@ -117,6 +119,7 @@ def predict(
 
 @inline
 def innovate(
+    c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
@@ -126,7 +129,7 @@ def innovate(
     """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
     branches = held_in_branches(x)
-    one = variance_about(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
+    one = variance_about(c, noise, point, s.seen_A, s.lost_A, branches)
     if sigma is None:
         d = column_of(now.p, at.slope_V, point.m_V)
         variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
@@ -184,9 +187,9 @@ def filter_step(
 ) -> tuple[EkfState, Free | None, EkfInfo]:
     """Over the interval that ends now, then the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
-    now = predict(tables, noise, sigma, rules, start, state, free, s)
-    i = innovate(tables, noise, sigma, s, now)
-    c = step_constants(tables.cell, noise, s.dt_s)
+    c = step_constants(tables.cell, noise, reading.dt_s)
+    now = predict(c, tables, noise, sigma, rules, start, state, free, s)
+    i = innovate(c, tables, noise, sigma, s, now)
     v = gate(c, noise, now.state, s, now.evidence_s, now.point.r0_ohm, i)
     e = update(c, noise, rules, s, now, i, v) if v.accepted else counted(now)
     after, info = say(i, v, e, s.status | now.status | v.status)

@@ -10,7 +10,7 @@ from cellwise.estimate.equations.evidence import (
     Shared,
     bent_variance,
     shared_evidence,
-    voltage_variance,
+    single_variance,
 )
 from cellwise.estimate.equations.offset import offset_after, rest_after
 from cellwise.estimate.equations.sensors import repeats_after, swings_after
@@ -146,9 +146,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
-    share = c.share_variance if s.seen >= 0.0 else c.charge_variance
-    current_A2 = c.current_variance_A2 + s.unmeasured_A2
-    one_V2 = voltage_variance(p.noise_V2, share, polarisation_V, current_A2, p.r0_ohm)
+    one_V2 = single_variance(c, p.noise_V2, s.seen, polarisation_V, s.unmeasured_A2, p.r0_ohm)
     if VALIDITY:
         beyond_V = extrapolated(c, x, s.seen, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
