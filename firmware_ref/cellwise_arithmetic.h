@@ -113,6 +113,19 @@ static bool is_same(float a, float b)
     return (a >= b) && (a <= b);
 }
 
+/* The unit in which a ratio over `y` goes on: 1, since a product costs more than it saves. */
+static float unit_of(float y)
+{
+    (void)y;
+    return 1.0f;
+}
+
+/* The ratio x / y in that unit. */
+static float in_units(float x, float y)
+{
+    return x / y;
+}
+
 /* From a at f = 0 to b at f = 1. */
 static float between(float a, float b, float f)
 {

@@ -5,131 +5,96 @@
 
 #include "cellwise_innovation.h"
 
-/* CW-008. A voltage beyond the gate, and what follows too long a time of them in a row. With CELLWISE_BANK the state
- * asks for a bank, which begins again over all of the SOC. */
-static uint32_t reject(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
+/* After too long a time of rejected voltages in a row: the SOC is open. With CELLWISE_BANK the state asks for a
+ * bank, which begins again over all of the SOC. */
+static void recover(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
 {
-    uint32_t status = CELLWISE_INNOVATION_REJECTED;
-    x->rejections = x->rejections + 1u;
-    if (x->rejections >= c->recovery_after) {
-        status = status | CELLWISE_GATE_RECOVERY;
-        x->rejections = 0u;
-        x->mismatch = 1.0f;
-        x->contradicted = 0.0f;
-        x->persistent = 0.0f;
-        x->in_bank = CONTRADICTED;
-        x->evidence = FIRST_VOLTAGE;
-        open_up(c, x, p, seen);
-        forget_offset(x);
-    }
-    return status;
+    x->contradicted = 0.0f;
+    x->persistent = 0.0f;
+    x->in_bank = CONTRADICTED;
+    x->evidence = FIRST_VOLTAGE;
+    open_up(c, x, p, seen);
+    forget_offset(x);
 }
 
 /* What the voltages say against the count. Beyond the model's data they confirm nothing. */
-static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_slopes *w,
-                       const cellwise_reading *s, float one_V2, float innovation)
+static void contradict(const cellwise_constants *c, cellwise_state *x, const cellwise_innovation *i, float innovation,
+                       uint32_t beyond)
 {
-    const float drift = c->drift_soc * (float)(x->evidence - FIRST_VOLTAGE);
-    const float now = contradicted_step(x->contradicted, innovation, w->slope_V, one_V2, drift, c->contradicted_share);
-    if (SIZE_WITHIN(now, 1.0f)) { /* a number */
-        uint32_t beyond = 0u;
-        if (magnitude(now) < magnitude(x->contradicted)) {
-            beyond = outside(c, x, s);
-        }
-        if (beyond == 0u) {
-            x->contradicted = now;
-        }
+    const float now = contradicted_after(c, x, i, innovation, steps_of_evidence(x));
+    const bool confirms = (beyond != 0u) && (magnitude(now) < magnitude(x->contradicted));
+    if (SIZE_WITHIN(now, 1.0f) && !confirms) { /* a number */
+        x->contradicted = now;
     }
 }
 
 /* SOC error by a persistent error of the model, after a voltage with a gain. */
-static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float slope_V, float gain)
+static void persist(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
+                    const cellwise_innovation *i, float gain)
 {
-    const float error_V = persistent_V(c->persistent, p->noise_V2 - c->fixed_V2, x->mismatch);
-    float now = persistent_step(gain, slope_V, x->persistent, error_V);
+    float now = persistent_after(c, x, i, p->noise_V2 - c->fixed_V2, x->mismatch, gain);
     if (!SIZE_WITHIN(now, 1.0f)) {
         now = 1.0f;
     }
     x->persistent = now;
 }
 
-/* State and covariance after a voltage within the gate. What the innovations have lately shown beyond their variance
- * makes evidence weigh less. A first sample under load says more of the load than of the SOC. */
-static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
-                 const cellwise_reading *s, const cellwise_innovation *i, float innovation)
+/* State and covariance after a voltage, by one over the variance that weighs it. */
+static void fuse(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_innovation *i,
+                 float innovation, float inverse)
 {
-    cellwise_shared shared;
-    shared_by(c, x, s->seen, &shared);
-    const float weight = as_shown(i->one_V2 * shared.above, x->mismatch);
-    if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        const float inverse = inverse_weight(i->explained_V2, weight, shared.below);
-        cellwise_column k;
-        scaled(&i->column, inverse, &k);
-        move(x, &k, innovation);
-        narrow(x, &k, &i->column);
-        persist(c, x, p, w->slope_V, k.s);
-        if ((s->news == INTERVAL) && (x->evidence >= FIRST_VOLTAGE)) {
-            contradict(c, x, w, s, i->one_V2, innovation);
-        }
-        ask_for_offset(x, i, innovation, k.s, inverse);
-    }
-    x->rejections = 0u;
+    cellwise_column k;
+    scaled(&i->column, inverse, &k);
+    move(x, &k, innovation);
+    narrow(x, &k, &i->column);
+    persist(c, x, p, i, k.s);
+    ask_for_offset(x, i, innovation, k.s, inverse);
+}
+
+/* A voltage has been used. */
+static void begin_evidence(cellwise_state *x)
+{
     if (x->evidence < FIRST_VOLTAGE) {
         x->evidence = FIRST_VOLTAGE;
     }
 }
 
-/* A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass. The variance of a
- * voltage is that of the likeliest component, for all: one whose tables state a larger error must not explain
- * everything. */
-static void use_in_bank(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                        const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
-                        float innovation)
-{
-    if (!(x->error_V2 > 0.0f)) {
-        x->error_V2 = i->one_V2;
-    }
-    cellwise_shared shared;
-    shared_by(c, x, s->seen, &shared);
-    const float weight = as_shown(x->error_V2 * shared.above, x->mismatch);
-    if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
-        const float share = evidence_share(c->fades, c->stays, c->shared, steps_of_evidence(x));
-        cellwise_componentupdate used;
-        component_update(innovation, i->variance_V2, c->gate_square, i->explained_V2, weight, shared.below, share,
-                         &used);
-        x->cost = x->cost + used.cost;
-        cellwise_column k;
-        scaled(&i->column, used.inverse, &k);
-        move(x, &k, used.off_V);
-        narrow(x, &k, &i->column);
-        persist(c, x, p, w->slope_V, k.s);
-        ask_for_offset(x, i, used.off_V, k.s, used.inverse);
-    }
-    if (x->evidence < FIRST_VOLTAGE) {
-        x->evidence = FIRST_VOLTAGE;
-    }
-}
-
-/* A voltage that is looked at: rejected, or used. */
+/* A voltage that is looked at: rejected, or used. A first sample under load says more of the load than of the SOC. */
 static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                      const cellwise_slopes *w, const cellwise_reading *s, const cellwise_innovation *i,
-                      float innovation)
+                      const cellwise_reading *s, const cellwise_innovation *i, float innovation, uint32_t beyond)
 {
-    const float square = innovation * innovation;
-    const float most = c->gate_square * i->variance_V2;
     uint32_t status = 0u;
     if (x->in_bank == COMPONENT) {
-        use_in_bank(c, x, p, w, s, i, innovation);
-    } else {
-        if (s->news == INTERVAL) {
-            const float own_V2 = i->explained_V2 + i->one_V2;
-            const float ratio = at_most(square / own_V2, c->mismatch_cap);
-            x->mismatch = lately_shown(x->mismatch, ratio, c->lately);
+        if (!(x->error_V2 > 0.0f)) {
+            x->error_V2 = i->one_V2;
         }
-        if (POSITIVE_ABOVE(square, most)) {
-            status = reject(c, x, p, s->seen);
-        } else {
-            fuse(c, x, p, w, s, i, innovation);
+        cellwise_shared shared;
+        shared_by(c, x, s->seen, &shared);
+        if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+            cellwise_componentupdate used;
+            judge_component(c, x, i, innovation, steps_of_evidence(x), &shared, &used);
+            x->cost = x->cost + used.cost;
+            fuse(c, x, p, i, used.off_V, used.inverse);
+        }
+        begin_evidence(x);
+    } else {
+        const float lately = (s->news == INTERVAL) ? c->lately : 0.0f;
+        cellwise_verdict v;
+        judge(c, x, i, innovation, lately, 1u, &v);
+        status = v.status;
+        x->rejections = v.rejections;
+        x->mismatch = v.mismatch;
+        if (v.accepted) {
+            cellwise_shared shared;
+            shared_by(c, x, s->seen, &shared);
+            if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
+                fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, &shared));
+                contradict(c, x, i, innovation, beyond);
+            }
+            begin_evidence(x);
+        } else if (v.recovers) {
+            recover(c, x, p, s->seen);
+        } else { /* as before */
         }
     }
     return status;
@@ -137,7 +102,8 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
 
 /* CW-002. Predicted voltage, innovation, and what follows from it. */
 static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p,
-                        const cellwise_slopes *w, const cellwise_reading *s, float voltage, cellwise_output *out)
+                        const cellwise_slopes *w, const cellwise_reading *s, float voltage, uint32_t beyond,
+                        cellwise_output *out)
 {
     uint32_t status = 0u;
     uint32_t away = x->no_voltage;
@@ -161,7 +127,7 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
                 away = 0u;
             }
             if (status == 0u) {
-                status = weigh(c, x, p, w, s, &i, innovation);
+                status = weigh(c, x, p, s, &i, innovation, beyond);
             }
         }
     }

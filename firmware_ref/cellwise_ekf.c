@@ -13,6 +13,7 @@
 #include "cellwise_place.h"
 #include "cellwise_lookup.h"
 #include "cellwise_covariance.h"
+#include "cellwise_weighing.h"
 #include "cellwise_state.h"
 #include "cellwise_sensing.h"
 #include "cellwise_innovation.h"

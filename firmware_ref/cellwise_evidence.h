@@ -57,6 +57,20 @@ static float voltage_variance(float error_V2, float share_variance, float held_V
     return error_V2 + ((share_variance * (held_V * held_V)) + (current_A2 * (r0_ohm * r0_ohm)));
 }
 
+/* By what share the resistances may be wrong under a current, squared. */
+static float share_of(const cellwise_constants *c, float current_A)
+{
+    return (current_A >= 0.0f) ? c->share_variance : c->charge_variance;
+}
+
+/* Of one measured voltage about a perfect state, under a current [V^2]. */
+static float single_variance(const cellwise_constants *c, float error_V2, float current_A, float held_V, float lost_A2,
+                             float r0_ohm)
+{
+    const float current_A2 = c->current_variance_A2 + lost_A2;
+    return voltage_variance(error_V2, share_of(c, current_A), held_V, current_A2, r0_ohm);
+}
+
 /* A variance as many times as innovations have lately shown beyond it. */
 static float as_shown(float variance, float mismatch)
 {
@@ -81,17 +95,16 @@ typedef struct {
 } cellwise_shared;
 
 /* How many samples share one model error, `since` the first one: at least 1. An error of memory tau counts once in 2
- * tau (its spectral density at rest), so many `samples`. It is a sum of processes with memories of a second to half
- * an hour: the quick ones average out first, so the rest of a mean has an ever longer memory. Just after the first
- * it is `early / half`, and half way between after `half`. Evidence that stands `alone` (the first voltage at rest)
- * shares nothing. A repeated sample has no `period`: over zero. */
-static void shared_evidence(float samples, float early, float half, float since, float period, bool alone,
-                            cellwise_shared *shared)
+ * tau (its spectral density at rest): `c.shared`. It is a sum of processes with memories of a second to half an
+ * hour: the quick ones average out first, so the rest of a mean has an ever longer memory. Just after the first it
+ * is `shared_early / shared_half`, half way between after `shared_half`. Evidence that stands `alone` (the first
+ * voltage at rest) shares nothing. A repeated sample has no `period`: over zero. */
+static void shared_evidence(const cellwise_constants *c, float since, float period, bool alone, cellwise_shared *shared)
 {
-    shared->below = (since + half) * period;
+    shared->below = (since + c->shared_half) * period;
     shared->above = shared->below;
     if (!alone) {
-        shared->above = (samples * since) + early;
+        shared->above = (c->shared * since) + c->shared_early;
     }
 }
 

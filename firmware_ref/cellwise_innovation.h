@@ -12,21 +12,6 @@ static float voltage_of(const cellwise_state *x, const cellwise_point *p, float 
     return voltage;
 }
 
-/* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
- * `explained_V2` what the state and `one_V2` what the voltage brings to it; `polarisation_V` how much of the voltage
- * is current's doing. One deviation of an offset moves the voltage by `of_offset_V`, all that is believed of it has
- * moved it by `followed_V`. */
-typedef struct {
-    float voltage_V;
-    float variance_V2;
-    float explained_V2;
-    float one_V2;
-    float polarisation_V;
-    float of_offset_V;
-    float followed_V;
-    cellwise_column column;
-} cellwise_innovation;
-
 /* CW-010. How often the voltage has gone up and down under a current that repeats itself. */
 static void watch_current(const cellwise_constants *c, cellwise_state *x, float voltage)
 {
@@ -61,9 +46,8 @@ static float steps_of_evidence(const cellwise_state *x)
 /* How many samples share one model error; the first voltage at rest stands alone. */
 static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen, cellwise_shared *shared)
 {
-    const float since = steps_of_evidence(x);
     const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(seen, c->rest_A);
-    shared_evidence(c->shared, c->shared_early, c->shared_half, since, 1.0f, alone, shared);
+    shared_evidence(c, steps_of_evidence(x), 1.0f, alone, shared);
 }
 
 /* CW-018. Whether SOC, current or temperature is beyond the model's data: CELLWISE_OUTSIDE, or 0. */
@@ -148,15 +132,14 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
                      const cellwise_slopes *w, const cellwise_reading *s, cellwise_innovation *innovation)
 {
     const float drop = p->r0_ohm * s->seen;
-    innovation->polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
+    const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
-    const float share = (s->seen >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float current_A2 = c->current_variance_A2 + s->unmeasured_A2;
-    innovation->one_V2 = voltage_variance(p->noise_V2, share, innovation->polarisation_V, current_A2, p->r0_ohm);
-    const float beyond_V = extrapolated(c, x, s->seen, innovation->polarisation_V);
+    innovation->one_V2 = single_variance(c, p->noise_V2, s->seen, polarisation_V, s->unmeasured_A2, p->r0_ohm);
+    const float beyond_V = extrapolated(c, x, s->seen, polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
     column_of(x, w->slope_V, p->m_V, &innovation->column);
-    innovation->explained_V2 = bent_variance(explained(&innovation->column, w->slope_V, p->m_V), w->bend_V);
+    innovation->explained_V2 = explained(&innovation->column, w->slope_V, p->m_V);
+    innovation->explained_V2 = bent_variance(innovation->explained_V2, w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
     innovation->of_offset_V = 0.0f;
     innovation->followed_V = 0.0f;
@@ -167,6 +150,7 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->voltage_V = innovation->voltage_V + (x->believed * dropped_V);
     innovation->variance_V2 = innovation->variance_V2 +
         ((innovation->of_offset_V * innovation->of_offset_V) * x->unsure);
+    innovation->slope_V = w->slope_V;
 }
 
 #endif

@@ -94,8 +94,7 @@ static NOINLINE void go_on(const cellwise_model *m, const cellwise_place *place,
     along->voltage_V = along->voltage_V + (p.m_V * along->h);
     const float spread_V = p.m_V * keep;
     along->kept_V2 = along->kept_V2 + ((spread_V * spread_V) * x->phh);
-    const float share = (current >= 0.0f) ? c->share_variance : c->charge_variance;
-    along->variance_V2 = voltage_variance(p.noise_V2, share, held_V, c->current_variance_A2, p.r0_ohm);
+    along->variance_V2 = single_variance(c, p.noise_V2, current, held_V, 0.0f, p.r0_ohm);
     const float beyond_V = extrapolated(c, x, current, held_V);
     along->variance_V2 = along->variance_V2 + (beyond_V * beyond_V);
     if (POSITIVE_ABOVE(x->mismatch, 1.0f)) {

@@ -3,7 +3,7 @@
 #ifndef CELLWISE_STATE_H
 #define CELLWISE_STATE_H
 
-#include "cellwise_covariance.h"
+#include "cellwise_weighing.h"
 
 /* CW-006. Every number in its range: memory that lost its content, or was never set, is noticed. */
 static bool is_sound(const cellwise_constants *c, const cellwise_state *x)
@@ -222,8 +222,7 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
                     float flow, float unmeasured_A2)
 {
-    const float share = (flow >= 0.0f) ? c->share_variance : c->charge_variance;
-    const float square_A2 = unknown_square(share, flow, unmeasured_A2);
+    const float square_A2 = unknown_square(share_of(c, flow), flow, unmeasured_A2);
     relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
     const float rise = risen(c->hysteresis_per_A * magnitude(flow));
     const float keep = 1.0f - rise;

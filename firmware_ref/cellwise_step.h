@@ -63,7 +63,7 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         count_offset(c, x, &p, &s, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &s);
-    status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, out);
+    status = charge.status | correct(c, x, &p, &w, &s, sample->voltage_V, beyond, out);
     status = status | finish(x, &s, charge.missing, sample->sequence, out);
     status = status | beyond;
     out->status = status;

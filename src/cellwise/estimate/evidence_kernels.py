@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations.scalar import at_most
+from cellwise.cell.equations.double import size_below
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.estimate.equations.constants import (
+    BANK_RATE,
     CONTRADICTED_S,
     COUNT_ROUNDING,
+    LEAST_USE_RATE,
+    LOOK_S,
+    PAST_RATE,
+    PERSISTENT_MOST,
     REST_RATE,
 )
 from cellwise.estimate.equations.evidence import (
     Shared,
-    contradicted_step,
     error_variance,
-    inverse_weight,
-    lately_shown,
-    persistent_V,
     shared_evidence,
+    single_variance,
     stated_variance,
-    voltage_variance,
 )
+from cellwise.estimate.equations.weighing import Innovation, judge, weight_of
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     CheckedReading,
@@ -31,19 +33,10 @@ from cellwise.estimate.sensing_kernels import (
     watch_on,
     watch_voltage,
 )
-from cellwise.estimate.status import (
-    GATE_RECOVERY,
-    INNOVATION_REJECTED,
-    VOLTAGE_FROZEN,
-    VOLTAGE_INVALID,
-)
+from cellwise.estimate.status import VOLTAGE_FROZEN, VOLTAGE_INVALID
 
-
-@inline
-def share_variance(noise: NoiseScalars, current_A: float) -> float:
-    """By what share the resistances may be wrong under a current, squared."""
-    share = noise.branch_share if current_A >= 0.0 else noise.charge_share
-    return share * share
+if TYPE_CHECKING:
+    from cellwise.estimate.filters.filter_state import EkfState
 
 
 @inline
@@ -54,71 +47,105 @@ def slow_variance(noise: NoiseScalars, fixed_V2: float, point: CellPoint) -> flo
     return error_variance(fixed_V2, slow, ocv_soc2, point.ocv_slope_V)
 
 
+class StepConstants(NamedTuple):
+    """What a step of one length reads of cell and noise; fields as of the fixed step."""
+
+    rest_A: float
+    bank_A: float
+    past_A: float
+    least_use_A: float
+    soc_per_A: float
+    look_steps: float
+    gate_square: float
+    recovery_after: float
+    mismatch_cap: float
+    lately: float
+    shared: float
+    shared_early: float
+    shared_half: float
+    fades: float
+    stays: float
+    persistent: float
+    drift_soc: float
+    contradicted_share: float
+    share_variance: float
+    charge_variance: float
+    current_variance_A2: float
+    voltage_low_V: float
+    voltage_high_V: float
+
+
+def constants_of(
+    charge_As: float, noise: NoiseScalars, dt_s: float, unit_s: float
+) -> StepConstants:
+    """The constants of a step of ``dt_s``, time in units of ``unit_s``: seconds, or steps."""
+    rate_A = charge_As * (1.0 / 3600.0)
+    adapts = noise.mismatch_cap > 0.0 and noise.slow_s > 0.0
+    shared_s = max(2.0 * noise.slow_s, max(dt_s, 1e-9))
+    stays = min(noise.persistent * noise.persistent, PERSISTENT_MOST) if noise.slow_s > 0.0 else 0.0
+    return StepConstants(
+        REST_RATE * rate_A,
+        BANK_RATE * rate_A,
+        PAST_RATE * rate_A,
+        LEAST_USE_RATE * rate_A,
+        unit_s / charge_As,
+        LOOK_S / unit_s,
+        noise.gate * noise.gate,
+        noise.recovery_after - COUNT_ROUNDING,
+        noise.mismatch_cap,
+        min(dt_s * noise.per_slow_s, 1.0) if adapts else 0.0,
+        shared_s / unit_s,
+        shared_s * noise.early_s / (unit_s * unit_s),
+        noise.half_s / unit_s,
+        (1.0 - stays) * (shared_s / unit_s),
+        stays,
+        noise.persistent,
+        noise.offset_soc_per_s * unit_s,
+        min(dt_s * (1.0 / CONTRADICTED_S), 1.0),
+        noise.branch_share * noise.branch_share,
+        noise.charge_share * noise.charge_share,
+        noise.current_A * noise.current_A,
+        noise.voltage_low_V,
+        noise.voltage_high_V,
+    )
+
+
+in_seconds = inline(constants_of)
+
+
+@inline
+def step_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> StepConstants:
+    """The constants of one step of a filter."""
+    return in_seconds(cell.charge_As, noise, dt_s, 1.0)
+
+
 @inline
 def variance_about(
+    c: StepConstants,
     noise: NoiseScalars,
     point: CellPoint,
-    r0_ohm: float,
     seen_A: float,
     lost_A: float,
     branches_V: float,
 ) -> float:
     """Variance of one measured voltage about a perfect state [V^2]."""
     error_V2 = slow_variance(noise, noise.voltage_V * noise.voltage_V, point)
-    held_V = abs(r0_ohm * seen_A) + branches_V
-    current_A2 = noise.current_A * noise.current_A + lost_A * lost_A
-    return voltage_variance(error_V2, share_variance(noise, seen_A), held_V, current_A2, r0_ohm)
+    held_V = abs(point.r0_ohm * seen_A) + branches_V
+    return single_variance(c, error_V2, seen_A, held_V, lost_A * lost_A, point.r0_ohm)
 
 
 @inline
-def repeated_evidence(noise: NoiseScalars, evidence_s: float, dt_s: float, resting: bool) -> Shared:
-    """How many samples share one model error ``evidence_s`` after the first one."""
-    alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and resting)
-    since_s, period_s = max(evidence_s, 0.0), dt_s
-    if alone:  # the first row of a log has no interval
-        period_s = 1.0
-    shared_s = 2.0 * noise.slow_s
-    # A sample shares its error with itself at least: where intervals are long that rules.
-    one_s2 = (since_s + noise.half_s) * dt_s - shared_s * since_s
-    early_s2 = max(shared_s * noise.early_s, one_s2)
-    return shared_evidence(shared_s, early_s2, noise.half_s, since_s, period_s, alone)
+def repeated_evidence(
+    c: StepConstants, noise: NoiseScalars, evidence_s: float, dt_s: float, seen_A: float
+) -> Shared:
+    """How many samples share one model error ``evidence_s`` after the first one.
 
-
-@inline
-def mismatch_step(
-    noise: NoiseScalars, mismatch: float, square: float, variance: float, dt_s: float
-) -> float:
-    """The mismatch after an innovation, times its variance.
-
-    The division by it is left to the caller, who does not wait for it.
+    A sample shares its error with itself at least: where intervals are long that rules.
     """
-    if noise.mismatch_cap <= 0.0 or noise.slow_s <= 0.0:
-        return mismatch * variance
-    lately = min(dt_s * noise.per_slow_s, 1.0)
-    counted = at_most(square, noise.mismatch_cap * variance)  # one counts for so much at most
-    return lately_shown(mismatch * variance, counted, lately)
-
-
-@inline
-def lasting_V(noise: NoiseScalars, point: CellPoint, mismatch: float) -> float:
-    """Persistent model error, one deviation [V]."""
-    return persistent_V(noise.persistent, slow_variance(noise, 0.0, point), mismatch)
-
-
-@inline
-def contradicted_after(
-    noise: NoiseScalars,
-    contradicted: float,
-    innovation_V: float,
-    slope_V: float,
-    one: float,
-    since_s: float,
-    dt_s: float,
-) -> float:
-    """SOC that the voltages say is missing, were the current off by ``offset_share``."""
-    drift = noise.offset_soc_per_s * max(since_s, 0.0)
-    lately = min(dt_s * (1.0 / CONTRADICTED_S), 1.0)
-    return contradicted_step(contradicted, innovation_V, slope_V, one, drift, lately)
+    alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and size_below(seen_A, c.rest_A))
+    # The first row of a log has no interval.
+    shared = shared_evidence(c, max(evidence_s, 0.0), 1.0 if alone else dt_s, alone)
+    return Shared(max(shared.above, shared.below), shared.below)
 
 
 @inline
@@ -129,37 +156,16 @@ def stated_deviation(
     return math.sqrt(stated_variance(soc_variance, mismatch, persistent, contradicted))
 
 
-class InnovationSources(NamedTuple):
-    """Measured minus predicted voltage, and what it may be due to.
-
-    ``state_variance`` is what the state's uncertainty explains of it, ``one`` the variance of a
-    single voltage, ``free_variance`` what an offset or a capacity that is not known explains;
-    ``branches_V`` what the branches hold in absolute value. One deviation of the offset moves the
-    voltage by ``of_offset_V``, all that is believed has moved it by ``followed_V``.
-    """
-
-    predicted_V: float
-    innovation_V: float
-    state_variance: float
-    one: float
-    free_variance: float
-    r0_ohm: float
-    branches_V: float
-    of_offset_V: float
-    followed_V: float
-
-
 class GateResult(NamedTuple):
     """What becomes of a voltage.
 
-    ``inverse`` is one over the variance that weighs it; a rejected one only moves the counts.
+    ``inverse`` is one over the variance that weighs it where it is accepted.
     """
 
     accepted: bool
     used: bool
     inverse: float
     innovation_V: float
-    variance: float
     ratio: float
     rejections: float
     mismatch: float
@@ -169,60 +175,43 @@ class GateResult(NamedTuple):
 
 @inline
 def gate(
-    cell: CellScalars,
+    c: StepConstants,
     noise: NoiseScalars,
-    watch: SensorMonitor,
+    old: EkfState,
     s: CheckedReading,
     evidence_s: float,
-    rejections: float,
-    mismatch: float,
-    i: InnovationSources,
+    r0_ohm: float,
+    i: Innovation,
 ) -> GateResult:
-    """Gate, count, and weigh one innovation."""
-    status = 0
-    innovation_V = i.innovation_V
-    variance = i.state_variance + (i.one + i.free_variance)
-    square = innovation_V * innovation_V
-    ratio = square / variance * noise.per_gate2
-    own = i.state_variance + i.one
-    last, swings, frozen = watch_voltage(noise, watch, s, innovation_V, i.r0_ohm)
-    status |= frozen
+    """Gate, count, and weigh the voltage of one sample, if there is one that can be used."""
+    innovation_V = s.voltage_V - i.voltage_V
+    ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
+    last, swings, status = watch_voltage(noise, old.watch, s, innovation_V, r0_ohm)
     used = False
     accepted = False
-    inverse = 0.0
-    resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
+    inverse, rejections, mismatch = 0.0, old.rejections, old.mismatch
     if not math.isfinite(innovation_V):
         status |= VOLTAGE_INVALID
         innovation_V = math.nan
         ratio = math.nan
     elif status & VOLTAGE_FROZEN == 0:
         used = True
-        off = mismatch_step(noise, mismatch, square, own, s.dt_s)
-        mismatch = off / own
-        if ratio > 1.0:
-            status |= INNOVATION_REJECTED
-            # Ten samples a second repeat one error: each counts for its time, at most for one.
-            rejections += min(s.dt_s, 1.0)
-            if rejections >= noise.recovery_after - COUNT_ROUNDING:
-                status |= GATE_RECOVERY
-                rejections = 0.0
-                mismatch = 1.0
-                evidence_s = 0.0
-        else:
-            accepted = True
-            rejections = 0.0
-            # Both times the innovation's variance: of the mismatch without its division.
-            shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-            weight = i.one * max(off, own) * shared.above
-            inverse = inverse_weight(i.state_variance, weight, own * shared.below)
+        # Ten samples a second repeat one error: each counts for its time, at most for one.
+        v = judge(c, old, i, innovation_V, c.lately, min(s.dt_s, 1.0))
+        status |= v.status
+        accepted, rejections, mismatch = v.accepted, v.rejections, v.mismatch
+        if accepted:
+            shared = repeated_evidence(c, noise, evidence_s, s.dt_s, s.seen_A)
+            inverse = weight_of(i, v.shown, v.unit, shared)
             evidence_s = max(evidence_s, 0.0)
+        elif v.recovers:
+            evidence_s = 0.0
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
-    after, away = watch_on(noise, s, used, evidence_s, watch.no_voltage_s, last, swings)
+    after, away = watch_on(noise, s, used, evidence_s, old.watch.no_voltage_s, last, swings)
     status |= away
     # fmt: off
     return GateResult(
-        accepted, used, inverse, innovation_V, variance, ratio, rejections,
-        mismatch, after, status,
+        accepted, used, inverse, innovation_V, ratio, rejections, mismatch, after, status
     )
     # fmt: on

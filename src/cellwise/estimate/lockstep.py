@@ -35,7 +35,7 @@ from cellwise.cell.plausibility.validity_kernels import is_outside
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import WIDE_VARIANCE
-from cellwise.estimate.evidence_kernels import gate
+from cellwise.estimate.evidence_kernels import gate, step_constants
 from cellwise.estimate.filters.bank_kernels import empty_bank, is_spread
 from cellwise.estimate.filters.covariance_kernels import decayed, no_branches
 from cellwise.estimate.filters.filter_state import (
@@ -149,7 +149,8 @@ def plain_step(
     t = transition(cell, point, flow_A, dt_s)
     end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
     over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
-    p = with_noise(decayed(old.p, t), noise, s, over, 0.0, tables.cell.charge_As)
+    c = step_constants(cell, noise, dt_s)
+    p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
     x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
@@ -158,9 +159,9 @@ def plain_step(
         old.watch.evidence_s, drift, None, followed, 0,
     )
     # fmt: on
-    i, seen = innovate(tables, noise, None, s, now)
-    v = gate(cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i)
-    after, info = say(i, v, update(noise, None, s, now, seen, i, v), v.status)
+    i = innovate(c, tables, noise, None, s, now)
+    v = gate(c, noise, old, s, now.evidence_s, point.r0_ohm, i)
+    after, info = say(i, v, update(c, noise, None, s, now, i, v), v.status)
     return after, info, v.accepted
 
 

@@ -15,7 +15,8 @@ from cellwise.estimate.fixed import layout
 from cellwise.printing.chosen import FLOATS, joined, note_of
 from cellwise.printing.text import WIDTH, broken, comment, float_literal
 
-SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "bool": "bool"}
+SCALARS = {**dict.fromkeys(FLOATS, "float"), "int": "uint32_t", "Count": "uint32_t", "bool": "bool"}
+WHOLE = ("U", "Count")  # conversions to a whole number
 ELEMENTS = {
     "States": "State",
     "Cells": "Cell",
@@ -317,7 +318,8 @@ class Function:
                 return fields.get(node.attr, "int")
             case ast.Call():
                 name = ast.unparse(node.func)
-                made = {"F": "float", "U": "int", "read": "float", "rise": "float", **BY_HAND}
+                floats = dict.fromkeys(("F", "read", "rise"), "float")
+                made = {**dict.fromkeys(WHOLE, "int"), **floats, **BY_HAND}
                 called = self._called(node)
                 return called.returns if called else made[name]
             case ast.BinOp():
@@ -381,7 +383,7 @@ class Function:
 
     def _unwrapped(self, node: ast.expr) -> ast.expr:
         """Without a conversion that C does not need."""
-        while isinstance(node, ast.Call) and ast.unparse(node.func) in ("F", "U"):
+        while isinstance(node, ast.Call) and ast.unparse(node.func) in ("F", *WHOLE):
             if (ast.unparse(node.func) == "F") != (self.type_of(node.args[0]) in FLOATS):
                 break
             node = node.args[0]
@@ -389,7 +391,7 @@ class Function:
 
     def _call(self, node: ast.Call) -> str:
         name = ast.unparse(node.func)
-        if name in ("F", "U"):
+        if name in ("F", *WHOLE):
             return f"({'float' if name == 'F' else 'uint32_t'}){self.expression(node.args[0])}"
         if name in ("read", "rise"):
             args = [self.program.columns.get(ast.unparse(a)) or self.bare(a) for a in node.args[2:]]

@@ -15,7 +15,7 @@ from cellwise.cell.model_error import ModelError
 from cellwise.cell.simulate import simulate
 from cellwise.errors import InputError
 from cellwise.estimate.equations.bank import know_past, know_past_better, left_by_load
-from cellwise.estimate.equations.components import past_of
+from cellwise.estimate.equations.components import evidence_share, past_of
 from cellwise.estimate.equations.constants import (
     LEAST_PAST_V2,
     LOOKS,
@@ -24,13 +24,12 @@ from cellwise.estimate.equations.constants import (
     START_BRANCH_V,
     TAIL,
 )
+from cellwise.estimate.evidence_kernels import constants_of, step_constants
 from cellwise.estimate.filters.bank_kernels import BANK_FIELDS, RECORD
 from cellwise.estimate.filters.component_kernels import (
     STATE,
     BankModel,
     ComponentPlace,
-    bank_constants,
-    new_share,
 )
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.kalman import BankState, Ekf, Ukf
@@ -71,7 +70,7 @@ def bank_model(model: CellModel) -> BankModel:
     """What the functions of a bank are handed, at one sample a second."""
     ekf, tables = Ekf(model), model.parameters()
     noise = ekf.noise.scalars(model)
-    constant = bank_constants(tables.cell, noise, 1.0)
+    constant = step_constants(tables.cell, noise, 1.0)
     return BankModel(constant, tables, noise, None, ekf.start(0.5))
 
 
@@ -262,8 +261,9 @@ def test_a_gap_ends_the_looks():
 def test_a_persistent_error_is_evidence_once(share):
     """Over any time no more than one error over its share; all of it while little is persistent."""
     noise = replace(Noise.of_model(linear()), lasting_share=share, slow_s=300.0).scalars()
+    c = constants_of(3600.0, noise, 1.0, 1.0)
     time_s, step_s = np.linspace(0.0, 400_000.0, 80_001, retstep=True)
-    new = np.array([new_share(noise, t) for t in time_s])
+    new = np.array([evidence_share(c.fades, c.stays, c.shared, t) for t in time_s])
     assert np.all(np.diff(new) <= 0.0)
     assert new[0] == 1.0
     errors = step_s * np.cumsum(new) / (2.0 * noise.slow_s)

@@ -7,9 +7,13 @@ from copy import deepcopy
 from pathlib import Path
 
 import pytest
+from benchmarks.example_cell import three_branches
 
 from cellwise.estimate.equations import constants
+from cellwise.estimate.evidence_kernels import constants_of
 from cellwise.estimate.fixed.stepper import FUNCTIONS, STEP_MODULES
+from cellwise.estimate.fixed.tables import fixed_step_tables
+from cellwise.estimate.noise import Noise
 from sources import tree_of
 
 ESTIMATE = Path(constants.__file__).parents[1]
@@ -181,3 +185,28 @@ def test_an_equation_under_other_names_is_found():
     assert text == "size * (near + (room - near) * (size * size))"
     again = "def f(w: float):\n    return w * (a.b + (c[0] - a.b) * (w * w))"
     assert equations_in(ast.parse(again)).keys() & equations_in(ast.parse(text)).keys()
+
+
+# What a target holds in whole steps, in its own range, or for intervals longer than the memory.
+OF_A_TARGET = {
+    *("recovery_after", "look_steps", "voltage_low_V", "voltage_high_V"),
+    *("shared_early", "shared_half"),
+}
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 1.0, 20.0])
+def test_what_a_step_of_a_period_reads_is_reckoned_once(dt_s):
+    """The filters' constants, time in steps: the fixed step has the same numbers."""
+    model = three_branches()
+    tables = fixed_step_tables(model, dt_s)
+    noise = Noise.of_model(model).scalars()
+    once = constants_of(3600.0 * model.capacity_Ah, noise, dt_s, dt_s)._asdict()
+    held = tables.constants[0]
+    there = once.keys() & set(held.dtype.names) - OF_A_TARGET
+    assert len(there) > 10
+    for name in there:
+        assert held[name] == pytest.approx(once[name], rel=1e-6), name
+    source = tree_of(ESTIMATE / "fixed" / "constants.py")
+    (step,) = [n for n in source.body if getattr(n, "name", "") == "step_constants"]
+    given = {n.value for n in ast.walk(step) if isinstance(n, ast.Constant)}
+    assert once.keys() & given == OF_A_TARGET

@@ -24,6 +24,18 @@ def positive_above(x: float, y: float) -> bool:
 
 
 @inline
+def unit_of(y: float) -> float:
+    """The unit in which a ratio over ``y`` goes on: ``y`` itself, so that nobody waits for it."""
+    return y
+
+
+@inline
+def in_units(x: float, y: float) -> float:
+    """The ratio x / y in that unit."""
+    return x
+
+
+@inline
 def root(square: float) -> float:
     """Square root."""
     return math.sqrt(square)

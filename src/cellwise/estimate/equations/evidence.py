@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from cellwise.cell.compiled import inline
 from cellwise.cell.equations.double import positive_above, root
 from cellwise.cell.equations.scalar import at_most, clip
 from cellwise.estimate.equations.constants import SQUARE_MOST
+
+Constants: TypeAlias = Any  # of one time step
 
 
 class Chord(NamedTuple):
@@ -89,6 +91,21 @@ def voltage_variance(
 
 
 @inline
+def share_of(c: Constants, current_A: float) -> float:
+    """By what share the resistances may be wrong under a current, squared."""
+    return c.share_variance if current_A >= 0.0 else c.charge_variance  # type: ignore[no-any-return]
+
+
+@inline
+def single_variance(
+    c: Constants, error_V2: float, current_A: float, held_V: float, lost_A2: float, r0_ohm: float
+) -> float:
+    """Of one measured voltage about a perfect state, under a current [V^2]."""
+    current_A2 = c.current_variance_A2 + lost_A2
+    return voltage_variance(error_V2, share_of(c, current_A), held_V, current_A2, r0_ohm)
+
+
+@inline
 def as_shown(variance: float, mismatch: float) -> float:
     """A variance as many times as innovations have lately shown beyond it."""
     shown = variance
@@ -115,21 +132,19 @@ class Shared(NamedTuple):
 
 
 @inline
-def shared_evidence(
-    samples: float, early: float, half: float, since: float, period: float, alone: bool
-) -> Shared:
+def shared_evidence(c: Constants, since: float, period: float, alone: bool) -> Shared:
     """How many samples share one model error, ``since`` the first one: at least 1.
 
-    An error of memory tau counts once in 2 tau (its spectral density at rest), so many ``samples``.
-    It is a sum of processes with memories of a second to half an hour: the quick ones average out
-    first, so the rest of a mean has an ever longer memory. Just after the first it is
-    ``early / half``, and half way between after ``half``. Evidence that stands ``alone`` (the first
+    An error of memory tau counts once in 2 tau (its spectral density at rest): ``c.shared``. It is
+    a sum of processes with memories of a second to half an hour: the quick ones average out first,
+    so the rest of a mean has an ever longer memory. Just after the first it is ``shared_early /
+    shared_half``, half way between after ``shared_half``. Evidence that stands ``alone`` (the first
     voltage at rest) shares nothing. A repeated sample has no ``period``: over zero.
     """
-    below = (since + half) * period
+    below = (since + c.shared_half) * period
     above = below
     if not alone:
-        above = (samples * since) + early
+        above = (c.shared * since) + c.shared_early
     return Shared(above, below)
 
 

@@ -22,8 +22,8 @@ from cellwise.estimate.equations.constants import (
     SPREAD_VARIANCE,
 )
 from cellwise.estimate.equations.start import held_variance
-from cellwise.estimate.evidence_kernels import stated_deviation
-from cellwise.estimate.filters.component_kernels import STATE, BankModel, bank_constants
+from cellwise.estimate.evidence_kernels import stated_deviation, step_constants
+from cellwise.estimate.filters.component_kernels import STATE, BankModel
 from cellwise.estimate.filters.covariance_kernels import Branches, uncorrelated
 from cellwise.estimate.filters.filter_state import EkfInfo, EkfStart, EkfState
 from cellwise.estimate.filters.offset_kernels import drift_variance, no_drift
@@ -136,7 +136,7 @@ def step_bank(
     b, of = records_in(BANK, bank)[RECORD], records_in(STATE, bank)
     likeliest = state_in(bank, int(b.likeliest))
     s = read_sample(tables, noise, likeliest.watch, start.temperature_C, reading)
-    m = BankModel(bank_constants(tables.cell, noise, s.dt_s), tables, noise, sigma, start)
+    m = BankModel(step_constants(tables.cell, noise, s.dt_s), tables, noise, sigma, start)
     status = step_spread(m, b, of, count_of(bank), s, b, s.dt_s, s.gap)
     now = state_in(bank, 0)
     known = now.p.ss + drift_variance(now.drift)

@@ -14,19 +14,10 @@ from cellwise.cell.compiled import inline, part
 from cellwise.cell.equations import CellState, CellTables, loaded
 from cellwise.cell.equations.scalar import clip
 from cellwise.cell.packed import names_of, place_of, put_record, record_at
-from cellwise.cell.point_kernels import CellScalars
-from cellwise.estimate.equations.components import SlowBranch, component_update, evidence_share
-from cellwise.estimate.equations.constants import (
-    BANK_RATE,
-    LEAST_USE_RATE,
-    LOOK_S,
-    PAST_RATE,
-    PERSISTENT_MOST,
-    REST_RATE,
-)
+from cellwise.estimate.equations.components import SlowBranch
 from cellwise.estimate.equations.covariance import Column
-from cellwise.estimate.equations.evidence import as_shown
-from cellwise.estimate.evidence_kernels import GateResult, InnovationSources, repeated_evidence
+from cellwise.estimate.equations.weighing import Innovation, judge_component
+from cellwise.estimate.evidence_kernels import GateResult, StepConstants, repeated_evidence
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
     corrected,
@@ -35,7 +26,7 @@ from cellwise.estimate.filters.covariance_kernels import (
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import innovate, predict, say
-from cellwise.estimate.filters.update_kernels import counted, update
+from cellwise.estimate.filters.update_kernels import Predicted, counted, update
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NOT_BEGUN_S,
@@ -54,50 +45,14 @@ State: TypeAlias = Any  # one such record
 Out: TypeAlias = Any
 
 
-class BankConstants(NamedTuple):
-    """What a bank reads of cell and noise, for one interval; fields as of the fixed step."""
-
-    rest_A: float
-    bank_A: float
-    past_A: float
-    least_use_A: float
-    soc_per_A: float
-    look_steps: float
-    gate_square: float
-    mismatch_cap: float
-    lately: float
-    voltage_low_V: float
-    voltage_high_V: float
-
-
 class BankModel(NamedTuple):
     """What the components of a bank are steps of."""
 
-    constant: BankConstants
+    constant: StepConstants
     tables: CellTables
     noise: NoiseScalars
     sigma: SigmaScalars | None
     start: EkfStart
-
-
-@inline
-def bank_constants(cell: CellScalars, noise: NoiseScalars, dt_s: float) -> BankConstants:
-    """Rates as currents, times in seconds."""
-    rate_A = cell.charge_As / 3600.0
-    adapts = noise.mismatch_cap > 0.0 and noise.slow_s > 0.0
-    return BankConstants(
-        REST_RATE * rate_A,
-        BANK_RATE * rate_A,
-        PAST_RATE * rate_A,
-        LEAST_USE_RATE * rate_A,
-        1.0 / cell.charge_As,
-        LOOK_S,
-        noise.gate * noise.gate,
-        noise.mismatch_cap,
-        min(dt_s * noise.per_slow_s, 1.0) if adapts else 0.0,
-        noise.voltage_low_V,
-        noise.voltage_high_V,
-    )
 
 
 class ComponentPlace(NamedTuple):
@@ -171,46 +126,22 @@ class Seen(NamedTuple):
 
 
 @inline
-def new_share(noise: NoiseScalars, since_s: float) -> float:
-    """How much of a voltage's evidence is new, ``since_s`` after the first."""
-    if noise.slow_s <= 0.0:
-        return 1.0
-    stays = min(noise.persistent * noise.persistent, PERSISTENT_MOST)
-    shared_s = 2.0 * noise.slow_s
-    return evidence_share((1.0 - stays) * shared_s, stays, shared_s, max(since_s, 0.0))
-
-
-@inline
 def use_in_bank(
-    cell: CellScalars,
-    noise: NoiseScalars,
-    state: EkfState,
-    s: CheckedReading,
-    evidence_s: float,
-    i: InnovationSources,
-    error_V2: float,
-    mismatch: float,
+    m: BankModel, a: State, state: EkfState, s: CheckedReading, now: Predicted, i: Innovation
 ) -> Seen:
-    """A voltage to a component: none is rejected, each moves by what the gate lets pass.
-
-    The variance of a voltage is that of the likeliest component, for all: one whose tables state
-    a larger error must not explain everything.
-    """
-    variance = i.state_variance + (i.one + i.free_variance)
-    innovation_V, square = i.innovation_V, i.innovation_V * i.innovation_V
-    last, swings, frozen = watch_voltage(noise, state.watch, s, innovation_V, i.r0_ohm)
+    """A voltage to a component, if there is one that can be used."""
+    noise, evidence_s = m.noise, now.evidence_s
+    innovation_V = s.voltage_V - i.voltage_V
+    last, swings, frozen = watch_voltage(noise, state.watch, s, innovation_V, now.point.r0_ohm)
     used = math.isfinite(innovation_V) and frozen == 0
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
-        ratio = square / variance * noise.per_gate2
-        resting = abs(s.seen_A) * 3600.0 < REST_RATE * cell.charge_As
-        shared = repeated_evidence(noise, evidence_s, s.dt_s, resting)
-        weight = as_shown(error_V2 * shared.above, mismatch)
-        innovation_V, inverse, cost = component_update(
-            innovation_V, variance, noise.gate * noise.gate,
-            i.state_variance, weight, shared.below, new_share(noise, evidence_s),
-        )  # fmt: skip
+        ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
+        shared = repeated_evidence(m.constant, noise, evidence_s, s.dt_s, s.seen_A)
         evidence_s = max(evidence_s, 0.0)
+        innovation_V, inverse, cost = judge_component(
+            m.constant, a, i, innovation_V, evidence_s, shared
+        )
     if evidence_s >= 0.0:
         evidence_s += s.dt_s
     after, away = watch_on(noise, s, used, evidence_s, state.watch.no_voltage_s, last, swings)
@@ -219,7 +150,7 @@ def use_in_bank(
         status |= VOLTAGE_INVALID
     # fmt: off
     v = GateResult(
-        used, used, inverse, innovation_V, variance, ratio, 0.0, mismatch, after, status
+        used, used, inverse, innovation_V, ratio, 0.0, a.mismatch, after, status
     )
     # fmt: on
     return Seen(v, cost)
@@ -230,17 +161,13 @@ def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
     """A component over an interval: its status; ``out`` is what it has predicted."""
     noise = m.noise
     old: EkfState = record_at(EkfState, a, 0, 1)
-    now = predict(m.tables, noise, m.sigma, None, m.start, old, None, s)
-    i, seen = innovate(m.tables, noise, m.sigma, s, now)
+    now = predict(m.constant, m.tables, noise, m.sigma, None, m.start, old, None, s)
+    i = innovate(m.constant, m.tables, noise, m.sigma, s, now)
     if not (a.error_V2 > 0.0):
-        a.error_V2 = i.one
-    # fmt: off
-    used = use_in_bank(
-        m.tables.cell, noise, now.state, s, now.evidence_s, i, a.error_V2, a.mismatch
-    )
-    # fmt: on
+        a.error_V2 = i.one_V2
+    used = use_in_bank(m, a, now.state, s, now, i)
     v = used.verdict
-    e = update(noise, None, s, now, seen, i, v) if v.accepted else counted(now)
+    e = update(m.constant, noise, None, s, now, i, v) if v.accepted else counted(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
     put_record(a, 0, 1, after, True)
     a.cost += used.cost

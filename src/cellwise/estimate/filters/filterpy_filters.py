@@ -17,9 +17,14 @@ from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outs
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.simulate import known_temperature_C
 from cellwise.cell.unrolled import CALLED
-from cellwise.estimate.equations.constants import REST_RATE
+from cellwise.estimate.equations.evidence import share_of
 from cellwise.estimate.equations.start import held_variance
-from cellwise.estimate.evidence_kernels import repeated_evidence, share_variance, variance_about
+from cellwise.estimate.evidence_kernels import (
+    StepConstants,
+    constants_of,
+    repeated_evidence,
+    variance_about,
+)
 from cellwise.estimate.filters.kalman import STATES, FilterOfModel, SigmaPoints
 from cellwise.estimate.filters.predict_kernels import RESTED_V2, before_start, gap_variance
 from cellwise.estimate.noise import Noise
@@ -117,8 +122,7 @@ class FilterpyFilter(FilterOfModel):
             self.predict(kf, now._replace(slow_A=slow_A), after, diagonal)
             heat_K, slow_A = after.heat_K, after.slow_A
             one, status[k] = self.voltage_variance(kf.x, now)
-            resting = abs(seen) < REST_RATE * self.model.capacity_Ah
-            shared, below = repeated_evidence(noise, evidence, dt, resting)
+            shared, below = repeated_evidence(self.constants(dt), noise, evidence, dt, seen)
             predicted[k], state_V2 = self.seen(kf, now)
             variance[k] = state_V2 + one
             if np.isfinite(voltage[k]):
@@ -133,6 +137,10 @@ class FilterpyFilter(FilterOfModel):
         innovation = voltage - predicted
         ratio = innovation**2 / (self.noise.gate**2 * variance)
         return Trace(log.time_s, soc, std, predicted, innovation, variance, ratio, status)
+
+    def constants(self, dt_s: float) -> StepConstants:
+        """Of a step of this length."""
+        return constants_of(self.cell.charge_As, self._noise, dt_s, 1.0)
 
     def point(self, soc: float, now: MatrixInterval) -> CellPoint:
         """The tables at one SOC, under load."""
@@ -155,7 +163,7 @@ class FilterpyFilter(FilterOfModel):
         g = np.array([getattr(t, s.drive) if s.drive else 0.0 for s in CELL])
         walk = noise.soc_per_sqrt_s**2 * now.dt_s
         walk += noise.capacity_soc * abs(now.flow_A) * now.dt_s / self.cell.charge_As
-        share2 = share_variance(noise, now.flow_A)
+        share2 = share_of(self.constants(now.dt_s), now.flow_A)
         branch = share2 * (now.flow_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])
@@ -176,7 +184,7 @@ class FilterpyFilter(FilterOfModel):
             drop = abs(float(point.r0_ohm) * now.seen_A) + held
             far_V = extrapolation_V(noise.valid, now.temperature_C, now.seen_A, drop)
             point = widened(point, far_V)
-        one = variance_about(noise, point, point.r0_ohm, now.seen_A, 0.0, held)
+        one = variance_about(self.constants(now.dt_s), noise, point, now.seen_A, 0.0, held)
         return float(one), OUTSIDE if outside else 0
 
 

@@ -32,10 +32,10 @@ from cellwise.estimate.equations.constants import (
     START_LOAD_RATE,
     START_REST_RATE,
 )
-from cellwise.estimate.equations.evidence import unknown_square
+from cellwise.estimate.equations.evidence import share_of, unknown_square
 from cellwise.estimate.equations.sensors import drifted_variance, unseen_variance
 from cellwise.estimate.equations.start import Before, flow_before, held_variance
-from cellwise.estimate.evidence_kernels import share_variance
+from cellwise.estimate.evidence_kernels import StepConstants
 from cellwise.estimate.filters.covariance_kernels import (
     Branches,
     Covariance,
@@ -118,6 +118,7 @@ def over_interval(
 @unrolled
 def with_noise(
     p: Covariance,
+    c: StepConstants,
     noise: NoiseScalars,
     s: CheckedReading,
     now: PredictedInterval,
@@ -133,10 +134,10 @@ def with_noise(
     t: ByState = now.t
     lost = no_voltage_s > noise.hold_s
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
-    q = noise.current_A * noise.current_A
+    q = c.current_variance_A2
     # A capacity that is off puts every count off alike; over one discharge it adds up to as much.
     flowed = noise.capacity_soc * abs(s.flow_A) * s.dt_s / charge_As
-    lost_A2 = unknown_square(share_variance(noise, s.flow_A), s.flow_A, s.lost_A * s.lost_A)
+    lost_A2 = unknown_square(share_of(c, s.flow_A), s.flow_A, s.lost_A * s.lost_A)
     return noisy(
         p,
         t,
@@ -175,6 +176,7 @@ def drifted(tables: CellTables, s: CheckedReading, ss: float) -> float:
 @inline
 @unrolled
 def by_tangents(
+    c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     s: CheckedReading,
@@ -192,4 +194,4 @@ def by_tangents(
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(*(at.rise.row[i] * (1.0 - t.a[i]) * s.flow_A for i in BRANCHES))
         p = driven_by_soc(p, drives)
-    return end, with_noise(p, noise, s, now, no_voltage_s, tables.cell.charge_As), at
+    return end, with_noise(p, c, noise, s, now, no_voltage_s, tables.cell.charge_As), at

@@ -22,6 +22,7 @@ from cellwise.cell.point_kernels import CellPoint
 from cellwise.cell.unrolled import ByState, unrolled
 from cellwise.estimate.equations.constants import VARIANCE_FLOOR
 from cellwise.estimate.equations.covariance import Column, column_of, explained
+from cellwise.estimate.evidence_kernels import StepConstants
 from cellwise.estimate.filters.covariance_kernels import (
     Covariance,
     decayed,
@@ -78,6 +79,7 @@ def along_soc(p: Covariance, ss: float) -> tuple[float, Column]:
 @inline
 @unrolled
 def by_points(
+    constant: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars,
@@ -122,7 +124,7 @@ def by_points(
     p = decayed(without_outer(p, along), t)
     p = with_outer(p, d, sigma.curve, Column(0.0, *(e[i] for i in BRANCHES), 0.0))  # type: ignore[call-arg]
     p = with_soc_row(p, drifted(tables, s, ss), d, root)
-    p = with_noise(p, noise, s, now, no_voltage_s, tables.cell.charge_As)
+    p = with_noise(p, constant, noise, s, now, no_voltage_s, tables.cell.charge_As)
     x = CellState(x.soc, *(v[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     return x, p, tangent(point.ocv_slope_V, root if wide else 0.0)
 

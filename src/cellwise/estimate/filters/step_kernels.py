@@ -28,11 +28,13 @@ from cellwise.cell.equations import (
 )
 from cellwise.estimate.equations.covariance import column_of, explained
 from cellwise.estimate.equations.evidence import bent_variance
+from cellwise.estimate.equations.weighing import Innovation
 from cellwise.estimate.evidence_kernels import (
     GateResult,
-    InnovationSources,
+    StepConstants,
     gate,
     stated_deviation,
+    step_constants,
     variance_about,
 )
 from cellwise.estimate.filters.capacity_kernels import (
@@ -73,6 +75,7 @@ from cellwise.estimate.status import CLAMPED, OUTSIDE, STATE_RESET
 
 @inline
 def predict(
+    c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
@@ -101,9 +104,9 @@ def predict(
     judged_A = 0.0 if now.status & OUTSIDE else counts * s.flow_A
     free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, judged_A, s.dt_s)
     if sigma is None:
-        x, p, at = by_tangents(tables, noise, s, now, p, state.watch.no_voltage_s)
+        x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
-        x, p, at = by_points(tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
+        x, p, at = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
     drop = drop_of(now.point, x, s.seen_A)
     x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
     status |= now.status
@@ -116,16 +119,17 @@ def predict(
 
 @inline
 def innovate(
+    c: StepConstants,
     tables: CellTables,
     noise: NoiseScalars,
     sigma: SigmaScalars | None,
     s: CheckedReading,
     now: Predicted,
-) -> tuple[InnovationSources, Voltage]:
-    """Measured less predicted voltage; H = [slope, -1, -1, -1, m], d = P H'."""
+) -> Innovation:
+    """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
     branches = held_in_branches(x)
-    one = variance_about(noise, point, point.r0_ohm, s.seen_A, s.lost_A, branches)
+    one = variance_about(c, noise, point, s.seen_A, s.lost_A, branches)
     if sigma is None:
         d = column_of(now.p, at.slope_V, point.m_V)
         variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
@@ -138,19 +142,17 @@ def innovate(
     of_offset = slope * drift.reach + dropped
     free_variance = of_offset * of_offset * drift.unsure
     free_variance += capacity_variance_V2(now.free, slope, of_offset)
-    predicted = seen.predicted_V + drift.believed * dropped
     followed = slope * now.followed + drift.believed * dropped
     # fmt: off
-    i = InnovationSources(
-        predicted, s.voltage_V - predicted, seen.variance_V2, one, free_variance, point.r0_ohm,
-        branches, of_offset, followed,
+    return Innovation(
+        seen.predicted_V + drift.believed * dropped, seen.variance_V2 + (one + free_variance),
+        seen.variance_V2, one, slope, of_offset, followed, seen.d,
     )
     # fmt: on
-    return i, seen
 
 
 @inline
-def say(i: InnovationSources, v: GateResult, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
+def say(i: Innovation, v: GateResult, e: Estimate, status: int) -> tuple[EkfState, EkfInfo]:
     """SOC held within 0..1, and what there is to report."""
     soc = e.x.soc
     if soc < SOC_LOW or soc > SOC_HIGH:
@@ -164,7 +166,12 @@ def say(i: InnovationSources, v: GateResult, e: Estimate, status: int) -> tuple[
     # fmt: on
     known = e.p.ss + drift_variance(e.drift) + capacity_variance(e.free, e.drift.reach)
     std = stated_deviation(known, v.mismatch, e.persistent, e.contradicted)
-    return state, EkfInfo(soc, std, i.predicted_V, v.innovation_V, v.variance, v.ratio, status)
+    # fmt: off
+    info = EkfInfo(
+        soc, std, i.voltage_V, v.innovation_V, i.variance_V2, v.ratio, status
+    )
+    # fmt: on
+    return state, info
 
 
 @inline
@@ -180,15 +187,11 @@ def filter_step(
 ) -> tuple[EkfState, Free | None, EkfInfo]:
     """Over the interval that ends now, then the voltage read now."""
     s = read_sample(tables, noise, state.watch, start.temperature_C, reading)
-    now = predict(tables, noise, sigma, rules, start, state, free, s)
-    i, seen = innovate(tables, noise, sigma, s, now)
-    old = now.state
-    # fmt: off
-    v = gate(
-        tables.cell, noise, old.watch, s, now.evidence_s, old.rejections, old.mismatch, i
-    )
-    # fmt: on
-    e = update(noise, rules, s, now, seen, i, v) if v.accepted else counted(now)
+    c = step_constants(tables.cell, noise, reading.dt_s)
+    now = predict(c, tables, noise, sigma, rules, start, state, free, s)
+    i = innovate(c, tables, noise, sigma, s, now)
+    v = gate(c, noise, now.state, s, now.evidence_s, now.point.r0_ohm, i)
+    e = update(c, noise, rules, s, now, i, v) if v.accepted else counted(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
     drop_V = now.point.r0_ohm * s.seen_A + now.x.v1_V
     free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)

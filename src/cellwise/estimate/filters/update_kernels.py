@@ -8,13 +8,12 @@ from cellwise.cell.compiled import inline
 from cellwise.cell.equations import CellState, with_soc
 from cellwise.cell.point_kernels import CellPoint
 from cellwise.estimate.equations.covariance import scaled
-from cellwise.estimate.equations.evidence import persistent_step
-from cellwise.estimate.evidence_kernels import (
-    GateResult,
-    InnovationSources,
+from cellwise.estimate.equations.weighing import (
+    Innovation,
     contradicted_after,
-    lasting_V,
+    persistent_after,
 )
+from cellwise.estimate.evidence_kernels import GateResult, StepConstants, slow_variance
 from cellwise.estimate.filters.capacity_kernels import (
     Free,
     FreeRules,
@@ -28,7 +27,6 @@ from cellwise.estimate.filters.covariance_kernels import (
 )
 from cellwise.estimate.filters.filter_state import EkfState
 from cellwise.estimate.filters.offset_kernels import Drift, drift_step
-from cellwise.estimate.filters.sigma_kernels import Voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import CheckedReading
 from cellwise.estimate.slopes_kernels import VoltageSlopes
@@ -78,29 +76,26 @@ def counted(now: Predicted) -> Estimate:
 
 @inline
 def update(
+    c: StepConstants,
     noise: NoiseScalars,
     rules: FreeRules | None,
     s: CheckedReading,
     now: Predicted,
-    seen: Voltage,
-    i: InnovationSources,
+    i: Innovation,
     v: GateResult,
 ) -> Estimate:
     """After an accepted voltage."""
-    old, slope = now.state, seen.slope_V
-    k = scaled(seen.d, v.inverse)
+    old, slope = now.state, i.slope_V
+    k = scaled(i.column, v.inverse)
     x = moved(now.x, k, v.innovation_V)
-    p = corrected(now.p, k, seen.d)
-    # fmt: off
-    contradicted = contradicted_after(
-        noise, old.contradicted, v.innovation_V, slope, i.one, old.watch.evidence_s, s.dt_s
-    )
-    # fmt: on
+    p = corrected(now.p, k, i.column)
+    since = max(old.watch.evidence_s, 0.0)
+    contradicted = contradicted_after(c, old, i, v.innovation_V, since)
     # Beyond its data a voltage may contradict the counted charge, but confirms nothing.
     if now.status & OUTSIDE and abs(contradicted) < abs(old.contradicted):
         contradicted = old.contradicted
-    error_V = lasting_V(noise, now.point, v.mismatch)
-    persistent = persistent_step(k.s, slope, old.persistent, error_V)
+    error_V2 = slow_variance(noise, 0.0, now.point)
+    persistent = persistent_after(c, old, i, error_V2, v.mismatch, k.s)
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.

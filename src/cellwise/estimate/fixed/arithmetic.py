@@ -26,7 +26,7 @@ from cellwise.estimate.status import OUT_OF_RANGE
 
 # To a type checker numbers are Python's; numba sees float32 and uint32. Records are anything.
 F = cast("type[float]", np.float32)
-U = cast("type[int]", np.uint32)
+U = Count = cast("type[int]", np.uint32)
 Constants: TypeAlias = Any
 State: TypeAlias = Any
 Sample: TypeAlias = Any
@@ -181,6 +181,16 @@ def add(total: float, carry: float, value: float) -> tuple[float, float]:
 def is_same(a: float, b: float) -> bool:
     """Whether two numbers are the same."""
     return a >= b and a <= b
+
+
+def unit_of(y: float) -> float:
+    """The unit in which a ratio over ``y`` goes on: 1, since a product costs more than it saves."""
+    return 1.0
+
+
+def in_units(x: float, y: float) -> float:
+    """The ratio x / y in that unit."""
+    return x / y
 
 
 def between(a: float, b: float, f: float) -> float:

@@ -22,22 +22,16 @@ from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import validity_scalars
 from cellwise.errors import InputError
 from cellwise.estimate.equations.constants import (
-    BANK_RATE,
-    CONTRADICTED_S,
     COUNT_ROUNDING,
     IMPOSSIBLE_RATE,
-    LEAST_USE_RATE,
-    LOOK_S,
     LOST_RATE,
     OFFSET_REST_S,
-    PAST_RATE,
-    PERSISTENT_MOST,
     RECOVERY_RATE,
-    REST_RATE,
     START_BRANCH_V,
     START_LOAD_RATE,
     START_REST_RATE,
 )
+from cellwise.estimate.evidence_kernels import constants_of
 from cellwise.estimate.fixed.options import CellSettings, Options
 from cellwise.estimate.noise import WANDERS, Noise
 from cellwise.estimate.power.limits import LEAST_LOAD_C
@@ -78,53 +72,36 @@ ARRHENIUS_LOW_C, ARRHENIUS_HIGH_C = -60.0, 100.0
 
 def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options) -> dict[str, Any]:
     """Of the step itself."""
-    per_A = dt_s / (3600.0 * model.capacity_Ah)
-    slow_s = noise.slow_s
-    shared = max(2.0 * slow_s / dt_s, 1.0)
-    half_s = max(noise.slow_half_s, dt_s)
-    early_s = half_s * min(noise.slow_first_s / max(slow_s, dt_s), 1.0)
-    stays = min(noise.lasting_share, PERSISTENT_MOST) if slow_s > 0.0 else 0.0
-    adapts = noise.mismatch_cap > 0 and slow_s > 0
+    of_filters = constants_of(3600.0 * model.capacity_Ah, noise.scalars(), dt_s, dt_s)
+    per_A = of_filters.soc_per_A
+    half = max(of_filters.shared_half, 1.0)
     wanders = WANDERS if options.offset and noise.offset_share > 0.0 else 1.0
     heating = model.effect(SelfHeating)
     surface = model.effect(SurfaceSoc)
     lost_A = LOST_RATE * model.capacity_Ah
     return {
-        "soc_per_A": per_A,
+        **of_filters._asdict(),
         "soc_walk": wanders**2 * noise.soc_per_sqrt_h**2 / 3600.0 * dt_s
         + (per_A * noise.current_A) ** 2,
         "capacity_walk": noise.capacity_share**2 * per_A,
-        "current_variance_A2": noise.current_A**2,
         "lost_A2": lost_A**2,
         "lost_soc": per_A * lost_A,
         "lost_walk": (per_A * lost_A) ** 2 * max(1.0, 2.0 * MISSING_S / dt_s),
         "hold_steps": steps_within(noise.hold_s, dt_s),
         "frozen_V": noise.frozen_V,
-        "share_variance": noise.branch_share**2,
-        "charge_variance": (noise.charge_factor * noise.branch_share) ** 2,
-        "gate_square": noise.gate**2,
-        "shared": shared,
-        "shared_early": max(shared * early_s, half_s) / dt_s,
-        "shared_half": half_s / dt_s,
-        "lately": min(dt_s / slow_s, 1.0) if adapts else 0.0,
-        "mismatch_cap": noise.mismatch_cap,
+        "shared_early": max(of_filters.shared_early * (half / of_filters.shared_half), half),
+        "shared_half": half,
         "gap_variance": noise.gap_soc**2,
         "current_limit_A": min(noise.current_limit_A, IMPOSSIBLE_RATE * model.capacity_Ah),
         "voltage_low_V": max(noise.voltage_low_V, TARGET.voltage_least_V),
         "voltage_high_V": min(noise.voltage_high_V, TARGET.voltage_most_V),
         "branch_variance_V2": START_BRANCH_V**2,
-        "rest_A": REST_RATE * model.capacity_Ah,
         "start_rest_A": START_REST_RATE * model.capacity_Ah,
         "start_load_A": START_LOAD_RATE * model.capacity_Ah,
         "fixed_V2": noise.voltage_V**2,
         "ocv_soc2": noise.ocv_soc**2,
         "recovery_A": RECOVERY_RATE * model.capacity_Ah,
-        "bank_A": BANK_RATE * model.capacity_Ah,
-        "past_A": PAST_RATE * model.capacity_Ah,
-        "least_use_A": LEAST_USE_RATE * model.capacity_Ah,
-        "fades": (1.0 - stays) * shared,
-        "stays": stays,
-        "look_steps": np.ceil(LOOK_S / dt_s),
+        "look_steps": np.ceil(of_filters.look_steps),
         "recovery_after": steps_rejected(noise, dt_s),
         "gap_steps": int(np.ceil(BRIDGED_S / dt_s)),
         "charge_efficiency": model.charge_efficiency,
@@ -137,15 +114,12 @@ def step_constants(model: CellModel, dt_s: float, noise: Noise, options: Options
         "surface_gain": -np.expm1(-dt_s / surface.tau_s),
         "surface_rate": dt_s / surface.tau_s,
         "hysteresis_per_A": model.effect(Hysteresis).gamma * per_A,
-        "persistent": float(np.sqrt(noise.lasting_share)),
-        "drift_soc": noise.offset_share * dt_s / 3600.0,
         "offset_A": noise.offset_share * model.capacity_Ah,
         "rate_A": model.capacity_Ah,
         "rest_steps": np.ceil(OFFSET_REST_S / dt_s),
         "soh_rest_A": SOH_REST_RATE * model.capacity_Ah,
         "soh_steps": np.ceil(SOH_REST_S / dt_s),
         "soh_drift": noise.offset_share * dt_s / 3600.0,
-        "contradicted_share": min(dt_s / CONTRADICTED_S, 1.0),
         "heat_K_per_W": heating.rth_K_per_W,
         "heat_gain": -np.expm1(-dt_s / heating.thermal_s),
         "heat_rate": dt_s / heating.thermal_s,

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from cellwise.cell.description import BRANCHES, H
 from cellwise.cell.equations.scalar import distance_beyond, exponential_rise
 from cellwise.cell.unrolled import unrolled_by_option
-from cellwise.estimate.equations.covariance import Column, column_of, explained
+from cellwise.estimate.equations.covariance import column_of, explained
 from cellwise.estimate.equations.evidence import (
     Shared,
     bent_variance,
     shared_evidence,
-    voltage_variance,
+    single_variance,
 )
 from cellwise.estimate.equations.offset import offset_after, rest_after
 from cellwise.estimate.equations.sensors import repeats_after, swings_after
+from cellwise.estimate.equations.weighing import Innovation
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.lookup import Point, Slopes
 from cellwise.estimate.fixed.sensing import Reading
@@ -31,25 +30,6 @@ def voltage_of(x: State, p: Point, drop: float) -> float:
     for i in (H,):
         voltage = voltage + (p.m_V * x.state[i])
     return voltage
-
-
-class Innovation(NamedTuple):
-    """What the state says of the next voltage, before it is looked at.
-
-    ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state and ``one_V2``
-    what the voltage brings to it; ``polarisation_V`` how much of the voltage is current's doing.
-    One deviation of an offset moves the voltage by ``of_offset_V``, all that is believed of it has
-    moved it by ``followed_V``.
-    """
-
-    voltage_V: float
-    variance_V2: float
-    explained_V2: float
-    one_V2: float
-    polarisation_V: float
-    of_offset_V: OffsetFloat
-    followed_V: OffsetFloat
-    column: Column
 
 
 def watch_current(c: Constants, x: State, voltage: float) -> None:
@@ -82,9 +62,8 @@ def steps_of_evidence(x: State) -> float:
 
 def shared_by(c: Constants, x: State, seen: float) -> Shared:
     """How many samples share one model error; the first voltage at rest stands alone."""
-    since = steps_of_evidence(x)
     alone = x.evidence < FIRST_VOLTAGE and size_below(seen, c.rest_A)
-    return shared_evidence(c.shared, c.shared_early, c.shared_half, since, 1.0, alone)
+    return shared_evidence(c, steps_of_evidence(x), 1.0, alone)
 
 
 def outside(c: Constants, x: State, s: Reading) -> int:
@@ -167,14 +146,14 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
-    share = c.share_variance if s.seen >= 0.0 else c.charge_variance
-    current_A2 = c.current_variance_A2 + s.unmeasured_A2
-    one_V2 = voltage_variance(p.noise_V2, share, polarisation_V, current_A2, p.r0_ohm)
+    one_V2 = single_variance(c, p.noise_V2, s.seen, polarisation_V, s.unmeasured_A2, p.r0_ohm)
     if VALIDITY:
         beyond_V = extrapolated(c, x, s.seen, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
     column = column_of(x, w.slope_V, p.m_V)
-    explained_V2 = bent_variance(explained(column, w.slope_V, p.m_V), w.bend_V)
+    explained_V2 = explained(column, w.slope_V, p.m_V)
+    if WIDE:
+        explained_V2 = bent_variance(explained_V2, w.bend_V)
     variance_V2 = explained_V2 + one_V2
     of_offset_V = 0.0
     followed_V = 0.0
@@ -190,7 +169,7 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         variance_V2,
         explained_V2,
         one_V2,
-        polarisation_V,
+        w.slope_V,
         of_offset_V,
         followed_V,
         column,

@@ -7,7 +7,7 @@ from typing import Any
 from cellwise.cell.description import BRANCHES, CARRIED, H
 from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.covariance import forget_correlations
-from cellwise.estimate.equations.evidence import unknown_square
+from cellwise.estimate.equations.evidence import share_of, unknown_square
 from cellwise.estimate.equations.sensors import unseen_variance
 from cellwise.estimate.equations.start import flow_before, held_variance
 from cellwise.estimate.fixed.arithmetic import *
@@ -282,8 +282,7 @@ def cross_gap(
 @unrolled_by_option
 def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured_A2: float) -> None:
     """One interval of constant current."""
-    share = c.share_variance if flow >= 0.0 else c.charge_variance
-    square_A2 = unknown_square(share, flow, unmeasured_A2)
+    square_A2 = unknown_square(share_of(c, flow), flow, unmeasured_A2)
     relax(x, p, *(p.gain[i] for i in BRANCHES), flow, square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
         rise = risen(c.hysteresis_per_A * magnitude(flow))

@@ -5,20 +5,18 @@ The correction: gate, recovery, weight.
 
 from __future__ import annotations
 
-from cellwise.estimate.equations.components import component_update, evidence_share
 from cellwise.estimate.equations.covariance import scaled
-from cellwise.estimate.equations.evidence import (
-    as_shown,
-    contradicted_step,
-    inverse_weight,
-    lately_shown,
-    persistent_step,
-    persistent_V,
+from cellwise.estimate.equations.weighing import (
+    Innovation,
+    contradicted_after,
+    judge,
+    judge_component,
+    persistent_after,
+    weight_of,
 )
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import move, narrow
 from cellwise.estimate.fixed.innovation import (
-    Innovation,
     ask_for_offset,
     count_offset,
     innovate,
@@ -50,140 +48,104 @@ from cellwise.estimate.fixed.state import (
     predict,
     start,
 )
-from cellwise.estimate.status import (
-    GATE_RECOVERY,
-    INNOVATION_REJECTED,
-    STATE_RESET,
-    VOLTAGE_INVALID,
-    VOLTAGE_LOST,
-)
+from cellwise.estimate.status import STATE_RESET, VOLTAGE_INVALID, VOLTAGE_LOST
 
 
-def reject(c: Constants, x: State, p: Point, seen: float) -> int:
-    """A voltage beyond the gate, and what follows too long a time of them in a row.
+def recover(c: Constants, x: State, p: Point, seen: float) -> None:
+    """After too long a time of rejected voltages in a row: the SOC is open.
 
     With CELLWISE_BANK the state asks for a bank, which begins again over all of the SOC.
     """
-    status = U(INNOVATION_REJECTED)
-    x.rejections = U(x.rejections + 1)
-    if x.rejections >= c.recovery_after:
-        status = U(status | GATE_RECOVERY)
-        x.rejections = U(0)
-        x.mismatch = 1.0
-        if WIDE:
-            x.contradicted = 0.0
-            x.persistent = 0.0
-        if BANK:
-            x.in_bank = CONTRADICTED
-        x.evidence = FIRST_VOLTAGE
-        open_up(c, x, p, seen)
-        if OFFSET:
-            forget_offset(x)
-    return status
+    if WIDE:
+        x.contradicted = 0.0
+        x.persistent = 0.0
+    if BANK:
+        x.in_bank = CONTRADICTED
+    x.evidence = FIRST_VOLTAGE
+    open_up(c, x, p, seen)
+    if OFFSET:
+        forget_offset(x)
 
 
-def contradict(
-    c: Constants, x: State, w: Slopes, s: Reading, one_V2: float, innovation: float
-) -> None:
+def contradict(c: Constants, x: State, i: Innovation, innovation: float, beyond: int) -> None:
     """What the voltages say against the count. Beyond the model's data they confirm nothing."""
-    drift = c.drift_soc * F(U(x.evidence - FIRST_VOLTAGE))
-    now = contradicted_step(
-        x.contradicted, innovation, w.slope_V, one_V2, drift, c.contradicted_share
-    )
-    if size_within(now, 1.0):  # a number
-        beyond = U(0)
-        if VALIDITY and magnitude(now) < magnitude(x.contradicted):
-            beyond = outside(c, x, s)
-        if beyond == U(0):
-            x.contradicted = now
+    now = contradicted_after(c, x, i, innovation, steps_of_evidence(x))
+    confirms = beyond != U(0) and magnitude(now) < magnitude(x.contradicted)
+    if size_within(now, 1.0) and not confirms:  # a number
+        x.contradicted = now
 
 
-def persist(c: Constants, x: State, p: Point, slope_V: float, gain: float) -> None:
+def persist(c: Constants, x: State, p: Point, i: Innovation, gain: float) -> None:
     """SOC error by a persistent error of the model, after a voltage with a gain."""
-    error_V = persistent_V(c.persistent, p.noise_V2 - c.fixed_V2, x.mismatch)
-    now = persistent_step(gain, slope_V, x.persistent, error_V)
+    now = persistent_after(c, x, i, p.noise_V2 - c.fixed_V2, x.mismatch, gain)
     if not size_within(now, 1.0):
         now = 1.0
     x.persistent = now
 
 
 def fuse(
-    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
+    c: Constants, x: State, p: Point, i: Innovation, innovation: float, inverse: float
 ) -> None:
-    """State and covariance after a voltage within the gate.
-
-    What the innovations have lately shown beyond their variance makes evidence weigh less. A first
-    sample under load says more of the load than of the SOC.
-    """
-    shared = shared_by(c, x, s.seen)
-    weight = as_shown(i.one_V2 * shared.above, x.mismatch)
-    if s.news == INTERVAL or shared.above <= shared.below:
-        inverse = inverse_weight(i.explained_V2, weight, shared.below)
-        k = scaled(i.column, inverse)
-        move(x, k, innovation)
-        narrow(x, k, i.column)
-        if WIDE:
-            persist(c, x, p, w.slope_V, k.s)
-        if WIDE and s.news == INTERVAL and x.evidence >= FIRST_VOLTAGE:
-            contradict(c, x, w, s, i.one_V2, innovation)
-        if OFFSET:
-            ask_for_offset(x, i, innovation, k.s, inverse)
-    x.rejections = U(0)
-    if x.evidence < FIRST_VOLTAGE:
-        x.evidence = FIRST_VOLTAGE
+    """State and covariance after a voltage, by one over the variance that weighs it."""
+    k = scaled(i.column, inverse)
+    move(x, k, innovation)
+    narrow(x, k, i.column)
+    if WIDE:
+        persist(c, x, p, i, k.s)
+    if OFFSET:
+        ask_for_offset(x, i, innovation, k.s, inverse)
 
 
-def use_in_bank(
-    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
-) -> None:
-    """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
-
-    The variance of a voltage is that of the likeliest component, for all: one whose tables state
-    a larger error must not explain everything.
-    """
-    if not (x.error_V2 > 0.0):
-        x.error_V2 = i.one_V2
-    shared = shared_by(c, x, s.seen)
-    weight = as_shown(x.error_V2 * shared.above, x.mismatch)
-    if s.news == INTERVAL or shared.above <= shared.below:
-        share = evidence_share(c.fades, c.stays, c.shared, steps_of_evidence(x))
-        used = component_update(
-            innovation, i.variance_V2, c.gate_square, i.explained_V2, weight, shared.below, share
-        )
-        x.cost = x.cost + used.cost
-        k = scaled(i.column, used.inverse)
-        move(x, k, used.off_V)
-        narrow(x, k, i.column)
-        persist(c, x, p, w.slope_V, k.s)
-        if OFFSET:
-            ask_for_offset(x, i, used.off_V, k.s, used.inverse)
+def begin_evidence(x: State) -> None:
+    """A voltage has been used."""
     if x.evidence < FIRST_VOLTAGE:
         x.evidence = FIRST_VOLTAGE
 
 
 def weigh(
-    c: Constants, x: State, p: Point, w: Slopes, s: Reading, i: Innovation, innovation: float
+    c: Constants, x: State, p: Point, s: Reading, i: Innovation, innovation: float, beyond: int
 ) -> int:
-    """A voltage that is looked at: rejected, or used."""
-    square = innovation * innovation
-    most = c.gate_square * i.variance_V2
+    """A voltage that is looked at: rejected, or used.
+
+    A first sample under load says more of the load than of the SOC.
+    """
     status = U(0)
     if BANK and x.in_bank == COMPONENT:
-        use_in_bank(c, x, p, w, s, i, innovation)
+        if not (x.error_V2 > 0.0):
+            x.error_V2 = i.one_V2
+        shared = shared_by(c, x, s.seen)
+        if s.news == INTERVAL or shared.above <= shared.below:
+            used = judge_component(c, x, i, innovation, steps_of_evidence(x), shared)
+            x.cost = x.cost + used.cost
+            fuse(c, x, p, i, used.off_V, used.inverse)
+        begin_evidence(x)
     else:
-        if s.news == INTERVAL:
-            own_V2 = i.explained_V2 + i.one_V2
-            ratio = at_most(square / own_V2, c.mismatch_cap)
-            x.mismatch = lately_shown(x.mismatch, ratio, c.lately)
-        if positive_above(square, most):
-            status = reject(c, x, p, s.seen)
-        else:
-            fuse(c, x, p, w, s, i, innovation)
+        lately = c.lately if s.news == INTERVAL else 0.0
+        v = judge(c, x, i, innovation, lately, U(1))
+        status = v.status
+        x.rejections = v.rejections
+        x.mismatch = v.mismatch
+        if v.accepted:
+            shared = shared_by(c, x, s.seen)
+            if s.news == INTERVAL or shared.above <= shared.below:
+                fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, shared))
+                if WIDE:
+                    contradict(c, x, i, innovation, beyond)
+            begin_evidence(x)
+        elif v.recovers:
+            recover(c, x, p, s.seen)
     return status
 
 
 def correct(
-    c: Constants, x: State, p: Point, w: Slopes, s: Reading, voltage: float, out: Output
+    c: Constants,
+    x: State,
+    p: Point,
+    w: Slopes,
+    s: Reading,
+    voltage: float,
+    beyond: int,
+    out: Output,
 ) -> int:
     """Predicted voltage, innovation, and what follows from it."""
     status = U(0)
@@ -207,7 +169,7 @@ def correct(
                 if status == U(0):
                     away = U(0)
             if status == U(0):
-                status = weigh(c, x, p, w, s, i, innovation)
+                status = weigh(c, x, p, s, i, innovation, beyond)
     if WIDE:
         if s.news != REPEATED:
             x.no_voltage = away
@@ -274,7 +236,7 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         if OFFSET:
             count_offset(c, x, p, s, charge.missing)
     beyond = outside(c, x, s) if VALIDITY else U(0)
-    status = U(charge.status | correct(c, x, p, w, s, sample.voltage_V, out))
+    status = U(charge.status | correct(c, x, p, w, s, sample.voltage_V, beyond, out))
     status = U(status | finish(x, s, charge.missing, sample.sequence, out))
     status = U(status | beyond)
     out.status = status

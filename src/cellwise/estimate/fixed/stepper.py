@@ -25,7 +25,7 @@ from cellwise.errors import InputError
 from cellwise.estimate.capacity import fixed_capacity
 from cellwise.estimate.capacity.fixed_capacity import step_soh
 from cellwise.estimate.equations import bank as whole_bank
-from cellwise.estimate.equations import components, constants, evidence, offset, sensors
+from cellwise.estimate.equations import components, constants, evidence, offset, sensors, weighing
 from cellwise.estimate.equations import covariance as whole_covariance
 from cellwise.estimate.equations import start as whole_start
 from cellwise.estimate.filters.filter_state import EkfInfo
@@ -79,6 +79,7 @@ STEP_MODULES = (
     components,
     offset,
     whole_covariance,
+    weighing,
     lookup,
     covariance,
     state,
@@ -191,6 +192,7 @@ def specialised(options: Options) -> dict[str, Any]:
                 **made,
                 "F": F,
                 "U": U,
+                "Count": U,
             }
             own = FunctionType(_single(f.__code__), scope, f.__name__)
             made[f.__name__] = njit(forceinline=not hasattr(f, "noinline"), **INNER)(own)

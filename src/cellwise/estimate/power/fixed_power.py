@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from cellwise.cell.description import BRANCHES
 from cellwise.cell.unrolled import THERE, unrolled_by_option
-from cellwise.estimate.equations.evidence import voltage_variance
+from cellwise.estimate.equations.evidence import single_variance
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.innovation import extrapolated
 from cellwise.estimate.fixed.layout import Model
@@ -108,8 +108,7 @@ def go_on(
         voltage_V = voltage_V + (p.m_V * h)
         spread_V = p.m_V * keep
         kept_V2 = kept_V2 + ((spread_V * spread_V) * x.phh)
-    share = c.share_variance if current >= 0.0 else c.charge_variance
-    variance_V2 = voltage_variance(p.noise_V2, share, held_V, c.current_variance_A2, p.r0_ohm)
+    variance_V2 = single_variance(c, p.noise_V2, current, held_V, 0.0, p.r0_ohm)
     if VALIDITY:
         beyond_V = extrapolated(c, x, current, held_V)
         variance_V2 = variance_V2 + (beyond_V * beyond_V)

@@ -24,7 +24,7 @@ from cellwise.cell.plausibility.validity_kernels import (
 )
 from cellwise.cell.point_kernels import CellPoint, CellScalars
 from cellwise.cell.unrolled import ByState, unrolled
-from cellwise.estimate.evidence_kernels import variance_about
+from cellwise.estimate.evidence_kernels import step_constants, variance_about
 from cellwise.estimate.noise import NoiseScalars
 
 # Intervals of a horizon: within one the current is constant, and SOC's tables are looked up.
@@ -235,6 +235,7 @@ def end_variance(
     begun = soc_extrapolation_V(noise.valid, known.cell.soc)
     more += max(soc_extrapolation_V(noise.valid, x.soc) - begun, 0.0)
     point = widened(now.point, abs(more))
-    model = variance_about(noise, point, point.r0_ohm, now.current_A, 0.0, branches)
+    c = step_constants(tables.cell, noise, 1.0)
+    model = variance_about(c, noise, point, now.current_A, 0.0, branches)
     seen = correction_variance(tables.cell, known.but, now.point, x, now.current_A)
     return slope_V * slope_V * known.soc_variance + model + seen

@@ -1,0 +1,151 @@
+"""A voltage that is looked at: gate, recovery and weight, what it says against count and model.
+
+``c`` are the constants of one time step, ``x`` is what is carried: records of either precision have
+these fields. Time is in steps of the fixed step, in seconds elsewhere; so is a ``Count``, which is
+a whole number there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, TypeAlias
+
+from cellwise.cell.compiled import inline
+from cellwise.cell.equations.double import in_units, positive_above, unit_of
+from cellwise.cell.equations.scalar import at_most
+from cellwise.estimate.equations.components import (
+    ComponentUpdate,
+    component_update,
+    evidence_share,
+)
+from cellwise.estimate.equations.covariance import Column
+from cellwise.estimate.equations.evidence import (
+    Shared,
+    as_shown,
+    contradicted_step,
+    inverse_weight,
+    lately_shown,
+    persistent_step,
+    persistent_V,
+)
+from cellwise.estimate.status import GATE_RECOVERY, INNOVATION_REJECTED
+
+U = int  # kinds of numbers; those of the fixed step are of four bytes
+Count = float
+Constants: TypeAlias = Any
+State: TypeAlias = Any
+OffsetFloat: TypeAlias = Any
+
+
+class Innovation(NamedTuple):
+    """What the state says of the next voltage, before it is looked at.
+
+    ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state and ``one_V2``
+    what the voltage brings to it; ``slope_V`` is the voltage's over SOC. One deviation of an offset
+    moves the voltage by ``of_offset_V``, all that is believed of it has moved it by
+    ``followed_V``. ``column`` is P H'.
+    """
+
+    voltage_V: float
+    variance_V2: float
+    explained_V2: float
+    one_V2: float
+    slope_V: float
+    of_offset_V: OffsetFloat
+    followed_V: OffsetFloat
+    column: Column
+
+
+class Verdict(NamedTuple):
+    """What becomes of a voltage: a rejected one only moves the counts.
+
+    After too long a time of them in a row the state ``recovers``: the SOC is open again. ``shown``
+    is the mismatch in units of ``unit``, which :func:`weight_of` takes.
+    """
+
+    accepted: bool
+    recovers: bool
+    rejections: Count
+    shown: float
+    unit: float
+    mismatch: float
+    status: int
+
+
+@inline
+def judge(
+    c: Constants, x: State, i: Innovation, innovation_V: float, lately: float, turn: Count
+) -> Verdict:
+    """Gate and count one innovation.
+
+    It moves the running mismatch by ``lately`` and counts as a rejection for ``turn``.
+    """
+    square = innovation_V * innovation_V
+    own_V2 = i.explained_V2 + i.one_V2
+    unit = unit_of(own_V2)
+    most = at_most(
+        in_units(square, own_V2), c.mismatch_cap * unit
+    )  # one counts for so much at most
+    shown = lately_shown(x.mismatch * unit, most, lately)
+    mismatch = shown / unit
+    accepted = not positive_above(square, c.gate_square * i.variance_V2)
+    recovers = False
+    rejections = Count(0)
+    status = U(0)
+    if not accepted:
+        status = U(INNOVATION_REJECTED)
+        rejections = Count(x.rejections + turn)
+        if rejections >= c.recovery_after:
+            recovers = True
+            status = U(INNOVATION_REJECTED | GATE_RECOVERY)
+            rejections = Count(0)
+            mismatch = 1.0
+    return Verdict(accepted, recovers, rejections, shown, unit, mismatch, status)
+
+
+@inline
+def weight_of(i: Innovation, shown: float, unit: float, shared: Shared) -> float:
+    """One over the variance that weighs an accepted voltage.
+
+    What the innovations have lately shown beyond their variance makes evidence weigh less.
+    """
+    of_one = i.one_V2 * shared.above
+    weight = unit * of_one
+    if positive_above(shown, unit):
+        weight = shown * of_one
+    return inverse_weight(i.explained_V2, weight, unit * shared.below)
+
+
+@inline
+def judge_component(
+    c: Constants, x: State, i: Innovation, innovation_V: float, since: float, shared: Shared
+) -> ComponentUpdate:
+    """A voltage to a component of a bank: none is rejected, each moves by what the gate lets pass.
+
+    The variance of a voltage is that of the likeliest component, for all: one whose tables state
+    a larger error must not explain everything.
+    """
+    weight = as_shown(x.error_V2 * shared.above, x.mismatch)
+    share = evidence_share(c.fades, c.stays, c.shared, since)
+    return component_update(
+        innovation_V, i.variance_V2, c.gate_square, i.explained_V2, weight, shared.below, share
+    )
+
+
+@inline
+def contradicted_after(
+    c: Constants, x: State, i: Innovation, innovation_V: float, since: float
+) -> float:
+    """SOC that the voltages say is missing, were the current off for all of the time ``since``."""
+    drift = c.drift_soc * since
+    return contradicted_step(
+        x.contradicted, innovation_V, i.slope_V, i.one_V2, drift, c.contradicted_share
+    )
+
+
+@inline
+def persistent_after(
+    c: Constants, x: State, i: Innovation, error_V2: float, mismatch: float, gain: float
+) -> float:
+    """SOC error by a persistent error of the model, after a voltage with a ``gain`` of the SOC."""
+    error_V = persistent_V(c.persistent, error_V2, mismatch)
+    return persistent_step(gain, i.slope_V, x.persistent, error_V)
