@@ -7,13 +7,13 @@
 
 /* After too long a time of rejected voltages in a row: the SOC is open. With CELLWISE_BANK the state asks for a
  * bank, which begins again over all of the SOC. */
-static void recover(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
+static void recover(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float delayed_current_A)
 {
     x->contradicted = 0.0f;
     x->persistent = 0.0f;
     x->in_bank = CONTRADICTED;
     x->evidence = FIRST_VOLTAGE;
-    open_up(c, x, p, seen);
+    open_up(c, x, p, delayed_current_A);
     forget_offset(x);
 }
 
@@ -69,7 +69,7 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
             x->error_V2 = i->one_V2;
         }
         cellwise_shared shared;
-        shared_by(c, x, s->seen, &shared);
+        shared_by(c, x, s->delayed_current_A, &shared);
         if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
             cellwise_componentupdate used;
             judge_component(c, x, i, innovation, steps_of_evidence(x), &shared, &used);
@@ -86,14 +86,14 @@ static uint32_t weigh(const cellwise_constants *c, cellwise_state *x, const cell
         x->mismatch = v.mismatch;
         if (v.accepted) {
             cellwise_shared shared;
-            shared_by(c, x, s->seen, &shared);
+            shared_by(c, x, s->delayed_current_A, &shared);
             if ((s->news == INTERVAL) || (shared.above <= shared.below)) {
                 fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, &shared));
                 contradict(c, x, i, innovation, beyond);
             }
             begin_evidence(x);
         } else if (v.recovers) {
-            recover(c, x, p, s->seen);
+            recover(c, x, p, s->delayed_current_A);
         } else { /* as before */
         }
     }
@@ -122,7 +122,7 @@ static uint32_t correct(const cellwise_constants *c, cellwise_state *x, const ce
         out->innovation_V = innovation;
         if (s->news != REPEATED) { /* a repeated sample is no evidence */
             watch_current(c, x, voltage);
-            status = watch_voltage(c, x, voltage, s->seen, p->r0_ohm, innovation);
+            status = watch_voltage(c, x, voltage, s->delayed_current_A, p->r0_ohm, innovation);
             if (status == 0u) {
                 away = 0u;
             }

@@ -21,11 +21,12 @@ static void watch_current(const cellwise_constants *c, cellwise_state *x, float 
 }
 
 /* CW-009. Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0. */
-static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float seen, float r0_ohm,
-                              float innovation)
+static uint32_t watch_voltage(const cellwise_constants *c, cellwise_state *x, float voltage, float delayed_current_A,
+                              float r0_ohm, float innovation)
 {
     cellwise_heldvoltage now;
-    repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, seen, r0_ohm, innovation, c->frozen_V, &now);
+    repeats_after(x->voltage_V, x->frozen_A, x->repeats, voltage, delayed_current_A, r0_ohm, innovation, c->frozen_V,
+                  &now);
     x->voltage_V = now.voltage_V;
     x->frozen_A = now.since_A;
     x->repeats = now.repeats;
@@ -44,9 +45,10 @@ static float steps_of_evidence(const cellwise_state *x)
 }
 
 /* How many samples share one model error; the first voltage at rest stands alone. */
-static void shared_by(const cellwise_constants *c, const cellwise_state *x, float seen, cellwise_shared *shared)
+static void shared_by(const cellwise_constants *c, const cellwise_state *x, float delayed_current_A,
+                      cellwise_shared *shared)
 {
-    const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(seen, c->rest_A);
+    const bool alone = (x->evidence < FIRST_VOLTAGE) && SIZE_BELOW(delayed_current_A, c->rest_A);
     shared_evidence(c, steps_of_evidence(x), 1.0f, alone, shared);
 }
 
@@ -57,7 +59,7 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, co
     if (!WITHIN(x->soc, c->valid_soc_low, c->valid_soc_high)) {
         status = CELLWISE_OUTSIDE;
     }
-    if (!WITHIN(s->seen, c->valid_charge_A, c->valid_discharge_A)) {
+    if (!WITHIN(s->delayed_current_A, c->valid_charge_A, c->valid_discharge_A)) {
         status = CELLWISE_OUTSIDE;
     }
     if (!WITHIN(x->temperature_C, c->valid_cold_C, c->valid_warm_C)) {
@@ -69,9 +71,10 @@ static uint32_t outside(const cellwise_constants *c, const cellwise_state *x, co
 /* What the model can be off by beyond its data's current and temperature, one deviation. The law of the float64
  * filters: a share of the polarisation, as of an exponential to its third order; what lies beyond in SOC is in the
  * table of the error. */
-static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float seen, float polarisation_V)
+static float extrapolated(const cellwise_constants *c, const cellwise_state *x, float delayed_current_A,
+                          float polarisation_V)
 {
-    float share = c->share_per_A * distance_beyond(seen, c->valid_charge_A, c->valid_discharge_A);
+    float share = c->share_per_A * distance_beyond(delayed_current_A, c->valid_charge_A, c->valid_discharge_A);
     float moved_V = 0.0f;
     const float far_K = distance_beyond(x->temperature_C, c->valid_cold_C, c->valid_warm_C);
     share = share + exponential_rise(c->share_per_K * far_K);
@@ -131,11 +134,12 @@ static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, floa
 static void innovate(const cellwise_constants *c, const cellwise_state *x, const cellwise_point *p,
                      const cellwise_slopes *w, const cellwise_reading *s, cellwise_innovation *innovation)
 {
-    const float drop = p->r0_ohm * s->seen;
+    const float drop = p->r0_ohm * s->delayed_current_A;
     const float polarisation_V = ((magnitude(drop) + magnitude(x->v1_V)) + magnitude(x->v2_V)) + magnitude(x->v3_V);
     innovation->voltage_V = voltage_of(x, p, drop);
-    innovation->one_V2 = single_variance(c, p->noise_V2, s->seen, polarisation_V, s->unmeasured_A2, p->r0_ohm);
-    const float beyond_V = extrapolated(c, x, s->seen, polarisation_V);
+    innovation->one_V2 =
+        single_variance(c, p->noise_V2, s->delayed_current_A, polarisation_V, s->unmeasured_A2, p->r0_ohm);
+    const float beyond_V = extrapolated(c, x, s->delayed_current_A, polarisation_V);
     innovation->one_V2 = innovation->one_V2 + (beyond_V * beyond_V);
     column_of(x, w->slope_V, p->m_V, &innovation->column);
     innovation->explained_V2 = explained(&innovation->column, w->slope_V, p->m_V);

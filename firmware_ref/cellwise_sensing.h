@@ -6,15 +6,15 @@
 #include "cellwise_state.h"
 
 /* A sample as the filter takes it. `news` says whether it ends an interval, `missing` how many were left out,
- * `silent` for how many steps there was no current that could be used. `current` is the one that is held, `seen`
- * what the voltage has seen of it, `flow` what flows without the sensor's offset. */
+ * `silent` for how many steps there was no current that could be used. `current` is the one that is held,
+ * `delayed_current_A` the one that the voltage has seen, `flow` what is counted as charge. */
 typedef struct {
     uint32_t status;
     uint32_t news;
     uint32_t missing;
     uint32_t silent;
     float current;
-    float seen;
+    float delayed_current_A;
     float flow;
     float unmeasured_A2;
     float temperature_C;
@@ -70,11 +70,11 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     } else { /* as before */
     }
     reading->temperature_C = x->temperature_C + x->heat_K;
-    reading->seen = reading->current;
+    reading->delayed_current_A = reading->current;
     if (reading->news == INTERVAL) {
-        reading->seen = reading->current + (c->skew_share * (x->current_A - reading->current));
+        reading->delayed_current_A = reading->current + (c->skew_share * (x->current_A - reading->current));
     }
-    reading->flow = reading->seen;
+    reading->flow = reading->delayed_current_A;
     /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as much as half a rate
      * may flow either way. */
     if ((reading->silent != 0u) || (reading->news == REPEATED)) {
@@ -85,7 +85,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     }
     if (reading->silent > c->hold_steps) {
         reading->status = reading->status | CELLWISE_CURRENT_LOST;
-        reading->seen = 0.0f;
+        reading->delayed_current_A = 0.0f;
         reading->flow = 0.0f;
         reading->unmeasured_A2 = c->lost_A2;
     }

@@ -168,9 +168,9 @@ static void hold_within(cellwise_state *x)
 
 /* After voltages that contradicted it for long the SOC is open, branches may hold anything. Without CELLWISE_WIDE
  * they are what they would be at a start. */
-static void open_up(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float seen)
+static void open_up(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, float delayed_current_A)
 {
-    (void)seen;
+    (void)delayed_current_A;
     x->ss = at_least(x->ss, RECOVERY_VARIANCE);
     forget_correlations(x);
     float kept = x->v1_V * x->v1_V;
@@ -237,9 +237,9 @@ static void predict(const cellwise_constants *c, cellwise_state *x, const cellwi
 }
 
 /* The cell's own warming over one interval. */
-static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float seen, float flow)
+static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float delayed_current_A, float flow)
 {
-    const float fall = (((r0_ohm * seen) + x->v1_V) + x->v2_V) + x->v3_V;
+    const float fall = (((r0_ohm * delayed_current_A) + x->v1_V) + x->v2_V) + x->v3_V;
     const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
     x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
 }

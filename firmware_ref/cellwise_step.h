@@ -44,9 +44,9 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     under_surface(c, x, &place, s.temperature_C, &place);
     aged(x, &place, &place);
     cellwise_point p;
-    look_up(m, &place, x->soc, s.seen, &p);
+    look_up(m, &place, x->soc, s.delayed_current_A, &p);
     if (x->evidence == NOT_BEGUN) {
-        guess_branches(c, x, &p, s.seen);
+        guess_branches(c, x, &p, s.delayed_current_A);
         x->evidence = NO_VOLTAGE_YET;
     }
     if (charge.missing != 0u) {
@@ -55,11 +55,11 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
     cellwise_slopes w;
     no_slopes(&p, &w);
     if (x->ss > WIDE_VARIANCE) {
-        slopes_of(m, &place, x->soc, root(x->ss), s.seen, &p, &w);
+        slopes_of(m, &place, x->soc, root(x->ss), s.delayed_current_A, &p, &w);
     }
     if (s.news == INTERVAL) {
         predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
-        heat(c, x, p.r0_ohm, s.seen, s.flow);
+        heat(c, x, p.r0_ohm, s.delayed_current_A, s.flow);
         count_offset(c, x, &p, &s, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &s);

@@ -153,7 +153,7 @@ class TestLookUp:
 
 def test_seen_current_lies_between_the_last_two():
     cell = linear_cell(effects=EFFECTS).parameters().cell  # 0.4 s of skew
-    assert kernels.seen_current(cell, 5.0, 1.0, 1.0) == pytest.approx(0.6 * 5.0 + 0.4 * 1.0)
-    assert kernels.seen_current(cell, 5.0, 1.0, 0.2) == 1.0  # no more than one interval
-    assert kernels.seen_current(cell, 5.0, 1.0, 0.0) == 5.0
-    assert kernels.seen_current(linear_cell().parameters().cell, 5.0, 1.0, 1.0) == 5.0
+    assert kernels.delayed_current(cell, 5.0, 1.0, 1.0) == pytest.approx(0.6 * 5.0 + 0.4 * 1.0)
+    assert kernels.delayed_current(cell, 5.0, 1.0, 0.2) == 1.0  # no more than one interval
+    assert kernels.delayed_current(cell, 5.0, 1.0, 0.0) == 5.0
+    assert kernels.delayed_current(linear_cell().parameters().cell, 5.0, 1.0, 1.0) == 5.0

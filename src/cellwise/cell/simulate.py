@@ -14,8 +14,8 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
+    delayed_current,
     empty_state,
-    seen_current,
     voltage_of,
 )
 from cellwise.cell.metrics import (
@@ -61,10 +61,10 @@ def simulate_rows(
     state = start
     previous = current_A[0]
     for k in range(dt_s.size):
-        seen = seen_current(tables.cell, current_A[k], previous, dt_s[k])
+        delayed_A = delayed_current(tables.cell, current_A[k], previous, dt_s[k])
         previous = current_A[k]
-        state, point = advance(tables, state, seen, dt_s[k], temperature_C[k])
-        voltage_V[k] = voltage_of(point, state, seen)
+        state, point = advance(tables, state, delayed_A, dt_s[k], temperature_C[k])
+        voltage_V[k] = voltage_of(point, state, delayed_A)
         soc[k] = state.soc
     return state
 

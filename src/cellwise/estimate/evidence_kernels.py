@@ -124,25 +124,25 @@ def variance_about(
     c: StepConstants,
     noise: NoiseScalars,
     point: CellPoint,
-    seen_A: float,
+    delayed_current_A: float,
     lost_A: float,
     branches_V: float,
 ) -> float:
     """Variance of one measured voltage about a perfect state [V^2]."""
     error_V2 = slow_variance(noise, noise.voltage_V * noise.voltage_V, point)
-    held_V = abs(point.r0_ohm * seen_A) + branches_V
-    return single_variance(c, error_V2, seen_A, held_V, lost_A * lost_A, point.r0_ohm)
+    held_V = abs(point.r0_ohm * delayed_current_A) + branches_V
+    return single_variance(c, error_V2, delayed_current_A, held_V, lost_A * lost_A, point.r0_ohm)
 
 
 @inline
 def repeated_evidence(
-    c: StepConstants, noise: NoiseScalars, evidence_s: float, dt_s: float, seen_A: float
+    c: StepConstants, noise: NoiseScalars, evidence_s: float, dt_s: float, delayed_current_A: float
 ) -> Shared:
     """How many samples share one model error ``evidence_s`` after the first one.
 
     A sample shares its error with itself at least: where intervals are long that rules.
     """
-    alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and size_below(seen_A, c.rest_A))
+    alone = noise.slow_s <= 0.0 or (evidence_s < 0.0 and size_below(delayed_current_A, c.rest_A))
     # The first row of a log has no interval.
     shared = shared_evidence(c, max(evidence_s, 0.0), 1.0 if alone else dt_s, alone)
     return Shared(max(shared.above, shared.below), shared.below)
@@ -201,7 +201,7 @@ def gate(
         status |= v.status
         accepted, rejections, mismatch = v.accepted, v.rejections, v.mismatch
         if accepted:
-            shared = repeated_evidence(c, noise, evidence_s, s.dt_s, s.seen_A)
+            shared = repeated_evidence(c, noise, evidence_s, s.dt_s, s.delayed_current_A)
             inverse = weight_of(i, v.shown, v.unit, shared)
             evidence_s = max(evidence_s, 0.0)
         elif v.recovers:

@@ -69,7 +69,7 @@ class Lane(NamedTuple):
     """What one cell has read, and the tables at its SOC after the interval."""
 
     current_A: float
-    seen_A: float
+    delayed_current_A: float
     voltage_V: float
     temperature_C: float
     no_warm_s: float
@@ -124,13 +124,20 @@ def read_lane(
     plain = s.status == 0 and math.isfinite(s.voltage_V) and math.isfinite(soc)
     plain &= (w.evidence_s >= 0.0) & (w.no_voltage_s == 0.0) & (w.no_current_s == 0.0)
     plain &= (old.p.ss <= WIDE_VARIANCE) & (s.no_warm_s <= 0.0)
-    plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.seen_A)
+    plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A)
     work[PLAIN * LANES + lane] = 1.0 if plain else 0.0
     if plain:
         slow = slow_step(cell, old.cell.slow_A, s.flow_A, s.dt_s)
-        point = loaded(tables, soc, s.temperature_C + old.cell.heat_K, s.seen_A, slow)
+        point = loaded(tables, soc, s.temperature_C + old.cell.heat_K, s.delayed_current_A, slow)
         seen = Lane(
-            s.current_A, s.seen_A, s.voltage_V, s.temperature_C, s.no_warm_s, soc, slow, point
+            s.current_A,
+            s.delayed_current_A,
+            s.voltage_V,
+            s.temperature_C,
+            s.no_warm_s,
+            soc,
+            slow,
+            point,
         )
         put_record(work, lane, LANES, seen, True)
 
@@ -140,7 +147,7 @@ def plain_step(
     tables: CellTables, noise: NoiseScalars, old: EkfState, lane: Lane, dt_s: float
 ) -> tuple[EkfState, EkfInfo, bool]:
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
-    cell, point, flow_A = tables.cell, lane.point, lane.seen_A
+    cell, point, flow_A = tables.cell, lane.point, lane.delayed_current_A
     # fmt: off
     s = CheckedReading(
         lane.current_A, flow_A, flow_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,

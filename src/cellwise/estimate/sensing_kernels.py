@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from cellwise.cell.compiled import inline
-from cellwise.cell.equations import CellTables, needs_temperature, seen_current
+from cellwise.cell.equations import CellTables, delayed_current, needs_temperature
 from cellwise.estimate.equations.constants import (
     COLDEST_C,
     FOUND_FROZEN,
@@ -71,13 +71,13 @@ class MeasuredSample(NamedTuple):
 class CheckedReading(NamedTuple):
     """A sample as the filter takes it.
 
-    ``seen_A`` is the current that the voltage has seen, ``flow_A`` what moved charge;
+    ``delayed_current_A`` is the current that the voltage has seen, ``flow_A`` what moved charge;
     ``gap_A2`` and ``lost_A`` say how much may have flowed unseen over a gap and since the current
     was lost. ``voltage_V`` is NaN where it must not be used.
     """
 
     current_A: float
-    seen_A: float
+    delayed_current_A: float
     flow_A: float
     gap_A2: float
     lost_A: float
@@ -132,29 +132,30 @@ def read_sample(
         if math.isfinite(voltage):
             status |= OUT_OF_RANGE
         voltage = math.nan
-    seen = seen_current(tables.cell, current, held, dt_s)
-    flow = seen
+    delayed = delayed_current(tables.cell, current, held, dt_s)
+    counted = delayed
     unknown = 0.0
     lost = 0.0
     if no_current > noise.hold_s:
         # Whatever was held is no guide any more: nothing is counted, and as much as half a rate
         # may flow either way.
         status |= CURRENT_LOST
-        seen = 0.0
-        flow = 0.0
+        delayed = 0.0
+        counted = 0.0
         lost = LOST_RATE * tables.cell.charge_As / 3600.0
     elif gap:
         # What flowed is not known: no charge is moved, and the branches may hold what the currents
         # on either side can have left there. The voltage is still read under the row's current.
-        flow = 0.0
-        unknown = seen * seen + held * held
+        counted = 0.0
+        unknown = delayed * delayed + held * held
     if gap:
         status |= SEQUENCE_GAP
     elif dt_s <= 0.0:
         status |= DUPLICATE
     # fmt: off
     return CheckedReading(
-        current, seen, flow, unknown, lost, voltage, warm, no_current, no_warm, dt_s, gap, status
+        current, delayed, counted, unknown, lost, voltage, warm, no_current, no_warm, dt_s, gap,
+        status,
     )
     # fmt: on
 
@@ -175,7 +176,7 @@ def watch_voltage(
     if math.isfinite(s.voltage_V):
         last = repeats_after(
             watch.voltage_V, watch.frozen_A, watch.repeats,
-            s.voltage_V, s.seen_A, r0_ohm, innovation_V, noise.frozen_V,
+            s.voltage_V, s.delayed_current_A, r0_ohm, innovation_V, noise.frozen_V,
         )  # fmt: skip
         if last.repeats >= FOUND_FROZEN:
             status = VOLTAGE_FROZEN

@@ -30,12 +30,12 @@ from cellwise.cell.equations import (
     branch_gain,
     charge_transfer,
     decay,
+    delayed_current,
     hysteresis_decay,
     hysteresis_step,
     loaded_voltage,
     polarisation,
     relaxed,
-    seen_current,
 )
 from cellwise.cell.equations.exponential import exponential
 from cellwise.cell.point_kernels import CellScalars
@@ -126,7 +126,7 @@ def voltage_and_jacobian(
     h = h0
     h_gamma = 0.0
     h_skew = 0.0
-    seen = 0.0
+    delayed_A = 0.0
     slope = 0.0
     previous = log.current_A[0]
     first = 0
@@ -151,7 +151,7 @@ def voltage_and_jacobian(
         same = -1.0  # the interval that `left` is of
         for k in range(first, end + 1):
             dt = log.dt_s[k]
-            seen = seen_current(cell, log.current_A[k], previous, dt)
+            delayed_A = delayed_current(cell, log.current_A[k], previous, dt)
             slope = 0.0
             if skewed and dt > 0.0 and cell.skew_s < dt:
                 slope = (previous - log.current_A[k]) / dt * SKEW_UNIT_S
@@ -165,33 +165,33 @@ def voltage_and_jacobian(
                 loaded_r = r[j]
                 by_r = 1.0
                 by_asinh = 0.0
-                by_seen = 0.0
+                by_delayed = 0.0
                 if j == 0 and cell.asinh_per_V != 0.0:
                     # Chain rule through `charge_transfer`, whose slope is a difference.
-                    u = cell.asinh_per_V * r[j] * seen
+                    u = cell.asinh_per_V * r[j] * delayed_A
                     near = OVERVOLTAGE_STEP * (1.0 + abs(u))
                     steep = (charge_transfer(u + near) - charge_transfer(u - near)) / (2.0 * near)
                     by_r = charge_transfer(u)
                     loaded_r = r[j] * by_r
                     by_r += steep * u
-                    by_asinh = steep * r[j] * r[j] * seen * ASINH_UNIT_PER_V
-                    by_seen = steep * r[j] * r[j] * cell.asinh_per_V
-                by_loaded = seen * (1.0 - left[j])
+                    by_asinh = steep * r[j] * r[j] * delayed_A * ASINH_UNIT_PER_V
+                    by_delayed = steep * r[j] * r[j] * cell.asinh_per_V
+                by_loaded = delayed_A * (1.0 - left[j])
                 remains[j] *= left[j]
                 of_r[j] = left[j] * of_r[j] + by_loaded * by_r * r[j]
-                of_tau[j] = left[j] * of_tau[j] + turned[j] * (v[j] - loaded_r * seen)
-                by_current = loaded_r * (1.0 - left[j]) + by_loaded * by_seen
+                of_tau[j] = left[j] * of_tau[j] + turned[j] * (v[j] - loaded_r * delayed_A)
+                by_current = loaded_r * (1.0 - left[j]) + by_loaded * by_delayed
                 sens_skew[j] = left[j] * sens_skew[j] + by_current * slope
                 if j == 0:
                     sens_asinh = left[j] * sens_asinh + by_loaded * by_asinh
-                v[j] = relaxed(v[j], left[j], branch_gain(loaded_r, left[j]), seen)
+                v[j] = relaxed(v[j], left[j], branch_gain(loaded_r, left[j]), delayed_A)
             if hysteresis:
-                ah = hysteresis_decay(cell, seen, dt)
-                side = math.copysign(1.0, seen)
+                ah = hysteresis_decay(cell, delayed_A, dt)
+                side = math.copysign(1.0, delayed_A)
                 by_current = -cell.hysteresis_rate * side * dt / cell.charge_As * ah * (h + side)
-                h_gamma = ah * h_gamma + by_current * seen
+                h_gamma = ah * h_gamma + by_current * delayed_A
                 h_skew = ah * h_skew + by_current * slope
-                h = hysteresis_step(h, ah, seen)
+                h = hysteresis_step(h, ah, delayed_A)
         first = end + 1
         if wanted:
             for j in range(branches):
@@ -230,14 +230,14 @@ def voltage_and_jacobian(
         m = 0.0
         if hysteresis:
             m = _value(theta, lay.m + f, log.tables.values, run, share, knots)
-        drop = polarisation(r0, seen, v[0], v[1] + v[2])
+        drop = polarisation(r0, delayed_A, v[0], v[1] + v[2])
         voltage_V[out] = loaded_voltage(ocv, m, h, drop)
         if wanted:
             row = jacobian[out]
             row[:] = 0.0
             for q in range(SUPPORT):
                 row[of + q] = log.ocv.values[out, q]
-                by_r0 = -log.tables.values[run, q] * seen * r0
+                by_r0 = -log.tables.values[run, q] * delayed_A * r0
                 by_m = log.tables.values[run, q] * h
                 row[lay.r0 + f + q] = (1.0 - share) * by_r0
                 if hysteresis:
@@ -246,7 +246,7 @@ def voltage_and_jacobian(
                     row[lay.r0 + f + knots + q] = share * by_r0
                     if hysteresis:
                         row[lay.m + f + knots + q] = share * by_m
-            act = -seen * r0 * by_own
+            act = -delayed_A * r0 * by_own
             row[lay.own] = act
             skw = -r0 * slope
             for j in range(branches):
@@ -265,7 +265,9 @@ def voltage_and_jacobian(
             row[lay.skew] = skw
             row[lay.asinh] = -sens_asinh
             along = log.base_slope_V[out] + _value(theta, of, log.ocv.slopes, out, 0.0, 0)
-            along -= seen * r0 * _value(theta, lay.r0 + f, log.tables.slopes, run, share, knots)
+            along -= (
+                delayed_A * r0 * _value(theta, lay.r0 + f, log.tables.slopes, run, share, knots)
+            )
             if hysteresis:
                 along += h * _value(theta, lay.m + f, log.tables.slopes, run, share, knots)
             start, capacity = along, along * log.used_soc[end]

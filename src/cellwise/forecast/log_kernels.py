@@ -9,9 +9,9 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
+    delayed_current,
     look_up,
     needs_temperature,
-    seen_current,
     voltage_of,
     with_soc,
 )
@@ -99,14 +99,14 @@ def parts_of(
 def row_followed(tables: CellTables, was: FollowedCell, log: FilteredRows, k: int) -> FollowedCell:
     """One row on: the model's present error is a mean over about `WINDOW_S`."""
     dt_s, current_A, temperature_C, measured_C, measured_V, soc, _ = log
-    seen = seen_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
-    state, point = advance(tables, was.state, seen, dt_s[k], temperature_C[k])
+    delayed_A = delayed_current(tables.cell, current_A[k], was.previous_A, dt_s[k])
+    state, point = advance(tables, was.state, delayed_A, dt_s[k], temperature_C[k])
     state = with_soc(state, soc[k])
-    voltage = voltage_of(point, state, seen)
-    lost_W = seen * (point.ocv_V - voltage)
+    voltage = voltage_of(point, state, delayed_A)
+    lost_W = delayed_A * (point.ocv_V - voltage)
     bias, held, begun = was.bias_V, was.held_V, was.begun
     if measured_V[k] == measured_V[k]:  # not NaN
-        lost_W = seen * (point.ocv_V - measured_V[k])
+        lost_W = delayed_A * (point.ocv_V - measured_V[k])
         share = min(dt_s[k] / WINDOW_S, 1.0) if begun else 1.0
         begun = True
         bias += share * (measured_V[k] - voltage - bias)

@@ -19,7 +19,7 @@ BEGIN, END = "<!-- printed: equations -->", "<!-- end of what is printed -->"
 
 # Functions in the order of a step, and what a reader calls each.
 SHOWN = (
-    ("seen_current", "sampling delay (`time_skew`)"),
+    ("delayed_current", "sampling delay (`time_skew`)"),
     ("charge_used", "charge used (`charge_efficiency`, `self_discharge`)"),
     ("soc_step", "state of charge"),
     ("inverse_kelvin", "distance from the reference temperature"),

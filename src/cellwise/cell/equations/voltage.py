@@ -44,7 +44,7 @@ def terminal_voltage(point: CellPoint, h: float, polarisation_V: float) -> float
 
 
 @inline
-def seen_current(cell: CellScalars, current_A: float, previous_A: float, dt_s: float) -> float:
+def delayed_current(cell: CellScalars, current_A: float, previous_A: float, dt_s: float) -> float:
     """Current that the logged voltage has seen: delayed by the instrument's sampling delay.
 
     Linear between the two last samples; a delay longer than one interval counts as one interval.

@@ -19,7 +19,7 @@ from cellwise.cell.equations import (
     CellTables,
     advance,
     at_rest,
-    seen_current,
+    delayed_current,
     voltage_of,
 )
 from cellwise.cell.initial_soc.padding import padded_rows
@@ -230,13 +230,15 @@ def sum_errors(
         moved = 0.0
         for i in range(log.interval_s.size):
             soc = state.soc
-            seen = seen_current(tables.cell, log.current_A[i], previous, log.interval_s[i])
+            delayed_A = delayed_current(tables.cell, log.current_A[i], previous, log.interval_s[i])
             previous = log.current_A[i]
-            state, point = advance(tables, state, seen, log.interval_s[i], log.temperature_C[i])
+            state, point = advance(
+                tables, state, delayed_A, log.interval_s[i], log.temperature_C[i]
+            )
             moved += abs(state.soc - soc)
             outside = max(state.soc - 1.0, -state.soc) / (BEYOND + DRIFT * moved)
             sums[2, k] = max(sums[2, k], outside)
-            error = log.voltage_V[i] - voltage_of(point, state, seen)
+            error = log.voltage_V[i] - voltage_of(point, state, delayed_A)
             if error == error:  # not NaN
                 sums[0, k] += log.weight[i] * error * error
                 sums[1, k] += log.weight[i] * error * log.past[i]

@@ -137,7 +137,7 @@ def use_in_bank(
     inverse, cost, ratio = 0.0, 0.0, math.nan
     if used:
         ratio = innovation_V * innovation_V / i.variance_V2 * noise.per_gate2
-        shared = repeated_evidence(m.constant, noise, evidence_s, s.dt_s, s.seen_A)
+        shared = repeated_evidence(m.constant, noise, evidence_s, s.dt_s, s.delayed_current_A)
         evidence_s = max(evidence_s, 0.0)
         innovation_V, inverse, cost = judge_component(
             m.constant, a, i, innovation_V, evidence_s, shared

@@ -11,7 +11,14 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from cellwise.cell.description import BRANCHES, CELL, SOC, H
-from cellwise.cell.equations import CellState, advance, loaded, seen_current, transition, voltage_of
+from cellwise.cell.equations import (
+    CellState,
+    advance,
+    delayed_current,
+    loaded,
+    transition,
+    voltage_of,
+)
 from cellwise.cell.model import CellModel
 from cellwise.cell.plausibility.validity_kernels import extrapolation_V, is_outside, widened
 from cellwise.cell.point_kernels import CellPoint
@@ -42,7 +49,7 @@ class MatrixInterval(NamedTuple):
     """
 
     dt_s: float
-    seen_A: float
+    delayed_current_A: float
     flow_A: float
     gap_A2: float
     temperature_C: float
@@ -103,14 +110,16 @@ class FilterpyFilter(FilterOfModel):
         heat_K, slow_A = 0.0, 0.0
         for k, dt in enumerate(log.interval_s.tolist()):
             held = float(current[k]) if np.isfinite(current[k]) else previous
-            seen = float(seen_current(self.cell, held, previous, dt))
-            unknown = seen**2 + previous**2 if gaps[k] else 0.0
+            delayed_A = float(delayed_current(self.cell, held, previous, dt))
+            unknown = delayed_A**2 + previous**2 if gaps[k] else 0.0
             previous = held
-            flow = 0.0 if gaps[k] else seen
-            now = MatrixInterval(dt, seen, flow, unknown, float(temperature[k]), heat_K, slow_A)
+            flow = 0.0 if gaps[k] else delayed_A
+            now = MatrixInterval(
+                dt, delayed_A, flow, unknown, float(temperature[k]), heat_K, slow_A
+            )
             if k == 0:
                 point = self.point(float(kf.x[0]), now)
-                flow_A, spread_A, limit_V = before_start(self.cell, seen)
+                flow_A, spread_A, limit_V = before_start(self.cell, delayed_A)
                 for j, r in enumerate(resistances(point), start=1):
                     kf.x[j] = r * flow_A
                     kf.P[j, j] = held_variance(RESTED_V2, float(r), spread_A, limit_V)
@@ -122,7 +131,7 @@ class FilterpyFilter(FilterOfModel):
             self.predict(kf, now._replace(slow_A=slow_A), after, diagonal)
             heat_K, slow_A = after.heat_K, after.slow_A
             one, status[k] = self.voltage_variance(kf.x, now)
-            shared, below = repeated_evidence(self.constants(dt), noise, evidence, dt, seen)
+            shared, below = repeated_evidence(self.constants(dt), noise, evidence, dt, delayed_A)
             predicted[k], state_V2 = self.seen(kf, now)
             variance[k] = state_V2 + one
             if np.isfinite(voltage[k]):
@@ -145,7 +154,7 @@ class FilterpyFilter(FilterOfModel):
     def point(self, soc: float, now: MatrixInterval) -> CellPoint:
         """The tables at one SOC, under load."""
         warm_C = now.temperature_C + now.heat_K
-        return loaded(self._tables, soc, warm_C, now.seen_A, now.slow_A)
+        return loaded(self._tables, soc, warm_C, now.delayed_current_A, now.slow_A)
 
     def moved(self, x: FloatArray, now: MatrixInterval) -> CellState:
         """The model's own step of a whole state."""
@@ -173,18 +182,20 @@ class FilterpyFilter(FilterOfModel):
     def voltage(self, x: FloatArray, now: MatrixInterval) -> FloatArray:
         """Terminal voltage of a state, shape (1,)."""
         state = CellState._make((*(float(v) for v in x), 0.0, 0.0))
-        return np.array([voltage_of(self.point(state.soc, now), state, now.seen_A)])
+        return np.array([voltage_of(self.point(state.soc, now), state, now.delayed_current_A)])
 
     def voltage_variance(self, x: FloatArray, now: MatrixInterval) -> tuple[float, int]:
         """Of one voltage about a perfect state, wider beyond the model's data; the status."""
         noise, soc = self._noise, float(x[0])
         point, held = self.point(soc, now), float(np.abs(x[1:-1]).sum())
-        outside = is_outside(noise.valid, soc, now.temperature_C, now.seen_A)
+        outside = is_outside(noise.valid, soc, now.temperature_C, now.delayed_current_A)
         if outside:
-            drop = abs(float(point.r0_ohm) * now.seen_A) + held
-            far_V = extrapolation_V(noise.valid, now.temperature_C, now.seen_A, drop)
+            drop = abs(float(point.r0_ohm) * now.delayed_current_A) + held
+            far_V = extrapolation_V(noise.valid, now.temperature_C, now.delayed_current_A, drop)
             point = widened(point, far_V)
-        one = variance_about(self.constants(now.dt_s), noise, point, now.seen_A, 0.0, held)
+        one = variance_about(
+            self.constants(now.dt_s), noise, point, now.delayed_current_A, 0.0, held
+        )
         return float(one), OUTSIDE if outside else 0
 
 

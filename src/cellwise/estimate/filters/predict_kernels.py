@@ -71,11 +71,11 @@ class PredictedInterval(NamedTuple):
 
 
 @inline
-def before_start(cell: CellScalars, seen_A: float) -> Before:
+def before_start(cell: CellScalars, delayed_current_A: float) -> Before:
     """What may have flowed in a cell before its first sample."""
     rate_A = cell.charge_As / 3600.0
     return flow_before(
-        seen_A, REST_RATE * rate_A, START_REST_RATE * rate_A, START_LOAD_RATE * rate_A
+        delayed_current_A, REST_RATE * rate_A, START_REST_RATE * rate_A, START_LOAD_RATE * rate_A
     )
 
 
@@ -88,24 +88,24 @@ def over_interval(
     cell = tables.cell
     warm = s.temperature_C + x.heat_K
     slow = slow_step(cell, x.slow_A, s.flow_A, s.dt_s)
-    point: ByState = loaded(tables, soc, warm, s.seen_A, slow)
+    point: ByState = loaded(tables, soc, warm, s.delayed_current_A, slow)
     held: dict[Any, float] = {}
     unknown: dict[Any, float] = {}
     for i in BRANCHES:
         held[i], unknown[i] = x.state[i], 0.0
     if begins:
-        before = before_start(cell, s.seen_A)
+        before = before_start(cell, s.delayed_current_A)
         for i in BRANCHES:
             held[i] = point.r[i] * before.flow_A
             unknown[i] = held_variance(RESTED_V2, point.r[i], before.spread_A, before.limit_V)
     t = transition(cell, point, s.flow_A, s.dt_s)
     old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
     end = states_step(old, t, s.flow_A, soc, slow)
-    drop_V = abs(point.r0_ohm * s.seen_A) + held_in_branches(end)
+    drop_V = abs(point.r0_ohm * s.delayed_current_A) + held_in_branches(end)
     status = 0
-    if is_outside(noise.valid, soc, s.temperature_C, s.seen_A):
+    if is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A):
         status = OUTSIDE
-        more = extrapolation_V(noise.valid, s.temperature_C, s.seen_A, drop_V)
+        more = extrapolation_V(noise.valid, s.temperature_C, s.delayed_current_A, drop_V)
         point = widened(point, more)
     if s.no_warm_s > 0.0:
         point = widened(point, lost_temperature_V(s.no_warm_s, drop_V))
@@ -189,7 +189,7 @@ def by_tangents(
     t: ByState = now.t
     ss = drifted(tables, s, variance_after_gap(tables, noise, s, p.ss))
     p = changed(decayed(p, t), "ss", ss)
-    at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.seen_A, end.slow_A)
+    at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.delayed_current_A, end.slow_A)
     if at.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
         drives = Branches(*(at.rise.row[i] * (1.0 - t.a[i]) * s.flow_A for i in BRANCHES))

@@ -104,8 +104,10 @@ def by_points(
     up: ByState = point
     low: ByState = point
     if wide:
-        up = loaded(tables, now.end.soc + c * root, now.warm_C, s.seen_A, now.end.slow_A)
-        low = loaded(tables, now.end.soc - c * root, now.warm_C, s.seen_A, now.end.slow_A)
+        up = loaded(tables, now.end.soc + c * root, now.warm_C, s.delayed_current_A, now.end.slow_A)
+        low = loaded(
+            tables, now.end.soc - c * root, now.warm_C, s.delayed_current_A, now.end.slow_A
+        )
     x: ByState = now.end
     per = 0.5 / c
     above: dict[Any, float] = {}
@@ -146,15 +148,15 @@ def voltage_by_points(
     root, along = along_soc(p, p.ss)
     branches = sum(x.state[i] for i in BRANCHES)
     away = c * sum(along.row[i] for i in BRANCHES)
-    up = loaded(tables, x.soc + c * root, warm_C, s.seen_A, x.slow_A)
-    low = loaded(tables, x.soc - c * root, warm_C, s.seen_A, x.slow_A)
+    up = loaded(tables, x.soc + c * root, warm_C, s.delayed_current_A, x.slow_A)
+    low = loaded(tables, x.soc - c * root, warm_C, s.delayed_current_A, x.slow_A)
     r_up = up.r0_ohm if at.spread > 0.0 else point.r0_ohm
     r_low = low.r0_ohm if at.spread > 0.0 else point.r0_ohm
-    centre = terminal_voltage(point, x.h, point.r0_ohm * s.seen_A + branches)
-    above = terminal_voltage(up, x.h + c * along.h, r_up * s.seen_A + branches + away)
-    below = terminal_voltage(low, x.h - c * along.h, r_low * s.seen_A + branches - away)
+    centre = terminal_voltage(point, x.h, point.r0_ohm * s.delayed_current_A + branches)
+    above = terminal_voltage(up, x.h + c * along.h, r_up * s.delayed_current_A + branches + away)
+    below = terminal_voltage(low, x.h - c * along.h, r_low * s.delayed_current_A + branches - away)
     first, second = (above - below) * (0.5 / c), (above + below) - 2.0 * centre
-    slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.seen_A) / (2.0 * c * root)
+    slope = ((up.ocv_V - low.ocv_V) - (r_up - r_low) * s.delayed_current_A) / (2.0 * c * root)
     # Covariance with the voltage: along the pair, and given the SOC.
     rest = column_of(without_outer(p, along), 0.0, point.m_V)
     d = Column(root * first, *(rest.row[i] + along.row[i] * first for i in CELL[1:]))

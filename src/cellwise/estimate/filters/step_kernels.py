@@ -107,7 +107,7 @@ def predict(
         x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
         x, p, at = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
-    drop = drop_of(now.point, x, s.seen_A)
+    drop = drop_of(now.point, x, s.delayed_current_A)
     x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
     status |= now.status
     # fmt: off
@@ -129,11 +129,11 @@ def innovate(
     """Predicted voltage and its variances; H = [slope, -1, -1, -1, m], d = P H'."""
     x, point, at = now.x, now.point, now.at
     branches = held_in_branches(x)
-    one = variance_about(c, noise, point, s.seen_A, s.lost_A, branches)
+    one = variance_about(c, noise, point, s.delayed_current_A, s.lost_A, branches)
     if sigma is None:
         d = column_of(now.p, at.slope_V, point.m_V)
         variance = bent_variance(explained(d, at.slope_V, point.m_V), at.bend_V)
-        seen = Voltage(voltage_of(point, x, s.seen_A), d, variance, at.slope_V)
+        seen = Voltage(voltage_of(point, x, s.delayed_current_A), d, variance, at.slope_V)
     else:
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
     # What is believed of an offset has moved the drop, too; what is not known of it may have.
@@ -193,6 +193,6 @@ def filter_step(
     v = gate(c, noise, now.state, s, now.evidence_s, now.point.r0_ohm, i)
     e = update(c, noise, rules, s, now, i, v) if v.accepted else counted(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
-    drop_V = now.point.r0_ohm * s.seen_A + now.x.v1_V
+    drop_V = now.point.r0_ohm * s.delayed_current_A + now.x.v1_V
     free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)
     return after, free, info

@@ -39,11 +39,23 @@ def watch_current(c: Constants, x: State, voltage: float) -> None:
 
 
 def watch_voltage(
-    c: Constants, x: State, voltage: float, seen: float, r0_ohm: float, innovation: float
+    c: Constants,
+    x: State,
+    voltage: float,
+    delayed_current_A: float,
+    r0_ohm: float,
+    innovation: float,
 ) -> int:
     """Whether the voltage is frozen: CELLWISE_VOLTAGE_FROZEN, or 0."""
     now = repeats_after(
-        x.voltage_V, x.frozen_A, x.repeats, voltage, seen, r0_ohm, innovation, c.frozen_V
+        x.voltage_V,
+        x.frozen_A,
+        x.repeats,
+        voltage,
+        delayed_current_A,
+        r0_ohm,
+        innovation,
+        c.frozen_V,
     )
     x.voltage_V = now.voltage_V
     x.frozen_A = now.since_A
@@ -60,9 +72,9 @@ def steps_of_evidence(x: State) -> float:
     return F(since)
 
 
-def shared_by(c: Constants, x: State, seen: float) -> Shared:
+def shared_by(c: Constants, x: State, delayed_current_A: float) -> Shared:
     """How many samples share one model error; the first voltage at rest stands alone."""
-    alone = x.evidence < FIRST_VOLTAGE and size_below(seen, c.rest_A)
+    alone = x.evidence < FIRST_VOLTAGE and size_below(delayed_current_A, c.rest_A)
     return shared_evidence(c, steps_of_evidence(x), 1.0, alone)
 
 
@@ -71,20 +83,22 @@ def outside(c: Constants, x: State, s: Reading) -> int:
     status = U(0)
     if not within(x.soc, c.valid_soc_low, c.valid_soc_high):
         status = U(OUTSIDE)
-    if not within(s.seen, c.valid_charge_A, c.valid_discharge_A):
+    if not within(s.delayed_current_A, c.valid_charge_A, c.valid_discharge_A):
         status = U(OUTSIDE)
     if THERMAL and not within(x.temperature_C, c.valid_cold_C, c.valid_warm_C):
         status = U(OUTSIDE)
     return status
 
 
-def extrapolated(c: Constants, x: State, seen: float, polarisation_V: float) -> float:
+def extrapolated(c: Constants, x: State, delayed_current_A: float, polarisation_V: float) -> float:
     """What the model can be off by beyond its data's current and temperature, one deviation.
 
     The law of the float64 filters: a share of the polarisation, as of an exponential to its third
     order; what lies beyond in SOC is in the table of the error.
     """
-    share = c.share_per_A * distance_beyond(seen, c.valid_charge_A, c.valid_discharge_A)
+    share = c.share_per_A * distance_beyond(
+        delayed_current_A, c.valid_charge_A, c.valid_discharge_A
+    )
     moved_V = 0.0
     if THERMAL:
         far_K = distance_beyond(x.temperature_C, c.valid_cold_C, c.valid_warm_C)
@@ -141,14 +155,16 @@ def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inve
 @unrolled_by_option
 def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovation:
     """Predicted voltage, and the variances of what is measured about it."""
-    drop = p.r0_ohm * s.seen
+    drop = p.r0_ohm * s.delayed_current_A
     polarisation_V = magnitude(drop)
     for i in BRANCHES:
         polarisation_V = polarisation_V + magnitude(x.state[i])
     voltage_V = voltage_of(x, p, drop)
-    one_V2 = single_variance(c, p.noise_V2, s.seen, polarisation_V, s.unmeasured_A2, p.r0_ohm)
+    one_V2 = single_variance(
+        c, p.noise_V2, s.delayed_current_A, polarisation_V, s.unmeasured_A2, p.r0_ohm
+    )
     if VALIDITY:
-        beyond_V = extrapolated(c, x, s.seen, polarisation_V)
+        beyond_V = extrapolated(c, x, s.delayed_current_A, polarisation_V)
         one_V2 = one_V2 + (beyond_V * beyond_V)
     column = column_of(x, w.slope_V, p.m_V)
     explained_V2 = explained(column, w.slope_V, p.m_V)

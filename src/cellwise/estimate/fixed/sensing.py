@@ -24,7 +24,7 @@ class Reading(NamedTuple):
 
     ``news`` says whether it ends an interval, ``missing`` how many were left out, ``silent`` for
     how many steps there was no current that could be used. ``current`` is the one that is held,
-    ``seen`` what the voltage has seen of it, ``flow`` what flows without the sensor's offset.
+    ``delayed_current_A`` the one that the voltage has seen, ``flow`` what is counted as charge.
     """
 
     status: int
@@ -32,7 +32,7 @@ class Reading(NamedTuple):
     missing: int
     silent: int
     current: float
-    seen: float
+    delayed_current_A: float
     flow: float
     unmeasured_A2: float
     temperature_C: WarmFloat
@@ -83,10 +83,10 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
         temperature_C = x.temperature_C
         if HEATING:
             temperature_C = temperature_C + x.heat_K
-    seen = current
+    delayed_current_A = current
     if SKEW and news == INTERVAL:
-        seen = current + (c.skew_share * (x.current_A - current))
-    flow = seen
+        delayed_current_A = current + (c.skew_share * (x.current_A - current))
+    flow = delayed_current_A
     if WIDE:
         # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
         # much as half a rate may flow either way.
@@ -96,12 +96,22 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
                 silent = U(silent + 1)
         if silent > c.hold_steps:
             status = U(status | CURRENT_LOST)
-            seen = 0.0
+            delayed_current_A = 0.0
             flow = 0.0
             unmeasured_A2 = c.lost_A2
     elif silent != U(0):
         unmeasured_A2 = c.lost_A2
-    return Reading(status, news, missing, silent, current, seen, flow, unmeasured_A2, temperature_C)
+    return Reading(
+        status,
+        news,
+        missing,
+        silent,
+        current,
+        delayed_current_A,
+        flow,
+        unmeasured_A2,
+        temperature_C,
+    )
 
 
 def count_charge(c: Constants, x: State, s: Reading) -> Charge:

@@ -218,7 +218,7 @@ def hold_within(x: State) -> None:
 
 
 @unrolled_by_option
-def open_up(c: Constants, x: State, p: Point, seen: float) -> None:
+def open_up(c: Constants, x: State, p: Point, delayed_current_A: float) -> None:
     """After voltages that contradicted it for long the SOC is open, branches may hold anything.
 
     Without CELLWISE_WIDE they are what they would be at a start.
@@ -232,7 +232,7 @@ def open_up(c: Constants, x: State, p: Point, seen: float) -> None:
             x.p[i, i] = held + kept
     else:
         x.ss = RECOVERY_VARIANCE
-        guess_branches(c, x, p, seen)
+        guess_branches(c, x, p, delayed_current_A)
 
 
 def taken(c: Constants, x: State, current: float) -> float:
@@ -296,9 +296,9 @@ def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured
 
 
 @unrolled_by_option
-def heat(c: Constants, x: State, r0_ohm: float, seen: float, flow: float) -> None:
+def heat(c: Constants, x: State, r0_ohm: float, delayed_current_A: float, flow: float) -> None:
     """The cell's own warming over one interval."""
-    fall = r0_ohm * seen
+    fall = r0_ohm * delayed_current_A
     for i in BRANCHES:
         fall = fall + x.state[i]
     change_K = c.heat_gain * ((c.heat_K_per_W * (flow * fall)) - x.heat_K)

@@ -51,7 +51,7 @@ from cellwise.estimate.fixed.state import (
 from cellwise.estimate.status import STATE_RESET, VOLTAGE_INVALID, VOLTAGE_LOST
 
 
-def recover(c: Constants, x: State, p: Point, seen: float) -> None:
+def recover(c: Constants, x: State, p: Point, delayed_current_A: float) -> None:
     """After too long a time of rejected voltages in a row: the SOC is open.
 
     With CELLWISE_BANK the state asks for a bank, which begins again over all of the SOC.
@@ -62,7 +62,7 @@ def recover(c: Constants, x: State, p: Point, seen: float) -> None:
     if BANK:
         x.in_bank = CONTRADICTED
     x.evidence = FIRST_VOLTAGE
-    open_up(c, x, p, seen)
+    open_up(c, x, p, delayed_current_A)
     if OFFSET:
         forget_offset(x)
 
@@ -113,7 +113,7 @@ def weigh(
     if BANK and x.in_bank == COMPONENT:
         if not (x.error_V2 > 0.0):
             x.error_V2 = i.one_V2
-        shared = shared_by(c, x, s.seen)
+        shared = shared_by(c, x, s.delayed_current_A)
         if s.news == INTERVAL or shared.above <= shared.below:
             used = judge_component(c, x, i, innovation, steps_of_evidence(x), shared)
             x.cost = x.cost + used.cost
@@ -126,14 +126,14 @@ def weigh(
         x.rejections = v.rejections
         x.mismatch = v.mismatch
         if v.accepted:
-            shared = shared_by(c, x, s.seen)
+            shared = shared_by(c, x, s.delayed_current_A)
             if s.news == INTERVAL or shared.above <= shared.below:
                 fuse(c, x, p, i, innovation, weight_of(i, v.shown, v.unit, shared))
                 if WIDE:
                     contradict(c, x, i, innovation, beyond)
             begin_evidence(x)
         elif v.recovers:
-            recover(c, x, p, s.seen)
+            recover(c, x, p, s.delayed_current_A)
     return status
 
 
@@ -165,7 +165,7 @@ def correct(
         if s.news != REPEATED:  # a repeated sample is no evidence
             if WIDE:
                 watch_current(c, x, voltage)
-                status = watch_voltage(c, x, voltage, s.seen, p.r0_ohm, innovation)
+                status = watch_voltage(c, x, voltage, s.delayed_current_A, p.r0_ohm, innovation)
                 if status == U(0):
                     away = U(0)
             if status == U(0):
@@ -220,19 +220,19 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
         place = under_surface(c, x, place, s.temperature_C)
     if HEALTH:
         place = aged(x, place)
-    p = look_up(m, place, x.soc, s.seen)
+    p = look_up(m, place, x.soc, s.delayed_current_A)
     if x.evidence == NOT_BEGUN:
-        guess_branches(c, x, p, s.seen)
+        guess_branches(c, x, p, s.delayed_current_A)
         x.evidence = NO_VOLTAGE_YET
     if charge.missing != U(0):
         cross_gap(c, x, p, charge.missing, s.current, charge.bridge)
     w = no_slopes(p)
     if WIDE and x.ss > WIDE_VARIANCE:
-        w = slopes_of(m, place, x.soc, root(x.ss), s.seen, p)
+        w = slopes_of(m, place, x.soc, root(x.ss), s.delayed_current_A, p)
     if s.news == INTERVAL:
         predict(c, x, p, w, s.flow, s.unmeasured_A2)
         if HEATING:
-            heat(c, x, p.r0_ohm, s.seen, s.flow)
+            heat(c, x, p.r0_ohm, s.delayed_current_A, s.flow)
         if OFFSET:
             count_offset(c, x, p, s, charge.missing)
     beyond = outside(c, x, s) if VALIDITY else U(0)

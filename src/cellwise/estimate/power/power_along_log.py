@@ -19,8 +19,8 @@ from cellwise.cell.equations import (
     CellState,
     CellTables,
     advance,
+    delayed_current,
     empty_state,
-    seen_current,
     with_soc,
 )
 from cellwise.cell.packed import changed, put_record, size_of
@@ -133,24 +133,24 @@ def remembered(
     was: CorrectionMemory,
     x: CellState,
     reading: MeasuredSample,
-    seen_A: float,
+    delayed_current_A: float,
     status: int,
 ) -> CorrectionMemory:
-    """One sample on; ``seen_A`` is the current that the voltage has seen.
+    """One sample on; ``delayed_current_A`` is the current that the voltage has seen.
 
     The bias is the mean over ``BIAS_S`` of measured less corrected voltage, a plain one until that
     has gone by. A sample that was rejected, or is the sensor's fault, is left out.
     """
     dt_s = reading.dt_s
-    now = moment_of(tables, x, seen_A, False, reading.temperature_C + x.heat_K, AS_MODEL)
+    now = moment_of(tables, x, delayed_current_A, False, reading.temperature_C + x.heat_K, AS_MODEL)
     miss_V = reading.voltage_V - now.voltage_V
     if not math.isfinite(miss_V) or status & UNUSED:
         return was
     near, far = min(dt_s / NEAR_S, 1.0), min(dt_s / FAR_S, 1.0)
     if was.but.seen_s <= 0.0:
         near = far = 1.0
-    fast_V, old = now.point.r0_ohm * seen_A + x.v1_V, was.but
-    fallen_V = fast_V * falling_share(tables.cell, seen_A)
+    fast_V, old = now.point.r0_ohm * delayed_current_A + x.v1_V, was.but
+    fallen_V = fast_V * falling_share(tables.cell, delayed_current_A)
     fast = smoothed(was.fast, fast_V, near, far)
     fallen = smoothed(was.fallen, fallen_V, near, far)
     tail = smoothed(was.tail, x.v2_V, near, far)
@@ -189,11 +189,11 @@ def carried_on(
     last_A = was.previous_A if math.isfinite(was.previous_A) else 0.0
     now_A = reading.current_A if math.isfinite(reading.current_A) else last_A
     before = was.previous_A if math.isfinite(was.previous_A) else now_A
-    seen_A = seen_current(tables.cell, now_A, before, reading.dt_s)
-    flow_A = 0.0 if reading.gap else seen_A
+    delayed_current_A = delayed_current(tables.cell, now_A, before, reading.dt_s)
+    flow_A = 0.0 if reading.gap else delayed_current_A
     cell, _ = advance(tables, was.cell, flow_A, reading.dt_s, reading.temperature_C)
     cell = with_soc(cell, soc)
-    memory = remembered(tables, was.memory, cell, reading, seen_A, status)
+    memory = remembered(tables, was.memory, cell, reading, delayed_current_A, status)
     return Carried(cell, now_A, memory)
 
 
