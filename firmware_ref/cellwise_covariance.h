@@ -107,21 +107,21 @@ static void start_covariance(cellwise_state *x, float soc_variance)
 /* The branches over one interval of constant current, exactly, and their covariance. A current that is not known to
  * `square_A2` drives them too; 1 - a^2 keeps the stationary spread independent of the time step. What decays slowly
  * is stated by how much it loses: 1 - 1e-5 as a float is off by 0.3 % of that. */
-static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2, float gain3, float flow,
-                  float square_A2)
+static void relax(cellwise_state *x, const cellwise_point *p, float gain1, float gain2, float gain3,
+                  float counted_current_A, float square_A2)
 {
     const float a1 = 1.0f - gain1;
-    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * flow) - x->v1_V));
+    x->v1_V = x->v1_V + (gain1 * ((p->r1_ohm * counted_current_A) - x->v1_V));
     x->s1 = x->s1 - (gain1 * x->s1);
     x->p1h = x->p1h - (gain1 * x->p1h);
     x->p11 = x->p11 + ((gain1 * (1.0f + a1)) * ((square_A2 * (p->r1_ohm * p->r1_ohm)) - x->p11));
     const float a2 = 1.0f - gain2;
-    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * flow) - x->v2_V));
+    x->v2_V = x->v2_V + (gain2 * ((p->r2_ohm * counted_current_A) - x->v2_V));
     x->s2 = x->s2 - (gain2 * x->s2);
     x->p2h = x->p2h - (gain2 * x->p2h);
     x->p22 = x->p22 + ((gain2 * (1.0f + a2)) * ((square_A2 * (p->r2_ohm * p->r2_ohm)) - x->p22));
     const float a3 = 1.0f - gain3;
-    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * flow) - x->v3_V));
+    add(&x->v3_V, &x->v3_carry_V, gain3 * ((p->r3_ohm * counted_current_A) - x->v3_V));
     x->s3 = x->s3 - (gain3 * x->s3);
     x->p3h = x->p3h - (gain3 * x->p3h);
     x->p33 = x->p33 + ((gain3 * (1.0f + a3)) * ((square_A2 * (p->r3_ohm * p->r3_ohm)) - x->p33));
@@ -151,13 +151,13 @@ static void forget_hysteresis(cellwise_state *x)
 }
 
 /* A SOC that is off drives the branches by the resistances' slopes. */
-static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float flow)
+static void tilt(cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w, float counted_current_A)
 {
-    const float f1 = (w->rise1 * p->gain1) * flow;
+    const float f1 = (w->rise1 * p->gain1) * counted_current_A;
     const float after1 = x->s1 + (f1 * x->ss);
-    const float f2 = (w->rise2 * p->gain2) * flow;
+    const float f2 = (w->rise2 * p->gain2) * counted_current_A;
     const float after2 = x->s2 + (f2 * x->ss);
-    const float f3 = (w->rise3 * p->gain3) * flow;
+    const float f3 = (w->rise3 * p->gain3) * counted_current_A;
     const float after3 = x->s3 + (f3 * x->ss);
     x->p11 = x->p11 + covariance_by_soc(f1, f1, x->s1, after1);
     x->p12 = x->p12 + covariance_by_soc(f1, f2, x->s1, after2);

@@ -7,7 +7,7 @@
 
 /* A sample as the filter takes it. `news` says whether it ends an interval, `missing` how many were left out,
  * `silent` for how many steps there was no current that could be used. `current` is the one that is held,
- * `delayed_current_A` the one that the voltage has seen, `flow` what is counted as charge. */
+ * `delayed_current_A` the one that the voltage has seen, `counted_current_A` the one whose charge is counted. */
 typedef struct {
     uint32_t status;
     uint32_t news;
@@ -15,7 +15,7 @@ typedef struct {
     uint32_t silent;
     float current;
     float delayed_current_A;
-    float flow;
+    float counted_current_A;
     float unmeasured_A2;
     float temperature_C;
 } cellwise_reading;
@@ -74,7 +74,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     if (reading->news == INTERVAL) {
         reading->delayed_current_A = reading->current + (c->skew_share * (x->current_A - reading->current));
     }
-    reading->flow = reading->delayed_current_A;
+    reading->counted_current_A = reading->delayed_current_A;
     /* Held for a while; then whatever was held is no guide any more: nothing is counted, and as much as half a rate
      * may flow either way. */
     if ((reading->silent != 0u) || (reading->news == REPEATED)) {
@@ -86,7 +86,7 @@ static void see(const cellwise_constants *c, cellwise_state *x, const cellwise_i
     if (reading->silent > c->hold_steps) {
         reading->status = reading->status | CELLWISE_CURRENT_LOST;
         reading->delayed_current_A = 0.0f;
-        reading->flow = 0.0f;
+        reading->counted_current_A = 0.0f;
         reading->unmeasured_A2 = c->lost_A2;
     }
 }
@@ -99,7 +99,7 @@ static void count_charge(const cellwise_constants *c, cellwise_state *x, const c
     charge->missing = s->missing;
     charge->bridge = 0.0f;
     if (s->news == INTERVAL) {
-        float used = taken(c, x, s->flow);
+        float used = taken(c, x, s->counted_current_A);
         if (charge->missing != 0u) {
             charge->status = charge->status | CELLWISE_SEQUENCE_GAP;
             if (charge->missing <= c->gap_steps) {
@@ -136,7 +136,7 @@ static void follow(const cellwise_constants *c, cellwise_state *x, const cellwis
         x->slow_A = charge->bridge + (left * (x->slow_A - charge->bridge));
     }
     if (s->news == INTERVAL) {
-        x->slow_A = x->slow_A + (c->surface_gain * (s->flow - x->slow_A));
+        x->slow_A = x->slow_A + (c->surface_gain * (s->counted_current_A - x->slow_A));
     }
 }
 

@@ -7,20 +7,20 @@
 
 /* What may have flowed before a start: its mean, how far it may be off, the most it leaves. */
 typedef struct {
-    float flow_A;
+    float mean_A;
     float spread_A;
     float limit_V;
 } cellwise_before;
 
 /* Nearly nothing at rest, half of the load under load. */
-static void flow_before(float current_A, float rest_A, float start_rest_A, float start_load_A, cellwise_before *before)
+static void load_before(float current_A, float rest_A, float start_rest_A, float start_load_A, cellwise_before *before)
 {
-    before->flow_A = 0.0f;
+    before->mean_A = 0.0f;
     before->spread_A = start_rest_A;
     before->limit_V = REST_LIMIT_V;
     if (!(magnitude(current_A) < rest_A)) {
-        before->flow_A = START_LOAD_SHARE * current_A;
-        before->spread_A = at_least(magnitude(before->flow_A), start_load_A);
+        before->mean_A = START_LOAD_SHARE * current_A;
+        before->spread_A = at_least(magnitude(before->mean_A), start_load_A);
         before->limit_V = NO_LIMIT_V;
     }
 }

@@ -113,12 +113,12 @@ static NOINLINE void guess_branches(const cellwise_constants *c, cellwise_state 
     const float rested_V2 = c->branch_variance_V2;
     forget_correlations(x);
     cellwise_before before;
-    flow_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
-    x->v1_V = p->r1_ohm * before.flow_A;
+    load_before(current, c->rest_A, c->start_rest_A, c->start_load_A, &before);
+    x->v1_V = p->r1_ohm * before.mean_A;
     x->p11 = held_variance(rested_V2, p->r1_ohm, before.spread_A, before.limit_V);
-    x->v2_V = p->r2_ohm * before.flow_A;
+    x->v2_V = p->r2_ohm * before.mean_A;
     x->p22 = held_variance(rested_V2, p->r2_ohm, before.spread_A, before.limit_V);
-    x->v3_V = p->r3_ohm * before.flow_A;
+    x->v3_V = p->r3_ohm * before.mean_A;
     x->v3_carry_V = 0.0f;
     x->p33 = held_variance(rested_V2, p->r3_ohm, before.spread_A, before.limit_V);
 }
@@ -220,27 +220,28 @@ static void cross_gap(const cellwise_constants *c, cellwise_state *x, const cell
 
 /* One interval of constant current. */
 static void predict(const cellwise_constants *c, cellwise_state *x, const cellwise_point *p, const cellwise_slopes *w,
-                    float flow, float unmeasured_A2)
+                    float counted_current_A, float unmeasured_A2)
 {
-    const float square_A2 = unknown_square(share_of(c, flow), flow, unmeasured_A2);
-    relax(x, p, p->gain1, p->gain2, p->gain3, flow, square_A2);
-    const float rise = risen(c->hysteresis_per_A * magnitude(flow));
+    const float square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2);
+    relax(x, p, p->gain1, p->gain2, p->gain3, counted_current_A, square_A2);
+    const float rise = risen(c->hysteresis_per_A * magnitude(counted_current_A));
     const float keep = 1.0f - rise;
-    x->h = clip((keep * x->h) + ((flow < 0.0f) ? rise : -rise), -1.0f, 1.0f);
+    x->h = clip((keep * x->h) + ((counted_current_A < 0.0f) ? rise : -rise), -1.0f, 1.0f);
     fade_hysteresis(x, keep);
     if (w->spread > 0.0f) {
-        tilt(x, p, w, flow);
+        tilt(x, p, w, counted_current_A);
     }
     if (POSITIVE_ABOVE(SOC_VARIANCE_MOST, x->ss)) {
-        add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(flow)));
+        add_variance(x, c->soc_walk + (c->capacity_walk * magnitude(counted_current_A)));
     }
 }
 
 /* The cell's own warming over one interval. */
-static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float delayed_current_A, float flow)
+static void heat(const cellwise_constants *c, cellwise_state *x, float r0_ohm, float delayed_current_A,
+                 float counted_current_A)
 {
     const float fall = (((r0_ohm * delayed_current_A) + x->v1_V) + x->v2_V) + x->v3_V;
-    const float change_K = c->heat_gain * ((c->heat_K_per_W * (flow * fall)) - x->heat_K);
+    const float change_K = c->heat_gain * ((c->heat_K_per_W * (counted_current_A * fall)) - x->heat_K);
     x->heat_K = clip(x->heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K);
 }
 

@@ -58,8 +58,8 @@ uint32_t cellwise_step(const cellwise_model *m, cellwise_state *x, const cellwis
         slopes_of(m, &place, x->soc, root(x->ss), s.delayed_current_A, &p, &w);
     }
     if (s.news == INTERVAL) {
-        predict(c, x, &p, &w, s.flow, s.unmeasured_A2);
-        heat(c, x, p.r0_ohm, s.delayed_current_A, s.flow);
+        predict(c, x, &p, &w, s.counted_current_A, s.unmeasured_A2);
+        heat(c, x, p.r0_ohm, s.delayed_current_A, s.counted_current_A);
         count_offset(c, x, &p, &s, charge.missing);
     }
     const uint32_t beyond = outside(c, x, &s);

@@ -120,14 +120,14 @@ def read_lane(
     """A cell's sample and its tables; whether its step is plain so far."""
     cell, w = tables.cell, old.watch
     s = read_sample(tables, noise, w, start.temperature_C, reading)
-    soc = soc_step(cell, old.cell.soc, s.flow_A, s.dt_s)
+    soc = soc_step(cell, old.cell.soc, s.counted_current_A, s.dt_s)
     plain = s.status == 0 and math.isfinite(s.voltage_V) and math.isfinite(soc)
     plain &= (w.evidence_s >= 0.0) & (w.no_voltage_s == 0.0) & (w.no_current_s == 0.0)
     plain &= (old.p.ss <= WIDE_VARIANCE) & (s.no_warm_s <= 0.0)
     plain = plain and not is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A)
     work[PLAIN * LANES + lane] = 1.0 if plain else 0.0
     if plain:
-        slow = slow_step(cell, old.cell.slow_A, s.flow_A, s.dt_s)
+        slow = slow_step(cell, old.cell.slow_A, s.counted_current_A, s.dt_s)
         point = loaded(tables, soc, s.temperature_C + old.cell.heat_K, s.delayed_current_A, slow)
         seen = Lane(
             s.current_A,
@@ -147,18 +147,18 @@ def plain_step(
     tables: CellTables, noise: NoiseScalars, old: EkfState, lane: Lane, dt_s: float
 ) -> tuple[EkfState, EkfInfo, bool]:
     """The EKF's step where SOC is well known; whether gate and sensors allow it."""
-    cell, point, flow_A = tables.cell, lane.point, lane.delayed_current_A
+    cell, point, current_A = tables.cell, lane.point, lane.delayed_current_A
     # fmt: off
     s = CheckedReading(
-        lane.current_A, flow_A, flow_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,
+        lane.current_A, current_A, current_A, 0.0, 0.0, lane.voltage_V, lane.temperature_C, 0.0,
         lane.no_warm_s, dt_s, False, 0,
     )
-    t = transition(cell, point, flow_A, dt_s)
-    end = states_step(old.cell, t, flow_A, lane.soc, lane.slow_A)
+    t = transition(cell, point, current_A, dt_s)
+    end = states_step(old.cell, t, current_A, lane.soc, lane.slow_A)
     over = PredictedInterval(old.cell, point, t, end, lane.temperature_C, no_branches(), 0)
     c = step_constants(cell, noise, dt_s)
     p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
-    x = with_heat(end, heat_step(cell, end.heat_K, flow_A, drop_of(point, end, flow_A), dt_s))
+    x = with_heat(end, heat_step(cell, end.heat_K, current_A, drop_of(point, end, current_A), dt_s))
     followed = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(

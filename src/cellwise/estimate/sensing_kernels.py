@@ -71,14 +71,14 @@ class MeasuredSample(NamedTuple):
 class CheckedReading(NamedTuple):
     """A sample as the filter takes it.
 
-    ``delayed_current_A`` is the current that the voltage has seen, ``flow_A`` what moved charge;
-    ``gap_A2`` and ``lost_A`` say how much may have flowed unseen over a gap and since the current
-    was lost. ``voltage_V`` is NaN where it must not be used.
+    ``delayed_current_A`` is the current that the voltage has seen, ``counted_current_A`` the one
+    whose charge is counted; ``gap_A2`` and ``lost_A`` say how much may have flowed unseen over a
+    gap and since the current was lost. ``voltage_V`` is NaN where it must not be used.
     """
 
     current_A: float
     delayed_current_A: float
-    flow_A: float
+    counted_current_A: float
     gap_A2: float
     lost_A: float
     voltage_V: float

@@ -13,24 +13,24 @@ from cellwise.estimate.equations.constants import NO_LIMIT_V, REST_LIMIT_V, STAR
 class Before(NamedTuple):
     """What may have flowed before a start: its mean, how far it may be off, the most it leaves."""
 
-    flow_A: float
+    mean_A: float
     spread_A: float
     limit_V: float
 
 
 @inline
-def flow_before(
+def load_before(
     current_A: float, rest_A: float, start_rest_A: float, start_load_A: float
 ) -> Before:
     """Nearly nothing at rest, half of the load under load."""
-    flow_A = 0.0
+    mean_A = 0.0
     spread_A = start_rest_A
     limit_V = REST_LIMIT_V
     if not (magnitude(current_A) < rest_A):
-        flow_A = START_LOAD_SHARE * current_A
-        spread_A = at_least(magnitude(flow_A), start_load_A)
+        mean_A = START_LOAD_SHARE * current_A
+        spread_A = at_least(magnitude(mean_A), start_load_A)
         limit_V = NO_LIMIT_V
-    return Before(flow_A, spread_A, limit_V)
+    return Before(mean_A, spread_A, limit_V)
 
 
 @inline

@@ -50,7 +50,7 @@ class MatrixInterval(NamedTuple):
 
     dt_s: float
     delayed_current_A: float
-    flow_A: float
+    counted_current_A: float
     gap_A2: float
     temperature_C: float
     heat_K: float
@@ -113,15 +113,15 @@ class FilterpyFilter(FilterOfModel):
             delayed_A = float(delayed_current(self.cell, held, previous, dt))
             unknown = delayed_A**2 + previous**2 if gaps[k] else 0.0
             previous = held
-            flow = 0.0 if gaps[k] else delayed_A
+            counted_A = 0.0 if gaps[k] else delayed_A
             now = MatrixInterval(
-                dt, delayed_A, flow, unknown, float(temperature[k]), heat_K, slow_A
+                dt, delayed_A, counted_A, unknown, float(temperature[k]), heat_K, slow_A
             )
             if k == 0:
                 point = self.point(float(kf.x[0]), now)
-                flow_A, spread_A, limit_V = before_start(self.cell, delayed_A)
+                mean_A, spread_A, limit_V = before_start(self.cell, delayed_A)
                 for j, r in enumerate(resistances(point), start=1):
-                    kf.x[j] = r * flow_A
+                    kf.x[j] = r * mean_A
                     kf.P[j, j] = held_variance(RESTED_V2, float(r), spread_A, limit_V)
             if gaps[k]:
                 kf.P[0, 0] += gap_variance(noise.gap_soc, self.cell.charge_As, unknown, dt)
@@ -159,21 +159,21 @@ class FilterpyFilter(FilterOfModel):
     def moved(self, x: FloatArray, now: MatrixInterval) -> CellState:
         """The model's own step of a whole state."""
         state = CellState._make((*(float(v) for v in x), now.heat_K, now.slow_A))
-        after, _ = advance(self._tables, state, now.flow_A, now.dt_s, now.temperature_C)
+        after, _ = advance(self._tables, state, now.counted_current_A, now.dt_s, now.temperature_C)
         return after
 
     def process(self, soc: float, now: MatrixInterval) -> tuple[FloatArray, FloatArray]:
         """Diagonal of the transition, shape (states,), and process noise."""
         noise = self._noise
         point = self.point(soc, now)
-        t = transition(self.cell, point, now.flow_A, now.dt_s)
+        t = transition(self.cell, point, now.counted_current_A, now.dt_s)
         r = resistances(point)
         a = np.array([getattr(t, s.decay) for s in BRANCHES])
         g = np.array([getattr(t, s.drive) if s.drive else 0.0 for s in CELL])
         walk = noise.soc_per_sqrt_s**2 * now.dt_s
-        walk += noise.capacity_soc * abs(now.flow_A) * now.dt_s / self.cell.charge_As
-        share2 = share_of(self.constants(now.dt_s), now.flow_A)
-        branch = share2 * (now.flow_A * r) ** 2 * (1 - a * a)
+        walk += noise.capacity_soc * abs(now.counted_current_A) * now.dt_s / self.cell.charge_As
+        share2 = share_of(self.constants(now.dt_s), now.counted_current_A)
+        branch = share2 * (now.counted_current_A * r) ** 2 * (1 - a * a)
         q = noise.current_A**2 * np.outer(g, g) + np.diag([walk, *branch, 0.0])
         branches = np.array([0.0, *g[1:]])
         q += now.gap_A2 * np.outer(branches, branches)

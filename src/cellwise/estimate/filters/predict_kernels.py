@@ -34,7 +34,7 @@ from cellwise.estimate.equations.constants import (
 )
 from cellwise.estimate.equations.evidence import share_of, unknown_square
 from cellwise.estimate.equations.sensors import drifted_variance, unseen_variance
-from cellwise.estimate.equations.start import Before, flow_before, held_variance
+from cellwise.estimate.equations.start import Before, held_variance, load_before
 from cellwise.estimate.evidence_kernels import StepConstants
 from cellwise.estimate.filters.covariance_kernels import (
     Branches,
@@ -74,7 +74,7 @@ class PredictedInterval(NamedTuple):
 def before_start(cell: CellScalars, delayed_current_A: float) -> Before:
     """What may have flowed in a cell before its first sample."""
     rate_A = cell.charge_As / 3600.0
-    return flow_before(
+    return load_before(
         delayed_current_A, REST_RATE * rate_A, START_REST_RATE * rate_A, START_LOAD_RATE * rate_A
     )
 
@@ -87,7 +87,7 @@ def over_interval(
     """Everything at the new SOC and the surface's new lag; heat is the start's."""
     cell = tables.cell
     warm = s.temperature_C + x.heat_K
-    slow = slow_step(cell, x.slow_A, s.flow_A, s.dt_s)
+    slow = slow_step(cell, x.slow_A, s.counted_current_A, s.dt_s)
     point: ByState = loaded(tables, soc, warm, s.delayed_current_A, slow)
     held: dict[Any, float] = {}
     unknown: dict[Any, float] = {}
@@ -96,11 +96,11 @@ def over_interval(
     if begins:
         before = before_start(cell, s.delayed_current_A)
         for i in BRANCHES:
-            held[i] = point.r[i] * before.flow_A
+            held[i] = point.r[i] * before.mean_A
             unknown[i] = held_variance(RESTED_V2, point.r[i], before.spread_A, before.limit_V)
-    t = transition(cell, point, s.flow_A, s.dt_s)
+    t = transition(cell, point, s.counted_current_A, s.dt_s)
     old = CellState(x.soc, *(held[i] for i in BRANCHES), x.h, x.heat_K, x.slow_A)
-    end = states_step(old, t, s.flow_A, soc, slow)
+    end = states_step(old, t, s.counted_current_A, soc, slow)
     drop_V = abs(point.r0_ohm * s.delayed_current_A) + held_in_branches(end)
     status = 0
     if is_outside(noise.valid, soc, s.temperature_C, s.delayed_current_A):
@@ -136,8 +136,10 @@ def with_noise(
     per_sqrt_s = noise.soc_per_sqrt_s if lost else noise.wander_per_sqrt_s
     q = c.current_variance_A2
     # A capacity that is off puts every count off alike; over one discharge it adds up to as much.
-    flowed = noise.capacity_soc * abs(s.flow_A) * s.dt_s / charge_As
-    lost_A2 = unknown_square(share_of(c, s.flow_A), s.flow_A, s.lost_A * s.lost_A)
+    flowed = noise.capacity_soc * abs(s.counted_current_A) * s.dt_s / charge_As
+    lost_A2 = unknown_square(
+        share_of(c, s.counted_current_A), s.counted_current_A, s.lost_A * s.lost_A
+    )
     return noisy(
         p,
         t,
@@ -192,6 +194,8 @@ def by_tangents(
     at = slopes_at(tables, end.soc, ss, point, now.warm_C, s.delayed_current_A, end.slow_A)
     if at.spread > 0.0:
         # A SOC that is off drives each branch by the slope of its resistance.
-        drives = Branches(*(at.rise.row[i] * (1.0 - t.a[i]) * s.flow_A for i in BRANCHES))
+        drives = Branches(
+            *(at.rise.row[i] * (1.0 - t.a[i]) * s.counted_current_A for i in BRANCHES)
+        )
         p = driven_by_soc(p, drives)
     return end, with_noise(p, c, noise, s, now, no_voltage_s, tables.cell.charge_As), at

@@ -118,8 +118,8 @@ def by_points(
         above[i] = old.state[i] + c * along.row[i]
         below[i] = old.state[i] - c * along.row[i]
         if point.r[i] != 0.0:
-            above[i] = rc_step(above[i], s.flow_A, up.r[i], up.tau[i], s.dt_s)
-            below[i] = rc_step(below[i], s.flow_A, low.r[i], low.tau[i], s.dt_s)
+            above[i] = rc_step(above[i], s.counted_current_A, up.r[i], up.tau[i], s.dt_s)
+            below[i] = rc_step(below[i], s.counted_current_A, low.r[i], low.tau[i], s.dt_s)
         e[i] = (above[i] + below[i]) - 2.0 * x.state[i]
         v[i] = x.state[i] + sigma.side * e[i]
     d = Column(0.0, *((above[i] - below[i]) * per for i in BRANCHES), t.ah * along.h)  # type: ignore[call-arg]

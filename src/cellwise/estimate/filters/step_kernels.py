@@ -88,7 +88,7 @@ def predict(
     """Charge first, then the tables at the new SOC; a state that is not finite starts again."""
     cell = tables.cell
     status = 0
-    soc = soc_step(cell, state.cell.soc, s.flow_A, s.dt_s)
+    soc = soc_step(cell, state.cell.soc, s.counted_current_A, s.dt_s)
     if not (math.isfinite(soc) and math.isfinite(state.p.ss)):
         state, free = ekf_start(start, s.current_A), nothing_known(rules)
         soc = state.cell.soc
@@ -101,14 +101,14 @@ def predict(
     followed = state.drift.believed * state.drift.reach + capacity_soc(free)
     counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
     drift = counted_on(noise, state.drift, now.t, cell.charge_As, counts * s.dt_s, s.current_A)
-    judged_A = 0.0 if now.status & OUTSIDE else counts * s.flow_A
+    judged_A = 0.0 if now.status & OUTSIDE else counts * s.counted_current_A
     free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, judged_A, s.dt_s)
     if sigma is None:
         x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
         x, p, at = by_points(c, tables, noise, sigma, s, now, p, state.watch.no_voltage_s)
     drop = drop_of(now.point, x, s.delayed_current_A)
-    x = with_heat(x, heat_step(cell, x.heat_K, s.flow_A, drop, s.dt_s))
+    x = with_heat(x, heat_step(cell, x.heat_K, s.counted_current_A, drop, s.dt_s))
     status |= now.status
     # fmt: off
     return Predicted(

@@ -54,7 +54,13 @@ def start_covariance(x: State, soc_variance: float) -> None:
 
 @unrolled_by_option
 def relax(
-    x: State, p: Point, gain1: float, gain2: float, gain3: SlowFloat, flow: float, square_A2: float
+    x: State,
+    p: Point,
+    gain1: float,
+    gain2: float,
+    gain3: SlowFloat,
+    counted_current_A: float,
+    square_A2: float,
 ) -> None:
     """The branches over one interval of constant current, exactly, and their covariance.
 
@@ -68,10 +74,10 @@ def relax(
         a[i] = 1.0 - gain[i]
         if i in CARRIED:
             x.state[i], x.carry[i] = add(
-                x.state[i], x.carry[i], gain[i] * ((p.r[i] * flow) - x.state[i])
+                x.state[i], x.carry[i], gain[i] * ((p.r[i] * counted_current_A) - x.state[i])
             )
         else:
-            x.state[i] = x.state[i] + (gain[i] * ((p.r[i] * flow) - x.state[i]))
+            x.state[i] = x.state[i] + (gain[i] * ((p.r[i] * counted_current_A) - x.state[i]))
         for j in (SOC, H):
             x.p[i, j] = x.p[i, j] - (gain[i] * x.p[i, j])
         x.p[i, i] = x.p[i, i] + (
@@ -101,12 +107,12 @@ def forget_hysteresis(x: State) -> None:
 
 
 @unrolled_by_option
-def tilt(x: State, p: Point, w: Slopes, flow: float) -> None:
+def tilt(x: State, p: Point, w: Slopes, counted_current_A: float) -> None:
     """A SOC that is off drives the branches by the resistances' slopes."""
     f: dict[Any, float] = {}
     after: dict[Any, float] = {}
     for i in BRANCHES:
-        f[i] = (w.rise[i] * p.gain[i]) * flow
+        f[i] = (w.rise[i] * p.gain[i]) * counted_current_A
         after[i] = x.p[SOC, i] + (f[i] * x.ss)
     for i, j in triangle(BRANCHES):
         x.p[i, j] = x.p[i, j] + covariance_by_soc(f[i], f[j], x.p[SOC, i], after[j])

@@ -24,7 +24,8 @@ class Reading(NamedTuple):
 
     ``news`` says whether it ends an interval, ``missing`` how many were left out, ``silent`` for
     how many steps there was no current that could be used. ``current`` is the one that is held,
-    ``delayed_current_A`` the one that the voltage has seen, ``flow`` what is counted as charge.
+    ``delayed_current_A`` the one that the voltage has seen, ``counted_current_A`` the one whose
+    charge is counted.
     """
 
     status: int
@@ -33,7 +34,7 @@ class Reading(NamedTuple):
     silent: int
     current: float
     delayed_current_A: float
-    flow: float
+    counted_current_A: float
     unmeasured_A2: float
     temperature_C: WarmFloat
 
@@ -86,7 +87,7 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
     delayed_current_A = current
     if SKEW and news == INTERVAL:
         delayed_current_A = current + (c.skew_share * (x.current_A - current))
-    flow = delayed_current_A
+    counted_current_A = delayed_current_A
     if WIDE:
         # Held for a while; then whatever was held is no guide any more: nothing is counted, and as
         # much as half a rate may flow either way.
@@ -97,7 +98,7 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
         if silent > c.hold_steps:
             status = U(status | CURRENT_LOST)
             delayed_current_A = 0.0
-            flow = 0.0
+            counted_current_A = 0.0
             unmeasured_A2 = c.lost_A2
     elif silent != U(0):
         unmeasured_A2 = c.lost_A2
@@ -108,7 +109,7 @@ def see(c: Constants, x: State, sample: Sample, before: int) -> Reading:
         silent,
         current,
         delayed_current_A,
-        flow,
+        counted_current_A,
         unmeasured_A2,
         temperature_C,
     )
@@ -120,7 +121,7 @@ def count_charge(c: Constants, x: State, s: Reading) -> Charge:
     missing = s.missing
     bridge = 0.0
     if s.news == INTERVAL:
-        used = taken(c, x, s.flow)
+        used = taken(c, x, s.counted_current_A)
         if missing != U(0):
             status = U(status | SEQUENCE_GAP)
             if missing <= c.gap_steps:
@@ -154,7 +155,7 @@ def follow(c: Constants, x: State, s: Reading, charge: Charge) -> None:
         left = vanishing(F(charge.missing) * c.surface_rate)
         x.slow_A = charge.bridge + (left * (x.slow_A - charge.bridge))
     if s.news == INTERVAL:
-        x.slow_A = x.slow_A + (c.surface_gain * (s.flow - x.slow_A))
+        x.slow_A = x.slow_A + (c.surface_gain * (s.counted_current_A - x.slow_A))
 
 
 def variance_of(x: State, known: float) -> float:

@@ -9,7 +9,7 @@ from cellwise.cell.unrolled import THERE, unrolled_by_option
 from cellwise.estimate.equations.covariance import forget_correlations
 from cellwise.estimate.equations.evidence import share_of, unknown_square
 from cellwise.estimate.equations.sensors import unseen_variance
-from cellwise.estimate.equations.start import flow_before, held_variance
+from cellwise.estimate.equations.start import held_variance, load_before
 from cellwise.estimate.fixed.arithmetic import *
 from cellwise.estimate.fixed.covariance import (
     add_variance,
@@ -164,18 +164,18 @@ def guess_branches(c: Constants, x: State, p: Point, current: float) -> None:
     rested_V2 = c.branch_variance_V2
     forget_correlations(x)
     if WIDE:
-        before = flow_before(current, c.rest_A, c.start_rest_A, c.start_load_A)
+        before = load_before(current, c.rest_A, c.start_rest_A, c.start_load_A)
         for i in BRANCHES:
-            x.state[i] = p.r[i] * before.flow_A
+            x.state[i] = p.r[i] * before.mean_A
             if i in CARRIED:
                 x.carry[i] = 0.0
             x.p[i, i] = held_variance(rested_V2, p.r[i], before.spread_A, before.limit_V)
     else:
-        flow = START_LOAD_SHARE * current
-        spread = magnitude(flow) + c.start_rest_A
+        mean_A = START_LOAD_SHARE * current
+        spread_A = magnitude(mean_A) + c.start_rest_A
         for i in BRANCHES:
-            x.state[i] = p.r[i] * flow
-            held_V = spread * p.r[i]
+            x.state[i] = p.r[i] * mean_A
+            held_V = spread_A * p.r[i]
             x.p[i, i] = rested_V2 + (held_V * held_V)
 
 
@@ -280,26 +280,30 @@ def cross_gap(
 
 
 @unrolled_by_option
-def predict(c: Constants, x: State, p: Point, w: Slopes, flow: float, unmeasured_A2: float) -> None:
+def predict(
+    c: Constants, x: State, p: Point, w: Slopes, counted_current_A: float, unmeasured_A2: float
+) -> None:
     """One interval of constant current."""
-    square_A2 = unknown_square(share_of(c, flow), flow, unmeasured_A2)
-    relax(x, p, *(p.gain[i] for i in BRANCHES), flow, square_A2)  # type: ignore[call-arg]
+    square_A2 = unknown_square(share_of(c, counted_current_A), counted_current_A, unmeasured_A2)
+    relax(x, p, *(p.gain[i] for i in BRANCHES), counted_current_A, square_A2)  # type: ignore[call-arg]
     if HYSTERESIS:
-        rise = risen(c.hysteresis_per_A * magnitude(flow))
+        rise = risen(c.hysteresis_per_A * magnitude(counted_current_A))
         keep = 1.0 - rise
-        x.h = clip((keep * x.h) + (rise if flow < 0.0 else -rise), -1.0, 1.0)
+        x.h = clip((keep * x.h) + (rise if counted_current_A < 0.0 else -rise), -1.0, 1.0)
         fade_hysteresis(x, keep)
     if WIDE and w.spread > 0.0:
-        tilt(x, p, w, flow)
+        tilt(x, p, w, counted_current_A)
     if positive_above(SOC_VARIANCE_MOST, x.ss):
-        add_variance(x, c.soc_walk + (c.capacity_walk * magnitude(flow)))
+        add_variance(x, c.soc_walk + (c.capacity_walk * magnitude(counted_current_A)))
 
 
 @unrolled_by_option
-def heat(c: Constants, x: State, r0_ohm: float, delayed_current_A: float, flow: float) -> None:
+def heat(
+    c: Constants, x: State, r0_ohm: float, delayed_current_A: float, counted_current_A: float
+) -> None:
     """The cell's own warming over one interval."""
     fall = r0_ohm * delayed_current_A
     for i in BRANCHES:
         fall = fall + x.state[i]
-    change_K = c.heat_gain * ((c.heat_K_per_W * (flow * fall)) - x.heat_K)
+    change_K = c.heat_gain * ((c.heat_K_per_W * (counted_current_A * fall)) - x.heat_K)
     x.heat_K = clip(x.heat_K + change_K, -HEAT_MOST_K, HEAT_MOST_K)

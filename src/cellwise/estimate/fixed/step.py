@@ -230,9 +230,9 @@ def step(m: Model, x: State, sample: Sample, out: Output) -> int:
     if WIDE and x.ss > WIDE_VARIANCE:
         w = slopes_of(m, place, x.soc, root(x.ss), s.delayed_current_A, p)
     if s.news == INTERVAL:
-        predict(c, x, p, w, s.flow, s.unmeasured_A2)
+        predict(c, x, p, w, s.counted_current_A, s.unmeasured_A2)
         if HEATING:
-            heat(c, x, p.r0_ohm, s.delayed_current_A, s.flow)
+            heat(c, x, p.r0_ohm, s.delayed_current_A, s.counted_current_A)
         if OFFSET:
             count_offset(c, x, p, s, charge.missing)
     beyond = outside(c, x, s) if VALIDITY else U(0)

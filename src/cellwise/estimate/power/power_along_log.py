@@ -190,8 +190,8 @@ def carried_on(
     now_A = reading.current_A if math.isfinite(reading.current_A) else last_A
     before = was.previous_A if math.isfinite(was.previous_A) else now_A
     delayed_current_A = delayed_current(tables.cell, now_A, before, reading.dt_s)
-    flow_A = 0.0 if reading.gap else delayed_current_A
-    cell, _ = advance(tables, was.cell, flow_A, reading.dt_s, reading.temperature_C)
+    counted_current_A = 0.0 if reading.gap else delayed_current_A
+    cell, _ = advance(tables, was.cell, counted_current_A, reading.dt_s, reading.temperature_C)
     cell = with_soc(cell, soc)
     memory = remembered(tables, was.memory, cell, reading, delayed_current_A, status)
     return Carried(cell, now_A, memory)
