@@ -55,7 +55,7 @@ typedef struct {
     float current_A; /* last valid one */
     float mismatch; /* running mean of squared innovation over variance */
     float heat_K; /* own warming */
-    float slow_A; /* current that the particles' surface has followed */
+    float slow_A; /* current behind the lag of the particles' surface */
     float temperature_C; /* last valid one */
     float contradicted; /* SOC that the voltages say is missing */
     float persistent; /* SOC error by a persistent error of the model */

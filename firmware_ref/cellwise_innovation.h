@@ -118,7 +118,7 @@ static float dropped_by_offset(const cellwise_constants *c, const cellwise_state
 static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, float innovation, float gain, float inverse)
 {
     const float before = x->believed * x->reach;
-    const float own_V = innovation + i->followed_V;
+    const float own_V = innovation + i->bias_V;
     cellwise_offset now;
     offset_after(x->score, x->information, i->of_offset_V, own_V, inverse, &now);
     x->reach = x->reach - (gain * i->of_offset_V);
@@ -126,7 +126,7 @@ static void ask_for_offset(cellwise_state *x, const cellwise_innovation *i, floa
     x->information = now.information;
     x->believed = now.believed;
     x->unsure = now.unsure;
-    const float more = (gain * i->followed_V) + ((x->believed * x->reach) - before);
+    const float more = (gain * i->bias_V) + ((x->believed * x->reach) - before);
     add(&x->soc, &x->soc_carry, more);
 }
 
@@ -146,11 +146,11 @@ static void innovate(const cellwise_constants *c, const cellwise_state *x, const
     innovation->explained_V2 = bent_variance(innovation->explained_V2, w->bend_V);
     innovation->variance_V2 = innovation->explained_V2 + innovation->one_V2;
     innovation->of_offset_V = 0.0f;
-    innovation->followed_V = 0.0f;
+    innovation->bias_V = 0.0f;
     /* What is believed of an offset has moved the drop, too; what is not known of it may have. */
     const float dropped_V = dropped_by_offset(c, x, p);
     innovation->of_offset_V = (w->slope_V * x->reach) + dropped_V;
-    innovation->followed_V = x->believed * innovation->of_offset_V;
+    innovation->bias_V = x->believed * innovation->of_offset_V;
     innovation->voltage_V = innovation->voltage_V + (x->believed * dropped_V);
     innovation->variance_V2 = innovation->variance_V2 +
         ((innovation->of_offset_V * innovation->of_offset_V) * x->unsure);

@@ -56,13 +56,13 @@ typedef struct {
     float unsure;
 } cellwise_offset;
 
-/* After a voltage. `seen_V` is what one deviation moves the voltage by, `own_V` the innovation of the filter's own
- * estimate, `inverse` one over the variance that weighed it. */
-static void offset_after(float score, float information, float seen_V, float own_V, float inverse,
+/* After a voltage. `of_offset_V` is what one deviation moves the voltage by, `own_V` the innovation of the filter's
+ * own estimate, `inverse` one over the variance that weighed it. */
+static void offset_after(float score, float information, float of_offset_V, float own_V, float inverse,
                          cellwise_offset *offset)
 {
-    const float per_V = inverse * seen_V;
-    offset->information = information + (per_V * seen_V);
+    const float per_V = inverse * of_offset_V;
+    offset->information = information + (per_V * of_offset_V);
     offset->score = score + (per_V * own_V);
     if (!(offset->information <= INFORMATION_MOST)) {
         offset->information = information;

@@ -7,8 +7,8 @@
 
 /* What the state says of the next voltage, before it is looked at. `variance_V2` is that of a single innovation,
  * `explained_V2` what the state and `one_V2` what the voltage brings to it; `slope_V` is the voltage's over SOC. One
- * deviation of an offset moves the voltage by `of_offset_V`, all that is believed of it has moved it by
- * `followed_V`. `column` is P H'. */
+ * deviation of an offset moves the voltage by `of_offset_V`; by `bias_V` what is believed of it has moved it.
+ * `column` is P H'. */
 typedef struct {
     float voltage_V;
     float variance_V2;
@@ -16,7 +16,7 @@ typedef struct {
     float one_V2;
     float slope_V;
     float of_offset_V;
-    float followed_V;
+    float bias_V;
     cellwise_column column;
 } cellwise_innovation;
 

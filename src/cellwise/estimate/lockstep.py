@@ -159,11 +159,11 @@ def plain_step(
     c = step_constants(cell, noise, dt_s)
     p = with_noise(decayed(old.p, t), c, noise, s, over, 0.0, tables.cell.charge_As)
     x = with_heat(end, heat_step(cell, end.heat_K, current_A, drop_of(point, end, current_A), dt_s))
-    followed = old.drift.believed * old.drift.reach
+    bias_soc = old.drift.believed * old.drift.reach
     drift = counted_on(noise, old.drift, t, cell.charge_As, dt_s, s.current_A)
     now = Predicted(
         old, x, p, point, tangent(point.ocv_slope_V, 0.0), lane.temperature_C,
-        old.watch.evidence_s, drift, None, followed, 0,
+        old.watch.evidence_s, drift, None, bias_soc, 0,
     )
     # fmt: on
     i = innovate(c, tables, noise, None, s, now)

@@ -28,7 +28,7 @@ from cellwise.cell.equations.states import relaxed as relaxed
 from cellwise.cell.equations.states import soc_step as soc_step
 from cellwise.cell.equations.states import states_step as states_step
 from cellwise.cell.equations.states import transition as transition
-from cellwise.cell.equations.surface import followed as followed
+from cellwise.cell.equations.surface import lagged_current as lagged_current
 from cellwise.cell.equations.surface import slow_step as slow_step
 from cellwise.cell.equations.surface import surface_soc as surface_soc
 from cellwise.cell.equations.temperature import ZERO_CELSIUS_K as ZERO_CELSIUS_K

@@ -35,7 +35,7 @@ def look_up(tables: CellTables, soc: float, temperature_C: float, slow_A: float 
 def loaded(
     tables: CellTables, soc: float, temperature_C: float, current_A: float, slow_A: float
 ) -> CellPoint:
-    """Tables at one SOC, temperature and current, and the one that the surface has followed."""
+    """Tables at one SOC, temperature and current, and that behind the surface's lag."""
     return under_load(tables.cell, look_up(tables, soc, temperature_C, slow_A), current_A)
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     class CellState(tuple[float, ...]):
         """What a cell carries from one interval to the next: every state by its name, then these.
 
-        ``heat_K`` is its own warmth, ``slow_A`` the current that the surface has followed.
+        ``heat_K`` is its own warmth, ``slow_A`` the current behind the surface's lag.
         """
 
         soc: float

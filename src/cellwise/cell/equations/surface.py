@@ -11,8 +11,8 @@ from cellwise.cell.unrolled import ByState, unrolled
 
 
 @inline
-def followed(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
-    r"""Current that the particles' surface has followed, after an interval.
+def lagged_current(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -> float:
+    r"""Current behind the lag of the particles' surface, after an interval.
 
     .. math:: \bar I^{+} = a \bar I + (1 - a) I, \qquad a = e^{-\Delta t / \tau_s}
     """
@@ -25,7 +25,7 @@ def slow_step(cell: CellScalars, slow_A: float, current_A: float, dt_s: float) -
     """The same where the surface's SOC is not the mean's; else it stays as it is."""
     if cell.surface_per_A == 0.0:
         return slow_A
-    return followed(cell, slow_A, current_A, dt_s)
+    return lagged_current(cell, slow_A, current_A, dt_s)
 
 
 @inline

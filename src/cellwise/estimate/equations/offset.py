@@ -90,15 +90,15 @@ class Offset(NamedTuple):
 
 @inline
 def offset_after(
-    score: float, information: float, seen_V: float, own_V: float, inverse: float
+    score: float, information: float, of_offset_V: float, own_V: float, inverse: float
 ) -> Offset:
     """After a voltage.
 
-    ``seen_V`` is what one deviation moves the voltage by, ``own_V`` the innovation of the filter's
-    own estimate, ``inverse`` one over the variance that weighed it.
+    ``of_offset_V`` is what one deviation moves the voltage by, ``own_V`` the innovation of the
+    filter's own estimate, ``inverse`` one over the variance that weighed it.
     """
-    per_V = inverse * seen_V
-    more = information + (per_V * seen_V)
+    per_V = inverse * of_offset_V
+    more = information + (per_V * of_offset_V)
     sum_of = score + (per_V * own_V)
     if not (more <= INFORMATION_MOST):
         more = information

@@ -41,8 +41,8 @@ class Innovation(NamedTuple):
 
     ``variance_V2`` is that of a single innovation, ``explained_V2`` what the state and ``one_V2``
     what the voltage brings to it; ``slope_V`` is the voltage's over SOC. One deviation of an offset
-    moves the voltage by ``of_offset_V``, all that is believed of it has moved it by
-    ``followed_V``. ``column`` is P H'.
+    moves the voltage by ``of_offset_V``; by ``bias_V`` what is believed of it has moved it.
+    ``column`` is P H'.
     """
 
     voltage_V: float
@@ -51,7 +51,7 @@ class Innovation(NamedTuple):
     one_V2: float
     slope_V: float
     of_offset_V: OffsetFloat
-    followed_V: OffsetFloat
+    bias_V: OffsetFloat
     column: Column
 
 

@@ -271,12 +271,12 @@ def informed_capacity(
     if rules is None or free is None:
         return None, drift
     c = free.capacity
-    seen = slope_V * c.reach
-    read = informs * seen if soc_variance <= rules.settled_variance else 0.0
+    of_capacity_V = slope_V * c.reach
+    read = informs * of_capacity_V if soc_variance <= rules.settled_variance else 0.0
     c = changed(c, "score", c.score + read * own_V)
-    c = changed(c, "information", c.information + read * seen)
+    c = changed(c, "information", c.information + read * of_capacity_V)
     c = changed(c, "cross", c.cross + read * of_offset_V)
-    c = changed(c, "reach", c.reach - gain * seen)
+    c = changed(c, "reach", c.reach - gain * of_capacity_V)
     c, drift = weighed(c, drift, rules)
     return Free(c, free.resistances), drift
 
@@ -304,8 +304,8 @@ def capacity_variance_V2(free: Free | None, slope_V: float, of_offset_V: float) 
     if free is None:
         return 0.0
     c = free.capacity
-    seen = slope_V * c.reach
-    return seen * (seen * c.unsure + 2.0 * of_offset_V * c.shared)
+    of_capacity_V = slope_V * c.reach
+    return of_capacity_V * (of_capacity_V * c.unsure + 2.0 * of_offset_V * c.shared)
 
 
 @inline

@@ -26,7 +26,7 @@ from cellwise.estimate.filters.covariance_kernels import (
 from cellwise.estimate.filters.filter_state import EkfStart, EkfState
 from cellwise.estimate.filters.sigma_kernels import SigmaScalars
 from cellwise.estimate.filters.step_kernels import innovate, predict, say
-from cellwise.estimate.filters.update_kernels import Predicted, counted, update
+from cellwise.estimate.filters.update_kernels import Predicted, update, without_voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NOT_BEGUN_S,
@@ -64,7 +64,7 @@ class ComponentPlace(NamedTuple):
 
 @inline
 def place_now(m: BankModel, a: State) -> ComponentPlace:
-    """The cell's temperature and what its particles' surface has followed."""
+    """The cell's temperature and the current behind the lag of its particles' surface."""
     warm_C = a.temperature_C if math.isfinite(a.temperature_C) else m.start.temperature_C
     return ComponentPlace(warm_C + a.heat_K, a.slow_A)
 
@@ -167,7 +167,7 @@ def step(m: BankModel, a: State, s: CheckedReading, out: Out) -> int:
         a.error_V2 = i.one_V2
     used = use_in_bank(m, a, now.state, s, now, i)
     v = used.verdict
-    e = update(m.constant, noise, None, s, now, i, v) if v.accepted else counted(now)
+    e = update(m.constant, noise, None, s, now, i, v) if v.accepted else without_voltage(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
     put_record(a, 0, 1, after, True)
     a.cost += used.cost

@@ -85,12 +85,13 @@ def dropped_by_offset(noise: NoiseScalars, d: Drift, r0_ohm: float, charge_As: f
 
 @inline
 @unrolled
-def drift_step(now: Drift, seen_V: float, own_V: float, gain: float, inverse: float) -> Drift:
+def drift_step(now: Drift, of_offset_V: float, own_V: float, gain: float, inverse: float) -> Drift:
     """After a voltage with the ``gain`` of the SOC; ``now`` is :func:`counted_on`."""
-    found = offset_after(now.score, now.information, seen_V, own_V, inverse)
+    found = offset_after(now.score, now.information, of_offset_V, own_V, inverse)
     # fmt: off
     return Drift(
-        now.reach - gain * seen_V, found.score, found.information, found.believed, found.unsure,
+        now.reach - gain * of_offset_V,
+        found.score, found.information, found.believed, found.unsure,
         *(now.d[i] for i in BRANCHES), now.rest_s, now.rest_A,
     )
     # fmt: on

@@ -61,7 +61,7 @@ from cellwise.estimate.filters.sigma_kernels import (
     by_points,
     voltage_by_points,
 )
-from cellwise.estimate.filters.update_kernels import Estimate, Predicted, counted, update
+from cellwise.estimate.filters.update_kernels import Estimate, Predicted, update, without_voltage
 from cellwise.estimate.noise import NoiseScalars
 from cellwise.estimate.sensing_kernels import (
     NO_VOLTAGE_YET_S,
@@ -98,11 +98,11 @@ def predict(
     if evidence == NOT_BEGUN_S:
         p = uncorrelated(p.ss, now.unknown, p.phh)
         evidence = NO_VOLTAGE_YET_S
-    followed = state.drift.believed * state.drift.reach + capacity_soc(free)
-    counts = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
-    drift = counted_on(noise, state.drift, now.t, cell.charge_As, counts * s.dt_s, s.current_A)
-    judged_A = 0.0 if now.status & OUTSIDE else counts * s.counted_current_A
-    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, judged_A, s.dt_s)
+    bias_soc = state.drift.believed * state.drift.reach + capacity_soc(free)
+    counted = 0.0 if s.gap or s.lost_A > 0.0 else 1.0
+    drift = counted_on(noise, state.drift, now.t, cell.charge_As, counted * s.dt_s, s.current_A)
+    within_data_A = 0.0 if now.status & OUTSIDE else counted * s.counted_current_A
+    free, drift = counted_capacity(cell, rules, free, drift, now.t.gs, within_data_A, s.dt_s)
     if sigma is None:
         x, p, at = by_tangents(c, tables, noise, s, now, p, state.watch.no_voltage_s)
     else:
@@ -112,7 +112,7 @@ def predict(
     status |= now.status
     # fmt: off
     return Predicted(
-        state, x, p, now.point, at, now.warm_C, evidence, drift, free, followed, status
+        state, x, p, now.point, at, now.warm_C, evidence, drift, free, bias_soc, status
     )
     # fmt: on
 
@@ -138,15 +138,15 @@ def innovate(
         seen = voltage_by_points(tables, sigma, s, point, at, now.warm_C, x, now.p)
     # What is believed of an offset has moved the drop, too; what is not known of it may have.
     drift, slope = now.drift, seen.slope_V
-    dropped = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)
-    of_offset = slope * drift.reach + dropped
-    free_variance = of_offset * of_offset * drift.unsure
-    free_variance += capacity_variance_V2(now.free, slope, of_offset)
-    followed = slope * now.followed + drift.believed * dropped
+    dropped_V = dropped_by_offset(noise, drift, point.r0_ohm, tables.cell.charge_As)
+    of_offset_V = slope * drift.reach + dropped_V
+    free_variance = of_offset_V * of_offset_V * drift.unsure
+    free_variance += capacity_variance_V2(now.free, slope, of_offset_V)
+    bias_V = slope * now.bias_soc + drift.believed * dropped_V
     # fmt: off
     return Innovation(
-        seen.predicted_V + drift.believed * dropped, seen.variance_V2 + (one + free_variance),
-        seen.variance_V2, one, slope, of_offset, followed, seen.d,
+        seen.predicted_V + drift.believed * dropped_V, seen.variance_V2 + (one + free_variance),
+        seen.variance_V2, one, slope, of_offset_V, bias_V, seen.d,
     )
     # fmt: on
 
@@ -191,7 +191,7 @@ def filter_step(
     now = predict(c, tables, noise, sigma, rules, start, state, free, s)
     i = innovate(c, tables, noise, sigma, s, now)
     v = gate(c, noise, now.state, s, now.evidence_s, now.point.r0_ohm, i)
-    e = update(c, noise, rules, s, now, i, v) if v.accepted else counted(now)
+    e = update(c, noise, rules, s, now, i, v) if v.accepted else without_voltage(now)
     after, info = say(i, v, e, s.status | now.status | v.status)
     drop_V = now.point.r0_ohm * s.delayed_current_A + now.x.v1_V
     free = watched_resistances(rules, e.free, noise, s, drop_V, v, now.p.ss)

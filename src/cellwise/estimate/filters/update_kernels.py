@@ -36,9 +36,9 @@ from cellwise.estimate.status import CURRENT_INVALID, OUTSIDE
 class Predicted(NamedTuple):
     """State, covariance and slopes at the end of an interval, before its voltage is used.
 
-    ``state`` is what was carried; ``drift`` and ``free`` have counted the interval, ``followed`` is
-    the SOC by which they had moved the estimate before it. ``free`` is None unless the filter is
-    the adaptive one.
+    ``state`` is what was carried; ``drift`` and ``free`` have counted the interval, ``bias_soc`` is
+    by how much SOC what was believed of them had moved the estimate before it. ``free`` is None
+    unless the filter is the adaptive one.
     """
 
     state: EkfState
@@ -50,7 +50,7 @@ class Predicted(NamedTuple):
     evidence_s: float
     drift: Drift
     free: Free | None
-    followed: float
+    bias_soc: float
     status: int
 
 
@@ -66,11 +66,11 @@ class Estimate(NamedTuple):
 
 
 @inline
-def counted(now: Predicted) -> Estimate:
+def without_voltage(now: Predicted) -> Estimate:
     """An interval without a voltage: what is believed of offset and capacity goes on."""
     old = now.state
-    follows = now.drift.believed * now.drift.reach + capacity_soc(now.free)
-    x = with_soc(now.x, now.x.soc + (follows - now.followed))
+    bias_soc = now.drift.believed * now.drift.reach + capacity_soc(now.free)
+    x = with_soc(now.x, now.x.soc + (bias_soc - now.bias_soc))
     return Estimate(x, now.p, old.persistent, old.contradicted, now.drift, now.free)
 
 
@@ -99,12 +99,12 @@ def update(
 
     # Offset and capacity: how far each would have led, and what the voltage says of it by the
     # innovation of the filter's own estimate.
-    own_V = v.innovation_V + i.followed_V
+    own_V = v.innovation_V + i.bias_V
     informs = 0.0 if s.status & CURRENT_INVALID else v.inverse
     drift = drift_step(now.drift, i.of_offset_V, own_V, k.s, v.inverse)
     free, drift = informed_capacity(
         rules, now.free, drift, i.of_offset_V, slope, own_V, k.s, informs, now.p.ss
     )
-    follows = drift.believed * drift.reach + capacity_soc(free)
-    x = with_soc(x, x.soc + (k.s * i.followed_V + (follows - now.followed)))
+    bias_soc = drift.believed * drift.reach + capacity_soc(free)
+    x = with_soc(x, x.soc + (k.s * i.bias_V + (bias_soc - now.bias_soc)))
     return Estimate(x, p, persistent, contradicted, drift, free)

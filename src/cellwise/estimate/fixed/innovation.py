@@ -141,14 +141,14 @@ def dropped_by_offset(c: Constants, x: State, p: Point) -> float:
 def ask_for_offset(x: State, i: Innovation, innovation: float, gain: float, inverse: float) -> None:
     """What a voltage that has moved the state says of an offset, and where that moves the SOC."""
     before = x.believed * x.reach
-    own_V = innovation + i.followed_V
+    own_V = innovation + i.bias_V
     now = offset_after(x.score, x.information, i.of_offset_V, own_V, inverse)
     x.reach = x.reach - (gain * i.of_offset_V)
     x.score = now.score
     x.information = now.information
     x.believed = now.believed
     x.unsure = now.unsure
-    more = (gain * i.followed_V) + ((x.believed * x.reach) - before)
+    more = (gain * i.bias_V) + ((x.believed * x.reach) - before)
     x.soc, x.soc_carry = add(x.soc, x.soc_carry, more)
 
 
@@ -172,12 +172,12 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         explained_V2 = bent_variance(explained_V2, w.bend_V)
     variance_V2 = explained_V2 + one_V2
     of_offset_V = 0.0
-    followed_V = 0.0
+    bias_V = 0.0
     if OFFSET:
         # What is believed of an offset has moved the drop, too; what is not known of it may have.
         dropped_V = dropped_by_offset(c, x, p)
         of_offset_V = (w.slope_V * x.reach) + dropped_V
-        followed_V = x.believed * of_offset_V
+        bias_V = x.believed * of_offset_V
         voltage_V = voltage_V + (x.believed * dropped_V)
         variance_V2 = variance_V2 + ((of_offset_V * of_offset_V) * x.unsure)
     return Innovation(
@@ -187,6 +187,6 @@ def innovate(c: Constants, x: State, p: Point, w: Slopes, s: Reading) -> Innovat
         one_V2,
         w.slope_V,
         of_offset_V,
-        followed_V,
+        bias_V,
         column,
     )

@@ -178,7 +178,7 @@ def _state() -> tuple[Field, ...]:
         Field("current_A", "last valid one"),
         Field("mismatch", "running mean of squared innovation over variance"),
         Field("heat_K", "own warming", "HEATING"),
-        Field("slow_A", "current that the particles' surface has followed", "SURFACE"),
+        Field("slow_A", "current behind the lag of the particles' surface", "SURFACE"),
         Field("temperature_C", "last valid one", "WARM"),
         Field("contradicted", "SOC that the voltages say is missing", "WIDE"),
         Field("persistent", "SOC error by a persistent error of the model", "WIDE"),
